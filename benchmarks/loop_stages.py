@@ -107,9 +107,10 @@ def move_truth(params, field, state, n):
 @kernel
 def sample_imu(params, state, noise, n):
     for i in range(n):
-        imu_kernels.sample_with_faults(
-            params.imu, state.now.truth, noise[i % noise.shape[0]], state.imu_memory, state.now.imu
-        )
+        imu_kernels.sample_with_errors(
+            params.imu, state.now.truth, state.now.truth.w_CI_C, noise[i % noise.shape[0]], state.imu_memory,
+            state.now.imu,
+        )  # fmt: skip
 
 
 @kernel

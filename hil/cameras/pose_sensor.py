@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -12,9 +13,10 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario, VisionNoise
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import ImageSink
-from hil.core.messages import Array, PoseFrame
+from hil.core.messages import VMU_FRAME, Array, PoseFrame, new
 from hil.drivers.vmu.transport import Transport
-from hil.dynamics.vision import ALL_LEDS, VISION_NOISE, measure
+from hil.dynamics.vision import VISION_NOISE, measure_frame
+from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.maths.random_streams import NormalRows, stream
 from hil.params import bench as bench_params
 from hil.params import vision as vision_params
@@ -29,23 +31,31 @@ class PoseSensor(Protocol):
 
 
 class PoseModel:
-    """Pose sensor with the noise model of a vision unit, without images."""
+    """Pose sensor with the error model of a vision unit, without images. scenario, rig, seed: of the run."""
 
-    def __init__(self, bench: np.record, mounting: np.record, vision: np.record, seed: int) -> None:
-        self._bench = bench
-        self._mounting = mounting
-        self._vision = vision
+    def __init__(self, scenario: Scenario, rig: Rig, seed: int) -> None:
+        self._bench = bench_params.bench(rig, scenario.step_s)
+        self._mounting = vision_params.mounting(rig)
+        self._vision = vision_params.vision(scenario, seed)
+        self._camera, self.leds = vision_params.camera(rig)
         self.noise = NormalRows(stream(seed, "vision"), VISION_NOISE)
         """One row per exposure."""
+        self.memory = new(VISION_MEMORY)
+        """What the errors keep from exposure to exposure."""
+        self._frame = new(VMU_FRAME)
         self._r = np.empty(3)
         self._q = np.empty(4)
 
-    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame:
-        """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``."""
-        t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
+    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
+        """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``; None without one."""
+        frame = self._frame
+        frame.t_s = frame.received_s = t_s
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
-        measure(self._vision, self._mounting, self._r, self._q, self.noise.next_row(), t_v, q_vt, covariance)
-        return PoseFrame(0, t_s, t_s, t_v, q_vt, covariance, leds_left=ALL_LEDS, leds_right=ALL_LEDS)
+        measure_frame(
+            self._vision, self._camera, self.leds, self._mounting, self._r, self._q, self.noise.next_row(), t_s,
+            self.memory, frame,
+        )  # fmt: skip
+        return None if math.isnan(frame.t_v[0]) else PoseFrame.from_record(frame)
 
 
 def transport(vmu: VisionNoise, seed: int) -> Transport:
@@ -60,11 +70,11 @@ def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: ImageSink |
 
     shown: receives the rendered images, if any.
     """
-    bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
     if scenario.vmu.source == "model":
-        return PoseModel(bench, mounting, vision_params.vision(scenario), seed)
+        return PoseModel(scenario, rig, seed)
     from hil.cameras.rendered import RenderedPoseSensor
 
+    bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
     return RenderedPoseSensor(
         bench, mounting, geometry_of_rig(rig), calibrated_geometry(rig), scenario.vmu.images, seed, shown
     )

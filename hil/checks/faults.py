@@ -12,7 +12,7 @@ from hil.core.messages import MAX_FAULTS
 from hil.dynamics.thruster_faults import DELAY_STEPS_MAX
 from hil.errors import Problem
 
-KEY = "faults"
+KEY, DELAY_KEY = "faults", "chaser.thrusters.errors.delay_s"
 
 
 def check_faults(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
@@ -26,6 +26,10 @@ def check_faults(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         if count > MAX_FAULTS:
             text = f"{count} of {family}: at most {MAX_FAULTS} are allowed"
             found.append(Problem(scenario.where(KEY), KEY, text))
+    longest_s, delay_s = DELAY_STEPS_MAX * scenario.value.sample_s, scenario.value.chaser.thrusters.errors.delay_s
+    if delay_s > longest_s:
+        text = f"{delay_s:g}: at most {DELAY_STEPS_MAX} steps of the truth are kept, {longest_s:g} s"
+        found.append(Problem(scenario.where(DELAY_KEY), DELAY_KEY, text))
     return found
 
 
@@ -36,9 +40,11 @@ def _why_not(fault: TimedFault, scenario: Scenario, rig: Rig) -> str:
     if fault.family == "thruster" and fault.number >= thrusters:
         return f'device = "{fault.device}": the chaser has thruster.1 to thruster.{thrusters}'
     if fault.family == "thruster" and fault.kind == "delay":
-        longest_s = DELAY_STEPS_MAX * scenario.step_s
+        longest_s = DELAY_STEPS_MAX * scenario.sample_s
         if fault.values[0] > longest_s:
-            return f"value = {fault.values[0]:g}: at most {DELAY_STEPS_MAX} steps of step_s are kept, {longest_s:g} s"
+            return (
+                f"value = {fault.values[0]:g}: at most {DELAY_STEPS_MAX} steps of the truth are kept, {longest_s:g} s"
+            )
     if fault.family == "axis" and rig.kind != "mock":
         names = ", ".join(family for family in TERMS if family != "axis")
         return f'device = "{fault.device}": axes have faults on the mock rig only; on {rig.name}: {names}'

@@ -83,7 +83,13 @@ class CaseOptions:
     """Seed of the whole campaign."""
     duration: float | None = None
     """Run time in seconds, instead of the scenario's."""
+    dispersions: str | None = None
+    """Dispersion set, instead of the scenario's: shipped, stress, or the path of a file."""
     settings: Settings = ()
+
+    def all_settings(self) -> Settings:
+        """Return the settings, with the dispersion set before the others, which may change it."""
+        return self.settings if self.dispersions is None else (f"dispersions={self.dispersions}", *self.settings)
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that is out of range."""
@@ -108,7 +114,7 @@ def campaign(
     Parameters
     ----------
     scenario
-        scheme-1, scheme-2, scheme-3, or the path of a scenario file; [dispersions] in it sets what varies.
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file; dispersions in it sets what varies.
     out
         Folder for the results; a partial campaign in it is resumed.
     json
@@ -121,12 +127,13 @@ def campaign(
     from hil.monte_carlo.store import parquet
 
     parquet()
+    settings = cases.all_settings()
     sweep = None if variation.sweep is None else Sweep.parse(variation.sweep)
     console = Console(stderr=True)
     with console.status("checking the scenario"):
-        campaigns: list[CampaignJob] = campaigns_of(scenario, cases.settings, cases.seed, cases.duration, sweep)
+        campaigns: list[CampaignJob] = campaigns_of(scenario, settings, cases.seed, cases.duration, sweep)
         if variation.against is not None:
-            campaigns += campaigns_of(variation.against, cases.settings, cases.seed, cases.duration, None)
+            campaigns += campaigns_of(variation.against, settings, cases.seed, cases.duration, None)
     folders = variation.folders(Path(out), len(campaigns))
     engine = workers.engine()
     with ExitStack() as held:
@@ -214,8 +221,13 @@ def _rate_text(rate: dict[str, Any]) -> str:
     )
 
 
+def _title(summary: dict[str, Any]) -> str:
+    dispersions = summary["dispersions"]
+    return f"{summary['scenario']}, dispersions {dispersions}" if dispersions else str(summary["scenario"])
+
+
 def _render_summary(summary: dict[str, Any], console: Console) -> None:
-    rows = Table(title=f"{summary['scenario']}: worst of {summary['runs']} cases", title_justify="left")
+    rows = Table(title=f"{_title(summary)}: worst of {summary['runs']} cases", title_justify="left")
     for column in ("", "axis", "worst", "case", "Table V"):
         rows.add_column(column, justify="left" if column in ("", "axis") else "right")
     for name, axes in summary["worst"].items():

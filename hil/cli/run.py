@@ -31,6 +31,7 @@ def run(
     options: Group[RunOptions] = _DEFAULTS,
     until_stopped: Flag = False,
     case: OptionalInteger = None,
+    dispersions: str | None = None,
     record: str | None = None,
     json: Output = None,
 ) -> int:
@@ -46,6 +47,8 @@ def run(
         Run until Ctrl-C, which ends the run normally; memory does not grow.
     case
         Number of a case of the campaign of this scenario and seed, to be run in full detail.
+    dispersions
+        Dispersion set of that campaign, instead of the scenario's: shipped, stress, or the path of a file.
     record
         Folder for the recording and its catalogue; see hil recordings list.
     json
@@ -64,7 +67,8 @@ def run(
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.session import build
 
-    loaded = loaded_scenario(scenario, options.settings)
+    chosen = () if dispersions is None else (f"dispersions={dispersions}",)
+    loaded = loaded_scenario(scenario, (*chosen, *options.settings))
     if loaded.value.gnc.binary is not None and sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: print where
     job = make_job(loaded, loaded_rig(rig, options.settings), options.seed, options.duration, options.speed)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.faults import AXES, TERMS, ErrorTerm, Sensor
-from hil.config.model import ConfigModel, Positive
+from hil.config.model import ConfigModel, Name, Positive
 
 Number = float | tuple[float, ...]
 Range = tuple[float, float]
@@ -121,6 +121,8 @@ class Dispersions(ConfigModel):
     others change the truth only.
     """
 
+    name: Name = ""
+    """Name of the set, in results."""
     sampling: Literal["random", "latin_hypercube", "sobol"] = "random"
     """Independent random numbers, blocks of Latin hypercubes, or a scrambled Sobol sequence (best with a power of two).
     """

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from hil.config.dispersions import Dispersions
 from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.fmu_mapping import FmuMapping
 from hil.config.model import ConfigModel
@@ -30,13 +31,14 @@ Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
 
 _SUFFIXES = {"targets": (".json", ".toml")}  # scenes of other programs are JSON
-_WORDS = {"targets": "scene", "geometries": "geometry"}
+_WORDS = {"targets": "scene", "geometries": "geometry", "dispersions": "dispersion set"}
 _FILES_OF_KEYS = {
     "protocol": (".toml",),
     "scene": (".json", ".toml"),
     "library": (".so",),
     "fmu": (".fmu",),
     "fmu_mapping": (".toml",),
+    "dispersions": (".toml",),
 }  # values that are names, or paths with these endings
 _NEVER = ("\0",)
 
@@ -53,7 +55,7 @@ def configs_folder() -> Path:
 
 
 def shipped(kind: str) -> list[str]:
-    """Return the names of the shipped files of ``kind``: "scenarios", "rigs", "protocols" or "targets"."""
+    """Return the names of the shipped files of ``kind``: "scenarios", "dispersions", "rigs", "protocols", "targets"."""
     return sorted(path.stem for path in (configs_folder() / kind).glob("*.toml"))
 
 
@@ -159,6 +161,7 @@ def read_with_bases(
     """Return the file's table merged over that of the file it extends; ``origin`` gets the file of each key."""
     table = with_present_names(model.__name__, _read_table(path), str(path))
     _find_files_beside(table, path.parent)
+    chosen_set = table.pop("dispersions") if _names_dispersion_set(model, table) else None
     base_name = table.pop("extends", None)
     base: Table = {}
     if base_name is not None:
@@ -173,8 +176,25 @@ def read_with_bases(
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
             raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a circle")
         base = read_with_bases(base_path, kind, model, origin, (*chain, path.resolve()))
+    if chosen_set is not None:
+        _put_dispersion_set(base, chosen_set, origin)
     merge_tables(base, table, str(path), origin, "")
     return base
+
+
+def _names_dispersion_set(model: type[ConfigModel], table: Table) -> bool:
+    return model is Scenario and isinstance(table.get("dispersions"), str)
+
+
+def _put_dispersion_set(table: Table, name: str, origin: dict[str, str]) -> None:
+    """Replace the dispersions of a scenario's ``table`` by those of the set ``name``, shipped or a path."""
+    path = _find(name, "dispersions")
+    origin_of_set: dict[str, str] = {}
+    table["dispersions"] = read_with_bases(path, "dispersions", Dispersions, origin_of_set)
+    for stale in [key for key in origin if key == "dispersions" or key.startswith("dispersions.")]:
+        del origin[stale]
+    origin["dispersions"] = str(path)
+    origin.update({f"dispersions.{key}": source for key, source in origin_of_set.items()})
 
 
 def _read_table(path: Path) -> Table:
@@ -245,7 +265,10 @@ def apply_settings(
             place = place.setdefault(name, {})
             if not isinstance(place, dict):
                 raise BadInput.single("--set", text, f"{name} is not a table")
-        _note_origin(value, new, "--set", origin)
+        if _names_dispersion_set(model, table):
+            _put_dispersion_set(table, table["dispersions"], origin)
+        else:
+            _note_origin(value, new, "--set", origin)
 
 
 def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:

@@ -109,7 +109,7 @@ def with_present_names(model: str, table: Table, source: str, named_at_most: int
     given = {path for path, _ in leaves}
     renamed: list[tuple[Path, Any]] = []
     for path, value in leaves:
-        new, length = _renamed(path, RENAMED[model])
+        new, length = _renamed(path, RENAMED.get(model, {}))
         if length:
             old_key, new_key = (_PREFIX.get(model, "") + ".".join(each[:length]) for each in (path, new))
             found[old_key] = new_key

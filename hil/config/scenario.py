@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
+from hil.config.error_models import ImuErrors, ThrusterErrors, VisionErrors
 from hil.config.faults import TimedFault
 from hil.config.guard import KeepOut
 from hil.config.integrity import Integrity
@@ -46,6 +47,7 @@ class Thrusters(ConfigModel):
     """Positions in c, from the reference point."""
     direction: tuple[Triple, ...]
     """Unit vectors in c of the force on the vehicle."""
+    errors: ThrusterErrors = ThrusterErrors()
 
     @model_validator(mode="after")
     def _one_direction_each(self) -> Self:
@@ -119,6 +121,7 @@ class Imu(ConfigModel):
     """Noise of a sample."""
     rate_hz: Positive | None = None
     """Samples per second, a multiple of the cycle's rate; unless set, one sample per cycle."""
+    errors: ImuErrors = ImuErrors()
 
 
 class RenderedImages(ConfigModel):
@@ -163,6 +166,7 @@ class VisionNoise(ConfigModel):
     loss_probability: Probability = 0.0
     """Of a pose to be lost."""
     images: RenderedImages = RenderedImages()
+    errors: VisionErrors = VisionErrors()
 
 
 class Navigation(ConfigModel):

@@ -10,8 +10,9 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.dynamics import imu_faults
+from hil.dynamics import imu_errors, imu_faults
 from hil.dynamics import truth as truth_kernels
+from hil.dynamics.imu_errors import IMU_ERRORS
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.faults import FAULTS
@@ -25,6 +26,7 @@ IMU_PARAMS = np.dtype(
         ("sigma_drift", "f8"),  # rad/s^2: drift[k+1] = drift[k] + dt * sigma * n
         ("sigma_accelerometer", "f8"),  # m/s^2 per sample
         ("sigma_bias", "f8"),  # m/s^3
+        ("errors", IMU_ERRORS),
         ("faults", FAULTS),
     ],
     align=True,
@@ -46,16 +48,22 @@ def sample(params, truth, noise, imu):
 
 
 @kernel
-def sample_with_faults(params, truth, noise, memory, imu):
-    """``sample`` with the faults that act at the end of the step. memory: IMU_MEMORY."""
-    if params.faults.n == 0:
-        sample(params, truth, noise, imu)
-        return
-    imu_faults.step_biases(params.faults, memory, truth.t_s, imu)
+def sample_with_errors(params, truth, w_before, noise, memory, imu):
+    """``sample`` with the sensors' error model and the faults that act at the end of the step.
+
+    w_before: (3,), rad/s, inertial rate at the start of the step. memory: IMU_MEMORY.
+    """
+    if params.faults.n != 0:
+        imu_faults.step_biases(params.faults, memory, truth.t_s, imu)
+    if params.errors.enabled != 0:
+        imu_errors.wander(params.errors, memory.errors, imu)
     sample(params, truth, noise, imu)
-    imu_faults.distort(
-        params.faults, memory, truth.t_s, params.dt_s, params.sigma_gyro, params.sigma_accelerometer, imu
-    )
+    if params.errors.enabled != 0:
+        imu_errors.distort(params.errors, memory.errors, truth, w_before, params.dt_s, imu)
+    if params.faults.n != 0:
+        imu_faults.distort(
+            params.faults, memory, truth.t_s, params.dt_s, params.sigma_gyro, params.sigma_accelerometer, imu
+        )
 
 
 @kernel
@@ -67,13 +75,14 @@ def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples,
     it may be that sample. Means over the last step in ``truth`` become means over the cycle.
     """
     n = samples.shape[0]
-    means, fraction = stack.matrix(4, 3), stack.vector(MAX_THRUSTERS)
+    means, fraction, w_before = stack.matrix(4, 3), stack.vector(MAX_THRUSTERS), stack.vector(3)
     for row in range(4):
         fill(means[row], 0.0)
     fill(fraction, 0.0)
     for k in range(n):
+        copy_into(w_before, truth.w_CI_C)
         truth_kernels.step(dss, field, memory, truth, on)
-        sample_with_faults(params, truth, noise[k], imu_memory, imu)
+        sample_with_errors(params, truth, w_before, noise[k], imu_memory, imu)
         if n > 1:
             copy_sample(imu, samples[k])
             for i in range(3):

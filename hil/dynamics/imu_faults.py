@@ -8,13 +8,16 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_FAULTS
+from hil.dynamics.imu_errors import IMU_ERROR_MEMORY
 from hil.models.faults import KIND, OPTION, VALUE, is_active, normal
 
 BIAS_STEP, SCALE_FACTOR, DROPOUT, NOISE_SCALE, STUCK = range(5)
 GYRO, ACCELEROMETER = 0.0, 1.0
 """Option of all kinds but DROPOUT."""
 
-IMU_MEMORY = np.dtype([("acts", "i8", MAX_FAULTS), ("rate", "f8", 3), ("force", "f8", 3)], align=True)
+IMU_MEMORY = np.dtype(
+    [("acts", "i8", MAX_FAULTS), ("rate", "f8", 3), ("force", "f8", 3), ("errors", IMU_ERROR_MEMORY)], align=True
+)
 """acts: 1 for each bias step that is in the true errors. rate, force: the last readings, rad/s and m/s^2."""
 
 

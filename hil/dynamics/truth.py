@@ -26,7 +26,8 @@ from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.target_faults import TARGET_MEMORY, move_target
-from hil.dynamics.thruster_faults import THRUST_MEMORY, step_faulty_valves
+from hil.dynamics.thruster_errors import THRUSTER_ERRORS
+from hil.dynamics.thruster_faults import THRUST_MEMORY, step_real_valves
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
@@ -56,6 +57,7 @@ DSS_PARAMS = np.dtype(
         ("plate", PLATE_PARAMS),
         ("mode", MODE_PARAMS),
         ("sun_I", "f8", 3),  # unit vector to the Sun, inertial
+        ("thruster_errors", THRUSTER_ERRORS),
         ("thruster_faults", FAULTS),
         ("target_faults", FAULTS),
     ],
@@ -259,11 +261,11 @@ def step(params, field, memory, truth, on):
     dt = params.dt_s
     n = params.n_thrusters
     fraction = truth.thrust_fraction
-    if params.thruster_faults.n == 0:
+    if params.thruster_faults.n == 0 and params.thruster_errors.enabled == 0:
         step_valves(on[:n], truth.open_s[:n], params.minimum_on_s, dt, fraction[:n])
     else:
-        step_faulty_valves(
-            params.thruster_faults, memory.thrust, truth.t_s, on[:n], truth.open_s[:n], params.minimum_on_s, dt,
+        step_real_valves(
+            params.thruster_faults, params.thruster_errors, memory.thrust, truth, on[:n], params.minimum_on_s, dt,
             fraction[:n],
         )  # fmt: skip
     if params.target_faults.n != 0:

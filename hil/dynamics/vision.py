@@ -1,4 +1,4 @@
-"""Virtual VMU: the true camera pose with white noise that increases with range.
+"""Virtual VMU: the true camera pose with noise that increases with range, and with the errors of its error model.
 
 ``sigma(r) = sigma_0 * max(1, r / r_ref)`` for position and angle, r the distance of the reference points.
 """
@@ -10,6 +10,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.dynamics import vision_errors
+from hil.dynamics.vision_errors import LEAST_LEDS, VISION_ERRORS
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.models.mounting import camera_pose
@@ -23,6 +25,7 @@ VISION_PARAMS = np.dtype(
         ("sigma_angle", "f8"),  # rad
         ("reference_range", "f8"),  # m
         ("reported_scale", "f8"),  # reported over actual sigmas
+        ("errors", VISION_ERRORS),
     ],
     align=True,
 )
@@ -55,3 +58,39 @@ def measure(params, mounting, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
     copy_into(q_true, q_vt)
     quat.from_rotation_vector_into(rotation, noise_q)
     quat.multiply_into(noise_q, q_true, q_vt)
+
+
+@kernel
+def _look(camera, leds, mounting, r_CT_H, q_CH, frame):
+    """Write the LEDs in view; without enough of them in both images the frame has no pose."""
+    t_v, q_vt = stack.vector(3), stack.vector(4)
+    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
+    left = vision_errors.leds_in_view(camera, leds, 0.0, t_v, q_vt)
+    right = vision_errors.leds_in_view(camera, leds, camera.baseline, t_v, q_vt)
+    if leds.shape[0] <= 62:
+        frame.leds_left, frame.leds_right = left, right
+    if vision_errors.count_leds(left & right) < min(LEAST_LEDS, leds.shape[0]):
+        for i in range(3):
+            frame.t_v[i] = math.nan
+
+
+@kernel
+def measure_frame(params, camera, leds, mounting, r_CT_H, q_CH, noise, t_s, memory, frame):
+    """Write pose, covariance and LEDs of ``frame`` (VMU_FRAME), as ``measure`` with the errors of the unit.
+
+    Without a pose ``t_v`` is nan. camera: CAMERA. leds: (n, 3), m, in t. t_s: of the exposure, bench time.
+    memory: VISION_MEMORY.
+    """
+    errors = params.errors
+    mixed = stack.vector(6)
+    frame.leds_left = frame.leds_right = ALL_LEDS
+    copy_into(mixed, noise)
+    if errors.correlated_fraction > 0.0:
+        vision_errors.correlate(errors, memory, t_s, noise, mixed)
+    measure(params, mounting, r_CT_H, q_CH, mixed, frame.t_v, frame.q_vt, frame.covariance)
+    if errors.enabled != 0:
+        vision_errors.distort(errors, memory.exposures, frame.t_v, frame.q_vt)
+    if errors.needs_view != 0:
+        _look(camera, leds, mounting, r_CT_H, q_CH, frame)
+    memory.exposures += 1
+    memory.t_s = t_s

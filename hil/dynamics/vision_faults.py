@@ -11,15 +11,15 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import VMU_FRAME
+from hil.dynamics.vision_errors import misidentify, throw
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
-from hil.models.faults import AT, KIND, OPTION, SIZE, VALUE, is_active, normal, uniform
+from hil.models.faults import AT, KIND, OPTION, SIZE, VALUE, is_active, normal
 
 NO_POSE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY, MISIDENTIFIED = range(9)
 AT_ARRIVAL = 1.0
 """Option of LATENCY: frames are stamped when they arrive."""
 
-_PLACE_RAD = math.pi / 3.0  # between two LEDs of the ring of six
 _OUTLIER_LANE, _NOISE_LANE = 0, 8
 
 VMU_MEMORY = np.dtype([("has_frame", "i8"), ("frame", VMU_FRAME)], align=True)
@@ -34,20 +34,6 @@ def _displace(mounting, displacement, frame):
     quat.transform_into(q_vh, displacement, moved)
     for i in range(3):
         frame.t_v[i] -= moved[i]
-
-
-@kernel
-def _throw(faults, i, frame):
-    """Displace a fraction of the frames in a random direction."""
-    row, lane = faults.row[i], _OUTLIER_LANE + 32 * i
-    if uniform(faults.seed, frame.counter, lane) >= row[VALUE]:
-        return
-    height = 2.0 * uniform(faults.seed, frame.counter, lane + 1) - 1.0
-    angle = 2.0 * math.pi * uniform(faults.seed, frame.counter, lane + 2)
-    level = math.sqrt(1.0 - height * height)
-    frame.t_v[0] += row[SIZE] * level * math.cos(angle)
-    frame.t_v[1] += row[SIZE] * level * math.sin(angle)
-    frame.t_v[2] += row[SIZE] * height
 
 
 @kernel
@@ -72,16 +58,6 @@ def _add_noise(faults, i, frame):
         frame.t_v[j] += excess * sigma_m * normal(faults.seed, frame.counter, lane + j)
         rotation[j] = excess * sigma_rad * normal(faults.seed, frame.counter, lane + 3 + j)
     _turn(rotation, frame)
-
-
-@kernel
-def _misidentify(places, frame):
-    """Take each LED for the one ``places`` further round the ring, whose axis is z of t."""
-    turn, before = stack.vector(4), stack.vector(4)
-    copy_into(before, frame.q_vt)
-    turn[0] = turn[1] = 0.0
-    turn[2], turn[3] = math.sin(0.5 * places * _PLACE_RAD), math.cos(0.5 * places * _PLACE_RAD)
-    quat.multiply_into(before, turn, frame.q_vt)
 
 
 @kernel
@@ -117,7 +93,7 @@ def disturb_frame(faults, mounting, zero_s, memory, frame):
                 displacement[j] = row[VALUE + j] * (t_s - row[AT] if kind == DRIFT else 1.0)
             _displace(mounting, displacement, frame)
         elif kind == OUTLIER:
-            _throw(faults, i, frame)
+            throw(row[VALUE], row[SIZE], faults.seed, frame.counter, _OUTLIER_LANE + 32 * i, frame.t_v)
         elif kind == NOISE_SCALE:
             _add_noise(faults, i, frame)
         elif kind == SIGMA_SCALE:
@@ -125,7 +101,7 @@ def disturb_frame(faults, mounting, zero_s, memory, frame):
                 for k in range(6):
                     frame.covariance[j, k] *= row[VALUE] ** 2
         elif kind == MISIDENTIFIED:
-            _misidentify(row[VALUE], frame)
+            misidentify(row[VALUE], frame.q_vt)
         elif kind == LATENCY:
             frame.received_s += row[VALUE]
             is_stamped_late = is_stamped_late or row[OPTION] == AT_ARRIVAL

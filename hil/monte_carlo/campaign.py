@@ -118,7 +118,8 @@ class CampaignJob:
                 speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
                 watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
         store.finish(runs)
-        summary = summarise(store, self.scenario.value.name, self.design.names) | {"seed": self._seed}
+        more = {"seed": self._seed, "dispersions": self.scenario.value.dispersions.name}
+        summary = summarise(store, self.scenario.value.name, self.design.names) | more
         write_summary(store.folder / "summary.json", summary)
         return summary
 

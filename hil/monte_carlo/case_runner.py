@@ -93,7 +93,6 @@ class CaseRunner:
         params = loop_params(scenario, rig, gnc_params.gnc(scenario), bench, self._limits.guard)
         params.counts = 1
         params.steady_state_after_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
-        params.camera = vision_params.camera(rig)[0]
         params.verdict = params.gnc.approach.monitor
         params.ready = ready_params(scenario.requirements)
         params.integrity = integrity_params.integrity(scenario)

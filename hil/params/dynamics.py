@@ -17,6 +17,7 @@ from hil.dynamics.moon_gravity import acceleration, field_table
 from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.maths import euler, quat
+from hil.params.errors import imu_errors, thruster_errors
 from hil.params.faults import fault_rows
 
 MOON_SIDEREAL_RATE_RADPS = 2.0 * math.pi / (27.321661 * 86400.0)  # Seidelmann, Explanatory Supplement (1992)
@@ -55,10 +56,11 @@ def field(scenario: Scenario) -> Array:
     return table
 
 
-def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
+def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) -> np.record:
     """Return DSS_PARAMS.
 
-    thruster_draws: standard normals, (n, 3), for the errors of the thrusters; None for nominal thrusters.
+    thruster_draws: standard normals, (n, 3), for the errors of the thrusters; None for nominal thrusters. seed: of the
+    run, for the scatter of their firings.
     """
     params = new(DSS_PARAMS)
     params.dt_s = scenario.sample_s
@@ -71,6 +73,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
     params.gravity_gradient = scenario.truth.gravity_gradient
     params.solar_pressure = scenario.truth.solar_pressure
     params.flexible_array = scenario.truth.flexible_array
+    params.thruster_errors = thruster_errors(scenario, seed)
     params.thruster_faults, params.target_faults = fault_rows(scenario, "thruster"), fault_rows(scenario, "target")
     _set_thrusters(params, scenario, thruster_draws)
     _set_gravity(params, scenario)
@@ -80,14 +83,14 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None) -> np.record:
 
 
 def imu(scenario: Scenario, seed: int = 0) -> np.record:
-    """Return IMU_PARAMS. seed: of the run, for the noise of faults."""
+    """Return IMU_PARAMS. seed: of the run, for errors and the noise of faults."""
     params = new(IMU_PARAMS)
     params.dt_s = scenario.sample_s
     params.sigma_gyro = math.radians(scenario.imu.gyro_noise_degps)
     params.sigma_drift = math.radians(scenario.imu.gyro_drift_noise_degps2)
     params.sigma_accelerometer = scenario.imu.accelerometer_noise_mps2
     params.sigma_bias = scenario.imu.accelerometer_bias_noise_mps3
-    params.faults = fault_rows(scenario, "imu", seed)
+    params.errors, params.faults = imu_errors(scenario, seed), fault_rows(scenario, "imu", seed)
     return params
 
 

@@ -13,6 +13,7 @@ from hil.core.messages import new
 from hil.dynamics import imu_faults, target_faults, thruster_faults, vision_faults
 from hil.models import axis_faults
 from hil.models.faults import AT, FAULTS, KIND, NUMBER, OPTION, SIZE, UNTIL, VALUE
+from hil.params.errors import SEED_BITS
 
 _KERNELS: Final = {
     "vmu": vision_faults,
@@ -25,13 +26,12 @@ CODES: Final = {
     family: {kind: getattr(_KERNELS[family], kind.upper()) for kind in kinds} for family, kinds in TERMS.items()
 }
 """Kind of device -> kind of fault -> its number in the kernels."""
-_SEED_BITS: Final = 0x7FFF_FFFF_FFFF_FFFF
 
 
 def fault_rows(scenario: Scenario, family: str, seed: int = 0) -> np.record:
     """Return FAULTS of the kind of device ``family``. seed: of the run, for kinds with random numbers."""
     table = new(FAULTS)
-    table.seed = seed & _SEED_BITS
+    table.seed = seed & SEED_BITS
     found = [fault for fault in scenario.faults if fault.family == family]
     table.n = len(found)
     for row, fault in zip(table.row, found, strict=False):

@@ -13,15 +13,17 @@ from hil.dynamics.vision import VISION_PARAMS
 from hil.maths import quat
 from hil.models.camera import CAMERA
 from hil.models.mounting import MOUNTING
+from hil.params.errors import vision_errors
 
 
-def vision(scenario: Scenario) -> np.record:
-    """Return VISION_PARAMS."""
+def vision(scenario: Scenario, seed: int = 0) -> np.record:
+    """Return VISION_PARAMS. seed: of the run, for errors."""
     params = new(VISION_PARAMS)
     params.sigma_position = scenario.vmu.sigma_position_m
     params.sigma_angle = math.radians(scenario.vmu.sigma_angle_deg)
     params.reference_range = scenario.vmu.reference_range_m
     params.reported_scale = scenario.vmu.reported_sigma_scale
+    params.errors = vision_errors(scenario, seed)
     return params
 
 

@@ -280,7 +280,7 @@ def _dss(scenario: Scenario, seed: int) -> DssStage:
 def dss_as_built(scenario: Scenario, seed: int) -> np.record:
     """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
     draws = stream(seed, "thrusters").standard_normal(dynamics_params.thruster_draws_shape(scenario))
-    return dynamics_params.dss(scenario, draws)
+    return dynamics_params.dss(scenario, draws, seed)
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:

@@ -66,6 +66,7 @@ def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks)
         params.nominal_axes = loop.axis_faults.nominal
     frames = frames_in_transit(rig, scenario.step_s)
     session = MockSession(
-        rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames, frames.copy()
-    )
+        rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames, frames.copy(),
+        mocks.sensor.leds, mocks.sensor.memory,
+    )  # fmt: skip
     return CompiledCycles(loop, rate, session, params, backend, runner.cycles, job.cycles)

@@ -47,3 +47,29 @@ def make_job(
 ) -> Job:
     """Return a job of a shipped or written scenario on a rig; ``settings`` are of both."""
     return Job(load_scenario(scenario, settings), load_rig(rig, settings), seed, duration_s, speed)
+
+
+ALL_ERRORS = (
+    "vmu.errors.bias_m=[0.001, -0.001, 0.002]",
+    "vmu.errors.misalignment_deg=[0.05, -0.1, 0.1]",
+    "vmu.errors.scale_error=0.002",
+    "vmu.errors.correlated_fraction=0.4",
+    "vmu.errors.outlier_probability=0.05",
+    "vmu.errors.misidentified_probability=0.02",
+    "imu.errors.gyro_scale_error=[1e-4, -1e-4, 2e-4]",
+    "imu.errors.gyro_misalignment_deg=[0.02, 0.01, -0.02]",
+    "imu.errors.gyro_instability_degps=1e-5",
+    "imu.errors.gyro_quantum_degps=1e-5",
+    "imu.errors.accelerometer_scale_error=[1e-3, 0.0, -1e-3]",
+    "imu.errors.accelerometer_misalignment_deg=[0.1, -0.1, 0.2]",
+    "imu.errors.accelerometer_instability_mps2=1e-4",
+    "imu.errors.accelerometer_quantum_mps2=2e-4",
+    "imu.errors.lever_arm_m=[0.2, -0.3, 0.1]",
+    "chaser.thrusters.minimum_on_s=0.033",
+    "chaser.thrusters.errors.delay_s=0.027",
+    "chaser.thrusters.errors.rise_s=0.01",
+    "chaser.thrusters.errors.tail_off_s=0.02",
+    "chaser.thrusters.errors.impulse_scatter_sigma=0.1",
+    "chaser.thrusters.errors.half_pressure_kg=1.0",
+)
+"""Settings with all terms of the error models."""

@@ -14,6 +14,7 @@ from hil.monte_carlo.outcome import row_of
 from hil.report.summary import summarise
 from hil.session import build
 from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits
+from tests.support.run_settings import ALL_ERRORS
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -49,8 +50,20 @@ def both(
 
 @pytest.mark.parametrize(
     ("scheme", "settings"),
-    [("scheme-1", ()), ("scheme-2", LATE), ("scheme-3", ()), ("scheme-1", ("gnc.akf.form=as_printed",))],
-    ids=["scheme-1", "scheme-2 with late, lost and repeated poses", "scheme-3", "the filter as printed"],
+    [
+        ("scheme-1", ()),
+        ("scheme-2", LATE),
+        ("scheme-3", ()),
+        ("scheme-1", ("gnc.akf.form=as_printed",)),
+        ("scheme-2", (*ALL_ERRORS, "rig.guard.enabled=false")),
+    ],
+    ids=[
+        "scheme-1",
+        "scheme-2 with late, lost and repeated poses",
+        "scheme-3",
+        "the filter as printed",
+        "all terms of the error models",
+    ],
 )
 def test_compiled_loop_has_the_bits_of_the_cycle(scheme: str, settings: tuple[str, ...]) -> None:
     outcome, _, history, stats, stop = both(scheme, settings, 20.0)

@@ -31,7 +31,7 @@ from hil.session.build import Job
 from hil.setup.compiled import python_only
 from tests.support.external_gnc import c_example
 from tests.support.rows import assert_same_bits
-from tests.support.run_settings import make_job
+from tests.support.run_settings import ALL_ERRORS, make_job
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -148,6 +148,7 @@ Check = Callable[..., Evidence]
         ("scheme-1", SLOW_RAILS),
         ("scheme-1", ("rig.rails.x.lead_s=-0.01", "rig.vmu.bench_sigma_m=0.002")),
         ("scheme-1", (*RATES, *LATE, "rig.vmu.rate_hz=7.0", "rig.rails.x.lead_s=0.01")),
+        ("scheme-1", (*ALL_ERRORS, *LATE, "imu.rate_hz=100.0", "rig.guard.enabled=false")),
     ],
     ids=[
         "scheme-1",
@@ -161,6 +162,7 @@ Check = Callable[..., Evidence]
         "limited setpoints",
         "lead, other sigma",
         "fast axes and IMU",
+        "all terms of the error models",
     ],
 )
 def test_compiled_session_equals_the_cycle_in_python(check: Check, scheme: str, settings: tuple[str, ...]) -> None:
@@ -171,6 +173,12 @@ def test_compiled_session_equals_the_cycle_in_python(check: Check, scheme: str, 
     assert (found.outcome.limited_cycles > 0) == (settings == SLOW_RAILS)
     if settings == CROWDED:
         assert found.outcome.history["pose"]["fresh"].max() == 4
+
+
+def test_ring_that_leaves_the_images_costs_both_loops_the_same_poses(check: Check) -> None:
+    found = check(make_job(22.0, ("rig.vmu.camera.width_px=160", "vmu.latency_s=0.07")))
+    lost = 22.0 * 6.25 - found.summary["vision"]["frames"]
+    assert 5 < lost < 100
 
 
 @pytest.mark.slow

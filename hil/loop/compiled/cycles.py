@@ -28,7 +28,6 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.maths.random_streams import RandomRows
 
 _BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctrl-C and progress have their turn
-_NO_LEDS: Final = np.zeros((0, 3))
 _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
 _NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
 _NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
@@ -38,7 +37,8 @@ _NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
 class MockSession:
     """Mocks and memory of a compiled session. frames, delayed: see ``params.frames_in_transit``.
 
-    vision_noise, travel_draws: random numbers of the vision unit, one row per exposure.
+    vision_noise, travel_draws: random numbers of the vision unit, one row per exposure. leds: (n, 3), m, in t.
+    vision_memory: VISION_MEMORY.
     """
 
     rails: MockAxes
@@ -49,6 +49,8 @@ class MockSession:
     travel_draws: RandomRows
     frames: np.ndarray
     delayed: np.ndarray
+    leds: np.ndarray
+    vision_memory: np.record
 
 
 class CompiledCycles:
@@ -149,9 +151,11 @@ class CompiledCycles:
         if loop.guard is not None:
             loop.guard.restart_with_motion()
             state.bench_guard = loop.guard.memory
+        state.vision_memory = mocks.vision_memory
         source = mocks.source.state()
         state.next_exposure, state.first_exposure = source.next_exposure, source.first_exposure
-        state.received, state.last_rx_s, state.in_transit = source.received, source.last_rx_s, len(source.in_transit)
+        state.received, state.without_pose = source.received, source.without_pose
+        state.last_rx_s, state.in_transit = source.last_rx_s, len(source.in_transit)
         for i, frame in enumerate(source.in_transit):
             frame.write_to(mocks.frames[i : i + 1])
         if (faults := loop.vision.faults) is not None:
@@ -178,7 +182,7 @@ class CompiledCycles:
         code: int = run_loop(
             params,
             loop.dss.field,
-            _NO_LEDS,
+            mocks.leds,
             loop.dss.noise.peek((end - first) * self._n_samples),
             mocks.vision_noise.peek(exposures),
             mocks.travel_draws.peek(exposures),
@@ -211,11 +215,11 @@ class CompiledCycles:
         mocks.rails.set_servo(state.rails)
         mocks.turntable.set_servo(state.turntable)
         self._store_bench(begun)
+        np.asarray(mocks.vision_memory)[...] = state.vision_memory
         frames = [PoseFrame.from_record(mocks.frames[i]) for i in range(state.in_transit)]
+        counts = int(state.received), int(state.without_pose)
         mocks.source.set_state(
-            MockVmuState(
-                int(state.next_exposure), int(state.first_exposure), int(state.received), float(state.last_rx_s), frames
-            )
+            MockVmuState(int(state.next_exposure), int(state.first_exposure), *counts, float(state.last_rx_s), frames)
         )
         if (faults := loop.vision.faults) is not None:
             np.asarray(faults.memory)[...] = state.vmu_memory

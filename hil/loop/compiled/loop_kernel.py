@@ -8,6 +8,8 @@ cycles and reads rows, frames and state (``cycles.py``).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.bench import bench_guard, kinematics
@@ -22,7 +24,8 @@ from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.imu_faults import IMU_MEMORY
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
-from hil.dynamics.vision import ALL_LEDS, VISION_PARAMS, measure
+from hil.dynamics.vision import VISION_PARAMS, measure_frame
+from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame
 from hil.gnc import guidance, navigation
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
@@ -87,6 +90,7 @@ LOOP_STATE = np.dtype(
         ("truth_memory", TRUTH_MEMORY),
         ("imu_memory", IMU_MEMORY),
         ("vmu_memory", VMU_MEMORY),
+        ("vision_memory", VISION_MEMORY),
         ("rails", SERVO),
         ("turntable", SERVO),
         ("motion", MOTION),
@@ -106,7 +110,8 @@ LOOP_STATE = np.dtype(
         ("delayed", "i8"),  # frames received that faults of the vision unit delay
         ("last_rx_s", "f8"),  # when the last frame was received, bench time
         ("arrived_s", "f8", MAX_POSES),  # when the poses of this cycle were received, bench time
-        ("received", "i8"),  # frames so far
+        ("received", "i8"),  # frames with a pose so far
+        ("without_pose", "i8"),  # frames without one
         ("dropped", "i8"),  # of them beyond MAX_POSES in one cycle
         ("logged", "i8"),  # rows of ARRIVAL written
         ("axes_logged", "i8"),  # rows of AXES_SAMPLE written
@@ -175,8 +180,10 @@ def _expose(params, state, until_s, first, vision_noise, travel_draws, leds, fra
         _move_all(state, t_s)
         kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
         frame = frames[state.in_transit]
-        measure(params.vision, params.mounting, r, q, vision_noise[row], frame.t_v, frame.q_vt, frame.covariance)
-        frame.leds_left = frame.leds_right = ALL_LEDS
+        measure_frame(
+            params.vision, params.camera, leds, params.mounting, r, q, vision_noise[row], t_s, state.vision_memory,
+            frame,
+        )  # fmt: skip
         if params.counts != 0:
             count_exposure(params.camera, params.mounting, leds, r, q, stats)
         for copy in range(delays(params.travel, travel_draws[row], late)):
@@ -234,15 +241,26 @@ def _take_frame(frames, i, n):
 
 
 @kernel
+def _count_arrival(state, frame):
+    """Count a frame that has arrived; return whether it has a pose."""
+    state.last_rx_s = frame.received_s
+    if math.isnan(frame.t_v[0]):
+        state.without_pose += 1
+        return False
+    state.received += 1
+    return True
+
+
+@kernel
 def _disturb_frames(params, state, now_s, frames, delayed):
     """Move the frames that have arrived by ``now_s`` into ``delayed``, with the faults of the vision unit."""
     while True:
         i = _next_arrival(frames, state.in_transit)
         if i < 0 or frames[i].received_s > now_s + TIME_SLACK_S:
             return
-        state.last_rx_s = frames[i].received_s
-        state.received += 1
-        if disturb_frame(params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frames[i]):
+        if _count_arrival(state, frames[i]) and disturb_frame(
+            params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frames[i]
+        ):
             delayed[state.delayed] = frames[i]
             state.delayed += 1
         state.in_transit = _take_frame(frames, i, state.in_transit)
@@ -266,9 +284,9 @@ def _receive_poses(params, state, now_s, frames, delayed, poses, arrivals):
         i = _next_arrival(queue, waiting)
         if i < 0 or queue[i].received_s > now_s + TIME_SLACK_S:
             break
-        if not has_faults:
-            state.last_rx_s = queue[i].received_s
-            state.received += 1
+        if not has_faults and not _count_arrival(state, queue[i]):
+            waiting = _take_frame(queue, i, waiting)
+            continue
         if arrived == MAX_POSES:
             for j in range(MAX_POSES - 1):
                 poses[j] = poses[j + 1]

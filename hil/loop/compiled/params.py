@@ -30,7 +30,7 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     params.ticks = rig.ticks(scenario.step_s)
     params.tick_s = bench.dt_s
     params.vmu_rate_hz, params.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
-    params.mounting = vision_params.mounting(rig)
+    params.mounting, params.camera = vision_params.mounting(rig), vision_params.camera(rig)[0]
     params.bench, params.guard, params.gnc = bench, guard, gnc
     params.bench_guard = bench_params.bench_guard(rig, scenario)
     return params
@@ -43,7 +43,7 @@ def set_truth(params: np.record, truth: Scenario, seed: int, dss: np.record) -> 
     """
     vmu = truth.vmu
     params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
-    params.vision = vision_params.vision(truth)
+    params.vision = vision_params.vision(truth, seed)
     params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
     params.vmu_faults, params.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)
 

@@ -58,7 +58,8 @@ def test_axes_of_a_rig_on_wires_have_their_faults_at_the_emulators() -> None:
 
 def test_a_delay_that_a_fast_loop_cannot_remember_is_refused() -> None:
     text = 'at_s=1.0, device="thruster.1", kind="delay", value=0.5'
-    assert "at most 128 steps of step_s are kept, 0.128 s" in problem(text, "mock", "step_s=0.001")
+    assert "at most 128 steps of the truth are kept, 0.128 s" in problem(text, "mock", "step_s=0.001")
+    assert "at most 128 steps of the truth are kept, 0.128 s" in problem(text, "mock", "imu.rate_hz=1000.0")
 
 
 def test_too_many_faults_of_one_device_are_refused() -> None:

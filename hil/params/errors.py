@@ -1,0 +1,69 @@
+"""Error models of sensors and thrusters as the kernels' records, from user units to SI."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hil.config.model import Triple
+from hil.config.scenario import Scenario
+from hil.core.messages import Array, new
+from hil.dynamics.imu_errors import IMU_ERRORS
+from hil.dynamics.thruster_errors import THRUSTER_ERRORS
+from hil.dynamics.vision_errors import VISION_ERRORS
+from hil.maths import quat
+
+SEED_BITS: Final = 0x7FFF_FFFF_FFFF_FFFF
+
+
+def vision_errors(scenario: Scenario, seed: int = 0) -> np.record:
+    """Return VISION_ERRORS. seed: of the run."""
+    given, params = scenario.vmu.errors, new(VISION_ERRORS)
+    params.seed, params.needs_view = seed & SEED_BITS, given.needs_view
+    params.bias, params.scale_error = given.bias_m, given.scale_error
+    params.q_misaligned = quat.from_rotation_vector(-np.radians(given.misalignment_deg))  # it turns the frame
+    params.correlated_fraction, params.correlation_s = given.correlated_fraction, given.correlation_time_s
+    params.outlier_probability, params.outlier_size = given.outlier_probability, given.outlier_size_m
+    params.misidentified_probability = given.misidentified_probability
+    systematic = any(given.bias_m) or any(given.misalignment_deg) or given.scale_error != 0.0
+    params.enabled = systematic or given.outlier_probability + given.misidentified_probability > 0.0
+    return params
+
+
+def imu_errors(scenario: Scenario, seed: int = 0) -> np.record:
+    """Return IMU_ERRORS. seed: of the run."""
+    given, params = scenario.imu.errors, new(IMU_ERRORS)
+    params.seed = seed & SEED_BITS
+    params.gyro_gain = _gain(given.gyro_scale_error, given.gyro_misalignment_deg)
+    params.accelerometer_gain = _gain(given.accelerometer_scale_error, given.accelerometer_misalignment_deg)
+    params.sigma_instability = math.radians(given.gyro_instability_degps), given.accelerometer_instability_mps2
+    times = np.array([given.gyro_instability_time_s, given.accelerometer_instability_time_s])
+    params.kept = np.exp(-scenario.sample_s / times)
+    params.quantum = math.radians(given.gyro_quantum_degps), given.accelerometer_quantum_mps2
+    params.lever_arm = given.lever_arm_m
+    sizes = (params.gyro_gain, params.accelerometer_gain, params.sigma_instability, params.quantum, params.lever_arm)
+    params.enabled = any(np.any(size) for size in sizes)
+    return params
+
+
+def thruster_errors(scenario: Scenario, seed: int = 0) -> np.record:
+    """Return THRUSTER_ERRORS. seed: of the run."""
+    given, params = scenario.chaser.thrusters.errors, new(THRUSTER_ERRORS)
+    params.seed = seed & SEED_BITS
+    params.delay_s, params.rise_s, params.tail_off_s = given.delay_s, given.rise_s, given.tail_off_s
+    params.impulse_scatter = given.impulse_scatter_sigma
+    params.half_pressure_kg = given.half_pressure_kg or 0.0
+    params.mass_full_kg = scenario.chaser.mass_kg
+    params.enabled = any(value for value in given.model_dump().values())
+    return params
+
+
+def _gain(scale_error: Triple, misalignment_deg: Triple) -> Array:
+    """Return scaled sensor axes against c, less the unit matrix, (3, 3)."""
+    if not any(scale_error) and not any(misalignment_deg):
+        return np.zeros((3, 3))
+    axes = quat.to_matrix(quat.from_rotation_vector(np.radians(misalignment_deg)))
+    gain: Array = np.diag(1.0 + np.array(scale_error)) @ axes - np.eye(3)
+    return gain

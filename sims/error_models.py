@@ -1,0 +1,94 @@
+"""Effect of each term of the error models, alone and together: the dispersion set data-sheet, term by term.
+
+python sims/error_models.py                     200 cases per term of scheme 1
+python sims/error_models.py 1000 scheme-2
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from hil.config.dispersions import Dispersions
+from hil.config.load import load_rig, load_scenario
+from hil.config.scenario import Scenario
+from hil.monte_carlo.batch import Rows, Spec, run_batch
+
+SET: Final = "data-sheet"
+MODELS: Final = (("vmu", "errors"), ("imu", "errors"), ("chaser", "thrusters", "errors"))
+
+
+def terms(dispersions: Dispersions) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each term of the error models, and the dispersions that have it alone."""
+    for path in MODELS:
+        table = getattr(dispersions, path[0])
+        for key in path[1:]:
+            table = table[key]
+        for key, spread in table.items():
+            alone: dict[str, Any] = {key: spread}
+            if key == "correlated_fraction":
+                alone["correlation_time_s"] = table["correlation_time_s"]
+            if key != "correlation_time_s":
+                for parent in reversed(path):
+                    alone = {parent: alone}
+                yield ".".join((*path, key)), alone
+
+
+def with_dispersions(scenario: Scenario, tables: dict[str, Any]) -> Scenario:
+    """Return ``scenario`` with these dispersions only."""
+    return scenario.model_copy(update={"dispersions": Dispersions.model_validate(tables)})
+
+
+def flown(scenario: Scenario, cases: int) -> Rows:
+    """Return the rows of a campaign of ``cases``."""
+    return run_batch(Spec.of(scenario, load_rig("mock").value, 0, scenario.duration_s), 0, cases)
+
+
+def numbers(rows: Rows) -> dict[str, float]:
+    """Return the numbers of a campaign's rows; medians unless named otherwise."""
+
+    def median(*names: str) -> float:
+        values = [max(row[name] for name in names) for row in rows if all(row[name] is not None for name in names)]
+        return float(np.median(values)) if values else float("nan")
+
+    return {
+        "passed": sum(row["passed"] for row in rows) / len(rows),
+        "all parts": sum(row["passed_all_parts"] for row in rows) / len(rows),
+        "position, mm": 1e3 * median("position_m_x", "position_m_y", "position_m_z"),
+        "estimate, mm": 1e3 * median("position_rmse_m_x", "position_rmse_m_y", "position_rmse_m_z"),
+        "attitude, deg": median("attitude_rmse_deg_x", "attitude_rmse_deg_y", "attitude_rmse_deg_z"),
+        "NEES PKF": median("nees_pkf"),
+        "NEES AKF": median("nees_akf"),
+        "propellant, kg": median("propellant_kg"),
+        "firings": median("firings"),
+        "false alerts": sum(row["false_alerts"] or 0 for row in rows) / len(rows),
+    }
+
+
+def main() -> None:
+    """Fly the campaigns and print one row per term."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("cases", type=int, nargs="?", default=200)
+    parser.add_argument("scheme", nargs="?", default="scheme-1")
+    given = parser.parse_args()
+    scenario = load_scenario(given.scheme, (f"dispersions={SET}",)).value
+    shipped = load_scenario(given.scheme).value
+    campaigns = {"none": with_dispersions(scenario, {})}
+    campaigns |= {name: with_dispersions(scenario, alone) for name, alone in terms(scenario.dispersions)}
+    campaigns |= {"shipped set": shipped, "set data-sheet": scenario}
+    table = Table(title=f"{given.scheme}: {given.cases} cases per term")
+    for column in ("term", *numbers(flown(campaigns["none"], 1))):
+        table.add_column(column, justify="left" if column == "term" else "right")
+    for name, campaign in campaigns.items():
+        found = numbers(flown(campaign, given.cases))
+        table.add_row(name, *(f"{value:.3g}" for value in found.values()))
+    Console(width=190).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Dispersion sets: by name, by file, over and under the settings of a scenario."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hil.config.load import load_rig, load_scenario, shipped
+from hil.errors import BadInput
+from hil.monte_carlo.dispersions import Design
+
+
+def test_every_shipped_set_disperses_the_shipped_scenarios() -> None:
+    assert set(shipped("dispersions")) >= {"shipped", "stress", "data-sheet"}
+    for name in shipped("dispersions"):
+        loaded = load_scenario("scheme-1", (f"dispersions={name}",))
+        assert loaded.value.dispersions.name == name
+        design = Design(loaded, 0)
+        truth, _ = design.apply(design.values(3))
+        assert truth.chaser.mass_kg != 1000.0
+
+
+def test_shipped_scenarios_have_the_shipped_set() -> None:
+    assert load_scenario("scheme-3").value == load_scenario("scheme-3", ("dispersions=shipped",)).value
+
+
+def test_set_replaces_that_of_the_scenario_and_later_settings_change_it() -> None:
+    settings = ("dispersions=stress", "dispersions.vmu.latency_s.high=0.4")
+    loaded = load_scenario("scheme-2", settings)
+    assert loaded.value.dispersions.vmu["latency_s"] == {"kind": "uniform", "low": 0.0, "high": 0.4}
+    assert loaded.value.dispersions.initial["position_m"]["sigma"] == [0.3, 0.1, 0.1]
+    assert loaded.where("dispersions.vmu.latency_s.high") == "--set"
+    assert loaded.where("dispersions.initial.position_m").endswith("stress.toml")
+    assert loaded.where("dispersions.initial.rate_degps").endswith("shipped.toml")
+
+
+def test_scenario_names_a_set_beside_it_and_another_extends_that(tmp_path: Path) -> None:
+    (tmp_path / "own-set.toml").write_text(
+        'name = "own"\nsampling = "sobol"\n[chaser]\nmass_kg = { kind = "normal", sigma = 5.0 }\n'
+    )
+    (tmp_path / "base.toml").write_text('extends = "scheme-1"\ndispersions = "own-set.toml"\n')
+    (tmp_path / "top.toml").write_text(
+        'extends = "base.toml"\n[dispersions.chaser]\nmass_kg = { kind = "normal", sigma = 7.0 }\n'
+    )
+    base, top = (load_scenario(str(tmp_path / name)).value.dispersions for name in ("base.toml", "top.toml"))
+    assert (base.name, base.sampling, base.vmu) == ("own", "sobol", {})
+    assert top.chaser == {"mass_kg": {"kind": "normal", "sigma": 7.0}}
+    assert (top.name, top.sampling) == ("own", "sobol")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, ("own-set.toml", "no such file", "stress")),
+        ("[chaser]\nmass_kg = { kind = 'normal', sigma = -1.0 }", ("own-set.toml", "sigma = -1", "not be negative")),
+        ("[chaser]\nmas_kg = { kind = 'normal', sigma = 1.0 }", ("own-set.toml", "did you mean mass_kg")),
+        ("[chaser]\ninertia_kg_m2 = { kind = 'normal', sigma = [1.0] }", ("own-set.toml", "relative = true")),
+        ("[weather]\nwind = 1.0", ("own-set.toml", "weather", "unknown key")),
+        ("extends = 'own-set.toml'", ("own-set.toml", "circle")),
+        ("[chaser", ("own-set.toml", "not TOML")),
+    ],
+)
+def test_bad_set_is_one_line_with_its_file(tmp_path: Path, text: str | None, words: tuple[str, ...]) -> None:
+    path = tmp_path / "own-set.toml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(BadInput) as caught:
+        Design(load_scenario("scheme-1", (f"dispersions={path}",)), 0)
+    (line,) = str(caught.value).splitlines()
+    for word in words:
+        assert word in line
+
+
+def test_unknown_set_is_answered_with_the_names_of_all() -> None:
+    with pytest.raises(BadInput, match="strss: unknown dispersion set: give data-sheet, shipped, stress or the path"):
+        load_scenario("scheme-1", ("dispersions=strss",))
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("vmu.errors.bias_m=[0.1, 0.2]", ("vmu.errors.bias_m",)),
+        ("vmu.errors.outlier_probability=1.5", ("vmu.errors.outlier_probability", "1.5")),
+        ("vmu.errors.correlation_time_s=0.0", ("vmu.errors.correlation_time_s", "greater than 0")),
+        ("vmu.errors.bias_mm=[0.0, 0.0, 1.0]", ("vmu.errors.bias_mm", "here it is bias_m")),
+        ("imu.errors.gyro_scale_error=[0.6, 0.0, 0.0]", ("imu.errors.gyro_scale_error[0]", "0.6")),
+        ("imu.errors.gyro_quantum_degps=-1.0", ("imu.errors.gyro_quantum_degps", "-1")),
+        ("chaser.thrusters.errors.delay_s=-0.1", ("chaser.thrusters.errors.delay_s", "-0.1")),
+        ("chaser.thrusters.errors.half_pressure_kg=0.0", ("half_pressure_kg", "greater than 0")),
+    ],
+)
+def test_term_of_an_error_model_out_of_range_is_one_line(setting: str, words: tuple[str, ...]) -> None:
+    with pytest.raises(BadInput) as caught:
+        load_scenario("scheme-1", (setting,))
+    (line,) = str(caught.value).splitlines()
+    for word in words:
+        assert word in line
+
+
+def test_delay_of_more_steps_than_are_kept_is_rejected() -> None:
+    from hil.checks.faults import check_faults
+
+    scenario = load_scenario("scheme-1", ("chaser.thrusters.errors.delay_s=0.6", "imu.rate_hz=250.0"))
+    (problem,) = check_faults(scenario, load_rig("mock"))
+    assert str(problem) == (
+        "--set: chaser.thrusters.errors.delay_s: 0.6: at most 128 steps of the truth are kept, 0.512 s"
+    )
