@@ -17,9 +17,11 @@ from hil.api.results import Run
 from hil.api.runs import RunRequest, log, run_job
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import RIG, CampaignJob
+from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo.campaign import RIG, CampaignJob, scenario_digest
 from hil.monte_carlo.dispersions import Design, case_seed
 from hil.monte_carlo.engines import LocalEngine
+from hil.monte_carlo.stored_campaign import StoredCampaign
 from hil.session.warm_up import compile_kernels
 from hil.setup.assembly import Job
 
@@ -140,9 +142,28 @@ class Campaign:
         return html.paragraph(repr(self)[1:-1]) + html.image("outcomes of the cases", svg_address(self.figure()))
 
 
-def job_of_case(job: Job, case: int) -> Job:
-    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed."""
-    design = Design(job.scenario, job.seed)
-    truth, known = design.apply(design.values(case), design.fault(case))
+def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None) -> Job:
+    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed.
+
+    mixed: that seed in a rare-event campaign.
+    """
+    truth, known = Design(job.scenario, job.seed).scenarios(case, mixed)
     known = known.model_copy(update={"faults": truth.faults})
-    return replace(job, scenario=replace(job.scenario, value=known), seed=case_seed(job.seed, case), dispersed=truth)
+    seed = case_seed(job.seed, case) if mixed is None else mixed
+    return replace(job, scenario=replace(job.scenario, value=known), seed=seed, dispersed=truth)
+
+
+def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str]:
+    """Return the job of a case of the campaign in ``folder``, the campaign's seed, and a note if the scenario differs.
+
+    job: the nominal run; seed and duration are those of the campaign. Raises BadInput.
+    """
+    stored = StoredCampaign(folder)
+    job = replace(job, seed=stored.seed, duration_s=stored.duration_s)
+    if stored.is_rare and job.rig.value.kind != "mock":
+        raise BadInput.single("--rig", job.rig.value.name, "a case of a rare-event campaign runs on the mock rig")
+    mixed = stored.mixed_seed(case)
+    note = ""
+    if stored.digest != scenario_digest(job.scenario.value, job.rig.value):
+        note = f"{folder}: its campaign has another scenario, rig or settings: the run differs from its case {case}"
+    return job_of_case(job, case, mixed), stored.seed, note

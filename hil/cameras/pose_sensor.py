@@ -17,7 +17,7 @@ from hil.core.messages import VMU_FRAME, Array, PoseFrame, new
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.vision import VISION_NOISE, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
-from hil.maths.random_streams import NormalRows, stream
+from hil.maths.random_streams import NormalRows, noise_source
 from hil.params import bench as bench_params
 from hil.params import vision as vision_params
 from hil.vmu.geometry import geometry_of_rig
@@ -38,7 +38,7 @@ class PoseModel:
         self._mounting = vision_params.mounting(rig)
         self._vision = vision_params.vision(scenario, seed)
         self._camera, self.leds = vision_params.camera(rig)
-        self.noise = NormalRows(stream(seed, "vision"), VISION_NOISE)
+        self.noise = NormalRows(noise_source(seed, "vision"), VISION_NOISE)
         """One row per exposure."""
         self.memory = new(VISION_MEMORY)
         """What the errors keep from exposure to exposure."""
@@ -61,7 +61,11 @@ class PoseModel:
 def transport(vmu: VisionNoise, seed: int) -> Transport:
     """Return the transport of a simulated vision unit's frames: latency, duplicates, losses."""
     return Transport(
-        stream(seed, "transport"), vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability
+        noise_source(seed, "transport"),
+        vmu.latency_s,
+        vmu.latency_jitter_s,
+        vmu.duplicate_probability,
+        vmu.loss_probability,
     )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import Group, Integer, Output, Settings, at_least, duration_problems, refuse
+from hil.cli.options import Group, Integer, OptionalInteger, Output, Settings, at_least, duration_problems, refuse
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import ProgressBar
 from hil.errors import Problem
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
     from hil.monte_carlo.store import Store
 
-_DONE = 0
+_DONE, _NO_ESTIMATE = 0, 1
+_LEAST_PER_LEVEL = 500
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
 
@@ -77,8 +78,8 @@ class VariationOptions:
 class CaseOptions:
     """Options of the cases."""
 
-    runs: Integer
-    """Number of cases, numbered from 0. A case depends on its number and the seed only."""
+    runs: OptionalInteger = None
+    """Number of cases, numbered from 0; with --rare of each level, 1000 unless given."""
     seed: Integer = 0
     """Seed of the whole campaign."""
     duration: float | None = None
@@ -93,18 +94,41 @@ class CaseOptions:
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that is out of range."""
-        return at_least(runs=(self.runs, 1), seed=(self.seed, 0)) + duration_problems(self.duration)
+        runs = {} if self.runs is None else {"runs": (self.runs, 1)}
+        return at_least(**runs, seed=(self.seed, 0)) + duration_problems(self.duration)
 
 
-_ENGINE_DEFAULTS, _ONE_SCENARIO = EngineOptions(), VariationOptions()
+@dataclass(frozen=True)
+class RareOptions:
+    """Options of a rare event."""
+
+    rare: str | None = None
+    """Probability of an event, as "position_m_x > 0.0058", by subset simulation over dispersions and noise."""
+
+    def problems(self, cases: CaseOptions, variation: VariationOptions) -> list[Problem]:
+        """Return a problem for each option that cannot be used."""
+        if self.rare is None:
+            return [] if cases.runs is not None else [Problem("--runs", "", "must be given, unless --rare is")]
+        found = []
+        if cases.runs is not None and cases.runs < _LEAST_PER_LEVEL:
+            text = f"{cases.runs}: too few for the probability of a rare event, at least {_LEAST_PER_LEVEL} per level"
+            found.append(Problem("--runs", "", text))
+        if variation != _ONE_SCENARIO:
+            found.append(Problem("--rare", "", "not together with --against or --sweep"))
+        return found
+
+
+_ENGINE_DEFAULTS, _ONE_SCENARIO, _NO_EVENT = EngineOptions(), VariationOptions(), RareOptions()
+_DEFAULT_CASES = CaseOptions()
 
 
 def campaign(
     scenario: str,
     /,
     *,
-    cases: Group[CaseOptions],
     out: Output,
+    cases: Group[CaseOptions] = _DEFAULT_CASES,
+    rare: Group[RareOptions] = _NO_EVENT,
     workers: Group[EngineOptions] = _ENGINE_DEFAULTS,
     variation: Group[VariationOptions] = _ONE_SCENARIO,
     json: Output = None,
@@ -121,12 +145,16 @@ def campaign(
         File for the summary, - for standard output.
     """
     assert out is not None
-    refuse(cases.problems() + workers.problems() + variation.problems() + check_json_path("--json", json))
+    problems = cases.problems() + rare.problems(cases, variation) + workers.problems() + variation.problems()
+    refuse(problems + check_json_path("--json", json))
 
     from hil.monte_carlo.campaign import Sweep, campaigns_of
     from hil.monte_carlo.store import parquet
 
     parquet()
+    if rare.rare is not None:
+        return _estimate_rare(scenario, cases, rare.rare, Path(out), workers, json)
+    assert cases.runs is not None
     settings = cases.all_settings()
     sweep = None if variation.sweep is None else Sweep.parse(variation.sweep)
     console = Console(stderr=True)
@@ -159,6 +187,64 @@ def campaign(
     if json is not None:
         write_json(found, json)
     return _DONE
+
+
+def _estimate_rare(
+    scenario: str, cases: CaseOptions, event: str, out: Path, workers: EngineOptions, json: str | None
+) -> int:
+    """Estimate the probability of a rare event; return the exit code."""
+    from hil.monte_carlo.campaign import campaigns_of
+    from hil.monte_carlo.rare_campaign import PER_LEVEL, POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
+    from hil.monte_carlo.rare_events import RareEvent
+
+    settings = RareSettings(RareEvent.parse(event), cases.runs or PER_LEVEL)
+    console = Console(stderr=True)
+    with console.status("checking the scenario"):
+        job = campaigns_of(scenario, cases.all_settings(), cases.seed, cases.duration, None)[0]
+    engine = workers.engine()
+
+    def warn(line: str) -> None:
+        console.print(line, style="yellow", highlight=False, soft_wrap=True, markup=False)
+
+    def watch(now: Progress) -> None:
+        bar.show(f"{now.title} {now.done} cases, {now.speed:.0f} x real time", 0.0)
+
+    with ExitStack() as held:
+        held.callback(engine.close)
+        store = held.enter_context(job.store(out, warn, settings.identity(), POINT_COLUMNS))
+        with console.status("compiling the loop if it is not cached, up to two minutes"):
+            job.warm_up()
+        with ProgressBar(console, "rare event") as bar:
+            summary = RareCampaign(job, settings, store, engine).run(watch)
+    if json != "-":
+        _render_rare(summary, verdict_line(summary["rare"]), Console())
+        Console().print(f"results in {out}", highlight=False, soft_wrap=True)
+    if json is not None:
+        write_json(summary, json)
+    return _DONE if summary["rare"]["probability"] is not None else _NO_ESTIMATE
+
+
+def _render_rare(summary: dict[str, Any], verdict: str, console: Console) -> None:
+    rare = summary["rare"]
+    rows = Table(title=f"{summary['scenario']}: {rare['method']}", title_justify="left")
+    for column in ("level", "from", "fraction above the next", "c.o.v.", "acceptance"):
+        rows.add_column(column, justify="right")
+    for i, level in enumerate(rare["levels"]):
+        cells = (
+            "-" if level[name] is None else f"{level[name]:.4g}" for name in ("bound", "fraction", "cov", "acceptance")
+        )
+        rows.add_row(str(i), *cells)
+    console.print(rows)
+    console.print(verdict, highlight=False, soft_wrap=True)
+    if rare["without_value"]:
+        text = f"{rare['without_value']} cases have no {rare['outcome']}: counted as not met"
+        console.print(text, highlight=False, soft_wrap=True)
+    if rare["failing"]:
+        shown = ", ".join(f"{row['case']} ({row['value']:.5g})" for row in rare["failing"][:5])
+        console.print(f"{rare['failing_cases']} cases met it: {shown}", highlight=False, soft_wrap=True)
+    drivers = ", ".join(f"{row['dispersion']} {row['mean_sigma']:+.2f}" for row in rare["drivers"][:5])
+    if drivers:
+        console.print(f"mean of the dispersions there, in sigma: {drivers}", highlight=False, soft_wrap=True)
 
 
 def _run_all(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import faulthandler
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -23,6 +24,32 @@ _PASSED, _FAILED, _SAFE_STOPPED = 0, 1, 3
 _DEFAULTS = RunOptions()
 
 
+@dataclass(frozen=True)
+class StoredCaseOptions:
+    """Options of a campaign's case."""
+
+    case: OptionalInteger = None
+    """Number of a case of the campaign of this scenario and seed, to be run in full detail."""
+    dispersions: str | None = None
+    """Dispersion set of that campaign, instead of the scenario's: shipped, stress, or the path of a file."""
+    campaign: str | None = None
+    """Results folder of that campaign, which gives seed and duration; needed for a rare-event campaign."""
+
+    def problems(self, options: RunOptions) -> list[Problem]:
+        """Return a problem for each option that cannot be used."""
+        found = []
+        if self.case is not None and self.case < 0:
+            found.append(Problem("--case", "", f"{self.case}: must not be negative"))
+        if self.campaign is not None and self.case is None:
+            found.append(Problem("--campaign", "", "needs --case"))
+        if self.campaign is not None and (options.duration is not None or options.seed != 0):
+            found.append(Problem("--campaign", "", "gives seed and duration: omit --seed and --duration"))
+        return found
+
+
+_NO_CASE = StoredCaseOptions()
+
+
 def run(
     scenario: str,
     /,
@@ -30,8 +57,7 @@ def run(
     rig: str = "mock",
     options: Group[RunOptions] = _DEFAULTS,
     until_stopped: Flag = False,
-    case: OptionalInteger = None,
-    dispersions: str | None = None,
+    of_case: Group[StoredCaseOptions] = _NO_CASE,
     record: str | None = None,
     json: Output = None,
 ) -> int:
@@ -45,18 +71,12 @@ def run(
         mock, emulated, or the path of a rig file.
     until_stopped
         Run until Ctrl-C, which ends the run normally; memory does not grow.
-    case
-        Number of a case of the campaign of this scenario and seed, to be run in full detail.
-    dispersions
-        Dispersion set of that campaign, instead of the scenario's: shipped, stress, or the path of a file.
     record
         Folder for the recording and its catalogue; see hil recordings list.
     json
         File for the numbers of the run, - for standard output.
     """
-    problems = options.problems() + check_json_path("--json", json)
-    if case is not None and case < 0:
-        problems.append(Problem("--case", "", f"{case}: must not be negative"))
+    problems = options.problems() + of_case.problems(options) + check_json_path("--json", json)
     if until_stopped and options.duration is not None:
         problems.append(Problem("--until-stopped", "", "does not go together with --duration"))
     refuse(problems)
@@ -67,21 +87,28 @@ def run(
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.session import build
 
-    chosen = () if dispersions is None else (f"dispersions={dispersions}",)
+    chosen = () if of_case.dispersions is None else (f"dispersions={of_case.dispersions}",)
     loaded = loaded_scenario(scenario, (*chosen, *options.settings))
     if loaded.value.gnc.binary is not None and sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: print where
+    console = Console(stderr=True)
     job = make_job(loaded, loaded_rig(rig, options.settings), options.seed, options.duration, options.speed)
     job = replace(job, until_stopped=until_stopped)
-    if case is not None:
-        from hil.api.campaigns import job_of_case
+    more = {}
+    if (case := of_case.case) is not None:
+        from hil.api.campaigns import job_of_case, job_of_stored_case
 
-        job = job_of_case(job, case)
-    console = Console(stderr=True)
+        if of_case.campaign is None:
+            more = {"campaign_seed": job.seed, "case": case}
+            job = job_of_case(job, case)
+        else:
+            job, campaign_seed, note = job_of_stored_case(job, Path(of_case.campaign), case)
+            more = {"campaign_seed": campaign_seed, "case": case}
+            if note:
+                console.print(note, style="yellow", highlight=False, soft_wrap=True, markup=False)
     with console.status("checking that the rig can follow the scenario"):
         build.check(job)
     compile_kernels_with_notice(job, console)
-    more = {} if case is None else {"campaign_seed": options.seed, "case": case}
     return run_and_print(RunRequest(job, rig, record, more), console, json)
 
 

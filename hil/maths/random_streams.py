@@ -5,7 +5,9 @@ Two runs of the same seed have the same sensor noise, whatever else differs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -19,12 +21,86 @@ _STREAMS = {
     "wire": 6,
     "monitor": 7,
     "pictures": 8,
+    "dispersions": 9,
 }
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
     """Return the generator of the source ``name`` for a run of ``seed``."""
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name],))))
+
+
+class NoiseSource(Protocol):
+    """Source of independent random numbers, filled into ``out`` if it is given: the methods of numpy's Generator."""
+
+    def standard_normal(self, size: Any = None, *, out: Any = None) -> Any:
+        """Return standard normals."""
+
+    def random(self, size: Any = None, *, out: Any = None) -> Any:
+        """Return numbers that are uniform in [0, 1)."""
+
+
+class MixedSeed(int):
+    """Seed of a run whose noise is a weighted sum of the noise of several seeds; the integer is the first of them.
+
+    seeds: newest first. weights: of their standard normals, with a sum of squares of 1. Random numbers that are not
+    drawn by ``noise_source`` are those of the first seed.
+    """
+
+    seeds: tuple[int, ...]
+    weights: tuple[float, ...]
+
+    def __new__(cls, seeds: Sequence[int], weights: Sequence[float]) -> Self:
+        found = super().__new__(cls, seeds[0])
+        found.seeds, found.weights = tuple(seeds), tuple(weights)
+        return found
+
+    def __getnewargs__(self) -> tuple[tuple[int, ...], tuple[float, ...]]:  # type: ignore[override]
+        return self.seeds, self.weights
+
+    @classmethod
+    def fresh(cls, seed: int) -> Self:
+        """Return the mixed seed with the normals of ``seed`` alone."""
+        return cls((seed,), (1.0,))
+
+    def moved(self, seed: int, scale: float) -> Self:
+        """Return sqrt(1 - scale^2) times this noise plus ``scale`` times that of ``seed``: standard normals again."""
+        kept = math.sqrt(1.0 - scale * scale)
+        return type(self)((seed, *self.seeds), (scale, *(kept * weight for weight in self.weights)))
+
+
+class _MixedNoise:
+    """Weighted sum of generators' standard normals; uniform numbers are their distribution function."""
+
+    def __init__(self, generators: list[np.random.Generator], weights: tuple[float, ...]) -> None:
+        self._generators = generators
+        self._weights = weights
+        self._drawn = np.empty(0)
+
+    def standard_normal(self, size: Any = None, *, out: Any = None) -> Any:
+        shape = size if out is None else out.shape
+        total = np.empty(() if shape is None else shape) if out is None else out
+        if self._drawn.shape != total.shape:
+            self._drawn = np.empty(total.shape)
+        first, *others = zip(self._generators, self._weights, strict=True)
+        np.multiply(first[0].standard_normal(total.shape, out=total), first[1], out=total)
+        for generator, weight in others:
+            drawn = generator.standard_normal(total.shape, out=self._drawn)
+            np.multiply(drawn, weight, out=drawn)
+            np.add(total, drawn, out=total)
+        return total
+
+    def random(self, size: Any = None, *, out: Any = None) -> Any:
+        from scipy.special import ndtr  # slow import, for rare-event campaigns only
+
+        return ndtr(self.standard_normal(size, out=out), out=out)
+
+
+def noise_source(seed: int, name: str) -> NoiseSource:
+    """Return the source of the numbers that a rare-event campaign may mix: of ``stream`` unless ``seed`` is mixed."""
+    if isinstance(seed, MixedSeed):
+        return _MixedNoise([stream(each, name) for each in seed.seeds], seed.weights)
+    return stream(seed, name)
 
 
 class RandomRows:
@@ -71,12 +147,12 @@ class RandomRows:
 class NormalRows(RandomRows):
     """Rows of standard normals."""
 
-    def __init__(self, generator: np.random.Generator, width: int, block: int = 1024) -> None:
+    def __init__(self, generator: NoiseSource, width: int, block: int = 1024) -> None:
         super().__init__(generator.standard_normal, width, block)
 
 
 class UniformRows(RandomRows):
     """Rows of numbers that are uniform in [0, 1)."""
 
-    def __init__(self, generator: np.random.Generator, width: int, block: int = 1024) -> None:
+    def __init__(self, generator: NoiseSource, width: int, block: int = 1024) -> None:
         super().__init__(generator.random, width, block)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import threading
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hil.config.load import Loaded, check_table
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
+from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed
 from hil.monte_carlo.outcome import failed_row, row_of
@@ -21,12 +23,16 @@ _here = threading.local()
 
 @dataclass(frozen=True)
 class Spec:
-    """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read."""
+    """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read.
+
+    mixed: seeds of the cases of a rare-event campaign, by the case's number; the other cases have that of their number.
+    """
 
     scenario: str
     rig: str
     seed: int
     duration_s: float
+    mixed: Mapping[int, MixedSeed] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float) -> Spec:
@@ -41,25 +47,26 @@ class Case:
         scenario: Loaded[Scenario] = check_table(json.loads(spec.scenario), Scenario, "campaign")
         self._rig = check_table(json.loads(spec.rig), Rig, "campaign").value
         self._spec = spec
+        self.mixed: Mapping[int, MixedSeed] = spec.mixed
         self._design = Design(scenario, spec.seed)
         self._runner = CaseRunner(scenario.value, self._rig, spec.duration_s)
 
     def row(self, case: int) -> dict[str, Any]:
         """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
-        seed = case_seed(self._spec.seed, case)
+        seed = self.mixed.get(case, case_seed(self._spec.seed, case))
         try:
             outcome = self._outcome(case, seed)
         except Exception as error:  # one case must not end the campaign: its row has the reason
             kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
             outcome = failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
-        return {"case": case, "seed": seed, **self.drawn(case), **outcome}
+        return {"case": case, "seed": int(seed), **self.drawn(case), **outcome}
 
     def drawn(self, case: int) -> dict[str, float]:
         """Return the dispersions of ``case`` by their names."""
-        return dict(zip(self._design.names, map(float, self._design.values(case)), strict=True))
+        return dict(zip(self._design.names, map(float, self._design.values(case, self.mixed.get(case))), strict=True))
 
     def _outcome(self, case: int, seed: int) -> dict[str, Any]:
-        truth, gnc = self._design.apply(self._design.values(case), self._design.fault(case))
+        truth, gnc = self._design.scenarios(case, self.mixed.get(case))
         if self._design.touches_gnc:
             self._runner.set_gnc_scenario(gnc)
         stats, stop = self._runner.run(truth, seed)
@@ -68,6 +75,8 @@ class Case:
 
 def run_batch(spec: Spec, first: int, count: int) -> Rows:
     """Return the rows of the cases ``first`` .. ``first + count``, the same in any process and order."""
-    if getattr(_here, "spec", None) != spec:
-        _here.case, _here.spec = Case(spec), spec
+    campaign = replace(spec, mixed={})
+    if getattr(_here, "spec", None) != campaign:
+        _here.case, _here.spec = Case(spec), campaign
+    _here.case.mixed = spec.mixed
     return [_here.case.row(case) for case in range(first, first + count)]

@@ -57,8 +57,8 @@ class CampaignJob:
         self._rig = rig
         self._check()
         self.design = Design(scenario, seed)
-        self._spec = Spec.of(scenario.value, rig.value, seed, self.duration_s)
-        self._seed = seed
+        self.spec = Spec.of(scenario.value, rig.value, seed, self.duration_s)
+        self.seed = seed
 
     def _check(self) -> None:
         build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0))
@@ -79,25 +79,29 @@ class CampaignJob:
         if problems:
             raise BadInput(problems)
 
-    def store(self, folder: Path, warn: Callable[[str], None] = lambda _: None) -> Store:
+    def store(
+        self,
+        folder: Path,
+        warn: Callable[[str], None] = lambda _: None,
+        more: dict[str, Any] | None = None,
+        columns: Sequence[str] = (),
+    ) -> Store:
         """Return the folder's store; raise BadInput if it holds another campaign.
 
-        warn: called with a line for each file of an earlier start that cannot be used.
+        warn: called with a line for each file of an earlier start that cannot be used. more: part of the identity of
+        the campaign. columns: names of numbers in addition to those of every campaign.
         """
-        texts = (
-            first_names_json(self.scenario.value),
-            first_names_json(self._rig.value),
-            binary_digest(self.scenario.value.gnc),
-        )
-        digest = hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
-        identity = {
+        return Store(folder, self.identity() | (more or {}), [*self.design.names, *columns], warn)
+
+    def identity(self) -> dict[str, Any]:
+        """Return what distinguishes the campaign from others."""
+        return {
             "scenario": self.scenario.value.name,
-            "digest": digest,
-            "seed": self._seed,
+            "digest": scenario_digest(self.scenario.value, self._rig.value),
+            "seed": self.seed,
             "duration_s": self.duration_s,
             "kernels": kernels_digest(),
         }
-        return Store(folder, identity, self.design.names, warn)
 
     def warm_up(self) -> None:
         """Compile the loop unless it is in the kernel cache."""
@@ -111,17 +115,23 @@ class CampaignJob:
         left = sum(count for _, count in missing)
         begun_s = time.perf_counter()
         done = 0
-        with closing(engine.run(self._spec, missing)) as results:
+        with closing(engine.run(self.spec, missing)) as results:
             for first, rows in results:
                 store.put(first, rows)
                 done += len(rows)
                 speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
                 watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
         store.finish(runs)
-        more = {"seed": self._seed, "dispersions": self.scenario.value.dispersions.name}
+        more = {"seed": self.seed, "dispersions": self.scenario.value.dispersions.name}
         summary = summarise(store, self.scenario.value.name, self.design.names) | more
         write_summary(store.folder / "summary.json", summary)
         return summary
+
+
+def scenario_digest(scenario: Scenario, rig: Rig) -> str:
+    """Return a digest of scenario, rig and GNC binary."""
+    texts = (first_names_json(scenario), first_names_json(rig), binary_digest(scenario.gnc))
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
 
 
 def write_summary(path: Path, found: dict[str, Any]) -> None:

@@ -39,7 +39,7 @@ from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
 from hil.loop.compiled.params import frames_in_transit, loop_params, set_truth
 from hil.loop.compiled.run_stats import RUN_STATS, start_run_stats
 from hil.loop.runner import COMPLETED
-from hil.maths.random_streams import stream
+from hil.maths.random_streams import noise_source
 from hil.models.camera_timing import TRAVEL_DRAWS
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
@@ -140,9 +140,9 @@ class CaseRunner:
             self._params,
             dynamics_params.field(truth),
             self._leds,
-            stream(seed, "imu").standard_normal(out=self._imu_noise),
-            stream(seed, "vision").standard_normal(out=self._vision_noise),
-            stream(seed, "transport").random(out=self._travel_draws),
+            noise_source(seed, "imu").standard_normal(out=self._imu_noise),
+            noise_source(seed, "vision").standard_normal(out=self._vision_noise),
+            noise_source(seed, "transport").random(out=self._travel_draws),
             self._state,
             self._samples,
             self._memory,

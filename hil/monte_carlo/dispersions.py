@@ -26,6 +26,7 @@ from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
+from hil.maths.random_streams import MixedSeed, noise_source
 
 _DESIGN, _CASE, _FAULT = 0, 1, 2
 _SMALLEST = 2.0**-40  # least distance of a unit point from 0 and 1, where the normal's inverse is infinite
@@ -107,10 +108,22 @@ class Design:
         """Names of the dispersed numbers, in their order."""
         return [component.name for component in self.components]
 
-    def values(self, case: int) -> Array:
-        """Return the numbers of ``case``, in the order of ``names``."""
-        unit = self._unit(case)
+    def values(self, case: int, mixed: MixedSeed | None = None) -> Array:
+        """Return the numbers of ``case``, in the order of ``names``.
+
+        mixed: the seed of a case of a rare-event campaign, whose normals take the place of the sampling plan.
+        """
+        unit = self._unit(case) if mixed is None else self._inside(ndtr(self.normals(mixed)))
         return np.array([component.value(float(u)) for component, u in zip(self.components, unit, strict=True)])
+
+    def normals(self, seed: int) -> Array:
+        """Return the standard normals of the dispersed numbers in a rare-event campaign, in the order of ``names``."""
+        found: Array = noise_source(seed, "dispersions").standard_normal((len(self.components),))
+        return found
+
+    def scenarios(self, case: int, mixed: MixedSeed | None = None) -> tuple[Scenario, Scenario]:
+        """Return the scenario of the truth of ``case``, and that of the GNC; raise BadInput if one is invalid."""
+        return self.apply(self.values(case, mixed), self.fault(case))
 
     def fault(self, case: int) -> dict[str, Any] | None:
         """Return the fault of ``case``, a table of ``[[faults]]``; None if it has none."""
@@ -151,6 +164,10 @@ class Design:
             unit = _sobol_point(self._seed, case, n)
         else:
             unit = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_DESIGN, case))).random(n)
+        return self._inside(unit)
+
+    @staticmethod
+    def _inside(unit: Array) -> Array:
         inside: Array = np.clip(unit, _SMALLEST, 1.0 - _SMALLEST)
         return inside
 

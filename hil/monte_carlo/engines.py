@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Generator, Iterable
@@ -16,9 +17,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from itertools import islice
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 from multiprocessing.process import BaseProcess
 from queue import Empty, SimpleQueue
+from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
 from hil.core.child_process import die_with_parent
@@ -53,10 +56,11 @@ class Engine(Protocol):
 
 
 class LocalEngine:
-    """Worker processes of this computer; a single one is this process."""
+    """Worker processes of this computer, which stay until ``close``; a single one is this process."""
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
+        self._pool: ProcessPoolExecutor | None = None
 
     def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Yield first case and rows of each batch."""
@@ -76,7 +80,8 @@ class LocalEngine:
         under_way: dict[Batch, _Parts] = {}
         waiting: dict[Future[Rows], tuple[Batch, int]] = {}
         parts: deque[tuple[Batch, int]] = deque()
-        pool = _pool(self.workers)
+        pool = self._pool = self._pool or _pool(self.workers)
+        completed = False
         try:
             while left or parts or waiting:
                 while (left or parts) and len(waiting) < _AHEAD * self.workers:
@@ -93,14 +98,20 @@ class LocalEngine:
                     if (whole := under_way[batch].put(first, rows)) is not None:
                         del under_way[batch]
                         yield batch[0], whole
+            completed = True
         except BrokenProcessPool:
             return sorted(under_way)
-        finally:  # also if the caller closes it early; work under way is not waited for
-            pool.shutdown(wait=False, cancel_futures=True)
+        finally:
+            if not completed:  # also if the caller closes it early; work under way is not waited for
+                self._pool = None
+                pool.shutdown(wait=False, cancel_futures=True)
         return []
 
     def close(self) -> None:
-        """No resource is held between two calls of ``run``."""
+        """End the worker processes, which are idle."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
 
 
 class _Parts:
@@ -151,9 +162,28 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     """Return worker processes, forked from one that has imported what they need."""
     for library in ("OPENBLAS", "OMP", "MKL"):  # one core per worker; libraries already loaded are not affected
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["hil.monte_carlo.batch"])
+    context = _WorkerContext()
+    context.set_forkserver_preload(["hil.monte_carlo.engines"])
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_init_worker)
+
+
+class _Worker(ForkServerProcess):
+    """Process that does not import the caller's script: one without a main guard would start more campaigns."""
+
+    @staticmethod
+    def _Popen(process_obj: BaseProcess) -> Any:
+        script = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            return ForkServerProcess._Popen(process_obj)
+        finally:
+            sys.modules["__main__"] = script
+
+
+class _WorkerContext(ForkServerContext):
+    """Context of the workers."""
+
+    Process = _Worker
 
 
 def _init_worker() -> None:

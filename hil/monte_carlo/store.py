@@ -26,8 +26,9 @@ from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 BATCH: Final = 50
 """Cases per batch: on fixed borders, so that the files do not depend on the engine."""
 _GROUP: Final = 100 * BATCH  # cases per row group of the finished table
-_MANIFEST: Final = "campaign.json"
-_TABLE: Final = "cases.parquet"
+MANIFEST: Final = "campaign.json"
+TABLE: Final = "cases.parquet"
+PARTS: Final = "parts"
 _LOCK: Final = "campaign.lock"
 _IDENTITY: Final = b"hil.campaign"
 """Key of the metadata of a part (campaign, first case, count, checksum of the rows) and of the table (campaign)."""
@@ -67,7 +68,7 @@ class Store:
         self._warn = warn
         self._digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
         self.folder = folder
-        self._parts = folder / "parts"
+        self._parts = folder / PARTS
         self.schema = self._pa.schema(
             [
                 ("case", self._pa.int64()),
@@ -83,10 +84,10 @@ class Store:
 
     @property
     def table_path(self) -> Path:
-        return self.folder / _TABLE
+        return self.folder / TABLE
 
     def _open(self, identity: dict[str, Any]) -> None:
-        manifest = self.folder / _MANIFEST
+        manifest = self.folder / MANIFEST
         try:
             if not manifest.is_file() and self.folder.is_dir() and any(map(_is_unknown, self.folder.iterdir())):
                 raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
@@ -125,7 +126,7 @@ class Store:
 
     def missing(self, runs: int) -> list[tuple[int, int]]:
         """Return the batches, first case and count, that are missing for a campaign of ``runs`` cases."""
-        self._restore_parts()
+        self.restore()
         batches = [(first, min(BATCH, runs - first)) for first in range(0, runs, BATCH)]
         return [batch for batch in batches if not self._is_complete(*batch)]
 
@@ -140,6 +141,13 @@ class Store:
             self._warn(f"{path}: run again: {one_line(str(error), _REASON)}")
             path.unlink()
             return False
+
+    def rows(self, first: int, count: int) -> list[dict[str, Any]] | None:
+        """Return the rows of the batch of case ``first``, None unless it is complete."""
+        if not self._is_complete(first, count):
+            return None
+        rows: list[dict[str, Any]] = self._read_part(first).slice(0, count).to_pylist()
+        return rows
 
     def _part(self, first: int) -> Path:
         return self._parts / f"{first:010d}.parquet"
@@ -197,7 +205,7 @@ class Store:
             path.unlink()
         return self.table_path
 
-    def _restore_parts(self) -> None:
+    def restore(self) -> None:
         """Split a finished table into batches again: the number of cases may have changed."""
         if not self.table_path.is_file():
             return

@@ -44,7 +44,7 @@ from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import PlacedTarget
-from hil.maths.random_streams import NormalRows, stream
+from hil.maths.random_streams import NormalRows, noise_source
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
@@ -273,19 +273,19 @@ def _dss(scenario: Scenario, seed: int) -> DssStage:
         dss_as_built(scenario, seed),
         dynamics_params.field(scenario),
         dynamics_params.imu(scenario, seed),
-        NormalRows(stream(seed, "imu"), IMU_NOISE),
+        NormalRows(noise_source(seed, "imu"), IMU_NOISE),
     )
 
 
 def dss_as_built(scenario: Scenario, seed: int) -> np.record:
     """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
-    draws = stream(seed, "thrusters").standard_normal(dynamics_params.thruster_draws_shape(scenario))
+    draws = noise_source(seed, "thrusters").standard_normal(dynamics_params.thruster_draws_shape(scenario))
     return dynamics_params.dss(scenario, draws, seed)
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:
     """Draw the true gyro drift and accelerometer bias about their means."""
-    draws = stream(seed, "initial").standard_normal(6)
+    draws = noise_source(seed, "initial").standard_normal(6)
     drift = np.array(scenario.imu.gyro_drift_degps) + scenario.imu.gyro_drift_initial_sigma_degps * draws[:3]
     bias_sigma = scenario.imu.accelerometer_bias_initial_sigma_mps2
     imu.drift_C = np.radians(drift)

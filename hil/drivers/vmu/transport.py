@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.messages import new
-from hil.maths.random_streams import UniformRows
+from hil.maths.random_streams import NoiseSource, UniformRows
 from hil.models.camera_timing import TRAVEL, TRAVEL_DRAWS, delays
 
 
@@ -18,7 +18,7 @@ class Transport:
 
     def __init__(
         self,
-        generator: np.random.Generator,
+        generator: NoiseSource,
         latency_s: float = 0.0,
         jitter_s: float = 0.0,
         duplicate_probability: float = 0.0,

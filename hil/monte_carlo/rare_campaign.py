@@ -1,0 +1,216 @@
+"""Rare-event campaign: the cases of a method's points, on any engine, kept in the store of a campaign.
+
+A point depends on the numbers and outcomes of the cases before it only, so an interrupted campaign is resumed by
+replaying the method with the outcomes that are stored. Each case keeps its parent and scale: its noise and dispersions
+are made from these alone (``stored_seed``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
+from hil.monte_carlo.dispersions import case_seed
+from hil.monte_carlo.engines import Engine
+from hil.monte_carlo.rare_events import (
+    FRESH,
+    LEAST,
+    NEVER,
+    STUCK,
+    Estimate,
+    Method,
+    NormalPoint,
+    RareEvent,
+    mixed_seeds,
+)
+from hil.monte_carlo.statistics import CONFIDENCE
+from hil.monte_carlo.store import BATCH, Store
+from hil.monte_carlo.subset_simulation import STEPS, subset_simulation
+
+PARENT, SCALE, LEVEL = "parent", "scale", "level"
+POINT_COLUMNS: Final = (LEVEL, PARENT, SCALE)
+"""Columns of a rare-event campaign's cases."""
+PER_LEVEL: Final = 1000
+_UNIT: Final = STEPS * BATCH  # of the cases per level: chains in whole batches
+_SHOWN: Final = 50  # failing cases in the summary
+_DRIVERS: Final = 10
+
+
+@dataclass(frozen=True)
+class RareSettings:
+    """Event and number of cases of each level, rounded up to a multiple of 500."""
+
+    event: RareEvent
+    per_level: int = PER_LEVEL
+
+    @property
+    def cases_per_level(self) -> int:
+        """Cases of each level."""
+        return _UNIT * math.ceil(self.per_level / _UNIT)
+
+    def identity(self) -> dict[str, Any]:
+        """Return what distinguishes the folder from those of other campaigns."""
+        return {"rare": {**dataclasses.asdict(self.event), "cases_per_level": self.cases_per_level}}
+
+    def method(self, seed: int) -> Method:
+        """Return the method that estimates the probability."""
+        return subset_simulation(self.event.level, self.cases_per_level, seed)
+
+
+class RareCampaign:
+    """Runs a method's points as cases of ``job``, kept in ``store``."""
+
+    def __init__(self, job: CampaignJob, settings: RareSettings, store: Store, engine: Engine) -> None:
+        self._job = job
+        self._settings = settings
+        self._store = store
+        self._engine = engine
+        self._seeds: dict[int, MixedSeed] = {}
+        self._values: dict[int, float] = {}
+        self._missing_values = 0
+
+    def run(self, watch: Watch) -> dict[str, Any]:
+        """Run the cases that are missing; return the summary, which is also written to the folder."""
+        self._store.restore()
+        method = self._settings.method(self._job.seed)
+        points = next(method)
+        begun_s, flown = time.perf_counter(), 0
+        while True:
+            flown += self._run_points(points)
+            number, level = points[-1].number + 1, points[-1].level
+            speed = flown * self._job.duration_s / max(1e-9, time.perf_counter() - begun_s)
+            watch(Progress(f"{self._settings.event}, level {level}:", number, 0, speed))
+            try:
+                points = method.send(np.array([self._values[point.number] for point in points]))
+            except StopIteration as end:
+                return self._finish(end.value)
+
+    def _run_points(self, points: Sequence[NormalPoint]) -> int:
+        """Run the cases of ``points`` that are not stored; return their number."""
+        self._seeds |= mixed_seeds(self._job.seed, points, self._seeds)
+        batches = [points[at : at + BATCH] for at in range(0, len(points), BATCH)]
+        missing = []
+        for batch in batches:
+            stored = self._store.rows(batch[0].number, len(batch))
+            if stored is not None and [_point(row) for row in stored] == batch:
+                self._take(stored)
+            else:
+                missing.append((batch[0].number, len(batch)))
+        of = {point.number: point for point in points}
+        spec = dataclasses.replace(self._job.spec, mixed={number: self._seeds[number] for number in of})
+        with closing(self._engine.run(spec, missing)) as results:
+            for first, rows in results:
+                whole = [row | _columns(of[row["case"]]) for row in rows]
+                self._store.put(first, whole)
+                self._take(whole)
+        return sum(count for _, count in missing)
+
+    def _take(self, rows: Sequence[dict[str, Any]]) -> None:
+        event = self._settings.event
+        column = np.array([row[event.outcome] for row in rows], dtype=float)
+        self._missing_values += int(np.count_nonzero(~np.isfinite(column)))
+        self._values |= zip((row["case"] for row in rows), map(float, event.values(column)), strict=True)
+
+    def _finish(self, estimate: Estimate) -> dict[str, Any]:
+        self._store.finish(estimate.points)
+        scenario = self._job.scenario.value.name
+        summary = {"scenario": scenario, "seed": self._job.seed, "rare": self._summary(estimate)}
+        write_summary(self._store.folder / "summary.json", summary)
+        return summary
+
+    def _summary(self, estimate: Estimate) -> dict[str, Any]:
+        event = self._settings.event
+        sign = 1.0 if event.side == ">" else -1.0
+        failing = sorted(
+            (int(number) for number in self._values if self._values[number] > event.level),
+            key=lambda number: (-self._values[number], number),
+        )
+        finite = [value for value in self._values.values() if math.isfinite(value)]
+        return {
+            "outcome": event.outcome,
+            "side": event.side,
+            "threshold": event.threshold,
+            "probability": estimate.probability,
+            "cov": estimate.cov,
+            "low": estimate.low,
+            "high": estimate.upper,
+            "confidence": CONFIDENCE,
+            "cases": estimate.points,
+            "cases_per_level": self._settings.cases_per_level,
+            "method": "subset simulation",
+            "verdict": estimate.verdict,
+            "levels": [
+                {
+                    "bound": None if level.bound is None else sign * level.bound,
+                    "fraction": level.fraction,
+                    "cov": level.cov if math.isfinite(level.cov) else None,
+                    "acceptance": level.acceptance if math.isfinite(level.acceptance) else None,
+                }
+                for level in estimate.levels
+            ],
+            "extreme": sign * max(finite) if finite else None,
+            "without_value": self._missing_values,
+            "failing_cases": len(failing),
+            "failing": [{"case": number, "value": sign * self._values[number]} for number in failing[:_SHOWN]],
+            "drivers": self._drivers(estimate),
+        }
+
+    def _drivers(self, estimate: Estimate) -> list[dict[str, Any]]:
+        """Return the dispersed numbers whose mean over the event is farthest from nominal, in standard deviations."""
+        names = self._job.design.names
+        if not names or not len(estimate.samples):
+            return []
+        normals = np.array([self._job.design.normals(self._seeds[int(number)]) for number in estimate.samples])
+        mean = estimate.weights @ normals
+        order = np.argsort(-np.abs(mean), kind="stable")[:_DRIVERS]
+        return [{"dispersion": names[i], "mean_sigma": float(mean[i])} for i in order]
+
+
+def verdict_line(rare: dict[str, Any]) -> str:
+    """Return the result of a rare-event campaign in one line."""
+    event = f"{rare['outcome']} {rare['side']} {rare['threshold']:g}"
+    cases = f"{rare['cases']} cases"
+    if rare["verdict"] == NEVER:
+        return f"{event}: never met, probability below {LEAST:g}; extreme {_number(rare['extreme'])} of {cases}"
+    if rare["verdict"] == STUCK:
+        known = f"{rare['without_value']} cases have no value; " if rare["without_value"] else ""
+        return (
+            f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {known}"
+            f"probability at most {rare['high']:.2g}, {cases}"
+        )
+    text = f"{event}: probability {rare['probability']:.3g} ({rare['low']:.2g} .. {rare['high']:.2g})"
+    met = "always met, " if rare["probability"] == 1.0 else ""
+    return f"{text}, {met}c.o.v. {rare['cov']:.2f}, {cases}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def _columns(point: NormalPoint) -> dict[str, float]:
+    """Return the columns of a case that identify its point."""
+    return {LEVEL: float(point.level), PARENT: float(point.parent), SCALE: point.scale}
+
+
+def _point(row: dict[str, Any]) -> NormalPoint:
+    return NormalPoint(row["case"], int(row[PARENT]), row[SCALE], int(row[LEVEL]))
+
+
+def stored_seed(case: int, campaign_seed: int, parents: Callable[[int], tuple[int, float]]) -> MixedSeed:
+    """Return the seed of a stored case. parents: returns parent and scale of a case."""
+    line = [(case, *parents(case))]
+    while line[-1][1] != FRESH:
+        line.append((line[-1][1], *parents(line[-1][1])))
+    found = MixedSeed.fresh(case_seed(campaign_seed, line[-1][0]))
+    for number, _, scale in reversed(line[:-1]):
+        found = found.moved(case_seed(campaign_seed, number), scale)
+    return found

@@ -1,0 +1,152 @@
+"""Rare events: the event, the points at which a method asks for cases, and the estimate of the probability.
+
+A method is a generator: it yields the next points and is sent the values there, of which the large ones are rare. A
+point is a number to it: a case of a campaign, or a sample of a function in a test.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from hil.core.messages import Array
+from hil.errors import BadInput
+from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo.dispersions import case_seed
+from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS
+from hil.monte_carlo.statistics import CONFIDENCE
+
+FRESH: Final = -1
+"""Parent of a point without one."""
+ESTIMATED, ALWAYS, NEVER, STUCK = "estimated", "always met", "never met", "levels do not advance"
+LEAST: Final = 1e-9
+"""Least probability that is looked for."""
+_METHOD: Final = 3  # of the spawn keys of a campaign's seed
+_EVENT: Final = re.compile(r"\s*([A-Za-z_]\w*)\s*([<>])\s*([-+]?[\w.+-]+)\s*")
+
+
+@dataclass(frozen=True)
+class RareEvent:
+    """The event that ``outcome`` of a case is above (">") or below ("<") ``threshold``."""
+
+    outcome: str
+    side: str
+    threshold: float
+
+    @classmethod
+    def parse(cls, text: str) -> RareEvent:
+        """Return the event of a text like ``position_m_x > 0.0058``; raise BadInput."""
+        match = _EVENT.fullmatch(text)
+        try:
+            if match is None:
+                raise ValueError
+            threshold = float(match[3])
+        except ValueError as error:
+            form = f"{text:.60}: must be an outcome, < or >, and a number, as position_m_x > 0.0058"
+            raise BadInput.single("--rare", "", form) from error
+        if not math.isfinite(threshold):
+            raise BadInput.single("--rare", match[1], f"{match[3]}: must be a finite number")
+        known = (*NUMBERS, *COUNTS, *FLAGS)
+        if match[1] not in known:
+            raise BadInput.single("--rare", match[1], f"no such outcome: give one of {', '.join(known)}")
+        return cls(match[1], match[2], threshold)
+
+    def __str__(self) -> str:
+        return f"{self.outcome} {self.side} {self.threshold:g}"
+
+    def values(self, column: Array) -> Array:
+        """Return the values of an outcome's ``column``, as large as they are rare; -inf where it has none."""
+        values = np.asarray(column, dtype=float)
+        return np.where(np.isfinite(values), values if self.side == ">" else -values, -np.inf)
+
+    @property
+    def level(self) -> float:
+        """Threshold of ``values``."""
+        return self.threshold if self.side == ">" else -self.threshold
+
+
+class NormalPoint(NamedTuple):
+    """A point of the standard normal space: that of ``parent``, moved by ``scale`` towards fresh normals."""
+
+    number: int
+    parent: int
+    scale: float
+    level: int
+
+
+class Level(NamedTuple):
+    """A level of an estimate. bound: of its values, None for all. fraction: of its samples above the next bound.
+
+    cov: coefficient of variation of ``fraction``. acceptance: of its moves, nan without.
+    """
+
+    bound: float | None
+    fraction: float
+    cov: float
+    acceptance: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Result of a method. probability: None without an estimate, which is then at most ``upper``.
+
+    samples, weights: numbers of the points that met the event, and their weights, with a sum of 1.
+    """
+
+    verdict: str
+    probability: float | None
+    cov: float | None
+    upper: float
+    low: float
+    points: int
+    levels: list[Level]
+    samples: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+
+
+Method = Generator[list[NormalPoint], Array, Estimate]
+
+
+def lognormal_interval(probability: float, cov: float) -> tuple[float, float]:
+    """Return the interval of ``CONFIDENCE`` of an estimate whose logarithm is normally distributed."""
+    width = float(norm.ppf(0.5 * (1.0 + CONFIDENCE))) * math.sqrt(math.log1p(cov * cov))
+    return probability * math.exp(-width), min(1.0, probability * math.exp(width))
+
+
+def chain_correlation(indicator: np.ndarray) -> float:
+    """Return gamma of Au and Beck (2001), eq. (29): by it chains inflate the variance of a mean, less 1.
+
+    indicator: (chains, steps), 0 or 1.
+    """
+    values = np.asarray(indicator, dtype=float)
+    steps = values.shape[1]
+    mean = values.mean()
+    variance = mean * (1.0 - mean)
+    if variance == 0.0:
+        return 0.0
+    found = 0.0
+    for lag in range(1, steps):
+        covariance = float((values[:, :-lag] * values[:, lag:]).mean()) - mean * mean
+        found += 2.0 * (1.0 - lag / steps) * covariance / variance
+    return max(0.0, found)
+
+
+def method_generator(seed: int, level: int) -> np.random.Generator:
+    """Return the generator of the choices that a method makes in ``level``."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_METHOD, level)))
+
+
+def mixed_seeds(campaign_seed: int, points: Sequence[NormalPoint], known: dict[int, MixedSeed]) -> dict[int, MixedSeed]:
+    """Return the seeds of ``points``; those of their parents are in ``known``."""
+    found = {}
+    for point in points:
+        seed = case_seed(campaign_seed, point.number)
+        fresh = point.parent == FRESH
+        found[point.number] = MixedSeed.fresh(seed) if fresh else known[point.parent].moved(seed, point.scale)
+    return found
