@@ -48,6 +48,9 @@ UNITS: Final = {
     "kg": "kg",
     "kg_m2": "kg m²",
     "n": "N",
+    "n_per_mps": "N s/m",
+    "nm": "Nm",
+    "nm_per_degps": "Nm s/deg",
     "px": "px",
     "levels": "grey levels",
     "per_s": "1/s",
@@ -58,7 +61,7 @@ UNITS: Final = {
 """Last words of a key -> unit."""
 NO_UNIT: Final = re.compile(
     r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
-    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight)$"
+    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio)$"
 )
 """Numbers without unit. New keys need a unit in their name, or one of these words."""
 NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
@@ -146,8 +149,8 @@ def rig_keys() -> str:
     intro = """# Rig keys
 
 A rig is a TOML file; keys that it omits are taken from the rig named by `extends` (`mock`, `emulated`, `emulated-rtu`,
-or a path relative to the file). Paths in it are relative to it. A driver of another package has the keys that its own
-documentation gives, in a table of its name.
+`emulated-machine`, or a path relative to the file). Paths in it are relative to it. A driver of another package has the
+keys that its own documentation gives, in a table of its name.
 """
     return f"{intro}\n{_sections(Rig)}"
 

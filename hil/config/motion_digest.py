@@ -24,7 +24,10 @@ def motion_digest(rig: Rig) -> str:
     """
     table = with_first_names("Rig", rig.model_dump(mode="json", include=set(_TABLES)))
     for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES), ("target_manipulator", RAIL_NAMES)):
-        for name in names if table[device] is not None else ():
+        if table[device] is None:
+            continue
+        del table[device]["mechanics"]  # of emulators only
+        for name in names:
             del table[device][name]["lead_s"]
     if rig.bench.axes_rate_hz is None:
         del table["bench"]["axes_rate_hz"]  # added later: a sign-off from before stays valid

@@ -14,6 +14,7 @@ from hil.config.gnc_link import GncLink
 from hil.config.guard import GuardConfig
 from hil.config.host import HostConfig, OnOverrun
 from hil.config.io import Io
+from hil.config.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu
@@ -287,6 +288,11 @@ class AxisGroupTable(DeviceTable):
         """Noise of the emulated encoders, in the unit of the file."""
         raise NotImplementedError
 
+    @property
+    def emulated_mechanics(self) -> DriveMechanics | None:
+        """Mechanics of the emulated axes; None for ideal servos."""
+        raise NotImplementedError
+
 
 class Rails(AxisGroupTable):
     """Three rails: x, y, z."""
@@ -307,6 +313,8 @@ class Rails(AxisGroupTable):
     """Time in which the bucket drains by one packet."""
     encoder_sigma_m: NotNegative = 0.0
     """Noise of the emulated encoders."""
+    mechanics: RailMechanics | None = None
+    """Mechanics of the emulated axes; unless given, those of the ideal servo."""
     x: RailAxis
     y: RailAxis
     z: RailAxis
@@ -317,6 +325,10 @@ class Rails(AxisGroupTable):
     @property
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_m
+
+    @property
+    def emulated_mechanics(self) -> DriveMechanics | None:
+        return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
 class TargetManipulator(Rails):
@@ -357,6 +369,8 @@ class Turntable(AxisGroupTable):
     """Time in which the bucket drains by one packet."""
     encoder_sigma_deg: NotNegative = 0.0
     """Noise of the emulated encoders."""
+    mechanics: GimbalMechanics | None = None
+    """Mechanics of the emulated axes; unless given, those of the ideal servo."""
     roll: GimbalAxis
     pitch: GimbalAxis
     yaw: GimbalAxis
@@ -366,6 +380,10 @@ class Turntable(AxisGroupTable):
     @property
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_deg
+
+    @property
+    def emulated_mechanics(self) -> DriveMechanics | None:
+        return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
 class RigCamera(ConfigModel):

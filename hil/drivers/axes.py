@@ -6,8 +6,10 @@ from typing import Final
 
 import numpy as np
 
+from hil.config.mechanics import DriveMechanics
 from hil.config.rig import AxisGroupTable
 from hil.core.messages import new
+from hil.models.drive_mechanics import DRIVE_MECHANICS, drive_mechanics_step, encoder_reading
 from hil.models.servo import SERVO, servo_step
 
 _FROM_CONFIG: Final = ("low", "high", "rate_max", "acceleration_max", "position")
@@ -34,6 +36,12 @@ class ServoAxes:
         self.rate, self.setpoint, self.feedforward, self.kp, self.tau = (
             np.asarray(self.record[name]) for name in ("rate", "setpoint", "feedforward", "kp", "tau")
         )
+        self.counted, self.counted_rate = self.position, self.rate
+        """Positions and rates at the encoders, (3,)."""
+
+    def displace(self, axis: int, position: float, rate: float) -> None:
+        """Put one axis to ``position``, moving at ``rate``, whatever its drive does."""
+        self.position[axis], self.rate[axis] = position, rate
 
     def hold(self) -> None:
         """Make the present position the setpoint."""
@@ -55,3 +63,51 @@ class ServoAxes:
             self.high,
             dt_s,
         )
+
+
+class MechanicalAxes(ServoAxes):
+    """Three axes with the mechanics of a machine: ``position`` and ``rate`` are those of the load.
+
+    counted, counted_rate: of the encoders, which are on the motors.
+    """
+
+    def __init__(self, config: AxisGroupTable, mechanics: DriveMechanics) -> None:
+        super().__init__(config)
+        state: np.record = new(DRIVE_MECHANICS)
+        state.motor = state.counted = self.position
+        gain = 2.0 * np.pi * mechanics.velocity_bandwidth_hz
+        load = mechanics.load_ratio / (1.0 + mechanics.load_ratio)
+        resonance = 2.0 * np.pi * mechanics.resonance_hz
+        state.velocity_gain = gain
+        state.coulomb, state.breakaway = mechanics.si("friction_coulomb"), mechanics.si("friction_breakaway")
+        state.stribeck, state.viscous = mechanics.stribeck, mechanics.viscous
+        state.presliding, state.gap = mechanics.si("presliding"), mechanics.si("backlash")
+        state.stiffness = load * resonance * resonance
+        state.damping = 2.0 * mechanics.damping_ratio * load * resonance
+        state.load_fraction = load
+        state.cogging, state.cogging_period = mechanics.si("cogging"), mechanics.si("cogging_period")
+        state.encoder_step = mechanics.si("encoder_step")
+        state.force_max = (1.0 + mechanics.force_reserve_fraction) * self.acceleration_max + state.breakaway
+        self._mechanics = state
+        self.counted, self.counted_rate = np.asarray(state.counted), np.asarray(state.motor_rate)
+
+    def displace(self, axis: int, position: float, rate: float) -> None:
+        super().displace(axis, position, rate)
+        state = self._mechanics
+        state.motor[axis] = position
+        state.counted[axis] = encoder_reading(position, state.encoder_step[axis])
+        state.motor_rate[axis] = state.rate_reference[axis] = rate
+        state.integral[axis] = state.bristle[axis] = 0.0
+
+    def hold(self) -> None:
+        self.setpoint[:] = self.counted
+        self.feedforward[:] = 0.0
+
+    def step(self, dt_s: float) -> None:
+        drive_mechanics_step(self.record, self._mechanics, dt_s)
+
+
+def axes_of(config: AxisGroupTable) -> ServoAxes:
+    """Return the axes of an emulated device, with its mechanics if it has some."""
+    mechanics = config.emulated_mechanics
+    return ServoAxes(config) if mechanics is None else MechanicalAxes(config, mechanics)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Final
@@ -12,7 +13,7 @@ import numpy as np
 from hil.config.rig import AxisGroupTable
 from hil.core.clock import WallClock
 from hil.core.messages import Array, Homing
-from hil.drivers.axes import ServoAxes
+from hil.drivers.axes import axes_of
 from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
 from hil.drivers.io.relay import HoldingBrakes
 from hil.drivers.shared_state import ChainState, SharedAxisState
@@ -21,6 +22,7 @@ from hil.maths.random_streams import stream
 STEP_S: Final = 0.004  # longest bench time between two updates of the axes; the shared state is due every 5 ms
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
+_TIME_SLACK_S: Final = 1e-9
 _STANDSTILL: Final = 2e-3  # of m/s or rad/s
 _HOMING_TIME_MAX_S: Final = 120.0
 _GRAVITY_MPS2: Final = 9.81  # of a gravity-loaded gimbal rad/s2: its load is 1 m from the axis
@@ -57,7 +59,11 @@ class EmulatedAxes:
         self.torque_off = False
         scale, axes = config.si_per_unit, config.axes
         self._unit = scale
-        self._axes = ServoAxes(config)
+        self._axes = axes_of(config)
+        mechanics = config.emulated_mechanics
+        self._delay_s = 0.0 if mechanics is None else mechanics.loop_delay_s
+        self._still = 0.0 if mechanics is None else _STANDSTILL  # friction never lets a rate be exactly zero
+        self._coming: list[deque[tuple[float, float, float]]] = [deque(), deque(), deque()]
         self._shared = shared
         self._read_chain = chain or partial(shared.read_chain, clock)
         self._chain = ChainState()
@@ -118,15 +124,22 @@ class EmulatedAxes:
         if not self._chain.closed or self.homing[axis] is Homing.UNDER_WAY:
             return
         self._enabled[axis] = True
+        self._deadline_s[axis] = now_s + watchdog_s
+        if self._delay_s > 0.0:
+            self._coming[axis].append((now_s + self._delay_s, position, rate))
+        else:
+            self._act_on(axis, position, rate)
+
+    def _act_on(self, axis: int, position: float, rate: float) -> None:
         self._setpoint[axis] = position
         self._axes.feedforward[axis] = rate / self._gear[axis]
         self._braking[axis] = False
-        self._deadline_s[axis] = now_s + watchdog_s
 
     def brake(self, axis: int) -> None:
         """Quick stop of one axis: brake at the acceleration limit, then hold. Aborts its homing."""
         if self.homing[axis] is Homing.UNDER_WAY:
             self.homing[axis] = Homing.FAILED
+        self._coming[axis].clear()
         self._axes.feedforward[axis] = 0.0
         self._braking[axis] = True
         self._deadline_s[axis] = math.inf
@@ -149,6 +162,7 @@ class EmulatedAxes:
         if self._absolute[axis] or not self._chain.closed:
             return
         self._enabled[axis] = True
+        self._coming[axis].clear()
         self.homing[axis] = Homing.UNDER_WAY
         self._braking[axis] = False
         self._deadline_s[axis] = math.inf
@@ -159,7 +173,7 @@ class EmulatedAxes:
         self.brake(axis)
         if not self._absolute[axis]:
             self.homing[axis] = Homing.NEEDED
-            self._offset[axis] = -self._axes.position[axis]
+            self._offset[axis] = -self._axes.counted[axis]
             self._damage[axis] = 0.0
 
     def advance(self, now_s: float) -> None:
@@ -169,6 +183,8 @@ class EmulatedAxes:
         self._apply_safety_chain()
         while self._t_s < now_s:
             step_s = min(_SUBSTEP_S, now_s - self._t_s)
+            for axis in range(3):
+                self._act_on_due_setpoints(axis)
             self._t_s += step_s
             for axis in range(3):
                 self._supervise(axis)
@@ -203,8 +219,8 @@ class EmulatedAxes:
         else:
             rate = self._rate_without_torque(axis, rate, braked, step_s)
         wanted = position + step_s * rate
-        axes.position[axis] = min(max(wanted, axes.low[axis]), axes.high[axis])
-        axes.rate[axis] = rate if axes.position[axis] == wanted else 0.0
+        place = min(max(wanted, axes.low[axis]), axes.high[axis])
+        axes.displace(axis, place, rate if place == wanted else 0.0)
 
     def _rate_without_torque(self, axis: int, rate: float, braked: bool, step_s: float) -> float:
         """Return the rate after ``step_s``, m/s or rad/s, by gravity, friction and holding brake."""
@@ -224,6 +240,11 @@ class EmulatedAxes:
             self._runaway[axis] = self._unit * value if value != 0.0 else rate
         return self._runaway[axis]
 
+    def _act_on_due_setpoints(self, axis: int) -> None:
+        coming = self._coming[axis]
+        while coming and coming[0][0] <= self._t_s + _TIME_SLACK_S:
+            self._act_on(axis, *coming.popleft()[1:])
+
     def _supervise(self, axis: int) -> None:
         if self._deadline_s[axis] <= self._t_s:
             self.overdue[axis] = True
@@ -232,12 +253,12 @@ class EmulatedAxes:
             self._step_homing(axis)
         elif not self._braking[axis]:
             self._regulate(axis)
-        if self._braking[axis] and self._axes.rate[axis] != 0.0:
-            self._axes.setpoint[axis] = self._axes.position[axis]  # does not return to where braking began
+        if self._braking[axis] and abs(self._axes.counted_rate[axis]) > self._still:
+            self._axes.setpoint[axis] = self._axes.counted[axis]  # does not return to where braking began
 
     def _regulate(self, axis: int) -> None:
         """Close the drive's position loop on its encoder; a reversed encoder makes the axis run away."""
-        place = self._axes.position[axis]
+        place = self._axes.counted[axis]
         error = self._setpoint[axis] - (self._count[axis] * place + self._offset[axis])
         self._axes.setpoint[axis] = place + error / self._gear[axis]
 
@@ -255,14 +276,13 @@ class EmulatedAxes:
         elif self._t_s > self._homing_until_s[axis]:
             self.brake(axis)
         else:
-            self._axes.setpoint[axis] = place
+            self._axes.setpoint[axis] = self._axes.counted[axis]
             self._axes.feedforward[axis] = math.copysign(self._homing_rate[axis], way)
 
     def _hold_stuck_axes(self) -> None:
         for axis, name in enumerate(self.names):
             if self.faults.value("stuck", name) is not None:
-                self._axes.rate[axis] = 0.0
-                self._axes.position[axis] = self._stood[axis]
+                self._axes.displace(axis, float(self._stood[axis]), 0.0)
         self._stood[:] = self._axes.position
 
     def _update_encoders(self) -> None:
@@ -273,7 +293,7 @@ class EmulatedAxes:
             damage = self._unit * jump if jump is not None else 0.0
             self._gear[axis], count = self._signs_and_scales(name)
             if count != self._count[axis]:  # the scale changes, the present value does not
-                damage += (self._count[axis] - count) * axes.position[axis]
+                damage += (self._count[axis] - count) * axes.counted[axis]
                 self._count[axis] = count
             self._offset[axis] += damage
             self._damage[axis] += damage
@@ -283,8 +303,8 @@ class EmulatedAxes:
             self._damage[:] = 0.0
         if self.faults.value("freeze") is None:
             noise = self._sigma * self._noise.standard_normal(3) if self._sigma > 0.0 else 0.0
-            self.position = self._count * axes.position + self._offset + noise
-            self.rate = self._count * axes.rate
+            self.position = self._count * axes.counted + self._offset + noise
+            self.rate = self._count * axes.counted_rate
 
     def _signs_and_scales(self, name: str) -> tuple[float, float]:
         """Return the scales of drive and encoder under the active faults."""

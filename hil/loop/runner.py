@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -47,6 +47,8 @@ class Outcome:
     vision_counters: dict[str, int] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
+    measured: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Numbers that the rows do not have, by the table of the JSON that they belong to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +108,8 @@ class Runner:
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
         """Events of the bench: holds, changed settings."""
+        self.meters: dict[str, Callable[[], dict[str, Any]]] = {}
+        """Return, at the end, the numbers of ``Outcome.measured``."""
         self.cycles: Cycles = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
         """Runs the cycles of the closed loop."""
         self._parked = False
@@ -146,6 +150,7 @@ class Runner:
             vision_counters=self.source.counters(),
             events=self.all_events(),
             alarms=list(self.safety.alarms.all()),
+            measured={table: meter() for table, meter in self.meters.items()},
         )
 
     @contextmanager

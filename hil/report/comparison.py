@@ -127,6 +127,7 @@ def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("propellant, kg", _text(thrusters["propellant_kg"], ".4f")),
         ("firings", str(sum(thrusters["thruster_firings"]))),
         ("camera error, rms mm", _text(bench["pose_error_mm"]["rms"], ".3f")),
+        ("camera error by true axes, rms mm", _text((bench.get("true_pose_error_mm") or {}).get("rms"), ".3f")),
         ("pose to command p50 p99, ms", _times(latency["pose_to_command_ms"])),
         ("setpoint to encoder p50 p99, ms", _times(latency["setpoint_to_encoder_ms"])),
         ("overruns, periods lost", f"{timing['overruns']}, {timing['skipped_periods']}"),

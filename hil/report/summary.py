@@ -78,7 +78,9 @@ def summarise(
         "thrusters": found["thrusters"],
         "gnc": gnc_summary(scenario),
         "vision": outcome.vision_counters,
-        "bench": found["bench"] | {"limited_cycles": outcome.limited_cycles},
+        "bench": found["bench"]
+        | {"limited_cycles": outcome.limited_cycles}
+        | outcome.measured.get("bench", dict.fromkeys(("true_pose_error_mm", "true_pose_error_deg"))),
         "latency": found["latency"],
         "timing": {
             "rate_hz": rate_hz,

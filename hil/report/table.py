@@ -239,6 +239,14 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
         )
     if text := _energy_added_text(bench.get("energy", {})):
         console.print(f"            {text}", highlight=False, soft_wrap=True)
+    if true := bench.get("true_pose_error_mm"):
+        by_angle = bench["true_pose_error_deg"]
+        console.print(
+            f"Emulated    camera error by the true axes, behind the encoders: rms {true['rms']:.3f} "
+            f"max {true['max']:.3f} mm, rms {by_angle['rms']:.4f} max {by_angle['max']:.4f} deg",
+            highlight=False,
+            soft_wrap=True,
+        )
     parts = [
         f"{name} p50 {times['p50']:.2f} p99 {times['p99']:.2f} max {times['max']:.2f} ms"
         for name, times in (

@@ -45,6 +45,7 @@ from hil.setup.assembly import Devices, RunContext, assemble, library_problems, 
 from hil.setup.assembly import Job as Job
 from hil.setup.compiled import compiled_cycles, loop_is_compiled
 from hil.setup.compiled import runs_compiled as runs_compiled
+from hil.setup.true_axes import TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
 TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
@@ -150,6 +151,10 @@ class WiredBench:
         made = assemble(self.job, self.rig, rate, self.devices, context)
         if self.sinks:
             self.event_recorder = self.sinks.attach(made)
+        if self.board is not None:
+            watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, rate.now_s, self.job.scenario.value.step_s)
+            made.loop.telemetry = watch
+            made.meters["bench"] = watch.numbers
         return made
 
 
