@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import datetime
 import importlib.util
+import secrets
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from hil.cli.options import Flag, Group, Integer, RunOptions, refuse
 from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.console.foxglove_clients import FoxgloveClients
 
 _NEEDED = ("fastapi", "uvicorn", "websockets")
 
@@ -54,6 +60,7 @@ def console(
     on_loss: Literal["hold", "continue", "stop"] | None = None,
     record: str = "recordings",
     no_record: Flag = False,
+    foxglove: Integer | None = None,
 ) -> int:
     """Serve the page that displays and commands a session at the bench, until Ctrl-C.
 
@@ -70,6 +77,8 @@ def console(
         Folder for the recordings, one file per session, and their catalogue.
     no_record
         Do not record.
+    foxglove
+        Port on this computer at which Foxglove connects, 0 for any free one: live topics, settings, services.
     """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
@@ -78,6 +87,7 @@ def console(
 
     from hil.console.serve import Tls, listen, read_token, serve
     from hil.console.session import Choice
+    from hil.recording.foxglove_server import check_foxglove_option
 
     overridden = () if on_loss is None else (f"rig.console.on_loss={on_loss}",)
     choice = Choice(
@@ -95,14 +105,35 @@ def console(
     tls = None if server.tls is None else Tls(*server.tls)
     if tls is not None:
         tls.check()
+    if foxglove is not None:
+        check_foxglove_option(foxglove)
     with listen(host, server.port, token, tls is not None or server.behind_tunnel) as listener:
         shown = f"[{host}]" if ":" in host else host
         _say(f"console on {'https' if tls else 'http'}://{shown}:{listener.getsockname()[1]}/")
-        try:
-            serve(choice, listener, host, token, _log, tls)
-        except KeyboardInterrupt:
-            _say("console closed")
+        with _foxglove_clients(foxglove, token) as clients:
+            try:
+                serve(choice, listener, host, token, _log, tls, clients)
+            except KeyboardInterrupt:
+                _say("console closed")
     return 0
+
+
+@contextmanager
+def _foxglove_clients(port: int | None, token: str | None) -> Iterator[FoxgloveClients | None]:
+    """Give the clients in Foxglove at ``port``, None without one. token: required for the command, or a new code."""
+    if port is None:
+        yield None
+        return
+    from hil.console.foxglove_clients import FoxgloveClients
+
+    code = secrets.token_hex(4) if token is None else token
+    clients = FoxgloveClients(port, code, _log)
+    try:
+        shown = f"; code to take the command: {code}" if token is None else ""
+        _say(f"foxglove on {clients.address}{shown}")
+        yield clients
+    finally:
+        clients.close()
 
 
 def _log(text: str) -> None:

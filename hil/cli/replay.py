@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Output, Settings, refuse
+from hil.cli.options import Flag, Integer, Output, Settings, refuse
 from hil.cli.output import check_json_path, print_columns, write_json
 from hil.errors import Problem
 
@@ -37,6 +39,7 @@ def replay(
     monitor: Flag = False,
     scene: str | None = None,
     json: Output = None,
+    foxglove: Integer | None = None,
 ) -> int:
     """Replay the recorded inputs of a run through the present GNC and compare bit by bit.
 
@@ -56,8 +59,16 @@ def replay(
         With --monitor: scene, shipped or a file, instead of the recorded one.
     json
         File for the differences, - for standard output.
+    foxglove
+        Port on this computer at which Foxglove connects, 0 for any free one: plays the recording there instead.
     """
     problems = check_json_path("--json", json)
+    if foxglove is not None:
+        others = ("--gnc", "--set", "--vmu", "--geometry", "--monitor", "--scene", "--json")
+        values = (gnc, settings, vmu, geometry, monitor, scene, json)
+        used = [option for option, value in zip(others, values, strict=True) if value]
+        refuse([*problems, *(Problem(option, "", "does not go with --foxglove") for option in used)])
+        return _play(recording, foxglove)
     if not (vmu or monitor or geometry is not None or scene is not None):
         refuse(problems)
         return _replay_gnc(recording, gnc, settings, json)
@@ -73,6 +84,24 @@ def replay(
     from hil.cli.replay_images import replay_images
 
     return replay_images(recording, vmu, geometry, monitor, scene, json)
+
+
+def _play(recording: str, port: int) -> int:
+    from hil.recording.foxglove_replay import Player, RecordedMessages
+    from hil.recording.foxglove_server import check_foxglove_option
+
+    check_foxglove_option(port)
+    console = Console(stderr=True)
+    with console.status("reading the recording"):
+        recorded = RecordedMessages(Path(recording))
+    player = Player(recorded, port)
+    console.print(f"foxglove on {player.address}", highlight=False, soft_wrap=True)
+    try:
+        with suppress(KeyboardInterrupt):
+            player.run()
+    finally:
+        player.close()
+    return 0
 
 
 def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:

@@ -17,6 +17,7 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.requests import HTTPConnection
 
+from hil.console.foxglove_clients import FoxgloveClients
 from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.message import pack
@@ -42,13 +43,21 @@ _HEADERS: Final = {
 }
 
 
-def make_app(service: ConsoleService, token: str | None, hosts: frozenset[str] | None) -> FastAPI:
+def make_app(
+    service: ConsoleService,
+    token: str | None,
+    hosts: frozenset[str] | None,
+    foxglove: FoxgloveClients | None = None,
+) -> FastAPI:
     """Return the application. token: required of each client, None for none. hosts: host names accepted in requests,
-    None for any; on loopback they prevent access by other sites' pages through a rebound name."""
+    None for any; on loopback they prevent access by other sites' pages through a rebound name. foxglove: clients that
+    ``service`` serves as well."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        ticking = asyncio.create_task(_keep_ticking(service, updated))
+        if foxglove is not None:
+            foxglove.attach(service)
+        ticking = asyncio.create_task(_keep_ticking(service, updated, foxglove))
         ticking.add_done_callback(_exit_on_error)
         yield
         ticking.cancel()
@@ -82,9 +91,11 @@ def make_app(service: ConsoleService, token: str | None, hosts: frozenset[str] |
     return app
 
 
-async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition) -> None:
+async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition, foxglove: FoxgloveClients | None) -> None:
     while True:
         service.tick()
+        if foxglove is not None:
+            foxglove.tick()
         async with updated:
             updated.notify_all()
         await asyncio.sleep(TICK_S)

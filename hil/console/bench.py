@@ -8,20 +8,19 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from hil.console.remote_operator import RemoteOperator
-from hil.core.camera_images import IMAGE, ThreadedImageSink
+from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import WallClock
-from hil.core.messages import CYCLE
 from hil.core.realtime import RealTime
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Runner
-from hil.monitor.results import PORTION
-from hil.recording.session import SLOTS, required_sinks
+from hil.recording.recorder import RING_DTYPES
+from hil.recording.session import required_sinks, ring_slots
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.session import build, with_docking_monitor
 
-RINGS: Final = {"images": IMAGE, "monitor_images": IMAGE, "portions": PORTION}
+RINGS: Final = {name: dtype for name, dtype in RING_DTYPES.items() if name != "cycles"}
 """Rings that the console reads in addition to the cycles, by their names in ``RecordingSinks``."""
 
 
@@ -34,6 +33,8 @@ class ConsoleBench:
 
     runner: Runner
     telemetry: Ring
+    clock: WallClock
+    run_time: RunTime
     event_recorder: EventRecorder | None
     watched: with_docking_monitor.MonitorResults
     addresses: dict[str, str] = field(default_factory=dict)
@@ -49,32 +50,43 @@ def opened(
         sinks = recorder or stack.enter_context(_unrecorded_sinks(job))
         rings = {name: ring for name in RINGS if isinstance(ring := getattr(sinks, name), Ring)}
         assert isinstance(sinks.cycles, Ring)
+        assert sinks.run_time is not None
         if job.rig.value.kind != "mock":
             bench = stack.enter_context(build.wired_bench(job, announce, sinks))
             watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, sinks))
             runner = bench.runner(operator.on_progress, operator)
-            yield ConsoleBench(runner, bench.telemetry, bench.event_recorder, watched, bench.addresses, rings)
+            yield ConsoleBench(
+                runner,
+                bench.telemetry,
+                bench.clock,
+                sinks.run_time,
+                bench.event_recorder,
+                watched,
+                bench.addresses,
+                rings,
+            )
             return
         watched = stack.enter_context(with_docking_monitor.beside(job, sinks.cycles, announce, sinks))
         host = job.rig.value.host
         realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
-        rate = WallClockRate(WallClock(speed=job.speed), job.scenario.value.step_s)
+        clock = WallClock(speed=job.speed)
+        rate = WallClockRate(clock, job.scenario.value.step_s)
         maker = sinks.image_encoder(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
         pictures = ThreadedImageSink(maker) if maker else None
         if pictures:
             stack.callback(pictures.close)
         runner = build.in_memory(job, rate, operator.on_progress, realtime, sinks.cycles, operator, pictures)
-        yield ConsoleBench(runner, sinks.cycles, sinks.attach(runner), watched, {}, rings)
+        yield ConsoleBench(runner, sinks.cycles, clock, sinks.run_time, sinks.attach(runner), watched, {}, rings)
 
 
 @contextmanager
 def _unrecorded_sinks(job: build.Job) -> Iterator[RecordingSinks]:
     """Yield sinks of a session without a recording: only the console reads them."""
     fed = required_sinks(job)
-    rings = {"cycles": Ring.create(CYCLE, build.TELEMETRY_ROWS)}
-    rings |= {name: Ring.create(dtype, SLOTS[name], name) for name, dtype in RINGS.items() if name in fed}
+    slots = ring_slots(job) | {"cycles": build.TELEMETRY_ROWS}
+    rings = {name: Ring.create(dtype, slots[name], name) for name, dtype in RING_DTYPES.items() if name in fed}
     run_time = RunTime.create()
-    takers: dict[str, Telemetry] = {name: rings.get(name, NoTelemetry()) for name in ("cycles", *RINGS)}
+    takers: dict[str, Telemetry] = {name: rings.get(name, NoTelemetry()) for name in RING_DTYPES}
     try:
         yield RecordingSinks(**takers, run_time=run_time)
     finally:

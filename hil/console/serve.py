@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from hil.config.load import shipped
+from hil.console.foxglove_clients import FoxgloveClients
 from hil.console.session import Choice
 from hil.core.files import KIB, MIB, check_regular, read_text
 from hil.errors import BadInput, Problem
@@ -101,8 +102,9 @@ def serve(
     token: str | None,
     log: Callable[[str], None],
     tls: Tls | None = None,
+    foxglove: FoxgloveClients | None = None,
 ) -> None:
-    """Serve the page until Ctrl-C (KeyboardInterrupt); an open session is stopped first."""
+    """Serve the page until Ctrl-C (KeyboardInterrupt); an open session is stopped first. foxglove: further clients."""
     import uvicorn
 
     from hil.console.app import make_app
@@ -115,7 +117,7 @@ def serve(
     service.warm_up()
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(
-        make_app(service, token, hosts),
+        make_app(service, token, hosts, foxglove),
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",

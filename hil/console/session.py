@@ -114,12 +114,17 @@ def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -
 def _send_hello(channel: socket.socket, bench: ConsoleBench, status: MailboxBlock, taken: RunRecorder | None) -> None:
     """Report the bench as ready to the console, with the descriptors of the shared memory in the order of names."""
     rings = {"telemetry": bench.telemetry, **bench.rings}
-    shared = {"status": status.descriptor, **{name: ring.descriptor for name, ring in rings.items()}}
+    shared = {
+        "status": status.descriptor,
+        "run_time": bench.run_time.descriptor,
+        **{name: ring.descriptor for name, ring in rings.items()},
+    }
     if taken is not None and taken.state is not None:
         shared["recording"] = taken.state.descriptor
     hello = {
         "pid": os.getpid(),
         "addresses": bench.addresses,
+        "clock": [bench.clock.epoch_ns, bench.clock.speed],
         "slots": {name: ring.slots for name, ring in rings.items()},
         "file": str(taken.path) if taken else None,
         "shared": list(shared),

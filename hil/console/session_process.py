@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
+import os
 import signal
 import socket
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from hil.monitor.results import PORTION
 from hil.recording import recorder
 
 _PACKET: Final = 1 << 18
-_MAX_DESCRIPTORS: Final = 8
+_MAX_DESCRIPTORS: Final = 16
 _DTYPES: Final = {"telemetry": CYCLE, **RINGS}
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # allowed to stop the bench and end its processes
@@ -43,10 +44,15 @@ class SessionProcess:
         self._on_message = on_message
         self._answers: dict[int, asyncio.Future[str]] = {}
         self._numbers = itertools.count(1)
-        self._rings: dict[str, Ring] = {}
         self._readers: dict[str, Reader] = {}
         self._block: MailboxBlock | None = None
         self._recording: MailboxBlock | None = None
+        self.rings: dict[str, Ring] = {}
+        """Rings of the session by their names, once it is ready."""
+        self.run_time = -1
+        """Descriptor of the relation of the run's time to bench time (``RunTime``), -1 before the session is ready."""
+        self.clock: list[float] = []
+        """``epoch_ns`` and ``speed`` of the clock of bench time."""
         self.file = ""
         """File of the recording; "" without one."""
         self._status = empty_status()
@@ -190,9 +196,10 @@ class SessionProcess:
     def _attach(self, hello: dict[str, Any], descriptors: list[int]) -> None:
         self.addresses = hello["addresses"]
         shared = dict(zip(hello["shared"], descriptors, strict=True))
-        self._rings = {name: Ring(shared[name], _DTYPES[name], slots, name) for name, slots in hello["slots"].items()}
-        self._readers = {name: ring.reader() for name, ring in self._rings.items()}
+        self.rings = {name: Ring(shared[name], _DTYPES[name], slots, name) for name, slots in hello["slots"].items()}
+        self._readers = {name: ring.reader() for name, ring in self.rings.items()}
         self._block = MailboxBlock(shared["status"], CELLS, "console")
+        self.run_time, self.clock = shared["run_time"], hello["clock"]
         if "recording" in shared:
             self._recording = MailboxBlock(shared["recording"], recorder.STATE_MAILBOX, "recorder")
             self.file = hello["file"]
@@ -214,9 +221,12 @@ class SessionProcess:
 
     def _release(self) -> None:
         self._readers.clear()
-        for ring in self._rings.values():
+        for ring in self.rings.values():
             ring.close()
-        self._rings.clear()
+        self.rings.clear()
+        if self.run_time >= 0:
+            os.close(self.run_time)
+            self.run_time = -1
         for block in (self._block, self._recording):
             if block is not None:
                 block.close()

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-STATE_TOPIC, TRANSFORM_TOPIC, LOG_TOPIC = "/state", "/tf", "/log"
+STATE_TOPIC, TRANSFORM_TOPIC, LOG_TOPIC, SCENE_TOPIC = "/state", "/tf", "/log", "/scene"
 
 _INFO, _WARNING, _ERROR = 2, 3, 4  # levels of foxglove.Log
 _LEVELS: Final = {"alarm": _ERROR, "fault": _ERROR, "order": _WARNING, "setting": _WARNING}

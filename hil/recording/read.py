@@ -54,9 +54,13 @@ _NOTE_NUMBERS: Final = ("t_s", "bench_s", "cycle")
 
 @dataclass
 class Scan:
-    """Sequential scan of a file's records. lost_chunks: damaged and skipped; ended: the file has its end."""
+    """Sequential scan of a file's records. lost_chunks: damaged and skipped; ended: the file has its end.
+
+    from_ns: blocks with earlier messages only are left out.
+    """
 
     path: Path
+    from_ns: int = 0
     lost_chunks: int = 0
     ended: bool = False
     _unpacked: int = 0
@@ -98,6 +102,8 @@ class Scan:
                 yield record
 
     def _messages(self, chunk: Chunk) -> list[McapRecord]:
+        if chunk.message_end_time < self.from_ns:
+            return []
         try:
             return breakup_chunk(self._unpack(chunk), validate_crc=True)
         except _BROKEN:

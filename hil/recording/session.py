@@ -165,6 +165,16 @@ def required_sinks(job: Job) -> set[str]:
     return required
 
 
+def ring_slots(job: Job) -> dict[str, int]:
+    """Return the number of rows of each ring of a paced run of ``job``, by its name in ``RecordingSinks``."""
+    return {
+        "cycles": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s)),
+        "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
+        "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),
+        **SLOTS,
+    }
+
+
 class _FileSink:
     """Sink that writes rows to the file immediately."""
 
@@ -196,13 +206,7 @@ class _RecorderProcess:
 
     def __init__(self, job: Job, path: Path, run: str, header: RecordingHeader) -> None:
         self._path = path
-        rows = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
-        slots = {
-            "cycles": rows,
-            "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
-            "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),
-            **SLOTS,
-        }
+        slots = ring_slots(job)
         required = required_sinks(job)
         self._rings = {
             name: Ring.create(dtype, slots[name], name)

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, cast
+from typing import IO, Final, cast
 
-import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from hil.core.camera_images import overlay_shapes
 from hil.core.messages import CYCLE
-from hil.recording import foxglove, foxglove_images, schema
 from hil.recording.block_file import BlockFile
+from hil.recording.run_messages import SLACK_S, MessageSchema, RunMessages
 
 FLUSH_S: Final = 0.1
 """Longest time of the run that a row is buffered; what is in the file survives this process."""
@@ -23,8 +20,6 @@ FLUSH_S: Final = 0.1
 RUN, END, SUMMARY = "hil.run", "hil.end", "summary.json"
 """Names of the metadata at the start and at the end, and of the attachment with the run's numbers."""
 
-_JSON_EACH_S: Final = 0.1  # period of the JSON messages for viewers
-_SLACK_S: Final = 1e-9
 _BUFFERED_MAX: Final = 8 * 1024 * 1024  # bytes of images that arrive between cycles
 
 
@@ -52,7 +47,7 @@ class RecordingStats:
     problem: str = ""
 
 
-class RunFile:
+class RunFile(RunMessages):
     """File of a run that is being recorded. Raises OSError if it cannot be created; later errors are counted."""
 
     def __init__(self, path: Path, header: RecordingHeader) -> None:
@@ -61,33 +56,20 @@ class RunFile:
         self._started_ns = header.started_ns
         self._writer = Writer(cast(IO[bytes], self._file), compression=CompressionType.ZSTD)
         self._writer.start("hil", f"hil {header.run.get('hil', '')}")
-        self._json_schemas: dict[str, int] = {}
-        self._channels = {topic: self._record_channel(topic) for topic in schema.RECORDS}
-        self._channels |= {topic: self._json_channel(topic, content) for topic, content in foxglove.SCHEMAS.items()}
-        self._source_dropped: dict[str, int] = {}
-        self._cycles = self._dropped = self._unflushed = 0
-        self._last_s = 0.0
-        self._flushed_s = self._json_s = -np.inf
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._dropped = self._unflushed = 0
+        self._flushed_s = -math.inf
+        super().__init__()
         self._writer.add_metadata(RUN, dict(header.run))
         for name, text in header.files.items():
             self._writer.add_attachment(self._started_ns, self._started_ns, name, "application/json", text.encode())
+        self.write_scene(header.files)
         self.flush()
         if self._file.problem:
             self._file.close()
             path.unlink()
             raise OSError(0, self._file.problem)
-
-    def _record_channel(self, topic: str) -> int:
-        name, fields = schema.RECORDS[topic]
-        number = self._writer.register_schema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
-        return self._writer.register_channel(topic, schema.RECORD_ENCODING, number)
-
-    def _json_channel(self, topic: str, content: Mapping[str, Any]) -> int:
-        title = content["title"]
-        if title not in self._json_schemas:
-            text = json.dumps(content).encode()
-            self._json_schemas[title] = self._writer.register_schema(title, "jsonschema", text)
-        return self._writer.register_channel(topic, "json", self._json_schemas[title])
 
     def continue_from(self, before: RunFile) -> None:
         """Take over what rows refer to from the part before, the times and counts of their sources."""
@@ -95,84 +77,10 @@ class RunFile:
         self._json_s = before._json_s
         self._source_dropped = before._source_dropped
 
-    @property
-    def writers(self) -> dict[str, Callable[[np.ndarray], None]]:
-        """Method that writes the rows of each sink in ``RecordingSinks``."""
-        return {
-            "cycles": self.write_cycles,
-            "arrivals": self.write_arrivals,
-            "log": self.write_log,
-            "images": self.write_images,
-            "monitor_images": self.write_images,
-            "portions": self.write_portions,
-            "imu_samples": lambda rows: self._write_samples("/imu", rows),
-            "axes_samples": lambda rows: self._write_samples("/axes", rows),
-        }
-
-    def write_cycles(self, rows: np.ndarray) -> None:
-        """Write rows (n,) of CYCLE."""
-        for row in rows:
-            self._cycle(row)
-
-    def _cycle(self, row: np.void) -> None:
-        t_s = self._last_s = float(row["t_s"])
-        self._add("/cycle", row.tobytes(), t_s, self._cycles)
-        self._cycles += 1
-        if t_s - self._json_s >= _JSON_EACH_S - _SLACK_S:
-            self._json_s = t_s
-            self._add(foxglove.STATE_TOPIC, foxglove.encoded(foxglove.state(row)), t_s)
-            self._add(foxglove.TRANSFORM_TOPIC, foxglove.encoded(foxglove.transform(row, self._time_ns(t_s))), t_s)
-        if t_s - self._flushed_s >= FLUSH_S - _SLACK_S:
+    def _after_message(self) -> None:
+        """Write what is buffered, every ``FLUSH_S`` of the run and after many images."""
+        if self._last_s - self._flushed_s >= FLUSH_S - SLACK_S or self._file.buffered >= _BUFFERED_MAX:
             self.flush()
-
-    def write_arrivals(self, rows: np.ndarray) -> None:
-        """Write frames of the vision unit, (n,) of ARRIVAL."""
-        for row in rows:
-            t_s = float(row["pose"]["t_s"]) if row["cycle"] >= 0 else self._last_s
-            self._add("/vmu/frames", row.tobytes(), t_s)
-
-    def write_log(self, rows: np.ndarray) -> None:
-        """Write entries of the log, (n,) of LOG_ENTRY."""
-        for row in rows:
-            t_s = float(row["t_s"])
-            self._add(foxglove.LOG_TOPIC, foxglove.encoded(foxglove.log(row, self._time_ns(t_s))), t_s)
-
-    def write_images(self, rows: np.ndarray) -> None:
-        """Write images, (n,) of IMAGE, and their overlays; count those that their source dropped."""
-        for row in rows:
-            camera = row["camera"].decode(errors="replace")
-            if row["size"]:
-                self._image(camera, row)
-            dropped = int(row["dropped"])
-            self.count_lost(dropped - self._source_dropped.get(camera, 0))
-            self._source_dropped[camera] = dropped
-            if self._file.buffered >= _BUFFERED_MAX:
-                self.flush()
-
-    def _image(self, camera: str, row: np.void) -> None:
-        t_s = float(row["t_s"])
-        t_s = self._last_s if math.isnan(t_s) else t_s
-        time_ns = self._time_ns(t_s)
-        topic = self._image_channel(camera, "", foxglove_images.PICTURE_SCHEMA)
-        self._add(topic, foxglove_images.image(row, time_ns), t_s)
-        topic = self._image_channel(camera, foxglove_images.ANNOTATIONS, foxglove_images.ANNOTATION_SCHEMA)
-        self._add(topic, foxglove.encoded(foxglove_images.overlay(overlay_shapes(row), time_ns)), t_s)
-
-    def write_portions(self, rows: np.ndarray) -> None:
-        """Write results of the docking monitor, (n,) of PORTION."""
-        for row in rows:
-            self._add("/monitor/portions", row.tobytes(), float(row["t_s"]))
-
-    def _write_samples(self, topic: str, rows: np.ndarray) -> None:
-        """Write samples of IMU or axes that are faster than the cycle."""
-        for row in rows:
-            self._add(topic, row.tobytes(), float(row["t_s"]))
-
-    def _image_channel(self, camera: str, ending: str, content: Mapping[str, Any]) -> str:
-        topic = f"{foxglove_images.PICTURE_TOPICS}{camera}{ending}"
-        if topic not in self._channels:
-            self._channels[topic] = self._json_channel(topic, content)
-        return topic
 
     @property
     def disk_error(self) -> str:
@@ -219,16 +127,19 @@ class RunFile:
             return ""
         return f"{self.path}: {self._dropped} messages arrived too fast or are too large, and are not recorded"
 
-    def _add(self, topic: str, message: bytes, t_s: float, sequence: int = 0) -> None:
+    def _open_channel(self, topic: str, encoding: str, content: MessageSchema) -> None:
+        if content.name not in self._schemas:
+            self._schemas[content.name] = self._writer.register_schema(content.name, content.encoding, content.data)
+        self._channels[topic] = self._writer.register_channel(topic, encoding, self._schemas[content.name])
+
+    def _add(self, topic: str, message: bytes, time_ns: int, sequence: int = 0) -> None:
         if self._file.problem:
             self._dropped += 1
             return
-        time_ns = self._time_ns(t_s)
         self._writer.add_message(self._channels[topic], time_ns, message, time_ns, sequence)
         self._unflushed += 1
 
-    def _time_ns(self, t_s: float) -> int:
-        """Return the log time of ``t_s`` of the run; times before the run become its start."""
+    def _time_ns(self, t_s: float, bench_s: float = math.nan) -> int:
         return self._started_ns + (round(t_s * 1e9) if t_s > 0.0 else 0)
 
 

@@ -129,7 +129,7 @@ class WiredBench:
 
     rig: with the wires in use. telemetry: CYCLE of each cycle, for other processes. pids: of every process, by the
     name of its device, or IO and WATCHDOG. addresses: of the emulators' wires and control ports. board: state of the
-    emulated axes. notes: log of the operator's changes while a run is recorded.
+    emulated axes. event_recorder: of the last runner.
     """
 
     job: Job
@@ -142,7 +142,7 @@ class WiredBench:
     pids: dict[str, int]
     addresses: dict[str, str]
     board: SharedAxisState | None
-    notes: EventRecorder | None = None
+    event_recorder: EventRecorder | None = None
 
     def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
