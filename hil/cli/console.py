@@ -125,12 +125,14 @@ def _foxglove_clients(port: int | None, token: str | None) -> Iterator[FoxgloveC
         yield None
         return
     from hil.console.foxglove_clients import FoxgloveClients
+    from hil.recording.foxglove_server import layout_file
 
     code = secrets.token_hex(4) if token is None else token
     clients = FoxgloveClients(port, code, _log)
     try:
         shown = f"; code to take the command: {code}" if token is None else ""
         _say(f"foxglove on {clients.address}{shown}")
+        _say(f"layout for it: {layout_file()}")
         yield clients
     finally:
         clients.close()

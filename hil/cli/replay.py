@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Integer, Output, Settings, refuse
+from hil.cli.options import Flag, Group, Integer, Output, Settings, refuse
 from hil.cli.output import check_json_path, print_columns, write_json
 from hil.errors import Problem
 
@@ -28,16 +29,30 @@ _ROWS = (
 )
 
 
+@dataclass(frozen=True)
+class ImageOptions:
+    """Options of a replay of images."""
+
+    vmu: Flag = False
+    """Replay the recorded stereo images through the vision unit instead."""
+    geometry: str | None = None
+    """With --vmu: geometry file (hil calibrate) instead of the recorded one."""
+    monitor: Flag = False
+    """Replay the recorded frames of the docking monitor instead."""
+    scene: str | None = None
+    """With --monitor: scene, shipped or a file, instead of the recorded one."""
+
+
+_NO_IMAGES = ImageOptions()
+
+
 def replay(
     recording: str,
     /,
     *,
     gnc: str | None = None,
     settings: Settings = (),
-    vmu: Flag = False,
-    geometry: str | None = None,
-    monitor: Flag = False,
-    scene: str | None = None,
+    images: Group[ImageOptions] = _NO_IMAGES,
     json: Output = None,
     foxglove: Integer | None = None,
 ) -> int:
@@ -49,20 +64,13 @@ def replay(
         File of hil run --record.
     gnc
         TOML file with other [gnc...] tables, or a scenario whose GNC is used.
-    vmu
-        Replay the recorded stereo images through the vision unit instead.
-    geometry
-        With --vmu: geometry file (hil calibrate) instead of the recorded one.
-    monitor
-        Replay the recorded frames of the docking monitor instead.
-    scene
-        With --monitor: scene, shipped or a file, instead of the recorded one.
     json
         File for the differences, - for standard output.
     foxglove
         Port on this computer at which Foxglove connects, 0 for any free one: plays the recording there instead.
     """
     problems = check_json_path("--json", json)
+    vmu, geometry, monitor, scene = images.vmu, images.geometry, images.monitor, images.scene
     if foxglove is not None:
         others = ("--gnc", "--set", "--vmu", "--geometry", "--monitor", "--scene", "--json")
         values = (gnc, settings, vmu, geometry, monitor, scene, json)
@@ -87,15 +95,16 @@ def replay(
 
 
 def _play(recording: str, port: int) -> int:
-    from hil.recording.foxglove_replay import Player, RecordedMessages
-    from hil.recording.foxglove_server import check_foxglove_option
+    from hil.recording.foxglove_replay import RecordedMessages, RecordingPlayer
+    from hil.recording.foxglove_server import check_foxglove_option, layout_file
 
     check_foxglove_option(port)
     console = Console(stderr=True)
     with console.status("reading the recording"):
         recorded = RecordedMessages(Path(recording))
-    player = Player(recorded, port)
+    player = RecordingPlayer(recorded, port)
     console.print(f"foxglove on {player.address}", highlight=False, soft_wrap=True)
+    console.print(f"layout for it: {layout_file()}", highlight=False, soft_wrap=True)
     try:
         with suppress(KeyboardInterrupt):
             player.run()

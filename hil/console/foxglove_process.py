@@ -1,4 +1,4 @@
-"""Process of the server for Foxglove beside a console: reads the rings of a session, passes requests to the console.
+"""Process of a console's server for Foxglove: reads the rings of a session, passes requests to the console.
 
 It has no part in the loop, and none in the console but a socket. It sends the console, over a pair of sockets with one
 JSON object per packet,
@@ -34,16 +34,16 @@ from hil.core.files import parse_json
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Reader, Ring
-from hil.recording import foxglove, foxglove_images, schema
+from hil.recording import foxglove, foxglove_images
 from hil.recording.foxglove import TEXT, number, table
 from hil.recording.foxglove_server import FoxgloveServer, json_service
 from hil.recording.recorder import RING_DTYPES
-from hil.recording.run_messages import MessageSchema, RunMessages, json_schema
+from hil.recording.run_messages import MessageSchema, RunMessages, fixed_channels, json_schema
 
 BENCH_TOPIC: Final = "/bench"
 _PACKET: Final = 1 << 18
 _MAX_DESCRIPTORS: Final = 16
-_POLL_WALL_S: Final = 0.005
+_POLL_WALL_S: Final = 0.01
 _ALIVE_PERIOD_WALL_S: Final = 0.2
 _ANSWER_WALL_S: Final = 4.0  # the console waits two seconds for the loop
 _CALLS_MAX: Final = 32
@@ -305,9 +305,8 @@ class FoxgloveProcess:
         self._session: LiveSession | None = None
         self._alive_s = -math.inf
         self.server.open_channel(BENCH_TOPIC, "json", json_schema(BENCH_SCHEMA))
-        for topic, (name, fields) in schema.RECORDS.items():  # known before a session: a layout finds its topics
-            content = MessageSchema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
-            self.server.open_channel(topic, schema.RECORD_ENCODING, content)
+        for channel in fixed_channels():  # subscribed to before a session opens
+            self.server.open_channel(*channel)
 
     def step(self) -> bool:
         """Receive messages of the console, send the session's; return whether the console is still there."""

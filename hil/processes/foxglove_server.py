@@ -1,4 +1,4 @@
-"""Process of the server for Foxglove beside a console.
+"""Process of a console's server for Foxglove.
 
 ``python -m hil.processes.foxglove_server`` is started by ``hil.console.foxglove_clients``; it ends with its parent.
 """

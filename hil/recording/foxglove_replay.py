@@ -95,7 +95,7 @@ class RecordedMessages:
                     yield RecordedMessage(record.log_time, topics[record.channel_id], record.data)
 
 
-class Player:
+class RecordingPlayer:
     """Playback of ``recorded`` at a server on ``port``. The viewer controls it; it begins with the first subscription.
 
     Raises BadInput if the server cannot listen.
@@ -124,12 +124,12 @@ class Player:
             self._server.open_channel(topic, encoding, content)
         self._server.open_channel(foxglove.SCENE_TOPIC, "json", json_schema(SCENE_SCHEMA))
 
-    def run(self) -> None:
-        """Serve until the caller is interrupted."""
+    def run(self, stopped: threading.Event | None = None) -> None:
+        """Serve until ``stopped`` is set, or the caller is interrupted."""
         messages: Iterator[RecordedMessage] = iter(())
         due: RecordedMessage | None = None
         state_s = -math.inf
-        while True:
+        while stopped is None or not stopped.is_set():
             with self._lock:
                 sought, now_ns, scene_wanted = self._sought, self._time_ns(), self._scene_wanted
                 self._sought = self._scene_wanted = False

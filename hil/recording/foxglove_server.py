@@ -8,8 +8,10 @@ from __future__ import annotations
 import importlib.util
 import logging
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from hil.config.load import configs_folder
 from hil.errors import BadInput
 from hil.recording.run_messages import MessageSchema
 
@@ -20,6 +22,11 @@ HOST: Final = "127.0.0.1"
 """The protocol has no authentication: other computers connect through a tunnel (ssh -L)."""
 OPTION: Final = "--foxglove"
 _BACKLOG: Final = 256  # messages to one client; the oldest are dropped beyond
+
+
+def layout_file() -> Path:
+    """Return the path of the shipped layout, which Foxglove imports."""
+    return configs_folder() / "foxglove" / "layout.json"
 
 
 def check_foxglove_option(port: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -30,15 +30,21 @@ def json_schema(content: Mapping[str, Any]) -> MessageSchema:
     return MessageSchema(content["title"], "jsonschema", json.dumps(content).encode())
 
 
+def fixed_channels() -> Iterator[tuple[str, str, MessageSchema]]:
+    """Yield topic, encoding and schema of each channel that every run has; those of images come with their images."""
+    for topic, (name, fields) in schema.RECORDS.items():
+        content = MessageSchema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
+        yield topic, schema.RECORD_ENCODING, content
+    for topic, table in (*foxglove.SCHEMAS.items(), (foxglove.SCENE_TOPIC, foxglove_scene.SCENE_SCHEMA)):
+        yield topic, "json", json_schema(table)
+
+
 class RunMessages(ABC):
     """Messages of one run. Subclasses write them to a file or send them to viewers."""
 
     def __init__(self) -> None:
-        for topic, (name, fields) in schema.RECORDS.items():
-            content = MessageSchema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
-            self._open_channel(topic, schema.RECORD_ENCODING, content)
-        for topic, table in (*foxglove.SCHEMAS.items(), (foxglove.SCENE_TOPIC, foxglove_scene.SCENE_SCHEMA)):
-            self._open_channel(topic, "json", json_schema(table))
+        for topic, encoding, content in fixed_channels():
+            self._open_channel(topic, encoding, content)
         self._image_topics: set[str] = set()
         self._source_dropped: dict[str, int] = {}
         self._cycles = 0

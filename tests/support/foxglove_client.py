@@ -10,9 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from websockets.sync.client import connect
-
-_MESSAGE, _TIME, _SERVICE, _PLAYBACK = 1, 2, 3, 5
-_SUBPROTOCOL = "foxglove.sdk.v1"
+from websockets.typing import Subprotocol
 
 
 @dataclass
@@ -49,19 +47,21 @@ class FoxgloveClient:
     """Whether messages are kept."""
     _topics: dict[int, str] = field(default_factory=dict)
     _number: int = 0
+    _awaited: str = ""
 
     def __post_init__(self) -> None:
-        self.socket = connect(
+        self._opened = connect(
             self.address,
-            subprotocols=[_SUBPROTOCOL],
+            subprotocols=[Subprotocol("foxglove.sdk.v1")],
             max_size=None,
             open_timeout=30.0,
-            compression=None,  # type: ignore[list-item]
+            compression=None,
         )
+        self.socket = self._opened.__enter__()
         self.until(lambda: bool(self.info), "the server's information")
 
     def close(self) -> None:
-        self.socket.close()
+        self._opened.__exit__(None, None, None)
 
     def __enter__(self) -> FoxgloveClient:
         return self
@@ -138,8 +138,6 @@ class FoxgloveClient:
         self.socket.send(head + name)
         self.until(lambda: any(state["request"] == name.decode() for state in self.playback), "the playback's state")
         return next(state for state in self.playback if state["request"] == name.decode())
-
-    _awaited: str = ""
 
     def _text(self, message: dict[str, Any]) -> None:
         match message["op"]:
