@@ -305,8 +305,8 @@ class FoxgloveProcess:
         self._session: LiveSession | None = None
         self._alive_s = -math.inf
         self.server.open_channel(BENCH_TOPIC, "json", json_schema(BENCH_SCHEMA))
-        for channel in fixed_channels():  # subscribed to before a session opens
-            self.server.open_channel(*channel)
+        for each in fixed_channels():  # subscribed to before a session opens
+            self.server.open_channel(*each)
 
     def step(self) -> bool:
         """Receive messages of the console, send the session's; return whether the console is still there."""
