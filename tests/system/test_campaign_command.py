@@ -166,6 +166,21 @@ def test_one_case_in_full_detail_is_that_of_the_campaign(alone: Path, tmp_path: 
     assert summary["verdict"]["security"]["nearest_m"] == pytest.approx(row["nearest_m"], rel=1e-14)
 
 
+def test_case_of_a_campaign_with_another_dispersion_set_needs_its_name(tmp_path: Path) -> None:
+    stress = ("--dispersions", "stress", "--set", "dispersions.truth.centre_of_mass_offset_m.sigma=0.003")
+    fly(tmp_path / "c", "--workers", "1", *stress, runs=3)
+    found = json.loads((tmp_path / "c" / "summary.json").read_text())
+    assert found["dispersions"] == "stress"
+    row = pq.read_table(tmp_path / "c" / "cases.parquet").slice(2, 1).to_pylist()[0]
+    assert abs(row["truth.centre_of_mass_offset_m[0]"] - 0.003) < 5 * 0.003
+    assert row["truth.misalignment_sigma_deg"] == 1.0
+    path = tmp_path / "case.json"
+    execute(["run", "scheme-1", "--case", "2", *stress, *SHORT, "--json", str(path)])
+    summary = json.loads(path.read_text())
+    assert summary["seed"] == row["seed"]
+    assert summary["thrusters"]["propellant_kg"] == row["propellant_kg"]
+
+
 def test_pairs_of_two_scenarios_share_their_chance(tmp_path: Path) -> None:
     fly(tmp_path / "c", "--workers", "1", "--against", "scheme-1-printed", runs=5)
     tables = [pq.read_table(tmp_path / "c" / name / "cases.parquet") for name in ("first", "second")]
@@ -194,6 +209,9 @@ def test_sweep_flies_the_same_cases_for_each_value(tmp_path: Path) -> None:
         (("--sweep", "gnc.control.deadband=0.002:0.02:10"), ("--sweep", "gnc.control.deadband", "unknown key")),
         (("--sweep", "x=1:2:3", "--against", "scheme-2"), ("--against", "not together with --sweep")),
         (("--against", "scheme-9"), ("scheme-9", "unknown scenario")),
+        (("--dispersions", "strss"), ("strss", "unknown dispersion set", "data-sheet, shipped, stress")),
+        (("--dispersions", "nowhere.toml"), ("nowhere.toml", "no such file")),
+        (("--dispersions", ""), ("dispersion set",)),
         (("--scheduler", "tcp://127.0.0.1:9"), ("--scheduler", "tcp://127.0.0.1:9", "cannot be reached")),
         (("--set", "rig.rails.x.encoder=incremental"), ("rails.x.encoder", "incremental")),
         (("--set", "vmu.source=rendered"), ("--set: vmu.source", "rendered", 'allowed "model"')),
