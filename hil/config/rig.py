@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire
 from hil.config.flight_computer import FlightComputer
@@ -476,6 +477,7 @@ class Rig(ConfigModel):
     safety: Safety = Safety()
     guard: GuardConfig = GuardConfig()
     host: HostConfig = HostConfig()
+    clock: ClockConfig = ClockConfig()
     console: ConsoleTable = ConsoleTable()
     recording: RecordingTable = RecordingTable()
     gnc_link: GncLink = GncLink()

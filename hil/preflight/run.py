@@ -15,6 +15,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.preflight import lateness
 from hil.preflight.check import PreflightCheck, all_passed
+from hil.preflight.clock import ptp_check
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, measure
@@ -67,6 +68,8 @@ def preflight(
     cycles = round(run.duration_s / run.step_s) + 1
     on_hardware = rig.value.kind == "hardware"
     checks = host_checks(probe(folder), cycles, on_hardware)
+    if rig.value.kind != "mock":
+        checks.append(ptp_check(rig.value.clock))
     announce("checking the planned trajectory")
     checks.append(reachability_check(scenario, rig))
     if rig.value.kind != "mock":

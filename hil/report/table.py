@@ -40,6 +40,8 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
         soft_wrap=True,
     )
     _print_bench(summary["bench"], summary["latency"], console)
+    if clocks := summary.get("clocks"):
+        console.print(f"Clocks      {_clocks_text(clocks, summary['vision'])}", highlight=False, soft_wrap=True)
     _print_timing(summary["timing"], console)
     print_sign_off(summary["sign_off"], console)
     print_waived(summary["waived"], console)
@@ -268,6 +270,22 @@ def _energy_added_text(energy: dict[str, float]) -> str:
         if energy.get(f"{motion}_work_j")
     ]
     return f"axes add {', '.join(parts)} to the work of the thrusters" if parts else ""
+
+
+def _clocks_text(clocks: dict[str, Any], vision: dict[str, int]) -> str:
+    """Return PTP at begin and end, steps of the system's time, and the estimate of the vision unit's clock."""
+    states = [clocks["ptp"][name] for name in ("begin", "end")]
+    text = "no PTP"
+    if all(states):
+        offsets = " and ".join(f"{state['offset_us']:.3g}" for state in states)
+        text = f"PTP {states[-1]['state']}, offset {offsets} us at begin and end"
+    text += f"; system time stepped by {clocks['system_step_us']:.0f} us"
+    if "clock_ahead_us" not in vision:
+        return text
+    return (
+        f"{text}; vision unit's clock ahead by at least {1e-3 * vision['clock_ahead_us']:.1f} ms, "
+        f"drift {1e-3 * vision['clock_drift_ppb']:.1f} ppm, largest step {1e-3 * vision['clock_step_us']:.1f} ms"
+    )
 
 
 def _three(values: list[float], form: str) -> str:

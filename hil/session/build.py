@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+from hil.checks.clock import check_clock
 from hil.checks.compatibility import (
     check_approach,
     check_drivers,
@@ -43,6 +44,7 @@ from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, library_problems, mocks
 from hil.setup.assembly import Job as Job
+from hil.setup.clock_watch import ClockWatch
 from hil.setup.compiled import compiled_cycles, loop_is_compiled
 from hil.setup.compiled import runs_compiled as runs_compiled
 from hil.setup.true_axes import TrueAxesWatch
@@ -81,6 +83,7 @@ def _rig_problems(job: Job) -> list[Problem]:
     problems = [
         *check_ports(job.rig),
         *check_host(job.rig),
+        *check_clock(job.rig),
         *check_io(job.scenario, job.rig),
         *check_rates(job.scenario, job.rig),
         *check_memory(job.scenario, job.rig),
@@ -151,6 +154,7 @@ class WiredBench:
         made = assemble(self.job, self.rig, rate, self.devices, context)
         if self.sinks:
             self.event_recorder = self.sinks.attach(made)
+        made.meters["clocks"] = ClockWatch(self.rig.clock).numbers
         if self.board is not None:
             watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, rate.now_s, self.job.scenario.value.step_s)
             made.loop.telemetry = watch

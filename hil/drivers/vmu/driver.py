@@ -16,6 +16,7 @@ from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, PoseDecoder
+from hil.drivers.vmu.unit_clock import UnitClock
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 
 _LOOK_WALL_S: Final = 0.01
@@ -59,6 +60,7 @@ class Rs422Vmu:
         self._newest: int | None = None  # frame counter
         self._seen: deque[int] = deque(maxlen=_HISTORY)  # counters handed on
         self._offsets: deque[float] = deque(maxlen=_HISTORY)  # reception less time stamp
+        self._clock_offset = UnitClock(self._fastest_s)
         self._decoder = PoseDecoder()
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
@@ -119,6 +121,9 @@ class Rs422Vmu:
 
     def counters(self) -> dict[str, int]:
         """Return the counters since ``open``, named as in ``hil.drivers.vmu.COUNTERS``."""
+        return self._counted() | self._clock_offset.numbers()
+
+    def _counted(self) -> dict[str, int]:
         decoder = self._decoder
         return self._counts | {
             "crc_errors": decoder.crc_errors,
@@ -144,7 +149,7 @@ class Rs422Vmu:
 
     def _hint(self) -> str:
         """Return the counters, for diagnosis: a wrong baud rate shows as skipped bytes."""
-        seen = ", ".join(f"{name} {count}" for name, count in self.counters().items() if count)
+        seen = ", ".join(f"{name} {count}" for name, count in self._counted().items() if count)
         return f" (since open: {seen})" if seen else ""
 
     def _read(self, port: serial.Serial) -> None:
@@ -169,6 +174,7 @@ class Rs422Vmu:
         in_order = self._in_order(decoded.counter)
         if in_order is None:
             return
+        self._clock_offset.add(received_s - decoded.t_s, received_s)
         exposed_s = self._bench_time(decoded.t_s, received_s)
         if decoded.pose is not None:
             self._counts["frames"] += 1
