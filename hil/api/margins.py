@@ -19,6 +19,7 @@ from hil.api.jobs import (
     settings_of,
     with_faults,
 )
+from hil.config.error_models import LAG_MAX_S
 from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
 from hil.config.scenario import DELAY_MAX_S, Scenario
 from hil.errors import BadInput
@@ -36,7 +37,7 @@ def margins(
     workers: int = 0,
     watch: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Search how much later poses, time stamps and axes may be before the first of ``runs`` cases fails.
+    """Search how much later poses, time stamps, thrusters and axes may be before the first of ``runs`` cases fails.
 
     Each is delayed alone, on the mock rig, with the dispersions of the scenario. The bench guard is off: it would end a
     run whose axes are late before the loop does.
@@ -109,6 +110,8 @@ def search_margins(
 def delayed_parts(scenario: Scenario, rig: Rig, seed: int) -> list[DelayedPart]:
     """Return the parts of the loop of ``scenario`` that can be late."""
 
+    valve_s = scenario.chaser.thrusters.errors.delay_s
+
     def job(settings: Settings, faults: Faults = ()) -> CampaignJob:
         late = with_faults(loaded_scenario(scenario, settings), faults)
         return CampaignJob(late, loaded_rig(rig, ["rig.guard.enabled=false", *settings]), seed)
@@ -120,6 +123,9 @@ def delayed_parts(scenario: Scenario, rig: Rig, seed: int) -> list[DelayedPart]:
         late = {"device": "vmu", "kind": "latency", "at_s": 0.0, "value": delay_s, "stamp": "arrival"}
         return job([], [late] if delay_s else [])
 
+    def thrusters(delay_s: float) -> CampaignJob:
+        return job([f"chaser.thrusters.errors.delay_s={valve_s + delay_s}"])
+
     def axes(delay_s: float) -> CampaignJob:
         names = [f"rails.{name}" for name in RAIL_NAMES] + [f"turntable.{name}" for name in GIMBAL_NAMES]
         return job([f"rig.{name}.lead_s={-delay_s}" for name in names])
@@ -127,5 +133,6 @@ def delayed_parts(scenario: Scenario, rig: Rig, seed: int) -> list[DelayedPart]:
     return [
         DelayedPart("poses", DELAY_MAX_S - scenario.vmu.latency_s, poses),
         DelayedPart("stamps", DELAY_MAX_S, stamps),
+        DelayedPart("thrusters", LAG_MAX_S - valve_s, thrusters),
         DelayedPart("axes", LEAD_MAX_S, axes),
     ]

@@ -35,7 +35,7 @@ COMMANDS: Final = {
     "fusion": "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
     "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, "
     "sensitivities.",
-    "margins": "Search how much later poses, their time stamps and axes may be before the first case of a campaign "
+    "margins": "Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign "
     "fails.",
     "emulate": "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
     "preflight": "Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.",

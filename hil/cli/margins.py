@@ -25,7 +25,7 @@ def margins(
     workers: Integer = 0,
     json: Output = None,
 ) -> int:
-    """Search how much later poses, their time stamps and axes may be before the first case of a campaign fails.
+    """Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign fails.
 
     Exit code 1 if cases fail even without a delay.
 

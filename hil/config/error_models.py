@@ -13,7 +13,8 @@ RelativeErrors = tuple[RelativeError, RelativeError, RelativeError]
 Rotation = Annotated[float, Field(ge=-30.0, le=30.0)]
 Misalignment = tuple[Rotation, Rotation, Rotation]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-Lag = Annotated[float, Field(ge=0.0, le=1.0)]
+LAG_MAX_S = 1.0
+Lag = Annotated[float, Field(ge=0.0, le=LAG_MAX_S)]
 _NONE = (0.0, 0.0, 0.0)
 
 
