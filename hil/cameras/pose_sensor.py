@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
 from hil.config.load import load_geometry
-from hil.config.rig import Rig
+from hil.config.rig import Rig, Vmu
 from hil.config.scenario import Scenario, VisionNoise
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import ImageSink
@@ -17,10 +17,10 @@ from hil.core.messages import VMU_FRAME, Array, PoseFrame, new
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.vision import VISION_NOISE, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
-from hil.maths.random_streams import NormalRows, noise_source
+from hil.maths.random_streams import NormalRows, noise_source, stream
 from hil.params import bench as bench_params
 from hil.params import vision as vision_params
-from hil.vmu.geometry import geometry_of_rig
+from hil.vmu.geometry import geometry_of_rig, nominal_geometry
 
 
 class PoseSensor(Protocol):
@@ -76,15 +76,19 @@ def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: ImageSink |
     """
     if scenario.vmu.source == "model":
         return PoseModel(scenario, rig, seed)
-    from hil.cameras.rendered import RenderedPoseSensor
+    from hil.cameras.rendered import RenderedCameras, RenderedPoseSensor
 
     bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
-    return RenderedPoseSensor(
-        bench, mounting, geometry_of_rig(rig), calibrated_geometry(rig), scenario.vmu.images, seed, shown
-    )
+    rng = stream(seed, "pictures")
+    cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng)
+    return RenderedPoseSensor(cameras, calibrated_geometry(rig), rng, shown)
 
 
 def calibrated_geometry(rig: Rig) -> VmuGeometry:
     """Return the geometry that the vision unit of ``rig`` assumes for its cameras and LEDs. Raises BadInput."""
-    path = rig.vmu.geometry_file
-    return geometry_of_rig(rig) if path is None else load_geometry(path).value
+    return geometry_of_unit(rig.vmu)
+
+
+def geometry_of_unit(vmu: Vmu) -> VmuGeometry:
+    """Return the geometry that the vision unit ``vmu`` assumes for its cameras and LEDs. Raises BadInput."""
+    return nominal_geometry(vmu) if vmu.geometry_file is None else load_geometry(vmu.geometry_file).value

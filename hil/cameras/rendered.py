@@ -13,7 +13,6 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import LEFT, RIGHT, CameraImage, ImageSink
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
-from hil.maths.random_streams import stream
 from hil.models.mounting import camera_pose
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.overlay import shapes
@@ -24,12 +23,10 @@ _DECOY_NEAREST_M: Final = 0.25  # from the ring's centre, in its plane
 _DECOY_FARTHEST_M: Final = 1.0
 
 
-class RenderedPoseSensor:
-    """Renders the stereo pair of the axis positions and returns the pose solved from it.
+class RenderedCameras:
+    """Renders the stereo pair of the axis positions.
 
-    bench: BENCH_PARAMS. mounting: MOUNTING. scene: the rendered geometry; geometry: the one that the unit assumes.
-    Every error of the bench, and of the calibration if they differ, affects the pose as it would in a lab.
-    shown: receives the images with their overlay.
+    bench: BENCH_PARAMS. mounting: MOUNTING. scene: the rendered geometry. rng: draws the positions of other lights.
     """
 
     def __init__(
@@ -37,10 +34,8 @@ class RenderedPoseSensor:
         bench: np.record,
         mounting: np.record,
         scene: VmuGeometry,
-        geometry: VmuGeometry,
         pictures: RenderedImages,
-        seed: int,
-        shown: ImageSink | None = None,
+        rng: np.random.Generator,
     ) -> None:
         self._bench = bench
         self._mounting = mounting
@@ -53,20 +48,51 @@ class RenderedPoseSensor:
             read_noise_levels=pictures.read_noise_levels,
         )
         self._renderer = RingRenderer(camera_pair(scene), led_positions(scene), appearance)
-        self._unit = VisionUnit(geometry)
-        self._rng = stream(seed, "pictures")
-        self._decoys = _decoys(self._rng, pictures.decoy_lights)
-        self._shown = shown
-        self._exposures = 0
+        self._decoys = _decoys(rng, pictures.decoy_lights)
         self._r, self._q = np.empty(3), np.empty(4)
 
-    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
-        """Return the pose solved from the images of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
+    def pair(self, rail_m: Array, gimbal_rad: Array, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Return the images (h, w) of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,), with noise of ``rng``."""
+        t_v, q_vt, extras = self._view(rail_m, gimbal_rad)
+        return self._renderer.pair(t_v, q_vt, None, rng, extras)
+
+    def image(self, camera: int, rail_m: Array, gimbal_rad: Array, rng: np.random.Generator) -> np.ndarray:
+        """Return the image of one camera (0 left, 1 right)."""
+        t_v, q_vt, extras = self._view(rail_m, gimbal_rad)
+        return self._renderer.image(camera, t_v, q_vt, None, rng, extras)
+
+    def _view(self, rail_m: Array, gimbal_rad: Array) -> tuple[Array, Array, Extras]:
         t_v, q_vt = np.empty(3), np.empty(4)
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
         camera_pose(self._mounting, self._r, self._q, t_v, q_vt)
         lights = [Light(tuple(quat.transform(q_vt, position) + t_v)) for position in self._decoys]
-        left, right = self._renderer.pair(t_v, q_vt, None, self._rng, Extras(lights=lights))
+        return t_v, q_vt, Extras(lights=lights)
+
+
+class RenderedPoseSensor:
+    """Renders the stereo pair of the axis positions and returns the pose solved from it.
+
+    cameras: with the rendered geometry; geometry: the one that the unit assumes. rng: noise of the images.
+    Every error of the bench, and of the calibration if they differ, affects the pose as it would in a lab.
+    shown: receives the images with their overlay.
+    """
+
+    def __init__(
+        self,
+        cameras: RenderedCameras,
+        geometry: VmuGeometry,
+        rng: np.random.Generator,
+        shown: ImageSink | None = None,
+    ) -> None:
+        self._cameras = cameras
+        self._unit = VisionUnit(geometry)
+        self._rng = rng
+        self._shown = shown
+        self._exposures = 0
+
+    def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
+        """Return the pose solved from the images of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,)."""
+        left, right = self._cameras.pair(rail_m, gimbal_rad, self._rng)
         solution = self._unit.solve(left, right, t_s)
         if self._shown is not None:
             self._show(self._shown, left, right, solution)

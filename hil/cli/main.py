@@ -57,6 +57,7 @@ COMMANDS: Final = {
 }
 """Command -> summary: the function of that name, with _ for -, in the module of that name."""
 GROUPS: Final = {
+    "cameras": "Cameras of the vision unit: find them, show their images, focus their lenses.",
     "gnc": "Run the GNC of a scenario for a bench in another process or on another computer, until the bench "
     "disconnects.",
     "recordings": "Recorded runs.",

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, nullcontext, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ from hil.cli.progress import ProgressBar
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
+    from hil.cameras.live import CameraPairs
     from hil.config.vmu_geometry import VmuGeometry
     from hil.vmu.pose import Prediction
     from hil.vmu.sources import ImageFolder, Pair, StreamPairs
@@ -35,10 +37,12 @@ _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
 
 @dataclass(frozen=True)
 class TrackStartOptions:
-    """Options of the first frame."""
+    """Options of the frames to evaluate."""
 
     start_frame: OptionalInteger = None
     """First frame to evaluate."""
+    frames: OptionalInteger = None
+    """Number of frames to evaluate."""
     start_pose: Annotated[tuple[float, float, float, float, float, float] | None, Parameter(negative=())] = None
     """Initial pose, x y z in m and rotation vector in deg: resolves symmetric LEDs."""
 
@@ -47,6 +51,8 @@ class TrackStartOptions:
         found = []
         if self.start_frame is not None and self.start_frame < 0:
             found.append(Problem("--start-frame", "", f"{self.start_frame}: must be at least 0"))
+        if self.frames is not None and self.frames < 1:
+            found.append(Problem("--frames", "", f"{self.frames}: must be at least 1"))
         if self.start_pose is not None and not all(math.isfinite(value) for value in self.start_pose):
             found.append(Problem("--start-pose", "", "must be six numbers: x y z in m, rotation vector in deg"))
         return found
@@ -84,7 +90,8 @@ def vmu(
     Parameters
     ----------
     folder
-        Folder with the folders left and right; or two videos, left.mkv,right.mkv; or two cameras, camera:0,1.
+        Folder with the folders left and right; or two videos, left.mkv,right.mkv; or two cameras, camera:0,1 or GenICam
+        cameras with software trigger, camera:192.168.1.10,192.168.1.11 (hil cameras list).
     geometry
         File of LED layout and cameras, JSON or TOML (docs/explanation/vision-unit.md).
     out
@@ -108,8 +115,10 @@ def vmu(
     from hil.vmu.unit import VisionUnit
 
     loaded = load_geometry(geometry).value
-    images: ImageFolder | StreamPairs
-    if names_two(folder):
+    images: ImageFolder | StreamPairs | CameraPairs
+    if (cameras := _genicam(folder)) is not None:
+        images, count = _camera_pairs(cameras, loaded, rate_hz), None
+    elif names_two(folder):
         images = StreamPairs(folder)
         count = images.count
     else:
@@ -117,6 +126,7 @@ def vmu(
         _check_size(images, loaded, geometry)
         count = len(images)
     live = isinstance(images, StreamPairs) and images.live
+    endless = live or cameras is not None
     console = Console(stderr=True)
     with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
         unit = VisionUnit(loaded)
@@ -126,13 +136,14 @@ def vmu(
     first = _start(start.start_pose)
     rows, solutions = [], []
     with ExitStack() as stack:
-        if isinstance(images, StreamPairs):
+        if not isinstance(images, ImageFolder):
             stack.enter_context(closing(images))
         line = None if sender.rs422 is None else stack.enter_context(closing(FrameSender(sender.rs422, sender.baud)))
         bar = stack.enter_context(ProgressBar(console, "frames"))
-        stack.enter_context(suppress(KeyboardInterrupt) if live else nullcontext())
+        stack.enter_context(suppress(KeyboardInterrupt) if endless else nullcontext())
         paced = sender.rs422 is not None and not sender.fast
-        for done, (t_s, pair) in enumerate(_on_time(images, rate_hz, live, paced)):
+        evaluated = islice(_on_time(images, rate_hz, live, paced and cameras is None), start.frames)
+        for done, (t_s, pair) in enumerate(evaluated):
             solution = solve(unit, pair, t_s, first if done == 0 else None)
             if line is not None:
                 line.send(solution.frame(0, t_s), t_s)
@@ -148,6 +159,26 @@ def vmu(
     if json != "-":
         _print(summary, out, Console())
     return _PASSED if summary["solved"] else _FAILED
+
+
+def _genicam(source: str) -> list[str] | None:
+    """Return the identifiers of two GenICam cameras, None if ``source`` names something else."""
+    from hil.vmu.sources import CAMERAS
+
+    names = [name.strip() for name in source.removeprefix(CAMERAS).split(",")]
+    if not source.startswith(CAMERAS) or len(names) != 2 or any(name.isdecimal() for name in names):
+        return None
+    return names
+
+
+def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float) -> CameraPairs:
+    from hil.cameras.live import CameraPairs
+    from hil.config.cameras import VisionCameras
+    from hil.config.rig import Vmu
+
+    settings = VisionCameras(left=cameras[0], right=cameras[1])
+    vmu = Vmu.model_validate({"driver": "cameras", "cameras": settings, "rate_hz": rate_hz, "timeout_s": 2.0})
+    return CameraPairs(vmu, [(camera.width, camera.height) for camera in (geometry.left, geometry.right)])
 
 
 def _output_problems(out: str, overlay: str | None, json: str | None) -> list[Problem]:

@@ -26,7 +26,7 @@ from hil.config.model import ConfigModel
 from hil.errors import BadInput
 
 Device = Literal["rails", "turntable", "vmu", "io"]
-WireKind = Literal["serial", "tcp", "can", "other"]
+WireKind = Literal["serial", "tcp", "can", "camera", "other"]
 
 GROUP: Final = "hil.drivers"
 _PACKAGE: Final = "hil"
@@ -36,6 +36,7 @@ _BUILT_IN: Final = {
     "turntable.cia402": "hil.drivers.turntable.cia402.entry:ENTRY",
     "turntable.ascii": "hil.drivers.turntable.ascii.entry:ENTRY",
     "vmu.rs422": "hil.drivers.vmu.entry:ENTRY",
+    "vmu.cameras": "hil.drivers.vmu.entry:CAMERAS",
     "io.modbus": "hil.drivers.io.entry:ENTRY",
 }
 _SERIAL_CAN: Final = ("serial", "slcan")  # interfaces of python-can that are serial ports
@@ -59,13 +60,13 @@ class Wire:
 class WireKey:
     """Key of a device's table that holds the address of one wire, and what an emulator sets there.
 
-    key: of a serial port or CAN channel, for "tcp" of the table with ``host`` and ``port``. name: of the address that
-    the emulator reports, ``DEVICE.NAME``, ``DEVICE`` if empty. emulated: further keys of the same table that are set
-    for an emulator.
+    key: of a serial port, CAN channel or camera, for "tcp" of the table with ``host`` and ``port``. name: of the
+    address that the emulator reports, ``DEVICE.NAME``, ``DEVICE`` if empty. emulated: further keys of the same table
+    that are set for an emulator.
     """
 
     key: str
-    kind: Literal["serial", "tcp", "can"]
+    kind: Literal["serial", "tcp", "can", "camera"]
     name: str = ""
     emulated: Mapping[str, Any] = field(default_factory=dict)
 
@@ -77,7 +78,7 @@ class WireKey:
             port = getattr(model, "port", None)
             return Wire(self.key, "tcp", None if port is None else f"{getattr(model, 'host', '')}:{port}")
         model = _inner(table, parents)
-        kind: WireKind = "serial"
+        kind: WireKind = "camera" if self.kind == "camera" else "serial"
         if self.kind == "can":
             interface = getattr(model, "interface", "socketcan")
             kind = "can" if interface == "socketcan" else "serial" if interface in _SERIAL_CAN else "other"
@@ -105,6 +106,9 @@ class DriverEntry:
     check_files: returns a line per protection that the files named in the table leave out; raises BadInput for a file
     that the driver cannot use.
     identity: what the driver requires the device to report, by name; empty: any device is accepted.
+    has_processes: whether the driver, of a vision unit, has processes of its own: the loop reads their memory, without
+    the I/O process between.
+    emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
     setpoints_hz: most setpoints per second that the wire of an axis group carries, inf if its speed does not matter.
     """
 
@@ -117,6 +121,8 @@ class DriverEntry:
     check: Callable[[Any], None] = lambda table: None
     check_files: Callable[[Any], list[str]] = lambda table: []
     identity: Callable[[Any], Mapping[str, str]] = lambda table: {}
+    has_processes: bool = False
+    emulated_parts: Sequence[str] = ()
     setpoints_hz: Callable[[Any], float] = lambda table: math.inf
 
 

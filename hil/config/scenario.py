@@ -147,8 +147,9 @@ class VisionNoise(ConfigModel):
     """Noise of the vision unit, Table I up to ``reference_range_m`` and proportional to range beyond, and the
     transport of its poses, which are time-stamped at exposure."""
 
-    source: Literal["model", "rendered"] = "model"
-    """Poses with the noise below, or computed from images that are rendered at the axis positions."""
+    source: Literal["model", "rendered", "cameras"] = "model"
+    """Poses with the noise below, computed from images that are rendered at the axis positions, or from the cameras
+    of a rig on wires, `rig.vmu.cameras`."""
     sigma_position_m: Positive
     """Noise of the position, per axis, up to the reference range."""
     sigma_angle_deg: Positive

@@ -53,6 +53,10 @@ class EmulatedDevices:
         """Process of each device, by the device's name; to stop it is to cut the device's power."""
         return {device: process.pid for device, process in self._processes.items()}
 
+    def process_of(self, address: str) -> str:
+        """Return the name of the process that serves the wire or control port ``address``, as in ``pids``."""
+        return next(name for name in self._processes if address == name or address.startswith(f"{name}."))
+
     def wait_ready(self) -> tuple[Rig, dict[str, str]]:
         """Return the rig with the wires that the emulators opened, and the address of each wire and control port.
 
@@ -84,7 +88,10 @@ class EmulatedDevices:
 
 
 def _devices(rig: Rig) -> tuple[str, ...]:
-    return ("rails", "turntable", "vmu", *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
+    """Return what is emulated in a process each: devices, and parts of devices as ``DEVICE.PART``."""
+    parts = rig.vmu.entry.emulated_parts
+    vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"]
+    return ("rails", "turntable", *vision, *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
 
 
 def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:

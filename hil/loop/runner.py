@@ -199,8 +199,8 @@ class Runner:
     def _open(self) -> None:
         self.loop.gnc.open(self.rate.now_s())
         self.loop.safety_io.open(self.rate)
+        self.source.open(self.rate.now_s())  # before any drive has power: cameras may take seconds, or be missing
         self._power_axes()
-        self.source.open(self.rate.now_s())
         self.safety.restart()
         self._modes.go(Mode.STANDBY)
 

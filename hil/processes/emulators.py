@@ -54,7 +54,7 @@ class FaultInjectionService:
 
 def make_emulator(configuration: Message) -> Emulator:
     """Return the emulator of the device that ``configuration`` names."""
-    device, seed = configuration["device"], configuration["seed"]
+    (device, _, part), seed = configuration["device"].partition("."), configuration["seed"]
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
@@ -64,6 +64,10 @@ def make_emulator(configuration: Message) -> Emulator:
     emulator: Emulator
     if device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
+    elif part:
+        from hil.setup.emulated_cameras import emulated_images
+
+        emulator = table.make_emulator(clock, emulated_images(scenario, rig, seed, board, part), part)
     elif device == "vmu":
         from hil.setup.emulated_vision import emulated_vision  # its imports take a second
 

@@ -258,6 +258,6 @@ def _emulators(
     with EmulatedDevices(job.truth, rig, clock, job.seed, images) as emulated:
         wired, addresses = emulated.wait_ready()
         for device, pid in emulated.pids.items():
-            wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if n.split(".")[0] == device)
+            wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if emulated.process_of(n) == device)
             announce(f"emulator process {pid}: {wires}")
         yield wired, emulated, addresses

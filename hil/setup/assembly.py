@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,13 +12,14 @@ import numpy as np
 from hil.cameras.pose_sensor import PoseSensor, make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable
+from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
 from hil.core.messages import AXES, CYCLE, PoseFrame, new
 from hil.core.operator_commands import Operator
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
+from hil.drivers.cameras.base import SIDES
 from hil.drivers.command_words.poses import PoseForwarder
 from hil.drivers.command_words.receiver import CommandWordReceiver
 from hil.drivers.mock_axes import MockAxes
@@ -107,7 +108,12 @@ class Job:
     until_stopped: bool = False
 
     def __post_init__(self) -> None:
-        """Raise BadInput if the run has more cycles than can be recorded."""
+        """Select the rig's cameras for ``vmu.source = "cameras"``. Raise BadInput if there are none.
+
+        Also for a run of more cycles than can be recorded.
+        """
+        if self.scenario.value.vmu.source == "cameras":
+            object.__setattr__(self, "rig", with_cameras(self.scenario, self.rig))
         if self.cycles > CYCLES_MAX and not self.until_stopped:
             text = f"{self.duration_s:g}: has {self.cycles} cycles of step_s, at most {CYCLES_MAX} are allowed"
             raise BadInput.single(self.scenario.where("duration_s"), "duration_s", text)
@@ -133,6 +139,20 @@ class Job:
     def tick_s(self) -> float:
         """Period of the fastest rate that waits for its time, s: that of the rate keeper."""
         return self.scenario.value.step_s / self.ticks
+
+
+def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
+    """Return the rig whose vision unit is the cameras in ``[vmu.cameras]``. Raises BadInput."""
+    vmu = rig.value.vmu
+    if vmu.driver == "mock":
+        text = f'"cameras": rig "{rig.value.name}" is in memory, use one on wires, as emulated'
+        raise BadInput.single(scenario.where("vmu.source"), "vmu.source", text)
+    selected = Vmu.model_validate(vmu.model_dump(mode="json") | {"driver": "cameras"}, strict=False)
+    missing = [side for side in SIDES if getattr(selected.settings, side) is None]
+    if missing and rig.value.kind == "hardware":
+        keys = " and ".join(f"vmu.cameras.{side}" for side in missing)
+        raise BadInput.single(rig.source, keys, 'is missing: needed for vmu.source = "cameras"')
+    return replace(rig, value=rig.value.model_copy(update={"vmu": selected}))
 
 
 def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunContext) -> Runner:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.rig import Rig
+from hil.config.rig import Rig, Vmu
 from hil.config.vmu_geometry import Tolerances, VmuCamera, VmuGeometry
 from hil.core.messages import Array
 from hil.vmu.kernels.chain import COMMON
@@ -89,8 +89,13 @@ def spot_floors(least_px: float) -> Array:
 
 
 def geometry_of_rig(rig: Rig) -> VmuGeometry:
-    """Return the nominal cameras and LEDs of a rig file, exact: principal points in the middle, no distortion."""
-    on_paper = rig.vmu.camera
+    """Return the nominal cameras and LEDs of a rig file."""
+    return nominal_geometry(rig.vmu)
+
+
+def nominal_geometry(vmu: Vmu) -> VmuGeometry:
+    """Return the nominal cameras and LEDs of a vision unit, exact: principal points in the middle, no distortion."""
+    on_paper = vmu.camera
     camera = VmuCamera(
         fx=on_paper.focal_px,
         fy=on_paper.focal_px,
@@ -100,7 +105,7 @@ def geometry_of_rig(rig: Rig) -> VmuGeometry:
         height=on_paper.height_px,
     )
     return VmuGeometry(
-        leds_m=rig.vmu.leds_m,
+        leds_m=vmu.leds_m,
         left=camera,
         right=camera,
         baseline_m=(on_paper.baseline_m, 0.0, 0.0),

@@ -8,7 +8,7 @@ from typing import Final, Self
 from hil.config.rig import Rig
 from hil.core.child_process import ChildProcess
 from hil.core.clock import WallClock
-from hil.drivers.base import DiscreteIo
+from hil.drivers.base import DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import IO, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
@@ -43,6 +43,7 @@ class IoProcesses:
 
     def __init__(self, rig: Rig, clock: WallClock) -> None:
         self._rig = rig
+        self._clock = clock
         self._memory = IoSharedMemory.create()
         self._processes: dict[str, _ChildLink] = {}
         try:
@@ -62,7 +63,7 @@ class IoProcesses:
         for process in self._processes.values():
             process.child.wait_ready(_READY_WALL_S)
 
-    def devices(self) -> tuple[RemoteAxes, RemoteAxes, RemotePoses, DiscreteIo | None, RemoteAxes | None]:
+    def devices(self) -> tuple[RemoteAxes, RemoteAxes, PoseSource, DiscreteIo | None, RemoteAxes | None]:
         """Return the loop's rails, turntable, vision unit, digital I/O, and axes of the target."""
         rig, link = self._rig, self._processes[IO].link
         watchdog = self._processes.get(WATCHDOG)
@@ -70,7 +71,7 @@ class IoProcesses:
         return (
             RemoteAxes("rails", rig.rails, link),
             RemoteTurntable("turntable", rig.turntable, link),
-            RemotePoses(rig.vmu, link),
+            rig.vmu.make_driver(self._clock) if rig.vmu.entry.has_processes else RemotePoses(rig.vmu, link),
             lines,
             RemoteAxes("target", rig.moved_target, link) if rig.moved_target is not None else None,
         )

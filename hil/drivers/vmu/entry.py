@@ -1,9 +1,10 @@
-"""Registry entry of the vision unit on RS-422."""
+"""Registry entries of the vision unit: on RS-422, and computed on this host from cameras."""
 
 from __future__ import annotations
 
 from typing import Final
 
+from hil.config.cameras import VisionCameras
 from hil.config.driver_registry import DriverEntry, WireKey
 
 ENTRY: Final = DriverEntry(
@@ -14,3 +15,15 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("rs422.port", "serial")],
     identity=lambda vmu: vmu.identity.model_dump(exclude_none=True),
 )
+
+CAMERAS: Final = DriverEntry(
+    "vmu",
+    "cameras",
+    driver="hil.drivers.vmu.cameras:CamerasVmu",
+    emulator="hil.drivers.vmu.emulated_camera:emulated_camera",
+    settings=VisionCameras,
+    wires=[WireKey(f"cameras.{side}", "camera", side) for side in ("left", "right")],
+    has_processes=True,
+    emulated_parts=("left", "right"),
+)
+"""GenICam or V4L2 cameras; their images are solved on this host."""

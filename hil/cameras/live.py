@@ -1,0 +1,138 @@
+"""Vision unit on live cameras: pairs of frames to poses, with counts and latencies."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from hil.config.rig import Vmu
+from hil.config.vmu_geometry import VmuGeometry
+from hil.core.clock import WallClock
+from hil.core.messages import PoseFrame
+from hil.drivers.cameras.base import SIDES
+from hil.drivers.cameras.pairing import FRAME_NUMBERS, FramePair, Pairing, TimedFrame
+from hil.drivers.cameras.processes import CameraProcesses
+from hil.vmu.sources import Pair
+from hil.vmu.unit import VisionUnit
+
+_LATENCIES: Final = 2048  # frames; 5 min at 6.25 Hz
+_WAIT_WALL_S: Final = 0.02
+_FUTURE_S: Final = 1e-3
+_OLDEST_S: Final = 2.0  # no image takes longer from exposure to arrival
+
+
+class LiveVision:
+    """Solves the frames of two cameras; times are bench time.
+
+    A pair of which one image is missing or incomplete is solved from the other one. ``counters`` are those of a run's
+    ``vision`` (docs/reference/wire-formats.md).
+    """
+
+    def __init__(self, geometry: VmuGeometry, vmu: Vmu) -> None:
+        self.unit = VisionUnit(geometry)
+        self.unit.warm_up()
+        settings = vmu.settings
+        self._rate_hz = vmu.rate_hz
+        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
+        self._last: FramePair | None = None
+        self._solved = self._counter = 0
+        self._counts = dict.fromkeys(("no_pose", "incomplete", "lost", "clock_jumps"), 0)
+        self._skew_max_s = 0.0
+        self._transfer_s: deque[float] = deque(maxlen=_LATENCIES)
+        self._total_s: deque[float] = deque(maxlen=_LATENCIES)
+
+    def put(self, side: int, frame: TimedFrame) -> None:
+        """Add a frame of the left (0) or right (1) camera."""
+        if frame.image is None:
+            self._counts["incomplete"] += 1
+        age_s = frame.arrived_s - frame.exposed_s
+        if math.isnan(age_s):
+            return
+        if not -_FUTURE_S <= age_s <= _OLDEST_S:
+            self._counts["clock_jumps"] += 1
+            return
+        self._pairing.put(side, frame)
+
+    def poses(self, now_s: float) -> Iterator[PoseFrame]:
+        """Yield the poses of the pairs that are complete at ``now_s``; their time of reception is left to the caller.
+
+        ``solved`` is called by the caller after each, with the time then.
+        """
+        for pair in self._pairing.pairs(now_s):
+            images = [None if frame is None else frame.image for frame in (pair.left, pair.right)]
+            t_s = pair.exposed_s
+            if self._last is not None:
+                self._counts["lost"] += max(0, round((t_s - self._last.exposed_s) * self._rate_hz) - 1)
+                self._counter += max(1, round((t_s - self._last.exposed_s) * self._rate_hz))
+            self._last = pair
+            if pair.left is not None and pair.right is not None:
+                self._skew_max_s = max(self._skew_max_s, abs(pair.left.exposed_s - pair.right.exposed_s))
+            if images[0] is None and images[1] is None:
+                self._counts["lost"] += 1
+                continue
+            solution = self.unit.solve(images[0], images[1], t_s)
+            frame = solution.frame(self._counter & 0xFFFF_FFFF, math.nan)
+            if frame is None:
+                self._counts["no_pose"] += 1
+                continue
+            self._solved += 1
+            yield frame
+
+    def sent(self, now_s: float) -> None:
+        """Note that the pose of the newest pair was sent at ``now_s``."""
+        assert self._last is not None
+        self._transfer_s.append(self._last.arrived_s - self._last.exposed_s)
+        self._total_s.append(now_s - self._last.exposed_s)
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters, times in microseconds."""
+        found = {"frames": self._solved, **self._counts, **self._pairing.counters}
+        found["pair_skew_max_us"] = round(1e6 * self._skew_max_s)
+        for name, times in (("exposure_to_image", self._transfer_s), ("exposure_to_pose", self._total_s)):
+            if times:
+                p50, p99 = np.percentile(times, [50, 99])
+                found |= {f"{name}_p50_us": round(1e6 * p50), f"{name}_p99_us": round(1e6 * p99)}
+        return found
+
+
+class CameraPairs:
+    """Pairs of two cameras with software triggers, numbered from the first exposure on, until ``close``.
+
+    vmu: with the cameras; sizes: (width, height) of their images, px. The first pairs are missing: cameras need some
+    exposures until their clocks are known. Raises DeviceError that names the camera.
+    """
+
+    def __init__(self, vmu: Vmu, sizes: Sequence[tuple[int, int]]) -> None:
+        self._clock = WallClock(time.monotonic_ns())
+        settings = vmu.settings
+        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
+        self._first: list[int | None] = [None] * len(SIDES)
+        self._cameras = CameraProcesses(vmu, sizes, self._clock)
+
+    def __iter__(self) -> Iterator[Pair]:
+        while True:
+            for side, frame in self._cameras.frames(_WAIT_WALL_S):
+                if self._first[side] is None:
+                    self._first[side] = frame.number
+                if math.isfinite(frame.exposed_s):
+                    self._pairing.put(side, frame)
+            for pair in self._pairing.pairs(self._clock.now_s()):
+                images = [None if frame is None else frame.image for frame in (pair.left, pair.right)]
+                yield Pair(self._number(pair), images[0], images[1])
+            self._cameras.check(self._clock.now_s())
+
+    def _number(self, pair: FramePair) -> int:
+        side = 0 if pair.left is not None else 1
+        frame, first = pair.left or pair.right, self._first[side]
+        assert frame is not None
+        assert first is not None
+        return (frame.number - first) % FRAME_NUMBERS
+
+    def close(self) -> None:
+        """End the camera processes. Idempotent."""
+        self._cameras.close()

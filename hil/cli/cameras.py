@@ -1,0 +1,245 @@
+"""``hil cameras``: find, show and focus the cameras of a vision unit."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from cyclopts import App, Parameter
+from rich.console import Console
+
+from hil.cli.options import Group, Integer, OptionalInteger, Output, above_zero, refuse
+from hil.cli.output import check_json_path, print_columns, write_json
+from hil.errors import BadInput, Problem
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from hil.drivers.cameras.base import Camera
+
+_NAME: Final = "camera"
+_WAIT_WALL_S: Final = 2.0
+
+app = App(name="cameras")
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Options of a camera."""
+
+    interface: str = "genicam"
+    """genicam (GigE Vision, USB3 Vision) or v4l2."""
+    width: OptionalInteger = None
+    """Image width, px; default: 1024."""
+    height: OptionalInteger = None
+    """Image height, px; default: 1024."""
+    pixel_format: str = "Mono8"
+    """Mono8, Mono10, Mono12 or Mono16."""
+    trigger: str = "none"
+    """none (free-running), software or hardware."""
+    exposure_ms: float | None = None
+    """Exposure time."""
+    gain_db: float | None = None
+    """Gain."""
+    packet_bytes: OptionalInteger = None
+    """Packet size of a GigE camera."""
+    rate_hz: float = 6.25
+    """Images per second."""
+
+
+_DEFAULTS = CameraOptions()
+
+
+@app.command(name="list", help="List the cameras that answer: GigE Vision, USB3 Vision, V4L2.")
+def list_found(*, json: Output = None) -> int:
+    """List the cameras that answer: GigE Vision, USB3 Vision, V4L2.
+
+    Parameters
+    ----------
+    json
+        File for the list, - for standard output.
+    """
+    refuse(check_json_path("--json", json))
+    from hil.drivers.cameras.base import CameraInfo, list_cameras
+
+    found = list_cameras()
+    if json is not None:
+        write_json({"cameras": [camera._asdict() for camera in found]}, json)
+    if json != "-":
+        print_columns(CameraInfo._fields, [list(camera) for camera in found])
+    return 0 if found else 1
+
+
+@app.command(name="show", help="Take images of one camera: size, levels, rate, losses; the last one as a file.")
+def show(
+    camera: str, /, *, out: str | None = None, images: Integer = 10, options: Group[CameraOptions] = _DEFAULTS
+) -> int:
+    """Take images of one camera: size, levels, rate, losses; the last one as a file.
+
+    Parameters
+    ----------
+    camera
+        IP address, serial number or identifier; of V4L2 the device, /dev/video0.
+    out
+        File for the last image (*.png).
+    images
+        Number of images.
+    """
+    import cv2
+    import numpy as np
+
+    problems = _problems(options)
+    if images < 1:
+        problems.append(Problem("--images", "", f"{images}: must be at least 1"))
+    if out is not None and (Path(out).suffix != ".png" or not Path(out).absolute().parent.is_dir()):
+        problems.append(Problem("--out", "", f"{out}: give a file *.png in a folder that exists"))
+    refuse(problems)
+    console, taken, incomplete, times = Console(), [], 0, []
+    opened = _open(camera, options)
+    try:
+        for _ in range(images):
+            image = _take(opened, options)
+            times.append(time.monotonic())
+            if image is None:
+                incomplete += 1
+            else:
+                taken.append(image)
+    finally:
+        opened.close()
+    if not taken:
+        console.print(f"{camera}: {incomplete} images, all with missing packets", style="red")
+        return 1
+    last = taken[-1]
+    rate = f"{(len(times) - 1) / (times[-1] - times[0]):.2f} Hz" if len(times) > 1 else "one image"
+    levels = np.percentile(last, [1, 50, 99])
+    console.print(
+        f"{camera}: {last.shape[1]} x {last.shape[0]} px, {rate}, {incomplete} of {images} with missing packets; "
+        f"levels {levels[0]:.0f} / {levels[1]:.0f} / {levels[2]:.0f} (1, 50, 99 %), highest {last.max()}, "
+        f"{100.0 * np.mean(last == 255):.3f} % saturated",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if out is not None and not cv2.imwrite(out, last):
+        raise BadInput.single("--out", "", f"{out}: cannot be written")
+    return 0
+
+
+@app.command(name="focus", help="Print the sharpness of the spots of one camera, image by image, until Ctrl-C.")
+def focus(
+    camera: str,
+    /,
+    *,
+    images: Annotated[int | None, Parameter(help="Number of images; default: until Ctrl-C.")] = None,
+    options: Group[CameraOptions] = _DEFAULTS,
+) -> int:
+    """Print the sharpness of the spots of one camera, image by image, until Ctrl-C.
+
+    Parameters
+    ----------
+    camera
+        IP address, serial number or identifier; of V4L2 the device, /dev/video0.
+    """
+    refuse(_problems(options))
+    from hil.vmu.detect import SpotDetector
+
+    console, detector = Console(), SpotDetector(_size(options)[::-1])
+    opened = _open(camera, options)
+    best, count = math.inf, 0
+    try:
+        while images is None or count < images:
+            count += 1
+            image = _take(opened, options)
+            if image is None:
+                console.print("missing packets", style="red")
+                continue
+            width = _spot_width(detector.spots(image), image)
+            best = min(best, width)
+            text = "no spots" if math.isinf(width) else f"spots {width:.2f} px wide, sharpest {best:.2f} px"
+            console.print(f"{text}, highest level {image.max()}", highlight=False)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        opened.close()
+    return 0 if math.isfinite(best) else 1
+
+
+def _spot_width(spots: np.ndarray, image: np.ndarray) -> float:
+    """Return the median 1-sigma width of the spots, px; inf without one."""
+    import numpy as np
+
+    widths = []
+    for spot in spots:
+        u, v = round(float(spot["u"])), round(float(spot["v"]))
+        box = image[max(0, v - 12) : v + 13, max(0, u - 12) : u + 13].astype(float)
+        light = np.maximum(box - np.median(box) - 0.05 * (box.max() - np.median(box)), 0.0)
+        rows, columns = np.indices(light.shape)
+        total = light.sum()
+        mean = (light * rows).sum() / total, (light * columns).sum() / total
+        widths.append(math.sqrt((light * ((rows - mean[0]) ** 2 + (columns - mean[1]) ** 2)).sum() / total / 2.0))
+    return float(np.median(widths)) if widths else math.inf
+
+
+def _problems(options: CameraOptions) -> list[Problem]:
+    from typing import get_args
+
+    from hil.config.cameras import PixelFormat
+
+    problems = above_zero("--rate-hz", options.rate_hz) + above_zero("--exposure-ms", options.exposure_ms, at_most=1e3)
+    for name, allowed in (
+        ("interface", ("genicam", "v4l2")),
+        ("pixel_format", get_args(PixelFormat)),
+        ("trigger", ("none", "software", "hardware")),
+    ):
+        value = getattr(options, name)
+        if value not in allowed:
+            text = f"{value}: unknown, allowed: {', '.join(allowed)}"
+            problems.append(Problem(f"--{name.replace('_', '-')}", "", text))
+    for name in ("width", "height"):
+        value = getattr(options, name)
+        if value is not None and not 16 <= value <= 16384:
+            problems.append(Problem(f"--{name}", "", f"{value}: must be 16 to 16384"))
+    if options.gain_db is not None and options.gain_db < 0.0:
+        problems.append(Problem("--gain-db", "", f"{options.gain_db:g}: must not be negative"))
+    if options.packet_bytes is not None and not 576 <= options.packet_bytes <= 65000:
+        problems.append(Problem("--packet-bytes", "", f"{options.packet_bytes}: must be 576 to 65000"))
+    return problems
+
+
+def _size(options: CameraOptions) -> tuple[int, int]:
+    return options.width or 1024, options.height or 1024
+
+
+def _open(camera: str, options: CameraOptions) -> Camera:
+    from hil.config.cameras import VisionCameras
+    from hil.drivers.cameras.base import open_camera
+
+    settings = VisionCameras.model_validate(
+        {
+            "interface": options.interface,
+            "trigger": options.trigger,
+            "pixel_format": options.pixel_format,
+            "exposure_s": None if options.exposure_ms is None else 1e-3 * options.exposure_ms,
+            "gain_db": options.gain_db,
+            "packet_bytes": options.packet_bytes,
+        }
+    )
+    opened = open_camera(_NAME, camera, settings, _size(options), options.rate_hz)
+    opened.start()
+    return opened
+
+
+def _take(camera: Camera, options: CameraOptions) -> np.ndarray | None:
+    """Return the next image, None if packets of it are missing. Raises LinkTimeout if there is none."""
+    from hil.errors import LinkTimeout
+
+    if options.trigger == "software":
+        time.sleep(1.0 / options.rate_hz)
+        camera.trigger()
+    frame = camera.receive(_WAIT_WALL_S + 1.0 / options.rate_hz)
+    if frame is None:
+        hint = "; is the trigger connected?" if options.trigger == "hardware" else ""
+        raise LinkTimeout(_NAME, f"no image within {_WAIT_WALL_S:g} s{hint}")
+    return frame.image

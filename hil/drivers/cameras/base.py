@@ -1,0 +1,92 @@
+"""Interface of a camera, and its frames."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+
+from hil.config.cameras import PixelFormat, VisionCameras
+from hil.errors import DeviceError
+
+SIDES: Final = ("left", "right")
+BITS: Final[dict[PixelFormat, int]] = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
+
+
+class CameraInfo(NamedTuple):
+    """A camera that was found. identifier: what ``open_camera`` accepts."""
+
+    identifier: str
+    vendor: str
+    model: str
+    serial: str
+    address: str
+    protocol: str
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFrame:
+    """An image as received. image: (height, width), uint8; None if parts of it are missing.
+
+    number: the camera's frame number. stamp_s: its time stamp, by its own clock; nan without one. missing_packets:
+    whether packets were lost.
+    """
+
+    image: np.ndarray | None
+    number: int
+    stamp_s: float = math.nan
+
+
+class Camera(Protocol):
+    """A camera that is open and set up; not thread-safe except for ``trigger``."""
+
+    def start(self) -> None:
+        """Start the acquisition."""
+
+    def trigger(self) -> None:
+        """Command one exposure. Raises DeviceError."""
+
+    def receive(self, timeout_s: float) -> CameraFrame | None:
+        """Return the next frame, None if there is none within ``timeout_s`` of wall time. Raises DeviceError."""
+
+    def close(self) -> None:
+        """Stop and release the camera. Idempotent, never raises."""
+
+
+def open_camera(name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float) -> Camera:
+    """Return the camera ``identifier``, set up for images of ``size`` (width, height), px. Raises DeviceError.
+
+    name: of the device in errors.
+    """
+    if settings.interface == "v4l2":
+        from hil.drivers.cameras.v4l2 import V4l2Camera
+
+        return V4l2Camera(name, identifier, settings, size, rate_hz)
+    from hil.drivers.cameras.genicam import GenicamCamera
+
+    return GenicamCamera(name, identifier, settings, size, rate_hz)
+
+
+def list_cameras() -> list[CameraInfo]:
+    """Return the cameras that answer. Raises DeviceError without libaravis."""
+    from hil.drivers.cameras.genicam import found_cameras
+    from hil.drivers.cameras.v4l2 import found_devices
+
+    return [*found_cameras(), *found_devices()]
+
+
+def to_8_bits(raw: np.ndarray, bits: int) -> np.ndarray:
+    """Return grey levels of ``bits`` bits, uint16, as uint8, rounded; saturated pixels stay saturated."""
+    if bits == 8:
+        return raw
+    half = 1 << (bits - 9)
+    reduced: np.ndarray = np.minimum((raw.astype(np.uint32) + half) >> (bits - 8), 255).astype(np.uint8)
+    return reduced
+
+
+def check_size(name: str, found: tuple[int, int], size: tuple[int, int]) -> None:
+    """Raise DeviceError if a camera's images, (width, height), are of another size than the geometry's."""
+    if found != size:
+        raise DeviceError(name, f"images of {found[0]} x {found[1]} px, the geometry has {size[0]} x {size[1]}")

@@ -1,0 +1,116 @@
+"""The processes of a pair of cameras, for the process that solves their images."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from hil.config.rig import Vmu
+from hil.core.child_process import ChildProcess, Message
+from hil.core.clock import WallClock
+from hil.drivers.cameras.base import SIDES
+from hil.drivers.cameras.frame_memory import frame_of, frame_ring
+from hil.drivers.cameras.pairing import TimedFrame
+from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
+
+_READY_WALL_S: Final = 20.0
+_KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
+
+
+class CameraProcesses:
+    """Starts a process per camera of ``[vmu.cameras]``; ``close`` ends them.
+
+    sizes: (width, height) of the images, px, left and right. Raises DeviceError that names the camera.
+    """
+
+    def __init__(self, vmu: Vmu, sizes: Sequence[tuple[int, int]], clock: WallClock) -> None:
+        self._clock = clock
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._children: list[ChildProcess] = []
+        self._timeout_s = vmu.timeout_s
+        self.jumps = [0, 0]
+        """Jumps of the cameras' clocks."""
+        self.skipped = 0
+        """Frames that were overwritten before they were read."""
+        self._rings = [frame_ring(size) for size in sizes]
+        self._readers = [ring.reader() for ring in self._rings]
+        try:
+            for side, size, ring in zip(SIDES, sizes, self._rings, strict=True):
+                name, identifier = f"vmu.{side}", getattr(vmu.settings, side)
+                if identifier is None:
+                    raise LinkLost(name, f"cameras.{side} is not set")
+                configuration = {
+                    "name": name,
+                    "identifier": identifier,
+                    "vmu": vmu.model_dump(mode="json"),
+                    "size": size,
+                    "epoch_ns": clock.epoch_ns,
+                    "speed": clock.speed,
+                    "ring": ring.descriptor,
+                    "wake": self._wake,
+                }
+                descriptors = (ring.descriptor, self._wake)
+                self._children.append(
+                    ChildProcess(f"{name} camera", "hil.processes.camera", configuration, descriptors)
+                )
+            for child in self._children:
+                raise_failure(child.wait_ready(_READY_WALL_S))
+        except BaseException:
+            self.close()
+            raise
+        self._arrived_s = [clock.now_s()] * len(SIDES)
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Processes of the cameras, ``vmu.left`` and ``vmu.right``."""
+        return {f"vmu.{side}": child.pid for side, child in zip(SIDES, self._children, strict=True)}
+
+    def frames(self, timeout_s: float) -> Iterator[tuple[int, TimedFrame]]:
+        """Yield the new frames, each with its side, 0 or 1; waits up to ``timeout_s`` of wall time for one."""
+        if select.select([self._wake], [], [], timeout_s)[0]:
+            os.eventfd_read(self._wake)
+        for side, reader in enumerate(self._readers):
+            for record in reader.read():
+                self.jumps[side] = int(record["jumps"])
+                self._arrived_s[side] = max(self._arrived_s[side], float(record["arrived_s"]))
+                yield side, frame_of(record)
+        self.skipped = sum(reader.lost for reader in self._readers)
+
+    def check(self, now_s: float) -> None:
+        """Raise DeviceError for a camera whose process has ended, or that has sent nothing for ``vmu.timeout_s``."""
+        for side, child in zip(SIDES, self._children, strict=True):
+            if ended := child.exit_status():
+                try:
+                    raise_failure(child.receive(0.0))
+                except (LinkTimeout, ProtocolError):
+                    pass
+                except LinkLost as lost:
+                    if lost.device == f"vmu.{side}":
+                        raise
+                raise LinkLost(f"vmu.{side}", f"camera process {ended}")
+            age_s = now_s - self._arrived_s[SIDES.index(side)]
+            if age_s > self._timeout_s:
+                raise LinkTimeout(f"vmu.{side}", f"no image for {age_s:.3f} s, allowed {self._timeout_s:g} s")
+
+    def close(self) -> None:
+        """End the processes. Idempotent."""
+        for child in self._children:
+            child.ask_to_end()
+        for child in self._children:
+            child.close()
+        self._children.clear()
+        for ring in self._rings:
+            ring.close()
+        self._rings.clear()
+        if self._wake >= 0:
+            os.close(self._wake)
+            self._wake = -1
+
+
+def raise_failure(message: Message) -> None:
+    """Raise the DeviceError that a child's message holds, if it does."""
+    if "failure" in message:
+        kind, device, what = message["failure"]
+        raise _KINDS.get(kind, DeviceError)(device, what)

@@ -1,0 +1,72 @@
+"""V4L2 cameras by OpenCV: free-running, without time stamps of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hil.config.cameras import VisionCameras
+from hil.drivers.cameras.base import CameraFrame, CameraInfo, check_size
+from hil.errors import DeviceError, LinkLost
+
+
+class V4l2Camera:
+    """A V4L2 device; see ``open_camera``. Its frames have numbers of this host and the time of their arrival."""
+
+    def __init__(
+        self, name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float
+    ) -> None:
+        import cv2  # slow to import
+
+        self._name = name
+        self._size = size
+        self._frames = 0
+        if settings.trigger != "none":
+            raise DeviceError(name, f'trigger = "{settings.trigger}": V4L2 cameras have "none"')
+        if settings.pixel_format != "Mono8":
+            raise DeviceError(name, f'pixel_format = "{settings.pixel_format}": of V4L2 cameras allowed is "Mono8"')
+        self._capture = cv2.VideoCapture(identifier, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            raise LinkLost(name, f"no camera {identifier!r}")
+        for key, value in (
+            (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
+            (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
+            (cv2.CAP_PROP_FPS, rate_hz),
+            (cv2.CAP_PROP_BUFFERSIZE, 1),
+        ):
+            self._capture.set(key, value)
+        if settings.exposure_s is not None:
+            self._capture.set(cv2.CAP_PROP_EXPOSURE, 1e4 * settings.exposure_s)  # V4L2: units of 100 us
+
+    def start(self) -> None:
+        """Do nothing: the device runs when it is read."""
+
+    def trigger(self) -> None:
+        """Raise DeviceError: the device has no software trigger."""
+        raise DeviceError(self._name, "has no software trigger")
+
+    def receive(self, timeout_s: float) -> CameraFrame | None:
+        """Return the next frame; waits for it, at most as long as the driver does."""
+        import cv2
+
+        whole, image = self._capture.read()
+        if not whole or image is None:
+            raise LinkLost(self._name, "sends no images")
+        grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+        check_size(self._name, (grey.shape[1], grey.shape[0]), self._size)
+        self._frames += 1
+        return CameraFrame(grey, self._frames)
+
+    def close(self) -> None:
+        """Release the device. Idempotent."""
+        self._capture.release()
+
+
+def found_devices() -> list[CameraInfo]:
+    """Return the video devices of this host."""
+    found = []
+    for path in sorted(Path("/sys/class/video4linux").glob("video*")):
+        model = (path / "name").read_text(errors="replace").strip()
+        found.append(CameraInfo(f"/dev/{path.name}", "", model, "", f"/dev/{path.name}", "V4L2"))
+    return found

@@ -1,0 +1,121 @@
+"""Camera process: one camera of the vision unit; triggers it, and hands its frames on with their times of exposure.
+
+``python -m hil.processes.camera`` is started by ``CameraProcesses``, once per camera.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from hil.config.rig import Vmu
+from hil.core.child_process import Message, Parent
+from hil.core.clock import WallClock
+from hil.core.realtime import take_fifo
+from hil.drivers.cameras.base import Camera, CameraFrame, open_camera
+from hil.drivers.cameras.camera_clock import CameraClock
+from hil.drivers.cameras.frame_memory import frame_ring, frame_type
+from hil.drivers.remote.server import FIFO_PRIORITY
+from hil.errors import DeviceError
+
+_RECEIVE_WALL_S: Final = 0.05
+_TRIGGERS_KEPT: Final = 16
+
+
+class CameraServer:
+    """Receives the frames of a camera and writes them into shared memory.
+
+    configuration: as sent by ``CameraProcesses``. Raises DeviceError if the camera cannot be used.
+    """
+
+    def __init__(self, configuration: Message) -> None:
+        vmu = Vmu.model_validate(configuration["vmu"], strict=False)
+        self._settings = vmu.settings
+        self._rate_hz = vmu.rate_hz
+        self._clock = WallClock(configuration["epoch_ns"], configuration["speed"])
+        size = (configuration["size"][0], configuration["size"][1])
+        name = configuration["name"]
+        wall_rate_hz = vmu.rate_hz * self._clock.speed
+        self._camera: Camera = open_camera(name, configuration["identifier"], self._settings, size, wall_rate_hz)
+        self._ring = frame_ring(size, configuration["ring"])
+        self._wake = configuration["wake"]
+        self._record = np.zeros(1, frame_type(size))
+        self._triggered = self._settings.trigger == "software"
+        self._triggers_s: deque[float] = deque(maxlen=_TRIGGERS_KEPT)
+        self._camera_clock = CameraClock(self._settings.latency_s, self._triggered)
+        self._ended = threading.Event()
+        self._failures: list[DeviceError] = []
+
+    def run(self, parent: Parent) -> None:
+        """Serve until the parent ends. Raises DeviceError."""
+        self._camera.start()
+        if self._triggered:
+            threading.Thread(target=self._trigger, name="trigger", daemon=True).start()
+        try:
+            while not parent.wait_end(0.0):
+                frame = self._camera.receive(_RECEIVE_WALL_S)
+                if frame is not None:
+                    self._hand_on(frame, self._clock.now_s())
+                if self._failures:
+                    raise self._failures[0]
+        finally:
+            self._ended.set()
+            self._camera.close()
+
+    def _trigger(self) -> None:
+        """Trigger exposures at multiples of the period of bench time."""
+        exposure = math.ceil(self._clock.now_s() * self._rate_hz)
+        try:
+            while not self._ended.is_set():
+                self._clock.sleep_until(exposure / self._rate_hz)
+                now_s = self._clock.now_s()
+                self._triggers_s.append(now_s)
+                self._camera.trigger()
+                exposure = max(exposure + 1, math.ceil(self._clock.now_s() * self._rate_hz - 0.5))
+        except DeviceError as error:
+            if not self._ended.is_set():
+                self._failures.append(error)
+
+    def _hand_on(self, frame: CameraFrame, arrived_s: float) -> None:
+        record = self._record
+        record["exposed_s"] = self._exposed_s(frame, arrived_s)
+        record["arrived_s"], record["number"] = arrived_s, frame.number
+        record["complete"], record["jumps"] = frame.image is not None, self._camera_clock.jumps
+        if frame.image is not None:
+            record["image"] = frame.image
+        self._ring.put(record)
+        os.eventfd_write(self._wake, 1)
+
+    def _exposed_s(self, frame: CameraFrame, arrived_s: float) -> float:
+        speed = self._clock.speed
+        if math.isnan(frame.stamp_s):
+            return arrived_s - self._settings.latency_s if frame.image is not None else math.nan
+        if self._settings.clock == "system":
+            return self._clock.now_s() - (time.time() - frame.stamp_s) * speed
+        stamp_s = frame.stamp_s * speed
+        certain_s = stamp_s if frame.image is not None else math.nan
+        self._camera_clock.add(certain_s, arrived_s, tuple(self._triggers_s))
+        return self._camera_clock.exposed_s(stamp_s)
+
+
+def main() -> None:
+    """Serve the camera; an error is reported to the parent as a message with ``failure``."""
+    parent = Parent()
+    take_fifo(FIFO_PRIORITY - 5)
+    configuration = parent.configuration
+    try:
+        server = CameraServer(configuration)
+        parent.send(ready=True)
+        server.run(parent)
+    except DeviceError as error:
+        parent.send(failure=[type(error).__name__, error.device, error.what])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""Emulated cameras of a vision unit: images of the emulated axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from hil.cameras.rendered import RenderedCameras
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.drivers.cameras.base import SIDES
+from hil.drivers.shared_state import SharedAxisState
+from hil.errors import BadInput
+from hil.maths.random_streams import stream
+from hil.params import bench as bench_params
+from hil.params import vision as vision_params
+from hil.setup.assembly import start_axes
+from hil.vmu.geometry import geometry_of_rig
+from hil.vmu.sources import ImageFolder
+
+Images = Callable[[float], np.ndarray]
+"""Image, (height, width), uint8, of an exposure at a bench time, s."""
+
+
+def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, side: str) -> Images:
+    """Return the images of the camera ``side`` over bench time, s; its kernels are compiled when this returns."""
+    camera = SIDES.index(side)
+    cameras = _rendered(scenario, rig, seed)
+    noise, warm_up = stream(seed, "pictures").spawn(2)[camera], stream(seed, "pictures")
+    start = start_axes(scenario, rig)
+    cameras.image(camera, start.rail_m, start.gimbal_rad, warm_up)
+
+    def image_at(t_s: float) -> np.ndarray:
+        rails, _ = board.read("rails", t_s)
+        gimbals, _ = board.read("turntable", t_s)
+        return cameras.image(camera, rails, gimbals, noise)
+
+    return image_at
+
+
+def _rendered(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
+    bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
+    return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, stream(seed, "pictures"))
+
+
+def images_at_start(scenario: Scenario, rig: Rig) -> tuple[Images, Images]:
+    """Return the images of both cameras with the axes at the start of ``scenario``, the same at all times."""
+    start = start_axes(scenario, rig)
+    left, right = _rendered(scenario, rig, 0).pair(start.rail_m, start.gimbal_rad, stream(0, "pictures"))
+    return lambda _: left, lambda _: right
+
+
+def images_of_folder(folder: Path, rig: Rig) -> tuple[Images, Images]:
+    """Return the images of ``folder``, one per exposure from the first one on, and then the last one.
+
+    A missing or damaged image is black. Raises BadInput for images of another size than the rig's cameras.
+    """
+    images = ImageFolder(folder)
+    size = rig.vmu.camera.height_px, rig.vmu.camera.width_px
+    black = np.zeros(size, np.uint8)
+    for pair in images:
+        for image in (pair.left, pair.right):
+            if image is not None and image.shape != size:
+                text = (
+                    f"frame {pair.frame} is {image.shape[1]} x {image.shape[0]}, the cameras are {size[1]} x {size[0]}"
+                )
+                raise BadInput.single(str(folder), "", text)
+
+    def images_of(side: str) -> Images:
+        exposures = iter(images.frames)
+        last = images.frames[0]
+
+        def image_at(t_s: float) -> np.ndarray:
+            nonlocal last
+            last = next(exposures, last)
+            image: np.ndarray | None = getattr(images.pair(last), side)
+            return black if image is None else image
+
+        return image_at
+
+    return images_of("left"), images_of("right")
