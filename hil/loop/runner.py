@@ -198,8 +198,8 @@ class Runner:
 
     def _open(self) -> None:
         self.loop.gnc.open(self.rate.now_s())
-        self.loop.safety_io.open(self.rate)
         self.source.open(self.rate.now_s())  # before any drive has power: cameras may take seconds, or be missing
+        self.loop.safety_io.open(self.rate)
         self._power_axes()
         self.safety.restart()
         self._modes.go(Mode.STANDBY)

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import Vmu
+from hil.core.camera_images import drop_priority
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
 from hil.core.realtime import take_fifo
@@ -107,10 +108,10 @@ class CameraServer:
 def main() -> None:
     """Serve the camera; an error is reported to the parent as a message with ``failure``."""
     parent = Parent()
-    take_fifo(FIFO_PRIORITY - 5)
-    configuration = parent.configuration
+    drop_priority()
     try:
-        server = CameraServer(configuration)
+        server = CameraServer(parent.configuration)
+        take_fifo(FIFO_PRIORITY - 5)  # not before: imports fill a core
         parent.send(ready=True)
         server.run(parent)
     except DeviceError as error:

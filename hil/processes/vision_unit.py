@@ -1,7 +1,7 @@
 """Vision process: solves the images of the cameras that it starts, and hands the poses on through shared memory.
 
-``python -m hil.processes.vision_unit`` is started by ``CamerasVmu``. Its real-time priority is the lowest of the bench:
-a search takes tens of milliseconds.
+``python -m hil.processes.vision_unit`` is started by ``CamerasVmu``. Its solver has no real-time priority: searches
+can fill a core, which the kernel would then withhold from all real-time processes.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from hil.cameras.live import LiveVision
 from hil.cameras.pose_sensor import geometry_of_unit
 from hil.config.rig import Vmu
+from hil.core.camera_images import drop_priority
 from hil.core.child_process import Parent
 from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME
-from hil.core.realtime import take_fifo
 from hil.drivers.cameras.processes import CameraProcesses
 from hil.drivers.remote import io_layout
 from hil.drivers.vmu import NAME
@@ -25,13 +25,12 @@ from hil.drivers.vmu.cameras import HEARTBEAT_S, attach
 from hil.errors import BenchError, DeviceError
 
 _WAIT_WALL_S: Final = 0.01
-_FIFO_PRIORITY: Final = 30  # below drivers and emulators
 
 
 def main() -> None:
     """Serve until the parent ends; a failure is reported in shared memory, one at the start by the ready message."""
     parent = Parent()
-    take_fifo(_FIFO_PRIORITY)
+    drop_priority()
     configuration = parent.configuration
     block, ring = attach(configuration["descriptors"])
     vmu = Vmu.model_validate(configuration["vmu"], strict=False)
@@ -51,6 +50,7 @@ def main() -> None:
         while not parent.wait_end(0.0):
             for side, frame in cameras.frames(_WAIT_WALL_S):
                 vision.put(side, frame)
+            cameras.check(clock.now_s())
             for pose in vision.poses(clock.now_s()):
                 now_s = clock.now_s()
                 replace(pose, received_s=now_s).write_to(record)
@@ -62,7 +62,6 @@ def main() -> None:
                 counters = vision.counters() | {"skipped": cameras.skipped}
                 counters["clock_jumps"] += sum(cameras.jumps)
                 block["counters"].write(io_layout.counters_record(counters), now_s)
-            cameras.check(now_s)
     except BenchError as error:
         block["failure"].write(io_layout.failure_record(error, NAME), clock.now_s())
         parent.wait_end(60.0)

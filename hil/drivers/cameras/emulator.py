@@ -28,7 +28,8 @@ FAULTS: Final = {
 }
 _POLL_WALL_S: Final = 0.05
 _TRIGGER_HZ: Final = 500.0  # at which the fake camera looks for a software trigger
-_SENSOR_WIDTH, _SENSOR_HEIGHT = 0x118, 0x11C  # registers of the fake camera
+_SENSOR_WIDTH, _SENSOR_HEIGHT = 0x11C, 0x118  # registers of the fake camera
+_PORT: Final = 3956
 _SIOCSIFADDR: Final = 0x8916  # linux/sockios.h
 
 
@@ -61,11 +62,11 @@ class CameraEmulator:
         """Open the camera's port; return ``{name: address}``. Raises LinkLost, DeviceError without libaravis."""
         self._library = aravis(self._name)
         add_loopback_address(self._name, self._address)
+        check_port(self._name, self._address)
         serial = self._name.replace(".", "-").upper()
         self._camera = self._library.gv_fake_camera_new(self._address.encode(), serial.encode())
         if not self._library.gv_fake_camera_is_running(self._camera):
-            text = f"{self._address}: no address of this host, or port 3956 (GigE Vision) is in use"
-            raise LinkLost(self._name, text)
+            raise LinkLost(self._name, f"{self._address}: no address of a network interface of this host")
         fake = self._library.gv_fake_camera_get_fake_camera(self._camera)
         for register, pixels in zip((_SENSOR_WIDTH, _SENSOR_HEIGHT), self._sensor, strict=True):
             self._library.fake_camera_write_register(fake, register, pixels)
@@ -91,12 +92,12 @@ class CameraEmulator:
 
     def _fill_buffer(self, buffer: int, data: int, exposure_us: int, gain: int, pixel_format: int) -> None:
         """Fill a buffer with the image of its time; called in the library's thread."""
-        library, length = self._library, ctypes.c_size_t()
-        address = library.buffer_get_data(buffer, ctypes.byref(length))
+        library = self._library
+        address = library.buffer_get_data(buffer, None)
         width, height = library.buffer_get_image_width(buffer), library.buffer_get_image_height(buffer)
         age_s = (time.time_ns() - library.buffer_get_timestamp(buffer)) * 1e-9
         image = self._image(self._clock.now_s() - age_s * self._clock.speed)
-        pixel_bytes = 2 if length.value >= 2 * width * height else 1
+        pixel_bytes = pixel_format >> 19 & 0x1F  # bits 16 to 23: bits per pixel
         pixels = np.zeros((height, width), f"<u{pixel_bytes}")
         rows, columns = min(height, image.shape[0]), min(width, image.shape[1])
         pixels[:rows, :columns] = image[:rows, :columns]
@@ -110,6 +111,15 @@ class CameraEmulator:
         if self.faults.value("freeze") is None or self._last is None:
             self._last = self._image_at(exposed_s)
         return np.zeros_like(self._last) if self.faults.value("dark") is not None else self._last
+
+
+def check_port(name: str, address: str) -> None:
+    """Raise LinkLost if the port of GigE Vision at ``address`` is in use: libaravis would share it."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((address, _PORT))
+    except OSError as cause:
+        raise LinkLost(name, f"{address} port {_PORT} (GigE Vision): {cause.strerror}") from cause
 
 
 def add_loopback_address(name: str, address: str) -> None:

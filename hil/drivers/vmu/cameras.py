@@ -91,6 +91,7 @@ class CamerasVmu:
 
     def close(self) -> None:
         """End the vision process and its cameras. Idempotent, never raises."""
+        self.counters()
         child, self._child = self._child, None
         if child is None:
             return

@@ -1,0 +1,96 @@
+"""GenICam cameras by libaravis, against an emulated GigE Vision camera."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hil.config.cameras import VisionCameras
+from hil.drivers.cameras.base import Camera, CameraFrame, open_camera, to_8_bits
+from hil.drivers.cameras.emulator import CameraEmulator
+from hil.errors import DeviceError
+from tests.support.emulated_cameras import LEFT, emulated
+
+pytestmark = pytest.mark.wires
+
+SIZE = (320, 240)
+IMAGE = np.random.default_rng(1).integers(0, 256, SIZE[::-1], dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[CameraEmulator]:
+    with emulated(LEFT, lambda t_s: IMAGE, (640, 480)) as camera:
+        yield camera
+
+
+def opened(address: str = LEFT, size: tuple[int, int] = SIZE, **settings: object) -> Camera:
+    return open_camera("vmu.left", address, VisionCameras.model_validate(settings), size, 20.0)
+
+
+def taken(camera: Camera, count: int = 1) -> list[CameraFrame]:
+    """Return ``count`` frames of software triggers."""
+    camera.start()
+    frames = []
+    try:
+        for _ in range(count):
+            camera.trigger()
+            frame = camera.receive(2.0)
+            assert frame is not None
+            frames.append(frame)
+    finally:
+        camera.close()
+    return frames
+
+
+def test_images_arrive_bit_for_bit_with_consecutive_numbers_and_rising_stamps(emulator: CameraEmulator) -> None:
+    frames = taken(opened(), 5)
+    assert all(frame.image is not None and np.array_equal(frame.image, IMAGE) for frame in frames)
+    assert {b.number - a.number for a, b in pairwise(frames)} == {1}
+    assert all(b.stamp_s > a.stamp_s for a, b in pairwise(frames))
+
+
+def test_sixteen_bits_are_reduced_to_eight(emulator: CameraEmulator) -> None:
+    (frame,) = taken(opened(pixel_format="Mono16"))
+    assert frame.image is not None
+    assert np.array_equal(frame.image, IMAGE)
+
+
+def test_an_image_with_missing_packets_is_not_used(emulator: CameraEmulator) -> None:
+    camera = opened(packet_bytes=1400)
+    camera.start()
+    emulator.faults.on("drop", value=0.3)
+    try:
+        frames = []
+        for _ in range(4):
+            camera.trigger()
+            frames.append(camera.receive(2.0))
+    finally:
+        emulator.faults.off("drop")
+        camera.close()
+    assert any(frame is not None and frame.image is None for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"address": "127.0.0.9"}, "vmu.left: no camera '127.0.0.9'"),
+        ({"pixel_format": "Mono12"}, "vmu.left: pixel format 'Mono12': the camera has "),
+        ({"trigger": "hardware", "trigger_source": "Line7"}, "vmu.left: trigger source 'Line7': the camera has "),
+        ({"size": (800, 600)}, "vmu.left: images of 640 x 480 px, the geometry has 800 x 600"),
+    ],
+)
+def test_a_camera_that_cannot_be_used_is_named_in_one_line(
+    emulator: CameraEmulator, settings: dict[str, object], text: str
+) -> None:
+    with pytest.raises(DeviceError, match=re.escape(text)) as raised:
+        opened(**settings)  # type: ignore[arg-type]
+    assert "\n" not in str(raised.value)
+
+
+def test_levels_are_rounded_and_saturation_stays_saturation() -> None:
+    raw = np.array([[0, 7, 8, 2048, 4087, 4088, 4095]], np.uint16)
+    assert to_8_bits(raw, 12).tolist() == [[0, 0, 1, 128, 255, 255, 255]]
