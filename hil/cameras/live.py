@@ -14,8 +14,7 @@ from hil.config.rig import Vmu
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
-from hil.drivers.cameras.base import SIDES
-from hil.drivers.cameras.pairing import FRAME_NUMBERS, FramePair, Pairing, TimedFrame
+from hil.drivers.cameras.pairing import FramePair, Pairing, TimedFrame
 from hil.drivers.cameras.processes import CameraProcesses
 from hil.vmu.sources import Pair
 from hil.vmu.unit import VisionUnit
@@ -101,7 +100,7 @@ class LiveVision:
 
 
 class CameraPairs:
-    """Pairs of two cameras with software triggers, numbered from the first exposure on, until ``close``.
+    """Pairs of two cameras with software triggers, numbered by their triggers from the first one on, until ``close``.
 
     vmu: with the cameras; sizes: (width, height) of their images, px. The first pairs are missing: cameras need some
     exposures until their clocks are known. Raises DeviceError that names the camera.
@@ -111,27 +110,22 @@ class CameraPairs:
         self._clock = WallClock(time.monotonic_ns())
         settings = vmu.settings
         self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
-        self._first: list[int | None] = [None] * len(SIDES)
+        self._rate_hz = vmu.rate_hz
         self._cameras = CameraProcesses(vmu, sizes, self._clock)
 
     def __iter__(self) -> Iterator[Pair]:
+        first: int | None = None
         while True:
             for side, frame in self._cameras.frames(_WAIT_WALL_S):
-                if self._first[side] is None:
-                    self._first[side] = frame.number
+                if first is None:
+                    first = math.floor(frame.arrived_s * self._rate_hz)
                 if math.isfinite(frame.exposed_s):
                     self._pairing.put(side, frame)
             for pair in self._pairing.pairs(self._clock.now_s()):
+                assert first is not None
                 images = [None if frame is None else frame.image for frame in (pair.left, pair.right)]
-                yield Pair(self._number(pair), images[0], images[1])
+                yield Pair(round(pair.exposed_s * self._rate_hz) - first, images[0], images[1])
             self._cameras.check(self._clock.now_s())
-
-    def _number(self, pair: FramePair) -> int:
-        side = 0 if pair.left is not None else 1
-        frame, first = pair.left or pair.right, self._first[side]
-        assert frame is not None
-        assert first is not None
-        return (frame.number - first) % FRAME_NUMBERS
 
     def close(self) -> None:
         """End the camera processes. Idempotent."""

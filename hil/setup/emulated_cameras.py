@@ -27,7 +27,7 @@ Images = Callable[[float], np.ndarray]
 def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, side: str) -> Images:
     """Return the images of the camera ``side`` over bench time, s; its kernels are compiled when this returns."""
     camera = SIDES.index(side)
-    cameras = _rendered(scenario, rig, seed)
+    cameras = rendered_cameras(scenario, rig, seed)
     noise, warm_up = stream(seed, "pictures").spawn(2)[camera], stream(seed, "pictures")
     start = start_axes(scenario, rig)
     cameras.image(camera, start.rail_m, start.gimbal_rad, warm_up)
@@ -40,7 +40,8 @@ def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisSt
     return image_at
 
 
-def _rendered(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
+def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
+    """Return the renderer of the vision unit of ``rig``."""
     bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
     return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, stream(seed, "pictures"))
 
@@ -48,12 +49,12 @@ def _rendered(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
 def images_at_start(scenario: Scenario, rig: Rig) -> tuple[Images, Images]:
     """Return the images of both cameras with the axes at the start of ``scenario``, the same at all times."""
     start = start_axes(scenario, rig)
-    left, right = _rendered(scenario, rig, 0).pair(start.rail_m, start.gimbal_rad, stream(0, "pictures"))
+    left, right = rendered_cameras(scenario, rig, 0).pair(start.rail_m, start.gimbal_rad, stream(0, "pictures"))
     return lambda _: left, lambda _: right
 
 
 def images_of_folder(folder: Path, rig: Rig) -> tuple[Images, Images]:
-    """Return the images of ``folder``, one per exposure from the first one on, and then the last one.
+    """Return the images of ``folder``, one per period of the vision unit from the first exposure on, then the last one.
 
     A missing or damaged image is black. Raises BadInput for images of another size than the rig's cameras.
     """
@@ -68,14 +69,15 @@ def images_of_folder(folder: Path, rig: Rig) -> tuple[Images, Images]:
                 )
                 raise BadInput.single(str(folder), "", text)
 
-    def images_of(side: str) -> Images:
-        exposures = iter(images.frames)
-        last = images.frames[0]
+    first_s: list[float] = []
 
+    def images_of(side: str) -> Images:
         def image_at(t_s: float) -> np.ndarray:
-            nonlocal last
-            last = next(exposures, last)
-            image: np.ndarray | None = getattr(images.pair(last), side)
+            if not first_s:
+                first_s.append(t_s)
+            exposure = max(0, round((t_s - first_s[0]) * rig.vmu.rate_hz))
+            frame = images.frames[min(exposure, len(images.frames) - 1)]
+            image: np.ndarray | None = getattr(images.pair(frame), side)
             return black if image is None else image
 
         return image_at

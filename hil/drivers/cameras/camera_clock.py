@@ -16,8 +16,8 @@ class CameraClock:
     """Offset between a camera's clock and bench time, from bounds that each frame gives.
 
     With software triggers no exposure precedes its trigger: the earliest one in recent frames is ``latency_s`` after
-    it. Without them the fastest frame arrives ``latency_s`` after its exposure. The estimate errs by what the best
-    frame was slower than that. A frame counts if its trigger is certain: the trigger before was answered in time.
+    it. Without them the fastest frame arrives ``latency_s`` after its exposure. The error of the estimate is what the
+    best frame was slower than that. A frame counts if its trigger is certain: the trigger before was answered in time.
     """
 
     def __init__(self, latency_s: float, triggered: bool) -> None:
@@ -27,7 +27,7 @@ class CameraClock:
         self._offsets: deque[float] = deque(maxlen=_HISTORY)
         self._arrived_s = -math.inf  # of the frame before
         self.jumps = 0
-        """Number of times that the camera's clock has jumped, after which its offset is estimated anew."""
+        """Number of times that the camera's clock has jumped, after which its offset is estimated again."""
 
     def add(self, stamp_s: float, arrived_s: float, triggers_s: Sequence[float] = ()) -> None:
         """Add a frame with the camera's time ``stamp_s`` that arrived at ``arrived_s`` of bench time.

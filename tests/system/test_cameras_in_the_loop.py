@@ -1,0 +1,119 @@
+"""The loop closed through two emulated GigE Vision cameras: verdict, losses, a camera that ends, equal poses."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import socket
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from hil.cli.main import BAD_INPUT, SAFE_STOPPED, execute
+from hil.config.load import load_rig, load_scenario
+from hil.loop.runner import Outcome
+from hil.maths.random_streams import stream
+from hil.session.build import Job, wired_bench
+from hil.session.warm_up import warm_up
+from hil.setup.assembly import start_axes
+from hil.setup.emulated_cameras import images_of_folder, rendered_cameras
+from hil.vmu.geometry import geometry_of_rig
+from tests.support.emulated_cameras import LEFT, RIGHT, emulated, require_libaravis
+from tests.support.run_settings import NEAR, UNHURRIED, typed
+
+pytestmark = pytest.mark.wires
+
+SOURCE = "vmu.source=cameras"
+FRAMES = 40
+
+
+def run(duration_s: float, commands: dict[str, str] | None = None, killed: str = "") -> Outcome:
+    """Run scheme 1 from near with cameras; commands: of the cameras' control ports; killed: process ended after 5 s."""
+    require_libaravis()
+    settings = [SOURCE, *NEAR, *UNHURRIED]
+    job = Job(load_scenario("scheme-1", settings), load_rig("emulated", settings), 0, duration_s, 1.0)
+    warm_up(job)
+    with wired_bench(job) as bench:
+        for camera, command in (commands or {}).items():
+            host, port = bench.addresses[f"{camera}.faults"].rsplit(":", 1)
+            with socket.create_connection((host, int(port))) as control:
+                control.sendall(f"{command}\n".encode())
+                assert control.recv(100) == b"ok\n"
+        runner = bench.runner()
+        if killed:
+            threading.Timer(15.0, lambda: os.kill(bench.pids[killed], signal.SIGKILL)).start()
+        return runner.run()
+
+
+@pytest.mark.slow
+def test_scheme_1_passes_through_cameras(tmp_path: Path) -> None:
+    """Measured by ``hil run scheme-1 --rig emulated --set vmu.source=cameras --json -``, under ``vision``."""
+    require_libaravis()
+    arguments = ("--rig", "emulated", "--duration", "60", "--json", str(tmp_path / "run.json"))
+    assert execute(["run", "scheme-1", *typed(SOURCE, *NEAR, *UNHURRIED), *arguments]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lost", [0.01, 0.05])
+def test_lost_packets_cost_images_and_not_the_run(lost: float) -> None:
+    outcome = run(15.0, {f"vmu.{side}": f"on drop {lost}" for side in ("left", "right")})
+    assert outcome.stop == "completed"
+    found = outcome.vision_counters
+    assert found["incomplete"] > 0
+    assert found["frames"] > 0.5 * found["pairs"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_camera_that_ends_is_a_safe_stop_that_names_it(side: str) -> None:
+    outcome = run(60.0, killed=f"vmu.{side}")
+    assert outcome.stop.startswith(f"vmu.{side}: ")
+
+
+@pytest.mark.slow
+def test_poses_are_the_same_from_a_folder_and_through_cameras(tmp_path: Path) -> None:
+    job = Job(load_scenario("scheme-1", [SOURCE]), load_rig("emulated", ["rig.vmu.rate_hz=4"]), 0, 1.0, 1.0)
+    rig, start = job.rig.value, start_axes(job.scenario.value, job.rig.value)
+    cameras, rng = rendered_cameras(job.scenario.value, rig, 3), stream(3, "pictures")
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+    for k in range(FRAMES):
+        pair = cameras.pair(start.rail_m - np.array([0.002 * k, 0.0, 0.0]), start.gimbal_rad + 1e-4 * k, rng)
+        for side, image in zip(("left", "right"), pair, strict=True):
+            assert cv2.imwrite(str(tmp_path / side / f"{k:04d}.png"), image)
+    geometry = tmp_path / "vmu.json"
+    geometry.write_text(geometry_of_rig(rig).model_dump_json())
+    with ExitStack() as stack:
+        for address, image_at in zip((LEFT, RIGHT), images_of_folder(tmp_path, rig), strict=True):
+            stack.enter_context(emulated(address, image_at))
+        live = _poses(f"camera:{LEFT},{RIGHT}", geometry, tmp_path / "live.csv", "--frames", "20")
+    first = int(live[0]["frame"])
+    folder = _poses(str(tmp_path), geometry, tmp_path / "folder.csv", "--start-frame", str(first), "--frames", "20")
+    assert {row["status"] for row in live} == {"ok"}
+    assert live == folder
+
+
+def _poses(source: str, geometry: Path, out: Path, *options: str) -> list[dict[str, str]]:
+    options = ("--geometry", str(geometry), "--out", str(out), "--rate-hz", "4", *options)
+    assert execute(["vmu", source, *options]) == 0
+    with out.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_cameras_need_a_rig_on_wires(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["run", "scheme-1", *typed(SOURCE)]) == BAD_INPUT
+    assert capsys.readouterr().err.splitlines() == [
+        '--set: vmu.source: "cameras": rig "mock" is in memory, use one on wires, as emulated'
+    ]
+
+
+def test_a_missing_camera_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    require_libaravis()
+    assert execute(["cameras", "show", "127.0.0.9"]) == SAFE_STOPPED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "camera: no camera '127.0.0.9'" in line
