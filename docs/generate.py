@@ -61,7 +61,7 @@ UNITS: Final = {
 """Last words of a key -> unit."""
 NO_UNIT: Final = re.compile(
     r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
-    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio)$"
+    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk)$"
 )
 """Numbers without unit. New keys need a unit in their name, or one of these words."""
 NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
@@ -69,8 +69,10 @@ NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height")
     "level": "grey levels",
     "sky": "grey levels",
     "read": "grey levels",
+    "at_most": "of the column",
+    "at_least": "of the column",
 }
-"""Keys of cameras and scenes in the notation of their field -> unit."""
+"""Keys of cameras, scenes and requirements in the notation of their field -> unit."""
 
 
 class Key(NamedTuple):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
     from hil.monte_carlo.store import Store
 
-_DONE, _NO_ESTIMATE = 0, 1
-_LEAST_PER_LEVEL = 500
+_DONE, _NOT_SHOWN = 0, 1
+_LEAST_PER_LEVEL, _LEAST_ROWS = 500, 10
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
 
@@ -99,26 +99,34 @@ class CaseOptions:
 
 
 @dataclass(frozen=True)
-class RareOptions:
-    """Options of a rare event."""
+class StudyOptions:
+    """Options of a rare event, or of Sobol' indices."""
 
     rare: str | None = None
     """Probability of an event, as "position_m_x > 0.0058", by subset simulation over dispersions and noise."""
+    sobol: OptionalInteger = None
+    """Number of rows for Sobol' indices of each dispersed number and the noise: rows x (numbers + 3) cases."""
 
     def problems(self, cases: CaseOptions, variation: VariationOptions) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
-        if self.rare is None:
-            return [] if cases.runs is not None else [Problem("--runs", "", "must be given, unless --rare is")]
+        if self.rare is None and self.sobol is None:
+            text = "must be given, unless --rare or --sobol is"
+            return [] if cases.runs is not None else [Problem("--runs", "", text)]
+        option = "--sobol" if self.rare is None else "--rare"
         found = []
-        if cases.runs is not None and cases.runs < _LEAST_PER_LEVEL:
+        if self.sobol is not None:
+            found += at_least(sobol=(self.sobol, _LEAST_ROWS))
+            if self.rare is not None or cases.runs is not None:
+                found.append(Problem("--sobol", "", "not together with --rare or --runs"))
+        if self.rare is not None and cases.runs is not None and cases.runs < _LEAST_PER_LEVEL:
             text = f"{cases.runs}: too few for the probability of a rare event, at least {_LEAST_PER_LEVEL} per level"
             found.append(Problem("--runs", "", text))
         if variation != _ONE_SCENARIO:
-            found.append(Problem("--rare", "", "not together with --against or --sweep"))
+            found.append(Problem(option, "", "not together with --against or --sweep"))
         return found
 
 
-_ENGINE_DEFAULTS, _ONE_SCENARIO, _NO_EVENT = EngineOptions(), VariationOptions(), RareOptions()
+_ENGINE_DEFAULTS, _ONE_SCENARIO, _NO_STUDY = EngineOptions(), VariationOptions(), StudyOptions()
 _DEFAULT_CASES = CaseOptions()
 
 
@@ -128,7 +136,7 @@ def campaign(
     *,
     out: Output,
     cases: Group[CaseOptions] = _DEFAULT_CASES,
-    rare: Group[RareOptions] = _NO_EVENT,
+    study: Group[StudyOptions] = _NO_STUDY,
     workers: Group[EngineOptions] = _ENGINE_DEFAULTS,
     variation: Group[VariationOptions] = _ONE_SCENARIO,
     json: Output = None,
@@ -145,15 +153,17 @@ def campaign(
         File for the summary, - for standard output.
     """
     assert out is not None
-    problems = cases.problems() + rare.problems(cases, variation) + workers.problems() + variation.problems()
+    problems = cases.problems() + study.problems(cases, variation) + workers.problems() + variation.problems()
     refuse(problems + check_json_path("--json", json))
 
     from hil.monte_carlo.campaign import Sweep, campaigns_of
     from hil.monte_carlo.store import parquet
 
     parquet()
-    if rare.rare is not None:
-        return _estimate_rare(scenario, cases, rare.rare, Path(out), workers, json)
+    if study.rare is not None:
+        return _estimate_rare(scenario, cases, study.rare, Path(out), workers, json)
+    if study.sobol is not None:
+        return _compute_indices(scenario, cases, study.sobol, Path(out), workers, json)
     assert cases.runs is not None
     settings = cases.all_settings()
     sweep = None if variation.sweep is None else Sweep.parse(variation.sweep)
@@ -186,42 +196,108 @@ def campaign(
         Console().print(f"results in {out}", highlight=False, soft_wrap=True)
     if json is not None:
         write_json(found, json)
+    return _DONE if all(each["verdict"] == "verified" for each in found.get("requirements", ())) else _NOT_SHOWN
+
+
+class StudyFolder(NamedTuple):
+    """Results folder of a study. identity, columns: as for ``CampaignJob.store``."""
+
+    path: Path
+    identity: dict[str, Any]
+    columns: Sequence[str] = ()
+
+
+def _job(scenario: str, cases: CaseOptions) -> CampaignJob:
+    from hil.monte_carlo.campaign import campaigns_of
+
+    with Console(stderr=True).status("checking the scenario"):
+        return campaigns_of(scenario, cases.all_settings(), cases.seed, cases.duration, None)[0]
+
+
+def _run_study(
+    job: CampaignJob,
+    folder: StudyFolder,
+    workers: EngineOptions,
+    run: Callable[[CampaignJob, Store, Engine, ProgressBar], dict[str, Any]],
+) -> dict[str, Any]:
+    """Return what ``run`` returns for the store of ``folder`` and the engine of ``workers``."""
+    console, engine = Console(stderr=True), workers.engine()
+
+    def warn(line: str) -> None:
+        console.print(line, style="yellow", highlight=False, soft_wrap=True, markup=False)
+
+    with ExitStack() as held:
+        held.callback(engine.close)
+        store = held.enter_context(job.store(folder.path, warn, folder.identity, folder.columns))
+        with console.status("compiling the loop if it is not cached, up to two minutes"):
+            job.warm_up()
+        return run(job, store, engine, held.enter_context(ProgressBar(console, "campaign")))
+
+
+def _compute_indices(
+    scenario: str, cases: CaseOptions, rows: int, out: Path, workers: EngineOptions, json: str | None
+) -> int:
+    """Compute Sobol' indices; return the exit code."""
+    from hil.monte_carlo.figure import draw_indices
+    from hil.monte_carlo.sobol_campaign import SobolCampaign
+
+    job = _job(scenario, cases)
+    campaign = SobolCampaign(job, rows)
+
+    def run(job: CampaignJob, store: Store, engine: Engine, bar: ProgressBar) -> dict[str, Any]:
+        def watch(now: Progress) -> None:
+            text = f"{now.title} {now.done} of {now.runs} cases, {now.speed:.0f} x real time"
+            bar.show(text, now.done / now.runs)
+
+        return campaign.run(store, engine, watch)
+
+    summary = _run_study(job, StudyFolder(out, campaign.identity()), workers, run)
+    draw_indices(summary, out / "sobol.png")
+    if json != "-":
+        _render_indices(summary, Console())
+        Console().print(f"results in {out}", highlight=False, soft_wrap=True)
+    if json is not None:
+        write_json(summary, json)
     return _DONE
+
+
+def _render_indices(summary: dict[str, Any], console: Console) -> None:
+    for outcome, found in summary["sobol"].items():
+        rows = Table(title=f"Sobol' indices of {outcome}, {summary['cases']} cases", title_justify="left")
+        for column in ("", "first order", "95 %", "total", "95 %"):
+            rows.add_column(column, justify="right" if column else "left", overflow="fold")
+        for row in found[:5]:
+            cells = []
+            for kind in ("first", "total"):
+                index = row[kind]
+                known = index["index"] is not None
+                cells += [f"{index['index']:.3f}", f"{index['low']:.3f} .. {index['high']:.3f}"] if known else ["-", ""]
+            rows.add_row(row["dispersion"], *cells)
+        console.print(rows)
 
 
 def _estimate_rare(
     scenario: str, cases: CaseOptions, event: str, out: Path, workers: EngineOptions, json: str | None
 ) -> int:
     """Estimate the probability of a rare event; return the exit code."""
-    from hil.monte_carlo.campaign import campaigns_of
     from hil.monte_carlo.rare_campaign import PER_LEVEL, POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
     from hil.monte_carlo.rare_events import RareEvent
 
     settings = RareSettings(RareEvent.parse(event), cases.runs or PER_LEVEL)
-    console = Console(stderr=True)
-    with console.status("checking the scenario"):
-        job = campaigns_of(scenario, cases.all_settings(), cases.seed, cases.duration, None)[0]
-    engine = workers.engine()
 
-    def warn(line: str) -> None:
-        console.print(line, style="yellow", highlight=False, soft_wrap=True, markup=False)
+    def run(job: CampaignJob, store: Store, engine: Engine, bar: ProgressBar) -> dict[str, Any]:
+        def watch(now: Progress) -> None:
+            bar.show(f"{now.title} {now.done} cases, {now.speed:.0f} x real time", 0.0)
 
-    def watch(now: Progress) -> None:
-        bar.show(f"{now.title} {now.done} cases, {now.speed:.0f} x real time", 0.0)
+        return RareCampaign(job, settings, store, engine).run(watch)
 
-    with ExitStack() as held:
-        held.callback(engine.close)
-        store = held.enter_context(job.store(out, warn, settings.identity(), POINT_COLUMNS))
-        with console.status("compiling the loop if it is not cached, up to two minutes"):
-            job.warm_up()
-        with ProgressBar(console, "rare event") as bar:
-            summary = RareCampaign(job, settings, store, engine).run(watch)
+    summary = _run_study(_job(scenario, cases), StudyFolder(out, settings.identity(), POINT_COLUMNS), workers, run)
     if json != "-":
         _render_rare(summary, verdict_line(summary["rare"]), Console())
         Console().print(f"results in {out}", highlight=False, soft_wrap=True)
     if json is not None:
         write_json(summary, json)
-    return _DONE if summary["rare"]["probability"] is not None else _NO_ESTIMATE
+    return _DONE if summary["rare"]["probability"] is not None else _NOT_SHOWN
 
 
 def _render_rare(summary: dict[str, Any], verdict: str, console: Console) -> None:
@@ -245,6 +321,10 @@ def _render_rare(summary: dict[str, Any], verdict: str, console: Console) -> Non
     drivers = ", ".join(f"{row['dispersion']} {row['mean_sigma']:+.2f}" for row in rare["drivers"][:5])
     if drivers:
         console.print(f"mean of the dispersions there, in sigma: {drivers}", highlight=False, soft_wrap=True)
+    halved = [row for row in rare["drivers"] if row["halved_by"] is not None]
+    if halved:
+        text = f"{halved[0]['dispersion']} with {100.0 * halved[0]['halved_by']:.0f} % of its spread"
+        console.print(f"least change that halves the probability: {text}", highlight=False, soft_wrap=True)
 
 
 def _run_all(
@@ -313,6 +393,8 @@ def _title(summary: dict[str, Any]) -> str:
 
 
 def _render_summary(summary: dict[str, Any], console: Console) -> None:
+    from hil.report.requirements_page import limit_text, result_text
+
     rows = Table(title=f"{_title(summary)}: worst of {summary['runs']} cases", title_justify="left")
     for column in ("", "axis", "worst", "case", "Table V"):
         rows.add_column(column, justify="left" if column in ("", "axis") else "right")
@@ -343,6 +425,9 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
         console.print(
             f"{stop['cases']} x {stop['reason']} (first: case {stop['first_case']})", highlight=False, soft_wrap=True
         )
+    for found in summary["requirements"]:
+        text = f"{found['id']}: {found['verdict']}: {limit_text(found)}: {result_text(found)}"
+        console.print(text, highlight=False, soft_wrap=True, markup=False)
     for outcome, ranking in summary["sensitivity"].items():
         strong = [row for row in ranking if row["significant"]][:4]
         text = (

@@ -161,6 +161,8 @@ def read_with_bases(
     """Return the file's table merged over that of the file it extends; ``origin`` gets the file of each key."""
     table = with_present_names(model.__name__, _read_table(path), str(path))
     _find_files_beside(table, path.parent)
+    if model is Scenario and isinstance(table.get("requirements"), list):
+        table["requirements"] = {"probabilistic": table["requirements"]}
     chosen_set = table.pop("dispersions") if _names_dispersion_set(model, table) else None
     base_name = table.pop("extends", None)
     base: Table = {}

@@ -497,6 +497,43 @@ class GncConfig(ConfigModel):
         return self.library if self.fmu is None else self.fmu
 
 
+class ProbabilisticRequirement(ConfigModel):
+    """Requirement on the cases of a campaign: an outcome is within its limit with a probability."""
+
+    id: Name
+    """Identifier, as in the specification."""
+    text: Annotated[str, Field(min_length=1, max_length=500)]
+    """Wording."""
+    column: Name
+    """Outcome: a column of cases.parquet with numbers, or a flag as passed, which counts as 0 or 1."""
+    at_most: float | None = None
+    """Largest value that is allowed, in the unit of the column."""
+    at_least: float | None = None
+    """Smallest value that is allowed, in the unit of the column."""
+    probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.9973
+    """Required fraction of cases within the limit."""
+    consumer_risk: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
+    """Largest probability of accepting a design that does not have that fraction."""
+
+    @model_validator(mode="after")
+    def _has_one_limit(self) -> Self:
+        if (self.at_most is None) == (self.at_least is None):
+            raise ValueError("at_most and at_least: one of them must be given")
+        return self
+
+    @property
+    def sign(self) -> float:
+        """1 if large values violate the requirement, -1 if small ones do."""
+        return 1.0 if self.at_least is None else -1.0
+
+    @property
+    def limit(self) -> float:
+        """The limit, in the unit of the column."""
+        limit = self.at_least if self.at_most is None else self.at_most
+        assert limit is not None
+        return limit
+
+
 class Requirements(ConfigModel):
     """Requirements of the ready phase (bench paper Table III), per axis, and the propellant budget."""
 
@@ -521,6 +558,17 @@ class Requirements(ConfigModel):
 
     propellant_factor: Positive = 3.0
     """Allowed propellant over the impulsive minimum of reference and slews."""
+
+    probabilistic: Annotated[tuple[ProbabilisticRequirement, ...], Field(max_length=200)] = ()
+    """Requirements on the cases of a campaign; [[requirements]] in a file that extends another means this list."""
+
+    @field_validator("probabilistic")
+    @classmethod
+    def _ids_are_unique(cls, value: tuple[ProbabilisticRequirement, ...]) -> tuple[ProbabilisticRequirement, ...]:
+        ids = [each.id for each in value]
+        if twice := sorted({each for each in ids if ids.count(each) > 1}):
+            raise ValueError(f"id {', '.join(twice)}: given more than once")
+        return value
 
 
 class Reachability(ConfigModel):

@@ -11,11 +11,13 @@ from typing import Any
 from hil.config.load import Loaded, check_table
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed
 from hil.monte_carlo.outcome import failed_row, row_of
+from hil.monte_carlo.sobol_indices import sobol_point
 
 Rows = list[dict[str, Any]]
 _here = threading.local()
@@ -26,6 +28,7 @@ class Spec:
     """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read.
 
     mixed: seeds of the cases of a rare-event campaign, by the case's number; the other cases have that of their number.
+    sobol: the cases are those of a campaign of Sobol' indices.
     """
 
     scenario: str
@@ -33,6 +36,7 @@ class Spec:
     seed: int
     duration_s: float
     mixed: Mapping[int, MixedSeed] = field(default_factory=dict)
+    sobol: bool = False
 
     @classmethod
     def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float) -> Spec:
@@ -53,7 +57,7 @@ class Case:
 
     def row(self, case: int) -> dict[str, Any]:
         """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
-        seed = self.mixed.get(case, case_seed(self._spec.seed, case))
+        seed = self._point(case)[1]
         try:
             outcome = self._outcome(case, seed)
         except Exception as error:  # one case must not end the campaign: its row has the reason
@@ -63,10 +67,19 @@ class Case:
 
     def drawn(self, case: int) -> dict[str, float]:
         """Return the dispersions of ``case`` by their names."""
-        return dict(zip(self._design.names, map(float, self._design.values(case, self.mixed.get(case))), strict=True))
+        return dict(zip(self._design.names, map(float, self._point(case)[0]), strict=True))
+
+    def _point(self, case: int) -> tuple[Array, int]:
+        """Return the dispersed numbers of ``case``, and its seed."""
+        design, campaign_seed = self._design, self._spec.seed
+        if self._spec.sobol:
+            unit, seed = sobol_point(campaign_seed, case, len(design.names))
+            return design.values(case, unit=unit), seed
+        mixed = self.mixed.get(case)
+        return design.values(case, mixed), case_seed(campaign_seed, case) if mixed is None else mixed
 
     def _outcome(self, case: int, seed: int) -> dict[str, Any]:
-        truth, gnc = self._design.scenarios(case, self.mixed.get(case))
+        truth, gnc = self._design.apply(self._point(case)[0], self._design.fault(case))
         if self._design.touches_gnc:
             self._runner.set_gnc_scenario(gnc)
         stats, stop = self._runner.run(truth, seed)

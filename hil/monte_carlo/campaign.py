@@ -25,8 +25,10 @@ from hil.monte_carlo.batch import Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
 from hil.monte_carlo.engines import Engine
+from hil.monte_carlo.evidence import check_requirements, judge_requirements, tolerance_bounds
 from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
 from hil.monte_carlo.store import Store, atomic_write
+from hil.report.requirements_page import junit, requirements_page
 from hil.session import build
 from hil.setup.assembly import Job
 
@@ -62,7 +64,7 @@ class CampaignJob:
 
     def _check(self) -> None:
         build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0))
-        rig, problems = self._rig.value, []
+        rig, problems = self._rig.value, check_requirements(self.scenario)
         if rig.moved_target is not None:
             problems.append(
                 Problem(self._rig.where("target_manipulator"), "rig.target_manipulator", "not supported by campaigns")
@@ -124,8 +126,23 @@ class CampaignJob:
         store.finish(runs)
         more = {"seed": self.seed, "dispersions": self.scenario.value.dispersions.name}
         summary = summarise(store, self.scenario.value.name, self.design.names) | more
+        requirements = judge_requirements(store, self.scenario.value)
+        summary |= {"tolerance": tolerance_bounds(store), "requirements": requirements}
         write_summary(store.folder / "summary.json", summary)
+        if requirements:
+            self._write_evidence(store, requirements)
         return summary
+
+    def _write_evidence(self, store: Store, requirements: list[dict[str, Any]]) -> None:
+        """Write the page of the requirements, and their JUnit XML, into the folder."""
+        name = self.scenario.value.name
+        texts = {
+            "requirements.html": requirements_page(name, self.identity() | {"folder": store.folder.name}, requirements),
+            "requirements.xml": junit(name, requirements),
+        }
+        for file, text in texts.items():
+            with atomic_write(store.folder / file) as partial:
+                partial.write_text(text, encoding="utf-8")
 
 
 def scenario_digest(scenario: Scenario, rig: Rig) -> str:

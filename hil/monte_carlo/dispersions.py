@@ -104,26 +104,31 @@ class Design:
             problems.append(Problem(where, key, str(error)))
 
     @property
+    def draws_faults(self) -> bool:
+        """Whether cases have drawn faults."""
+        return bool(self._settings.faults.draw)
+
+    @property
     def names(self) -> list[str]:
         """Names of the dispersed numbers, in their order."""
         return [component.name for component in self.components]
 
-    def values(self, case: int, mixed: MixedSeed | None = None) -> Array:
+    def values(self, case: int, mixed: MixedSeed | None = None, unit: Array | None = None) -> Array:
         """Return the numbers of ``case``, in the order of ``names``.
 
-        mixed: the seed of a case of a rare-event campaign, whose normals take the place of the sampling plan.
+        mixed: the seed of a case of a rare-event campaign, whose normals take the place of the sampling plan. unit: the
+        case's point in the unit cube, likewise.
         """
-        unit = self._unit(case) if mixed is None else self._inside(ndtr(self.normals(mixed)))
+        if unit is not None:
+            unit = self._inside(unit)
+        else:
+            unit = self._unit(case) if mixed is None else self._inside(ndtr(self.normals(mixed)))
         return np.array([component.value(float(u)) for component, u in zip(self.components, unit, strict=True)])
 
     def normals(self, seed: int) -> Array:
         """Return the standard normals of the dispersed numbers in a rare-event campaign, in the order of ``names``."""
         found: Array = noise_source(seed, "dispersions").standard_normal((len(self.components),))
         return found
-
-    def scenarios(self, case: int, mixed: MixedSeed | None = None) -> tuple[Scenario, Scenario]:
-        """Return the scenario of the truth of ``case``, and that of the GNC; raise BadInput if one is invalid."""
-        return self.apply(self.values(case, mixed), self.fault(case))
 
     def fault(self, case: int) -> dict[str, Any] | None:
         """Return the fault of ``case``, a table of ``[[faults]]``; None if it has none."""

@@ -130,3 +130,24 @@ def draw_sweep(found: dict[str, Any], path: Path) -> None:
     below.set_xlabel(found["key"])
     with atomic_write(path) as partial:
         figure.savefig(partial, dpi=110, format="png")
+
+
+def draw_indices(summary: dict[str, Any], path: Path) -> None:
+    """Draw the ten largest total Sobol' indices of each outcome, with the first-order ones, into ``path``."""
+    outcomes = summary["sobol"]
+    figure = Figure(figsize=(11.0, 2.4 * len(outcomes)), layout="constrained")
+    for plot, (outcome, rows) in zip(np.atleast_1d(figure.subplots(len(outcomes), 1)), outcomes.items(), strict=True):
+        shown = [row for row in rows if row["total"]["index"] is not None][:10]
+        y = np.arange(len(shown))
+        for kind, height, colour in (("total", 0.8, "#a6c8e4"), ("first", 0.35, "C0")):
+            index = np.array([row[kind]["index"] for row in shown], dtype=float)
+            ends = np.array([[row[kind]["low"], row[kind]["high"]] for row in shown], dtype=float).reshape(-1, 2)
+            error = np.maximum(0.0, np.abs(ends - index[:, None]).T)
+            label = "first order" if kind == "first" else kind
+            plot.barh(y, index, height=height, xerr=error, color=colour, error_kw={"elinewidth": 0.8}, label=label)
+        plot.set_yticks(y, [row["dispersion"] for row in shown], fontsize=7)
+        plot.invert_yaxis()
+        plot.set_title(outcome, loc="left", fontsize=10)
+        plot.legend(fontsize=7)
+    with atomic_write(path) as partial:
+        figure.savefig(partial, dpi=110, format="png")

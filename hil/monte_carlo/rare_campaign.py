@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr
 
+from hil.core.messages import Array
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
 from hil.monte_carlo.dispersions import case_seed
@@ -43,6 +45,7 @@ PER_LEVEL: Final = 1000
 _UNIT: Final = STEPS * BATCH  # of the cases per level: chains in whole batches
 _SHOWN: Final = 50  # failing cases in the summary
 _DRIVERS: Final = 10
+_LEAST_FACTOR, _FACTORS = 0.05, 96  # of a dispersion's spread
 
 
 @dataclass(frozen=True)
@@ -165,14 +168,41 @@ class RareCampaign:
         }
 
     def _drivers(self, estimate: Estimate) -> list[dict[str, Any]]:
-        """Return the dispersed numbers whose mean over the event is farthest from nominal, in standard deviations."""
-        names = self._job.design.names
-        if not names or not len(estimate.samples):
+        """Return the dispersed numbers that drive the event, that with the least change of spread to halve it first."""
+        design = self._job.design
+        if not design.names or not len(estimate.samples):
             return []
-        normals = np.array([self._job.design.normals(self._seeds[int(number)]) for number in estimate.samples])
+        normals = np.array([design.normals(self._seeds[int(number)]) for number in estimate.samples])
         mean = estimate.weights @ normals
-        order = np.argsort(-np.abs(mean), kind="stable")[:_DRIVERS]
-        return [{"dispersion": names[i], "mean_sigma": float(mean[i])} for i in order]
+        rows = [
+            {
+                "dispersion": component.name,
+                "mean_sigma": float(mean[i]),
+                "halved_by": halving_factor(normals[:, i], estimate.weights, component.kind == "uniform"),
+            }
+            for i, component in enumerate(design.components)
+        ]
+        return sorted(rows, key=_effect)[:_DRIVERS]
+
+
+def halving_factor(normals: Array, weights: Array, uniform: bool) -> float | None:
+    """Return the largest factor on one number's spread that halves the probability of the event; None without one.
+
+    normals: of the number in samples of the event, (n,); weights: of the samples, with a sum of 1. uniform: the number
+    is uniform, and its interval shrinks about the middle. The samples are weighted by the ratio of both densities.
+    """
+    factors = np.linspace(1.0, _LEAST_FACTOR, _FACTORS)
+    away = np.abs(2.0 * ndtr(normals) - 1.0) if uniform else 0.5 * normals**2
+    for factor in factors[1:]:
+        ratio = (away <= factor) if uniform else np.exp(-away * (factor**-2.0 - 1.0))
+        if float(weights @ ratio) <= 0.5 * factor:
+            return float(factor)
+    return None
+
+
+def _effect(row: dict[str, Any]) -> tuple[float, float]:
+    """Return the key by which drivers are sorted: the least change that halves the probability first."""
+    return (-(row["halved_by"] or 0.0), -abs(row["mean_sigma"]))
 
 
 def verdict_line(rare: dict[str, Any]) -> str:

@@ -26,7 +26,7 @@ class StoredCampaign:
             identity: Any = parse_json(read_text(path, CONFIG_BYTES))
             self.scenario, self.digest = str(identity["scenario"]), str(identity["digest"])
             self.seed, self.duration_s = int(identity["seed"]), float(identity["duration_s"])
-            self.is_rare = "rare" in identity
+            self.is_rare, self.is_sobol = "rare" in identity, "sobol" in identity
         except (BadInput, ValueError, TypeError, KeyError) as error:
             raise BadInput.single(_OPTION, "", f"{path}: cannot be read: {one_line(str(error), 200)}") from error
 

@@ -1,0 +1,72 @@
+"""Campaign of Sobol' indices of the outcomes, of each dispersed number and the noise."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from contextlib import closing
+from typing import Any, Final
+
+import numpy as np
+
+from hil.errors import BadInput
+from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
+from hil.monte_carlo.engines import Engine
+from hil.monte_carlo.sobol_indices import index_rows, sobol_indices
+from hil.monte_carlo.statistics import CONFIDENCE, SENSITIVE
+from hil.monte_carlo.store import Store
+
+NOISE: Final = "noise"
+"""Name of the noise among the dispersed numbers."""
+
+
+class SobolCampaign:
+    """Runs the cases of ``rows`` rows and computes the indices. Raises BadInput for a scenario without dispersions."""
+
+    def __init__(self, job: CampaignJob, rows: int) -> None:
+        self._job = job
+        self._rows = rows
+        self._d = len(job.design.names)
+        if self._d == 0 or job.design.draws_faults:
+            reason = "draws faults, whose part is not separable" if self._d else "has no dispersions"
+            raise BadInput.single("--sobol", job.scenario.value.name, reason)
+
+    @property
+    def runs(self) -> int:
+        """Number of cases."""
+        return self._rows * (self._d + 3)
+
+    @staticmethod
+    def identity() -> dict[str, Any]:
+        """Return what distinguishes the folder from those of other campaigns."""
+        return {"sobol": True}
+
+    def run(self, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:
+        """Run the missing cases; return the summary, which is also written to the folder."""
+        job, missing = self._job, store.missing(self.runs)
+        left = sum(count for _, count in missing)
+        spec = dataclasses.replace(job.spec, sobol=True)
+        begun_s, done = time.perf_counter(), 0
+        name = job.scenario.value.name
+        with closing(engine.run(spec, missing)) as results:
+            for first, rows in results:
+                store.put(first, rows)
+                done += len(rows)
+                speed = done * job.duration_s / max(1e-9, time.perf_counter() - begun_s)
+                watch(Progress(name, self.runs - left + done, self.runs, speed))
+        store.finish(self.runs)
+        summary = {
+            "scenario": name,
+            "seed": job.seed,
+            "rows": self._rows,
+            "cases": self.runs,
+            "confidence": CONFIDENCE,
+            "sobol": {outcome: self._indices(store, outcome) for outcome in SENSITIVE},
+        }
+        write_summary(store.folder / "summary.json", summary)
+        return summary
+
+    def _indices(self, store: Store, outcome: str) -> list[dict[str, Any]]:
+        values = np.asarray(store.column(outcome), dtype=float).reshape(self._rows, self._d + 3).T
+        names = [*self._job.design.names, NOISE]
+        return index_rows(sobol_indices(values[0], values[1], values[2:]), names)

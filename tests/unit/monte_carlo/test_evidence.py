@@ -1,0 +1,101 @@
+"""Evidence for requirements: verdict, tolerance bound, page and JUnit XML."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from hil.config.load import load_rig, load_scenario
+from hil.config.scenario import ProbabilisticRequirement
+from hil.errors import BadInput
+from hil.maths.order_statistics import cases_needed
+from hil.monte_carlo.campaign import CampaignJob
+from hil.monte_carlo.evidence import judge_requirement, tolerance_bound
+from hil.report.requirements_page import junit, requirements_page
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "run-a-campaign.md"
+REQUIREMENT = ProbabilisticRequirement(id="R-1", text="x is small", column="position_m_x", at_most=0.006)
+
+
+def judged(values: list[float] | np.ndarray, **changes: Any) -> dict[str, Any]:
+    return judge_requirement(REQUIREMENT.model_copy(update=changes), np.asarray(values, dtype=float))
+
+
+def test_as_many_failures_as_allowed_are_verified_and_one_more_is_not() -> None:
+    values = np.full(1970, 0.005)
+    values[:2] = 0.007
+    found = judged(values)
+    assert (found["verdict"], found["failures"], found["allowed_failures"]) == ("verified", 2, 2)
+    assert (found["bound"], found["margin"]) == (0.005, pytest.approx(0.001))
+    assert found["risk"] <= 0.1
+    values[2] = 0.007
+    found = judged(values)
+    assert (found["verdict"], found["bound"], found["cases_needed"]) == ("not verified", 0.007, 2473)
+
+
+def test_case_without_the_outcome_is_a_failure() -> None:
+    values = np.full(852, 0.005)
+    assert judged(values)["verdict"] == "verified"
+    values[5] = np.nan
+    found = judged(values)
+    assert (found["verdict"], found["failures"], found["bound"]) == ("not verified", 1, None)
+
+
+def test_too_few_cases_name_the_number_that_is_needed() -> None:
+    found = judged(np.full(851, 0.005))
+    assert (found["verdict"], found["cases_needed"], found["bound"]) == ("too few cases", 852, None)
+
+
+def test_lower_limit_is_judged_at_the_other_end() -> None:
+    values = np.linspace(-1.0, 1.0, 1000)
+    found = judged(values, at_most=None, at_least=-0.999)
+    assert (found["side"], found["failures"], found["verdict"]) == ("at least", 1, "not verified")
+    assert judged(values, at_most=None, at_least=-1.0)["margin"] == pytest.approx(0.0)
+
+
+def test_tolerance_bound_is_exceeded_by_the_stated_fraction_in_nine_of_ten_campaigns() -> None:
+    generator = np.random.default_rng(1)
+    bounds = [tolerance_bound(generator.random(1500), 1.0, 0.99, 0.1) for _ in range(1000)]
+    assert np.mean([bound is not None and bound >= 0.99 for bound in bounds]) == pytest.approx(0.925, abs=0.035)
+
+
+def test_page_and_junit_have_each_requirement() -> None:
+    found = [judged(np.full(852, 0.005)), judged(np.full(852, 0.007), id="R-2", text="<b>x</b>")]
+    page = requirements_page("scheme-1", {"seed": 3, "digest": "abc"}, found)
+    assert "1 of 2 verified" in page
+    assert "852 cases, seed 3, digest abc" in page
+    assert "<b>x</b>" not in page
+    assert page.count("hardware") >= 2
+    suite = ElementTree.fromstring(junit("scheme-1", found))
+    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
+    assert [len(case) for case in suite] == [0, 1]
+
+
+def test_requirements_are_read_as_a_list_that_extends_the_table(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    entry = '[[requirements]]\nid = "R"\ntext = "t"\ncolumn = "{}"\nat_least = 1\n'
+    path.write_text('extends = "scheme-1"\n' + entry.format("passed"))
+    scenario = load_scenario(str(path))
+    assert [each.id for each in scenario.value.requirements.probabilistic] == ["R"]
+    assert scenario.value.requirements.dwell_s == load_scenario("scheme-1").value.requirements.dwell_s
+    path.write_text('extends = "scheme-1"\n' + entry.format("nearest"))
+    with pytest.raises(BadInput) as raised:
+        CampaignJob(load_scenario(str(path)), load_rig("mock"), 0)
+    assert re.search(r"mine\.toml.*probabilistic.*nearest.*nearest_m", str(raised.value))
+    for wrong in (entry.format("passed") * 2, entry.format("passed") + "at_most = 2\n"):
+        path.write_text('extends = "scheme-1"\n' + wrong)
+        with pytest.raises(BadInput):
+            load_scenario(str(path))
+
+
+def test_table_of_the_page_is_the_binomial_one() -> None:
+    rows = re.findall(r"^\| (failures allowed|cases for ([\d.]+) %.*?) \| (.+) \|$", PAGE.read_text(), re.MULTILINE)
+    failures, *others = [(row[1], [int(cell.replace(",", "")) for cell in row[2].split(" | ")]) for row in rows]
+    assert len(others) == 2
+    for percent, cases in others:
+        assert cases == [cases_needed(k, float(percent) / 100.0, 0.1) for k in failures[1]]
