@@ -16,6 +16,7 @@ from hil.config.guard import KeepOut
 from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
+from hil.config.model_fmu import ModelFmu, ThrusterModel
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 
@@ -100,7 +101,7 @@ class Initial(ConfigModel):
     """Rate of c relative to H, in c."""
 
 
-class Imu(ConfigModel):
+class Imu(ModelFmu):
     """Sensor grade of the virtual IMU (bench paper Table I); *_initial_sigma_*: dispersion of the true values."""
 
     gyro_drift_degps: Triple
@@ -596,6 +597,7 @@ class Scenario(ConfigModel):
     chaser: Chaser
     initial: Initial
     imu: Imu
+    thrusters: ThrusterModel = ThrusterModel()
     vmu: VisionNoise
     gnc: GncConfig
     requirements: Requirements
@@ -607,6 +609,22 @@ class Scenario(ConfigModel):
     """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()
     console: LiveTuning = LiveTuning()
+
+    @model_validator(mode="after")
+    def _models_have_their_own_faults(self) -> Self:
+        parts = {"truth": ("target", self.truth), "thrusters": ("thruster", self.thrusters), "imu": ("imu", self.imu)}
+        for name, (family, part) in parts.items():
+            if part.fmu is not None and any(fault.family == family for fault in self.faults):
+                raise ValueError(
+                    f"{name}.fmu: faults of family {family} are of the built-in model: put them into the FMU"
+                )
+        return self
+
+    @property
+    def models(self) -> dict[str, ModelFmu]:
+        """Parts of the plant that are in FMUs."""
+        parts: dict[str, ModelFmu] = {"thrusters": self.thrusters, "truth": self.truth, "imu": self.imu}
+        return {name: part for name, part in parts.items() if part.fmu is not None}
 
     @property
     def gnc_orbit(self) -> Orbit:

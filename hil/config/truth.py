@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, Positive, Triple
+from hil.config.model_fmu import ModelFmu
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
 
@@ -78,7 +79,7 @@ class SolarArray(ConfigModel):
         return self
 
 
-class Truth(ConfigModel):
+class Truth(ModelFmu):
     """Model of relative motion, and a switch or magnitude for each effect."""
 
     relative_motion: Literal["hill", "nonlinear"] = "nonlinear"

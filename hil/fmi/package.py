@@ -30,6 +30,7 @@ _UNITS: Final[Mapping[str, Mapping[str, int]]] = {
     "m": {"m": 1},
     "kg": {"kg": 1},
     "N": {"kg": 1, "m": 1, "s": -2},
+    "N m": {"kg": 1, "m": 2, "s": -2},
     "rad": {"rad": 1},
     "rad/s": {"rad": 1, "s": -1},
     "rad/s^2": {"rad": 1, "s": -2},

@@ -60,6 +60,11 @@ class DssStage:
             samples,
             imu,
         )
+        self._send_samples(k, samples)
+
+    def _send_samples(self, k: int, samples: np.ndarray) -> None:
+        """Send the samples of cycle ``k`` to the sink."""
+        n = len(samples)
         if self.sample_sink is None:
             return
         for i, sample in enumerate(samples):

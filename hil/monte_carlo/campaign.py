@@ -72,6 +72,9 @@ class CampaignJob:
         if self.scenario.value.vmu.source != "model":
             text = f'"{self.scenario.value.vmu.source}": campaigns use the model of the vision unit, allowed "model"'
             problems.append(Problem(self.scenario.where("vmu.source"), "vmu.source", text))
+        for name, part in self.scenario.value.models.items():
+            text = f'"{part.fmu}": campaigns run the built-in model: fly a part of the plant in an FMU by hil run'
+            problems.append(Problem(self.scenario.where(f"{name}.fmu"), f"{name}.fmu", text))
         for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES)):
             for name in names:
                 if getattr(getattr(rig, device), name).encoder == "incremental":

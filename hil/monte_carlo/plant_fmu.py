@@ -23,6 +23,7 @@ from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GncState
 from hil.core.messages import CYCLE
+from hil.errors import BadInput
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import SHELL, Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
@@ -73,6 +74,9 @@ class PlantCase:
 
 def export_plant(case: PlantCase, version: int, out: Path) -> None:
     """Write the FMU of ``case`` for FMI ``version``, 2 or 3, to ``out``. Raises BadInput."""
+    if models := case.truth.models:
+        text = f"{', '.join(models)}: in an FMU already: the exported plant has the built-in models"
+        raise BadInput.single("hil fmu-export", f"{next(iter(models))}.fmu", text)
     runner = CaseRunner(case.scenario, case.rig, case.duration_s)
     prepared = runner.prepared(case.truth, case.seed)
     arguments = dict(zip(_PARTS, prepared, strict=False))

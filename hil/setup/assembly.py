@@ -38,6 +38,7 @@ from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.cycle import CycleData, Loop
 from hil.loop.fault_stages import AxisFaults, FrameFaults
 from hil.loop.guard_stage import GuardStage
+from hil.loop.model_stage import ModelDssStage
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -54,6 +55,7 @@ from hil.params.faults import fault_rows
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
+from hil.setup.plant_models import plant_models
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
@@ -246,9 +248,10 @@ def make_backend(scenario: Scenario) -> GncBackend:
 
 
 def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return why the GNC binary of ``scenario``, if it has one, cannot be used."""
+    """Return why the GNC binary of ``scenario``, or a part of the plant in an FMU, cannot be used."""
     gnc = scenario.value.gnc
     try:
+        plant_models(scenario.value, dss_as_built(scenario.value, 0), scenario)
         library = open_library(gnc, scenario.where(key_of(gnc)))
         if library is not None:
             library.open(gnc_setup(scenario.value)).close()
@@ -288,13 +291,16 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
 
 
 def _dss(scenario: Scenario, seed: int) -> DssStage:
-    """Return the dynamics simulation with this run's thruster errors."""
-    return DssStage(
-        dss_as_built(scenario, seed),
+    """Return the dynamics simulation with this run's thruster errors. Raises BadInput for an FMU that is unsuitable."""
+    params = dss_as_built(scenario, seed)
+    parts = (
+        params,
         dynamics_params.field(scenario),
         dynamics_params.imu(scenario, seed),
         NormalRows(noise_source(seed, "imu"), IMU_NOISE),
     )
+    models = plant_models(scenario, params)
+    return DssStage(*parts) if models is None else ModelDssStage(models, *parts)
 
 
 def dss_as_built(scenario: Scenario, seed: int) -> np.record:

@@ -32,6 +32,7 @@ def python_only(job: Job) -> str:
         "command words of a flight computer": rig.flight_computer.command_words != "none",
         "rendered images": job.truth.vmu.source != "model",
         "shadow filter": scenario.gnc.shadow.enabled,
+        "parts of the plant in FMUs": bool(job.truth.models),
         "a target on axes": rig.moved_target is not None,
         # each cycle could end with an alarm
         "setpoints that expire within two cycles": rig.safety.command_age_max_s < 2.0 * scenario.step_s,
