@@ -106,7 +106,7 @@ def test_failure_in_the_run_stops_the_bench_and_names_the_part(
 def test_unsuitable_fmu_is_refused_before_the_run(tmp_path: Path) -> None:
     fmu = model_fmu(tmp_path, "imu")
     for change, words in (
-        ('name="rate_radps[1]" => name="rate[1]"', "has no variable 'rate_radps\\[1\\]'|has no output rate_radps"),
+        ('name="rate_radps[1]" => name="rate[1]"', r"has no variable 'rate_radps\[1\]'|has no output rate_radps"),
         ('causality="output" => causality="local"', "has no output rate_radps"),
         ('name="t_s" => name="clock"', "input clock: no field of that name"),
     ):
