@@ -112,7 +112,7 @@ def test_unsuitable_fmu_is_refused_before_the_run(tmp_path: Path) -> None:
     ):
         with pytest.raises(BadInput, match=words):
             flown({"imu.fmu": str(described(fmu, tmp_path / "changed.fmu", change))})
-    with pytest.raises(BadInput, match="allows steps of 0.03 s and multiples: the step is 0.02 s"):
+    with pytest.raises(BadInput, match=r"allows steps of 0.03 s and multiples: the step is 0.02 s"):
         flown({"truth.fmu": str(model_fmu(tmp_path, "truth", step_s=0.03))})
     with pytest.raises(BadInput, match="faults of family imu are of the built-in model"):
         hil.run("scheme-1", overrides={"imu.fmu": str(fmu)}, faults=[{"device": "imu", "kind": "dropout", "at_s": 1.0}])
