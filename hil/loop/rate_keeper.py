@@ -6,7 +6,10 @@ import time
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from hil.core.clock import SimulatedClock, WallClock
+from hil.core.wait import wait_until
 
 _SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
 _SPIN_FRACTION = 0.5  # of a period at most: the kernel preempts a real-time thread that never sleeps
@@ -79,7 +82,8 @@ class WallClockRate:
     """Absolute deadlines on the monotonic clock.
 
     A cycle that ends after the next deadline is an overrun: the periods that it covers are skipped and counted, and
-    run time is delayed by them; no cycle is made up.
+    run time is delayed by them; no cycle is made up. The wait holds no lock of the interpreter: other threads of the
+    process run meanwhile.
     """
 
     def __init__(self, clock: WallClock, step_s: float) -> None:
@@ -87,6 +91,8 @@ class WallClockRate:
         self._step_s = step_s
         self._period_ns = round(step_s / clock.speed * 1e9)
         self._spin_ns = min(_SPIN_NS, int(_SPIN_FRACTION * self._period_ns))
+        self._timespec = np.zeros(2, np.int64)
+        wait_until(0, 0, self._timespec)  # loads the kernel before the first deadline
         self.executed = self.overruns = self.skipped_periods = 0
         self.paced = True
         self.restart()
@@ -109,11 +115,9 @@ class WallClockRate:
             self.skipped_periods += skipped
             self._deadline_ns += skipped * self._period_ns
             self._zero_s += skipped * self._step_s
-        left_ns = self._deadline_ns - time.monotonic_ns() - self._spin_ns
-        if left_ns > 0:
-            time.sleep(left_ns * 1e-9)
-        while (now_ns := time.monotonic_ns()) < self._deadline_ns:
-            pass
+        while wait_until(self._deadline_ns, self._spin_ns, self._timespec) < self._deadline_ns:
+            pass  # a signal: Python handles it here
+        now_ns = time.monotonic_ns()  # with the interpreter's lock again
         self.executed += 1
         lateness_s = (now_ns - self._deadline_ns) * 1e-9
         if not skipped:

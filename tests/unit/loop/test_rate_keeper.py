@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import zip_longest
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,12 +33,21 @@ class FakeTime:
         self.slept_ns.append(round(seconds * 1e9))
         self.ns += self.slept_ns[-1] + self.oversleeps_ns
 
+    def wait_until(self, deadline_ns: int, spin_ns: int, _: np.ndarray) -> int:
+        left_ns = deadline_ns - spin_ns - self.monotonic_ns()
+        if left_ns > 0:
+            self.sleep(left_ns * 1e-9)
+        while (now_ns := self.monotonic_ns()) < deadline_ns:
+            pass
+        return now_ns
+
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> FakeTime:
     """Put a made-up clock in the place of the machine's."""
     fake = FakeTime()
     monkeypatch.setattr(rate_module, "time", fake)
+    monkeypatch.setattr(rate_module, "wait_until", fake.wait_until)
     return fake
 
 
