@@ -5,7 +5,8 @@
 #
 # Needs root, apt-get install qemu-system-x86 busybox-static cpio kmod, and python3 with the product's packages as PYTHON.
 # The root of this computer is the guest's, read-only over 9p; what it writes is in its memory. Function is tested, not
-# timing: without /dev/kvm the processor is emulated, which takes minutes for each start of Python. Output: guest.log.
+# timing. The processor is emulated, which takes minutes for each start of Python; ACCELERATOR=kvm on a computer whose
+# /dev/kvm boots a guest. Output: guest.log.
 set -e
 work=${1:-/tmp/hil-rt-guest}
 top=$(cd "$(dirname "$0")/.." && pwd)
@@ -65,10 +66,10 @@ mkdir -p /tmp/kernels && cp -r ${HIL_CACHE_DIR:-/nowhere}/. /tmp/kernels/ 2>/dev
 exec timeout ${GUEST_S:-900} $python sims/rt_guest.py
 RUN
 chmod +x run.sh
-accelerator=tcg
-[ -w /dev/kvm ] && accelerator=kvm:tcg
+accelerator=${ACCELERATOR:-tcg}
+
 nice -n 15 timeout "${QEMU_S:-1200}" qemu-system-x86_64 -machine q35,accel=$accelerator -cpu max,arch-capabilities=off -smp 2 -m 3072 \
     -nographic -no-reboot -kernel "image/boot/vmlinuz-$release" -initrd initrd.gz \
     -virtfs local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap \
-    -append "console=ttyS0 quiet panic=-1 hil_run=$work/run.sh" < /dev/null 2>&1 | tee guest.log
+    -append "console=ttyS0 edd=off loglevel=4 panic=-1 hil_run=$work/run.sh" < /dev/null 2>&1 | tee guest.log
 grep -q "rt_guest: passed" guest.log

@@ -28,3 +28,6 @@ class HostConfig(ConfigModel):
     """... within this time (leaky bucket)."""
     late_wakeup_us: Positive = 1000.0
     """A cycle that starts later than this counts as a late wake-up."""
+    exchange_max_s: Positive | None = None
+    """Limit in reports of the age of an axis' sample and of the acknowledgement of digital lines; unless set, two
+    cycles."""

@@ -25,6 +25,7 @@ from hil.loop.runner import Outcome, Runner
 from hil.report import summary
 from hil.report.bench_energy import ENERGY_KEYS, judge_energy_added
 from hil.report.bench_error import judge_bench_error
+from hil.report.device_times import NAMES, count_beyond, execution_times_s, judge_times
 from hil.report.integrity import IntegrityJudge
 from hil.report.latency import measured, percentiles, pose_to_command_s
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, ready_params, verdict_of
@@ -111,6 +112,8 @@ class LongRun:
             name: ThinnedSample() for name in ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms")
         }
         self._lateness = ThinnedSample()
+        self._times = {name: ThinnedSample() for name in NAMES}
+        self._beyond = dict.fromkeys(NAMES, 0)
         self._histogram: list[dict[str, Any]] = []
 
     def add(self, rows: np.ndarray) -> None:
@@ -210,6 +213,10 @@ class LongRun:
         for name, values in latencies.items():
             self._latency[name].add(values)
         self._lateness.add(rows["lateness_s"])
+        times_s = execution_times_s(rows)
+        for name, count in count_beyond(times_s, self._rig, step_s).items():
+            self._times[name].add(times_s[name])
+            self._beyond[name] += count
         found = summary.lateness_counts(rows["lateness_s"], self._rig)
         for name in ("cycles", "late_wakeups"):
             self._sums[name] = self._sums.get(name, 0) + found[name]
@@ -265,6 +272,12 @@ class LongRun:
                 "late_wakeups": int(sums["late_wakeups"]),
                 "lateness_us": lateness_percentiles_us(self._lateness.values()),
                 "lateness_histogram": self._histogram,
+                "devices": judge_times(
+                    {name: sample.values() for name, sample in self._times.items()},
+                    self._beyond,
+                    self._rig,
+                    self._scenario.step_s,
+                ),
             },
         }, verdict
 

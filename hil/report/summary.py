@@ -22,6 +22,7 @@ from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
 from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
+from hil.report.device_times import count_beyond, execution_times_s, judge_times
 from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
@@ -126,8 +127,17 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
         | {"energy": judge_energy_added(history, scenario, rig)},
         "latency": measure_latency(history, scenario.step_s, scenario.step_s / rig.ticks(scenario.step_s)),
         "timing": lateness_counts(history["lateness_s"], rig)
-        | {"lateness_us": lateness_percentiles_us(history["lateness_s"])},
+        | {
+            "lateness_us": lateness_percentiles_us(history["lateness_s"]),
+            "devices": devices_of(history, rig, scenario),
+        },
     }, verdict
+
+
+def devices_of(history: np.ndarray, rig: Rig, scenario: Scenario) -> dict[str, Any]:
+    """Return execution times of the cycle and the devices, with their limits."""
+    times_s = execution_times_s(history)
+    return judge_times(times_s, count_beyond(times_s, rig, scenario.step_s), rig, scenario.step_s)
 
 
 def summary_of(recorded: Recorded) -> dict[str, Any]:

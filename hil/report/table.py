@@ -72,6 +72,15 @@ def _print_timing(timing: dict[str, Any], console: Console) -> None:
         highlight=False,
         soft_wrap=True,
     )
+    slow = {name: times for name, times in timing.get("devices", {}).items() if times["beyond"]}
+    for name, times in slow.items():
+        console.print(
+            f"            {name}: {times['beyond']} times beyond {times['limit_ms']:g} ms, "
+            f"p50 {times['p50_ms']:.2f} p99 {times['p99_ms']:.2f} max {times['max_ms']:.2f} ms",
+            style="yellow",
+            highlight=False,
+            soft_wrap=True,
+        )
     if timing["privileges"]:
         console.print(f"Host        {_host_text(timing['privileges'])}", highlight=False, soft_wrap=True)
     if timing["overruns"]:
