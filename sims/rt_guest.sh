@@ -49,7 +49,6 @@ for place in proc sys dev; do /bin/busybox mkdir -p /root/$place; done
 /bin/busybox mkdir -p /root/dev/pts /root/dev/shm
 /bin/busybox mount -t devpts none /root/dev/pts
 /bin/busybox mount -t tmpfs none /root/dev/shm
-/bin/busybox mount -t tmpfs none /root/tmp
 /bin/busybox ip link set lo up
 /bin/busybox ip link add dev vcan0 type vcan
 /bin/busybox ip link set vcan0 up
