@@ -1,9 +1,11 @@
-"""Integrity under single faults: campaigns in which each case has one fault of the threat model, sims/threats.toml.
+"""Integrity under faults: campaigns in which each case has one fault, or two, of the threat model, sims/threats.toml.
 
-    python sims/integrity_campaign.py [CASES [SCHEME ...]] [--workers N]
+    python sims/integrity_campaign.py [CASES [SCHEME ...]] [--monitor] [--without-guard] [--pairs] [--workers N]
 
 Prints, by kind of fault: cases, how many were detected and how fast, by whom, cases with misleading cycles, the nearest
 distance to the target, and how many cases came nearer than the keep-out. CASES: of each scheme, 1000 unless given.
+--monitor: with the docking monitor and its faults (sensor set A), otherwise without (B). --without-guard: without the
+bench guard, whose safe stops end a case before the navigation can mislead for long. --pairs: two faults at once.
 """
 
 from __future__ import annotations
@@ -12,6 +14,9 @@ import argparse
 import json
 import tomllib
 from collections import defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from functools import lru_cache, partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,27 +25,38 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hil.config.load import load_rig, load_scenario
+from hil.config.faults import TimedFault
+from hil.config.load import Loaded, load_rig, load_scenario
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.monte_carlo.batch import Rows, Spec
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.dispersions import Design, case_seed, drawn_fault
 from hil.monte_carlo.engines import LocalEngine
+from hil.monte_carlo.outcome import row_of
 
 THREATS: Final = Path(__file__).with_name("threats.toml")
+WITHOUT_GUARD: Final = ("rig.guard.enabled=false", "rig.rails.following_error_max_m=0.5")
 _BATCH: Final = 50
+_SECOND: Final = 0x2FA  # key of the random stream of second faults
 
 
-def with_threats(scheme: str) -> Scenario:
-    """Return the scenario ``scheme`` whose campaign draws one fault per case from the threat model."""
-    scenario = load_scenario(scheme).value
-    table = scenario.model_dump(mode="json")
-    table["dispersions"]["faults"] = tomllib.loads(THREATS.read_text())
+def with_threats(scheme: str, monitor: bool = False) -> Scenario:
+    """Return the scenario ``scheme`` whose campaign draws one fault per case from the threat model.
+
+    monitor: with the docking monitor, as a statistical model, and its faults.
+    """
+    scenario = load_scenario(scheme, ("monitor.source=model",) if monitor else ()).value
+    table, threats = scenario.model_dump(mode="json"), tomllib.loads(THREATS.read_text())
+    threats["draw"] = [draw for draw in threats["draw"] if monitor or draw["device"] != "monitor"]
+    table["dispersions"]["faults"] = threats
     return Scenario.model_validate_json(json.dumps(table))
 
 
-def flown(scheme: str, cases: int, workers: int, seed: int = 0) -> Rows:
+def flown(scheme: str, cases: int, workers: int, seed: int = 0, monitor: bool = False, guard: bool = True) -> Rows:
     """Return the rows of the campaign of ``scheme`` with the threat model."""
-    scenario = with_threats(scheme)
-    spec = Spec.of(scenario, load_rig("mock").value, seed, scenario.duration_s)
+    scenario = with_threats(scheme, monitor)
+    spec = Spec.of(scenario, _rig(guard), seed, scenario.duration_s)
     batches = [(first, min(_BATCH, cases - first)) for first in range(0, cases, _BATCH)]
     engine, rows = LocalEngine(workers), []
     try:
@@ -49,6 +65,43 @@ def flown(scheme: str, cases: int, workers: int, seed: int = 0) -> Rows:
     finally:
         engine.close()
     return sorted(rows, key=lambda row: row["case"])
+
+
+def _rig(guard: bool) -> Rig:
+    return load_rig("mock", () if guard else WITHOUT_GUARD).value
+
+
+@lru_cache(maxsize=1)
+def _pairs_of(scheme: str, seed: int, monitor: bool, guard: bool) -> tuple[Design, CaseRunner]:
+    scenario = with_threats(scheme, monitor)
+    loaded = Loaded(scenario, scheme, {})
+    return Design(loaded, seed), CaseRunner(scenario, _rig(guard), scenario.duration_s)
+
+
+def pair(scheme: str, seed: int, monitor: bool, guard: bool, case: int) -> dict[str, Any]:
+    """Return the row of ``case`` with its fault and a second one; its columns of a fault are those of the first."""
+    design, runner = _pairs_of(scheme, seed, monitor, guard)
+    truth, told = design.apply(design.values(case), design.fault(case))
+    scenario = runner.scenario
+    second = drawn_fault(
+        scenario.dispersions.faults,
+        len(scenario.chaser.thrusters.position_m),
+        np.random.SeedSequence(seed, spawn_key=(_SECOND, case)),
+    )
+    truth = truth.model_copy(update={"faults": (*truth.faults, TimedFault.model_validate(second, strict=False))})
+    if design.touches_gnc:
+        runner.set_gnc_scenario(told)
+    stats, stop = runner.run(truth, case_seed(seed, case))
+    return {"case": case, **row_of(stats, stop, told, truth)}
+
+
+def flown_in_pairs(
+    scheme: str, cases: int, workers: int, seed: int = 0, monitor: bool = False, guard: bool = True
+) -> Rows:
+    """Return the rows of the campaign of ``scheme`` with two faults per case."""
+    one = partial(pair, scheme, seed, monitor, guard)
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        return list(track(pool.map(one, range(cases), chunksize=10), scheme, cases, transient=True))
 
 
 def by_kind(rows: Rows) -> dict[str, Rows]:
@@ -81,7 +134,7 @@ def numbers(rows: Rows, keep_out_m: float) -> dict[str, Any]:
 
 def table_of(scheme: str, rows: Rows, keep_out_m: float) -> Table:
     """Return the table of ``rows``."""
-    table = Table(title=f"{scheme}: {len(rows)} cases with one fault each")
+    table = Table(title=f"{scheme}: {len(rows)} cases")
     for name in ("fault", "cases", "detected", "median, s", "by", "misleading", "HMI cycles", "nearest, m", "inside",
                  "passed"):  # fmt: skip
         table.add_column(name, justify="left" if name in ("fault", "by") else "right")
@@ -102,9 +155,12 @@ def main() -> None:
     parser.add_argument("cases", type=int, nargs="?", default=1000)
     parser.add_argument("schemes", nargs="*", default=["scheme-1", "scheme-2"])
     parser.add_argument("--workers", type=int, default=2)
+    for name in ("--monitor", "--without-guard", "--pairs"):
+        parser.add_argument(name, action="store_true")
     given = parser.parse_args()
     for scheme in given.schemes:
-        rows = flown(scheme, given.cases, given.workers)
+        fly = flown_in_pairs if given.pairs else flown
+        rows = fly(scheme, given.cases, given.workers, monitor=given.monitor, guard=not given.without_guard)
         Console(width=150).print(table_of(scheme, rows, load_scenario(scheme).value.keep_out.radius_m))
 
 

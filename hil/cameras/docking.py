@@ -8,28 +8,19 @@ import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
 from hil.config.docking_monitor import DockingMonitorConfig
-from hil.config.rig import BenchGeometry, Rig
+from hil.config.rig import Rig
 from hil.config.scene import Scene
 from hil.core.messages import POSE, Array, new
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.models import docking_view
-from hil.models.mounting import MOUNTING, camera_pose, chaser_pose
+from hil.models.mounting import camera_pose, chaser_pose
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.sources import VideoFrame, exposure
 from hil.params import bench as bench_params
+from hil.params.monitor import mounting
 
 _KEPT_S = 2.0  # s of samples kept before the last requested time: largest delay of an encoder
-
-
-def mounting(config: DockingMonitorConfig) -> np.record:
-    """Return MOUNTING of the television camera and the docking target; their axes are those of v and t."""
-    params, axes = new(MOUNTING), BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0))
-    params.camera_position = config.camera_position_m
-    params.q_vc = quat.from_matrix(np.array(axes.camera_axes))
-    params.led_ring_position = config.target_position_m
-    params.q_th = quat.from_matrix(np.array(axes.led_ring_axes))
-    return params
 
 
 def view(mounting: np.record, r_CT_H: Array, q_CH: Array) -> tuple[Array, Array]:

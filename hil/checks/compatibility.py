@@ -17,6 +17,7 @@ from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
+from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits
 from hil.maths import euler
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
@@ -70,13 +71,14 @@ def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
     settings, vmu = value.integrity, value.vmu
     distance = math.hypot(*value.gnc.guidance.ready_point_m)
     scale = max(1.0, distance / vmu.reference_range_m) * _NOISE_SIGMAS
-    along = settings.alert_axial_m + settings.alert_axial_per_range_scale * distance
-    across = settings.alert_corridor_fraction * value.gnc.corridor.minimum_radius_m
+    limits = np.empty(3)
+    params = gnc_params.approach_monitor(value)
+    alert_limits(params, np.array(value.gnc.guidance.ready_point_m), np.zeros(3), limits)
     problems = []
     for name, limit, noise, unit in (
-        ("alert_axial_m", along, scale * vmu.sigma_position_m, "m"),
-        ("alert_corridor_fraction", across, scale * vmu.sigma_position_m, "m"),
-        ("alert_attitude_deg", settings.alert_attitude_deg, scale * vmu.sigma_angle_deg, "deg"),
+        ("alert_axial_m", limits[ALONG], scale * vmu.sigma_position_m, "m"),
+        ("alert_corridor_fraction", limits[ACROSS], scale * vmu.sigma_position_m, "m"),
+        ("alert_attitude_deg", math.degrees(limits[ATTITUDE]), scale * vmu.sigma_angle_deg, "deg"),
     ):
         if limit < noise:
             key, given = f"integrity.{name}", getattr(settings, name)
@@ -215,11 +217,14 @@ def check_flight_computer(rig: Loaded[Rig]) -> list[Problem]:
     return [Problem(rig.where(key), f"rig.{key}", "is missing: the link of the command words") for key in missing]
 
 
-def check_monitor(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return the problems of the docking monitor's scene, if the run has a monitor."""
+def check_monitor(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return the problems of the docking monitor and its scene, if the run has a monitor."""
     monitor = scenario.value.monitor
     if monitor.source == "none":
         return []
+    if monitor.source == "model" and rig.value.kind == "hardware":
+        text = '"model": would vouch for a bench that it does not see; on hardware "none" or "rendered"'
+        return [Problem(scenario.where("monitor.source"), "monitor.source", text)]
     try:
         scene = load_scene(monitor.scene).value
     except BadInput as error:

@@ -45,6 +45,8 @@ def _why_not(fault: TimedFault, scenario: Scenario, rig: Rig) -> str:
             return (
                 f"value = {fault.values[0]:g}: at most {DELAY_STEPS_MAX} steps of the truth are kept, {longest_s:g} s"
             )
+    if fault.family == "monitor" and scenario.monitor.source == "none":
+        return 'device = "monitor": the scenario has no docking monitor, monitor.source is "none"'
     if fault.family == "axis" and rig.kind != "mock":
         names = ", ".join(family for family in TERMS if family != "axis")
         return f'device = "{fault.device}": axes have faults on the mock rig only; on {rig.name}: {names}'

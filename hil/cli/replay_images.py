@@ -49,8 +49,10 @@ def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
 
 
 def _scene(recorded: Recorded, name: str | None) -> Scene:
-    if recorded.scenario.monitor.source == "none":
-        raise BadInput.single(str(recorded.path), "", 'holds no images of a docking monitor: monitor.source was "none"')
+    source = recorded.scenario.monitor.source
+    if source != "rendered":
+        text = f'holds no images of a docking monitor: monitor.source was "{source}"'
+        raise BadInput.single(str(recorded.path), "", text)
     return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
 
 

@@ -96,12 +96,14 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
         "oscillation": ErrorTerm("the axis moves about its setpoint: amplitude, frequency", 2, "m or deg, Hz", "",
                                  0.0, 100.0),
     },
+    "monitor": {},
     "target": {
         "jump": ErrorTerm("the target is displaced", 3, "m", "H", 0.0, 10.0),
         "drift": ErrorTerm("the target moves at this velocity", 3, "m/s", "H", 0.0, 1.0),
     },
 }  # fmt: skip
 """Kind of device -> kind of fault -> term: for models, injection, tests and the generated reference."""
+TERMS["monitor"].update({kind: term for kind, term in TERMS["vmu"].items() if kind != "misidentified"})
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,11 @@ def _both(detection: str) -> FaultResponse:
     return FaultResponse("navigation", f"health; bench guard: {detection}", "hold, later safe stop", _TEST)
 
 
+def _interlock(detection: str) -> FaultResponse:
+    text = f"interlock: two measurements beyond five sigmas of monitor and navigation, {detection}"
+    return FaultResponse("monitor", text, "hold, later abort", _TEST)
+
+
 RESPONSES: Final[dict[str, FaultResponse]] = {
     "vmu.no_pose": FaultResponse("navigation", "health: vision lost", "abort", _TEST),
     "thruster.stuck_open": FaultResponse("navigation", "health: thruster fault, by the IMU", "abort", _TEST),
@@ -137,6 +144,9 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "vmu.outlier": _both("pose against encoders, if five in a row are beyond five sigmas"),
     "vmu.noise_scale": _both("pose against encoders, if five in a row are beyond five reported sigmas"),
     "vmu.misidentified": _both("pose against encoders, five poses"),
+    "monitor.frozen": _interlock("once the chaser has moved that far"),
+    "monitor.offset": _interlock("if larger"),
+    "monitor.drift": _interlock("once larger"),
     "axis.stuck": _guard("axis against the demand, 0.5 s from 2 mm/s or 0.1 deg/s on"),
     "axis.slow": _guard("axis against the demand, once slower than demanded"),
     "axis.offset": _guard("axis against the demand as the reading steps; later pose against encoders"),
@@ -156,7 +166,8 @@ class TimedFault(ConfigModel):
     until_s: Positive | None = None
     """End; unless set, that of the run."""
     device: str
-    """`vmu`, `imu`, `thruster.1` and so on in the scenario's order, `rails.x`, `turntable.roll`, ..., `target`."""
+    """`vmu`, `imu`, `thruster.1` and so on in the scenario's order, `rails.x`, `turntable.roll`, ..., `monitor`,
+    `target`."""
     kind: str
     """Kind of fault: see [Faults](faults.md)."""
     value: float | Vector | None = None
@@ -230,4 +241,4 @@ class TimedFault(ConfigModel):
 
 def devices() -> tuple[str, ...]:
     """Return the names of all devices that can have faults."""
-    return ("vmu", "imu", "thruster.1, thruster.2 ...", *AXES, "target")
+    return ("vmu", "imu", "thruster.1, thruster.2 ...", *AXES, "monitor", "target")

@@ -33,6 +33,8 @@ def motion_digest(rig: Rig) -> str:
         del table["bench"]["axes_rate_hz"]  # added later: a sign-off from before stays valid
     if rig.rails.map.functions == (23,):
         del table["rails"]["map"]["functions"]  # likewise
+    if guard := rig.guard.model_dump(mode="json", exclude_defaults=True):
+        table["guard"] = guard  # likewise: with its defaults it does not count
     if rig.turntable.ascii is not None:
         protocol = load_protocol(rig.turntable.ascii.protocol).value
         dump = with_first_names("Protocol", protocol.model_dump(mode="json"))

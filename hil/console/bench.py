@@ -55,6 +55,7 @@ def opened(
             bench = stack.enter_context(build.wired_bench(job, announce, sinks))
             watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, sinks))
             runner = bench.runner(operator.on_progress, operator)
+            watched.attach(runner)
             yield ConsoleBench(
                 runner,
                 bench.telemetry,
@@ -76,6 +77,7 @@ def opened(
         if pictures:
             stack.callback(pictures.close)
         runner = build.in_memory(job, rate, operator.on_progress, realtime, sinks.cycles, operator, pictures)
+        watched.attach(runner)
         yield ConsoleBench(runner, sinks.cycles, clock, sinks.run_time, sinks.attach(runner), watched, {}, rings)
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.cameras.docking import chaser_position, mounting
+from hil.cameras.docking import chaser_position
 from hil.console.columns import console_rows
 from hil.console.message import ImageMessage
 from hil.console.rows import Cursor, RowStore
@@ -22,6 +22,7 @@ from hil.core.camera_images import CAMERAS, image_data, overlay_shapes
 from hil.core.messages import Array
 from hil.monitor.results import Portion, portion_of
 from hil.params import bench as bench_params
+from hil.params.monitor import mounting
 from hil.setup.assembly import Job
 
 MAX_UNREAD: Final = 20

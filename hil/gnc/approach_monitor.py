@@ -26,6 +26,8 @@ NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG = 10, 11
+ALONG, ACROSS, ATTITUDE = range(3)
+"""Alert limits and protection levels: along the docking axis, across it, of the attitude."""
 
 APPROACH_MONITOR_PARAMS = np.dtype(
     [
@@ -43,7 +45,7 @@ APPROACH_MONITOR_PARAMS = np.dtype(
         ("alert_distance", "f8"),  # m, along the axis at range 0
         ("alert_slope", "f8"),  # its increase with range
         ("keep_out", "f8"),  # m, range that the chaser must be able to stop before, whatever the error; 0 for none
-        ("brake", "f8"),  # m/s^2
+        ("brake", "f8"),  # m/s^2, of an abort
         ("alert_corridor", "f8"),  # across the axis, fraction of the corridor's radius
         ("alert_angle", "f8"),  # rad
         # ready state: largest deviations (Table III)
@@ -126,21 +128,45 @@ def _length(values):
 
 
 @kernel
+def alert_limits(params, r_CT_H, v_CT_H, limits):
+    """Write the alert limits ``limits`` (3,): along the docking axis, across it, m, and of the attitude, rad.
+
+    Along: a base that grows with range, at most what is left to the keep-out after braking from the closing rate.
+    """
+    square, product = 0.0, 0.0
+    for i in range(3):
+        square += r_CT_H[i] * r_CT_H[i]
+        product += r_CT_H[i] * v_CT_H[i]
+    distance = math.sqrt(square)
+    along = params.alert_distance + params.alert_slope * distance
+    if params.keep_out > 0.0:
+        closing = max(0.0, -product / distance) if distance > 0.0 else 0.0
+        along = max(0.0, min(along, distance - params.keep_out - closing * closing / (2.0 * params.brake)))
+    limits[ALONG] = along
+    limits[ACROSS] = params.alert_corridor * corridor_radius(params, distance)
+    limits[ATTITUDE] = params.alert_angle
+
+
+@kernel
+def protection_levels(params, estimate, levels):
+    """Write the protection levels of ``estimate`` in the order of ``alert_limits``, nan if it reports none."""
+    along, across = 0.0, 0.0
+    for i in range(3):
+        part, level = abs(params.axis[i]), estimate.protection_level_m[i]
+        if part > 0.0:  # a level may be infinite
+            along += part * level
+        if part < 1.0:
+            across += (1.0 - part * part) * level * level
+    levels[ALONG], levels[ACROSS], levels[ATTITUDE] = along, math.sqrt(across), estimate.protection_level_rad
+
+
+@kernel
 def is_protected(params, estimate):
     """Return whether the protection levels of ``estimate`` are within the alert limits; true if it reports none."""
-    distance, along = _length(estimate.r_CT_H), 0.0
-    for i in range(3):
-        along += abs(params.axis[i]) * estimate.protection_level_m[i]
-    across = math.sqrt(max(0.0, _length(estimate.protection_level_m) ** 2 - along * along))
-    alert = params.alert_distance + params.alert_slope * distance
-    if params.keep_out > 0.0:
-        speed = _length(estimate.v_CT_H)
-        alert = min(alert, distance - params.keep_out - speed * speed / (2.0 * params.brake))
-    return not (
-        along > alert
-        or across > params.alert_corridor * corridor_radius(params, distance)
-        or estimate.protection_level_rad > params.alert_angle
-    )
+    limits, levels = stack.vector(3), stack.vector(3)
+    alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, limits)
+    protection_levels(params, estimate, levels)
+    return not (levels[ALONG] > limits[ALONG] or levels[ACROSS] > limits[ACROSS] or levels[ATTITUDE] > limits[ATTITUDE])
 
 
 @kernel

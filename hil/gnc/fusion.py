@@ -22,6 +22,7 @@ from hil.core.messages import POSE
 from hil.gnc import akf, akf_additive, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
+from hil.gnc.integrity import pose_sigmas
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
 from hil.maths import quat, stack
@@ -179,16 +180,11 @@ def _compare(state, pose):
     r, rotation = stack.vector(3), stack.vector(3)
     quat.transform_back_into(pose.q_CH, pose.z_TC_C, r)
     quat.rotation_between(pose.q_CH, state.seen_q, rotation)
-    distance, position, attitude = 0.0, 0.0, 0.0
-    for i in range(3):
-        distance += r[i] * r[i]
-        position = max(position, pose.covariance_position[i, i])
-        attitude = max(attitude, pose.covariance_attitude[i, i])
-    sigma, elapsed_s = math.sqrt(position + distance * attitude), abs(pose.t_s - state.seen_s)
+    (sigma, sigma_angle), elapsed_s = pose_sigmas(pose), abs(pose.t_s - state.seen_s)
     agree = True
     for i in range(3):
         agree = agree and abs(r[i] + state.seen_r[i]) <= _AGREEMENT * sigma + _SPEED_MAX * elapsed_s
-        agree = agree and abs(rotation[i]) <= _AGREEMENT * math.sqrt(attitude) + _RATE_MAX * elapsed_s
+        agree = agree and abs(rotation[i]) <= _AGREEMENT * sigma_angle + _RATE_MAX * elapsed_s
     state.mutual = state.mutual + 1 if agree else 0
     for i in range(3):
         state.seen_r[i] = -r[i]

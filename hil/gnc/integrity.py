@@ -97,6 +97,20 @@ def _is_repeated(state, pose):
 
 
 @kernel
+def pose_sigmas(pose):
+    """Return the largest standard deviations of ``pose`` (POSE): of its position in H, m, and of its attitude, rad.
+
+    Seen from H, an error of the attitude moves the chaser across the line of sight.
+    """
+    square, position, attitude = 0.0, 0.0, 0.0
+    for i in range(3):
+        square += pose.z_TC_C[i] ** 2
+        position = max(position, pose.covariance_position[i, i])
+        attitude = max(attitude, pose.covariance_attitude[i, i])
+    return math.sqrt(position + square * attitude), math.sqrt(attitude)
+
+
+@kernel
 def admits(params, state, pose):
     """Return whether ``pose`` may be passed to the filters; count it if not."""
     if is_measurement(params, pose) and not _is_repeated(state, pose):

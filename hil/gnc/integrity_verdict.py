@@ -13,27 +13,30 @@ import math
 
 import numpy as np
 
+from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.core.messages import MAX_FAULTS
-from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, ORDERED, closing_margin, corridor_margin
+from hil.gnc.approach_monitor import (
+    ACROSS,
+    ALONG,
+    APPROACH_MONITOR_PARAMS,
+    ATTITUDE,
+    ORDERED,
+    alert_limits,
+    closing_margin,
+    corridor_margin,
+    protection_levels,
+)
+from hil.gnc.reactions import ABORT, HOLD
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 
 FAULTS_MAX = 5 * MAX_FAULTS
-MONITOR_DISAGREES = 16  # bit of the health that a second sensor sets
-HOLD = 2  # reactions from here on end the approach
-ABORT = 4
+MONITOR_DISAGREES = GncHealth.MONITOR_DISAGREES.value
 
 INTEGRITY_PARAMS = np.dtype(
     [
-        ("approach", APPROACH_MONITOR_PARAMS),
-        ("axis", "f8", 3),  # docking axis, in H
-        ("axial", "f8"),  # m, alert limit along it at range 0 ...
-        ("axial_per_range", "f8"),  # ... and its increase
-        ("keep_out", "f8"),  # m
-        ("deceleration", "f8"),  # m/s^2, of an abort
-        ("corridor_fraction", "f8"),  # alert limit across, of the corridor's radius
-        ("attitude", "f8"),  # rad
+        ("approach", APPROACH_MONITOR_PARAMS),  # with the alert limits
         ("time_to_alert_s", "f8"),
         ("faults", "i8"),
         ("fault_at_s", "f8", FAULTS_MAX),
@@ -65,14 +68,12 @@ INTEGRITY_STATE = np.dtype(
         ("health_before", "i8", FAULTS_MAX),  # of each fault: before its onset
         ("reaction_before", "i8", FAULTS_MAX),
         ("detected_s", "f8", FAULTS_MAX),  # nan: not by the navigation
-        ("detected_health", "i8", FAULTS_MAX),
+        ("detected_health", "i8", FAULTS_MAX),  # its new bits
         ("reacted_s", "f8", FAULTS_MAX),
         ("reaction", "i8", FAULTS_MAX),
     ],
     align=True,
 )
-
-_ALONG, _ACROSS, _ATTITUDE = range(3)
 
 
 @kernel
@@ -87,42 +88,18 @@ def start_integrity(state):
 
 
 @kernel
-def alert_limits(params, r_CT_H, v_CT_H, limits):
-    """Write the alert limits ``limits`` (3,): along the docking axis, across it, m, and of the attitude, rad.
-
-    Along: a base that grows with range, at most what is left to the keep-out after braking.
-    """
-    square, product = 0.0, 0.0
-    for i in range(3):
-        square += r_CT_H[i] * r_CT_H[i]
-        product += r_CT_H[i] * v_CT_H[i]
-    distance = math.sqrt(square)
-    closing = max(0.0, -product / distance) if distance > 0.0 else 0.0
-    left = distance - params.keep_out - closing * closing / (2.0 * params.deceleration)
-    limits[_ALONG] = max(0.0, min(params.axial + params.axial_per_range * distance, left))
-    limits[_ACROSS] = params.corridor_fraction * max(params.approach.minimum_radius, params.approach.cone * distance)
-    limits[_ATTITUDE] = params.attitude
-
-
-@kernel
-def errors_and_levels(params, truth, estimate, errors, levels):
-    """Write the errors (3,) of the estimate and its protection levels (3,), in the order of ``alert_limits``.
-
-    truth: TRUTH. estimate: NAVIGATION. A level that is not reported is nan.
-    """
+def _errors(params, truth, estimate, errors):
+    """Write the errors (3,) of ``estimate`` (NAVIGATION) against ``truth`` (TRUTH) in the order of ``alert_limits``."""
     rotation = stack.vector(3)
-    along, square, level_along, level_square, turned = 0.0, 0.0, 0.0, 0.0, 0.0
+    along, square, turned = 0.0, 0.0, 0.0
     quat.rotation_between(truth.q_CH, estimate.q_CH, rotation)
     for i in range(3):
-        error, axis, level = truth.r_CT_H[i] - estimate.r_CT_H[i], params.axis[i], estimate.protection_level_m[i]
-        along += error * axis
+        error = truth.r_CT_H[i] - estimate.r_CT_H[i]
+        along += error * params.axis[i]
         square += error * error
-        level_along += abs(axis) * level
-        level_square += (1.0 - axis * axis) * level * level
         turned += rotation[i] * rotation[i]
-    errors[_ALONG], levels[_ALONG] = abs(along), level_along
-    errors[_ACROSS], levels[_ACROSS] = math.sqrt(max(0.0, square - along * along)), math.sqrt(level_square)
-    errors[_ATTITUDE], levels[_ATTITUDE] = math.sqrt(turned), estimate.protection_level_rad
+    errors[ALONG], errors[ACROSS] = abs(along), math.sqrt(max(0.0, square - along * along))
+    errors[ATTITUDE] = math.sqrt(turned)
 
 
 @kernel
@@ -163,7 +140,7 @@ def _detect(params, state, now):
             continue
         reacts = reaction > state.reaction_before[k]
         if math.isnan(state.detected_s[k]) and (reacts or (health & ~state.health_before[k]) != 0):
-            state.detected_s[k], state.detected_health[k] = now.t_s, health
+            state.detected_s[k], state.detected_health[k] = now.t_s, health & ~state.health_before[k]
         if math.isnan(state.reacted_s[k]) and reacts:
             state.reacted_s[k], state.reaction[k] = now.t_s, reaction
 
@@ -181,8 +158,9 @@ def update_integrity(params, state, now):
         copy_into(state.from_H, now.reference.from_H)
         copy_into(state.to_H, now.reference.to_H)
         return
-    alert_limits(params, now.truth.r_CT_H, now.truth.v_CT_H, limits)
-    errors_and_levels(params, now.truth, now.navigation, errors, levels)
+    alert_limits(params.approach, now.truth.r_CT_H, now.truth.v_CT_H, limits)
+    protection_levels(params.approach, now.navigation, levels)
+    _errors(params.approach, now.truth, now.navigation, errors)
     beyond, misled, available = False, False, True
     for i in range(3):
         is_beyond, is_below = not errors[i] <= limits[i], levels[i] < limits[i]
@@ -203,7 +181,7 @@ def update_integrity(params, state, now):
         state.hmi_by_line1_only += 1
     if now.t_s - state.unnoticed_s > state.longest_unnoticed_s:
         state.longest_unnoticed_s = now.t_s - state.unnoticed_s
-    worse = _ALONG if errors[_ALONG] * limits[_ACROSS] >= errors[_ACROSS] * limits[_ALONG] else _ACROSS
+    worse = ALONG if errors[ALONG] * limits[ACROSS] >= errors[ACROSS] * limits[ALONG] else ACROSS
     share = errors[worse] / limits[worse] if limits[worse] > 0.0 else np.inf
     if share > state.worst_share:
         state.worst_share, state.worst_error, state.worst_limit = share, errors[worse], limits[worse]
@@ -229,5 +207,6 @@ def update_integrity_all(params, state, rows):
 def stanford(params, rows, errors, levels, limits):
     """Write errors, protection levels and alert limits (n, 3) of each of ``rows`` (n,) of CYCLE."""
     for k in range(rows.shape[0]):
-        alert_limits(params, rows[k].truth.r_CT_H, rows[k].truth.v_CT_H, limits[k])
-        errors_and_levels(params, rows[k].truth, rows[k].navigation, errors[k], levels[k])
+        alert_limits(params.approach, rows[k].truth.r_CT_H, rows[k].truth.v_CT_H, limits[k])
+        protection_levels(params.approach, rows[k].navigation, levels[k])
+        _errors(params.approach, rows[k].truth, rows[k].navigation, errors[k])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import allocation, approach_monitor, control, guidance, navigation, pkf, reactions, thruster_monitor
@@ -22,6 +23,8 @@ from hil.gnc.thruster_monitor import DEAD, NO_FAULT, THRUSTER_MONITOR_PARAMS, TH
 from hil.maths import stack
 from hil.maths.arrays import fill
 from hil.maths.limits import has_held
+
+MONITOR_DISAGREES = GncHealth.MONITOR_DISAGREES.value
 
 APPROACH_PARAMS = np.dtype(
     [
@@ -69,6 +72,7 @@ APPROACH_STATE = np.dtype(
         ("reactions", REACTION_STATE),
         ("abort_ordered", "i8"),  # 1: by the operator
         ("abort_began", "i8"),  # 1: in this cycle
+        ("monitor_disagrees", "i8"),  # 1: the docking monitor's interlock is set
         ("progress", APPROACH_PROGRESS),
     ],
     align=True,
@@ -174,8 +178,11 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
     """Stage 6: check the estimate against corridor, closing rate and ready state; react to its health.
 
     Writes SUPERVISION, and REFERENCE if an abort, a hold or a retreat begins or ends. abort_without_estimate: an abort
-    that is ordered does not wait for a valid estimate, but starts from the reference. The others as of ``guide``.
+    that is ordered does not wait for a valid estimate, but starts from the reference. A docking monitor that disagrees
+    is added to the health of any GNC's estimate. The others as of ``guide``.
     """
+    if state.monitor_disagrees != 0:
+        estimate.health |= MONITOR_DISAGREES
     aborted = supervision.aborted
     ordered = state.abort_ordered
     if abort_without_estimate and estimate.valid == 0:

@@ -17,6 +17,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.gnc.integrity import pose_sigmas
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 
@@ -98,16 +99,12 @@ def predict(params, state):
 @kernel
 def _is_within(params, pose, reached_m, reached_rad, off, turned):
     """Return whether a pose is off by no more, ``off`` and ``turned`` (3,), than its noise and the motion explain."""
-    distance, position, attitude = 0.0, 0.0, 0.0
+    sigma, sigma_angle = pose_sigmas(pose)
+    sigmas = math.sqrt(2.0) * params.gate  # of the difference of two poses
     for i in range(3):
-        distance += pose.z_TC_C[i] ** 2
-        position = max(position, pose.covariance_position[i, i])
-        attitude = max(attitude, pose.covariance_attitude[i, i])
-    sigma = math.sqrt(2.0 * (position + distance * attitude))
-    for i in range(3):
-        if not abs(off[i]) <= params.gate * sigma + reached_m:
+        if not abs(off[i]) <= sigmas * sigma + reached_m:
             return False
-        if not abs(turned[i]) <= params.gate * math.sqrt(2.0 * attitude) + reached_rad:
+        if not abs(turned[i]) <= sigmas * sigma_angle + reached_rad:
             return False
     return True
 

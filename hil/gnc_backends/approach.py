@@ -66,6 +66,10 @@ class Approach:
         self.approach_state["abort_ordered"] = 1
         self.orders.append((self.cycle + 1, "abort"))
 
+    def set_monitor_disagrees(self, disagrees: bool) -> None:
+        """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
+        self.approach_state["monitor_disagrees"] = disagrees
+
     def guide(self, t_s: float, supervision: np.record, reference: np.record) -> None:
         """Start the next phase when its time or its order has come; write REFERENCE for ``t_s`` of the run."""
         before = self._progress.tobytes()

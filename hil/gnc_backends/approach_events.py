@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.config.scenario import REACTION_NAMES
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
+from hil.gnc.reactions import ABORT
 
 ABORT_CAUSES = (
     "",
@@ -23,8 +25,6 @@ ABORT_CAUSES = (
     "the protection level exceeds the alert limit",
     "a hold lasted too long",
 )
-_REACTIONS = ("continue", "coast", "hold", "retreat", "abort")
-_ABORT = len(_REACTIONS) - 1
 _ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"
 
@@ -83,15 +83,15 @@ class ApproachEventLog:
             f"abort: {ABORT_CAUSES[supervision.aborted]} (corridor margin {supervision.corridor_margin_m:.3f} m, "
             f"closing margin {supervision.closing_margin_mps:.4f} m/s)",
         )
-        self._log_phase(t_s, self._brake, _ABORT)
+        self._log_phase(t_s, self._brake, ABORT)
 
     def _log_reaction(self, t_s: float, reaction: int, cause: int) -> None:
         why = f": {ABORT_CAUSES[cause]}" if reaction else ""
-        self._log(t_s, "supervision", f"reaction {_REACTIONS[reaction]}{why}")
+        self._log(t_s, "supervision", f"reaction {REACTION_NAMES[reaction]}{why}")
 
     def _log_phase(self, t_s: float, phase: int, reaction: int) -> None:
         beyond = phase - self._brake
-        name = self._phases[phase] if beyond < 0 else f"{_REACTIONS[reaction]}: {_ESCAPE[beyond]}"
+        name = self._phases[phase] if beyond < 0 else f"{REACTION_NAMES[reaction]}: {_ESCAPE[beyond]}"
         self._log(t_s, "guidance", f"phase {name} begins")
 
     def _log(self, t_s: float, source: str, text: str) -> None:

@@ -71,6 +71,9 @@ class GncBackend(Protocol):
     def order_abort(self) -> None:
         """Order an abort, from the next cycle on."""
 
+    def set_monitor_disagrees(self, disagrees: bool) -> None:
+        """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
+
     def events(self) -> list[Event]:
         """Return all events so far in the order of time."""
 

@@ -17,6 +17,7 @@ from hil.gnc_backends.base import GncBackend
 from hil.loop.bench_stage import BenchStage
 from hil.loop.fault_stages import AxisFaults
 from hil.loop.guard_stage import GuardStage
+from hil.loop.monitor_stage import MonitorStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.stages import DssStage, VisionStage
@@ -76,6 +77,8 @@ class Loop:
     """Faults of axes in memory, if there are any."""
     guard: GuardStage | None = None
     """Bench guard; None if it is off."""
+    monitor: MonitorStage | None = None
+    """Docking monitor with its interlock; None without one."""
     now: CycleData = field(default_factory=CycleData)
     done: int = 0
     """Completed cycles of the run."""
@@ -140,6 +143,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
     if loop.guard is not None:
         loop.guard.compare(loop.vision)
+    if loop.monitor is not None:
+        loop.monitor.check(t_s, now.navigation, loop.gnc)  #    docking monitor against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s

@@ -25,6 +25,7 @@ from hil.core.messages import (
     new,
 )
 from hil.drivers.axes import ServoAxes
+from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BadInput, BenchError, LinkTimeout, ProtocolError, SafetyTrip
@@ -143,6 +144,7 @@ class CaseRunner:
             noise_source(seed, "imu").standard_normal(out=self._imu_noise),
             noise_source(seed, "vision").standard_normal(out=self._vision_noise),
             noise_source(seed, "transport").random(out=self._travel_draws),
+            self._drawn_monitor_noise(seed),
             self._state,
             self._samples,
             self._memory,
@@ -155,6 +157,15 @@ class CaseRunner:
             _NO_AXES_SAMPLES,
             _NO_IMU_SAMPLES,
         )
+
+    def _drawn_monitor_noise(self, seed: int) -> np.ndarray:
+        """Return the noise of the modelled docking monitor's measurements, no rows without one."""
+        monitor = self._params.monitor
+        n = 0
+        if monitor.acts and monitor.models:
+            n = math.floor((self.cycles - 1) * self.scenario.step_s * monitor.model.rate_hz) + 2
+        noise: np.ndarray = noise_source(seed, "monitor").standard_normal((n, MONITOR_NOISE))
+        return noise
 
     def prepared(self, truth: Scenario, seed: int) -> tuple[Any, ...]:
         """Return the arguments of ``run_loop`` before the first cycle of a case, without library and statistics.
@@ -175,7 +186,7 @@ class CaseRunner:
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        set_truth(params, truth, seed, dss_as_built(truth, seed))
+        set_truth(params, self.scenario, truth, seed, dss_as_built(truth, seed))
         integrity_params.set_faults(params.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)

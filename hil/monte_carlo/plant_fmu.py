@@ -35,7 +35,7 @@ from hil.monte_carlo.case_runner import CaseRunner
 _OMITTED: Final = ("history", "arrivals", "axes_log", "samples_log")
 """Last arguments of ``run_loop``, which the FMU does without."""
 _PARTS: Final = tuple(inspect.signature(run_loop).parameters)[: -len(_OMITTED)]
-_FIXED: Final = ("params", "field", "leds", "imu_noise", "vision_noise", "travel_draws")
+_FIXED: Final = ("params", "field", "leds", "imu_noise", "vision_noise", "travel_draws", "monitor_noise")
 _CHANGED: Final = tuple(name for name in _PARTS if name not in _FIXED)
 _CODES: Final = (
     "COMPLETED",

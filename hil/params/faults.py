@@ -20,6 +20,7 @@ _KERNELS: Final = {
     "imu": imu_faults,
     "thruster": thruster_faults,
     "axis": axis_faults,
+    "monitor": vision_faults,
     "target": target_faults,
 }
 CODES: Final = {

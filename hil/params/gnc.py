@@ -100,7 +100,7 @@ def navigation(scenario: Scenario) -> np.record:
     vision.attitude_lag_s = gnc.vision_only.attitude_lag_s
     vision.rate_lag_s = gnc.vision_only.rate_lag_s
     vision.gate = gnc.navigation.gate_sigma
-    vision.acceleration, vision.angular_acceleration = _largest_accelerations(scenario.chaser)
+    vision.acceleration, vision.angular_acceleration = largest_accelerations(scenario.chaser)
     vision.close_after = gnc.integrity.close_after
     params.integrity = integrity(scenario)
     return params
@@ -160,7 +160,7 @@ def _accelerations(chaser: Chaser) -> Array:
     )
 
 
-def _largest_accelerations(chaser: Chaser) -> tuple[float, float]:
+def largest_accelerations(chaser: Chaser) -> tuple[float, float]:
     """Return the largest acceleration along an axis, m/s^2, and about one, rad/s^2, with all thrusters that give it."""
     most = np.abs(np.maximum(_accelerations(chaser), 0.0).sum(axis=0))
     return float(most[:3].max()), float(most[3:].max())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,15 +15,9 @@ from hil.params import gnc as gnc_params
 
 def integrity(scenario: Scenario) -> np.record:
     """Return INTEGRITY_PARAMS."""
-    config = scenario.integrity
     params = new(INTEGRITY_PARAMS)
     params.approach = gnc_params.approach_monitor(scenario)
-    params.axis = scenario.gnc.corridor.axis
-    params.axial, params.axial_per_range = config.alert_axial_m, config.alert_axial_per_range_scale
-    params.keep_out, params.deceleration = scenario.keep_out.radius_m, scenario.gnc.abort.brake_mps2
-    params.corridor_fraction = config.alert_corridor_fraction
-    params.attitude = math.radians(config.alert_attitude_deg)
-    params.time_to_alert_s = config.time_to_alert_s
+    params.time_to_alert_s = scenario.integrity.time_to_alert_s
     set_faults(params, scenario.faults)
     return params
 

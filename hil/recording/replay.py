@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.config.live_tunable import value_of
 from hil.config.scenario import Scenario
+from hil.core.gnc_records import GncHealth
 from hil.core.messages import CYCLE, MAX_POSES, POSE
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.base import GncBackend
@@ -151,6 +152,7 @@ def _opened(gnc: GncBackend) -> Iterator[None]:
 def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
     """Run the GNC's stages of ``run_cycle`` on recorded inputs; return why the replay ends, "" if it continues."""
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
+    gnc.set_monitor_disagrees(bool(int(row["navigation"]["health"]) & GncHealth.MONITOR_DISAGREES))
     try:
         gnc.step(float(row["t_s"]), now, poses)
     except BenchError as fault:

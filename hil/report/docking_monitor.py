@@ -8,12 +8,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.cameras.docking import EncoderTrack, mounting
+from hil.cameras.docking import EncoderTrack
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.monitor.kernels.quantities import of_chaser, of_measured_pose, quantities
 from hil.monitor.results import QUANTITIES
 from hil.params import bench as bench_params
+from hil.params.monitor import mounting
 from hil.setup.docking_monitor import MonitorOutcome
 
 Floats = NDArray[np.float64]

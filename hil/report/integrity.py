@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.faults import TimedFault
-from hil.config.scenario import Scenario
+from hil.config.scenario import REACTION_NAMES, Scenario
 from hil.core.messages import new
 from hil.gnc.integrity_verdict import (
     INTEGRITY_STATE,
@@ -19,8 +19,6 @@ from hil.gnc.integrity_verdict import (
 )
 from hil.params import integrity as integrity_params
 
-REACTIONS: Final = ("", "coast", "hold", "retreat", "abort")
-"""Names of ``SUPERVISION.reaction``."""
 SAFE_STOP: Final = "safe stop"
 
 
@@ -84,7 +82,7 @@ def detection(state: np.record, k: int, fault: TimedFault, stop: SafeStop | None
         by = "monitor" if state.detected_health[k] == MONITOR_DISAGREES else "navigation"
         found.append((float(state.detected_s[k]), by))
     if not math.isnan(state.reacted_s[k]):
-        reactions.append((float(state.reacted_s[k]), REACTIONS[int(state.reaction[k])]))
+        reactions.append((float(state.reacted_s[k]), REACTION_NAMES[int(state.reaction[k])]))
     if stop is not None and stop.t_s >= fault.at_s:
         found.append((stop.t_s, stop.by))
         reactions.append((stop.t_s, SAFE_STOP))

@@ -61,7 +61,7 @@ def check(job: Job) -> None:
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
         *check_approach(job.scenario),
         *check_keep_out(job.scenario),
-        *check_monitor(job.scenario),
+        *check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
         *_rig_problems(job),
     ]

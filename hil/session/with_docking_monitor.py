@@ -1,4 +1,4 @@
-"""A run with the docking monitor of its scenario: in a process of its own, or after a run in memory."""
+"""A run with the docking monitor of its scenario: in a process of its own, in the loop or after a run in memory."""
 
 from __future__ import annotations
 
@@ -10,16 +10,34 @@ from hil.config.load import load_scene
 from hil.core.operator_commands import Operator
 from hil.errors import DeviceError
 from hil.frmn.ring import Ring
+from hil.loop.monitor_stage import PortionSource
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
+from hil.monitor.results import PORTION
 from hil.recording.sinks import RecordingSinks
 from hil.session import build
 
 if TYPE_CHECKING:
     from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess  # imports OpenCV
 
-MonitorResults = Callable[[Outcome], "MonitorOutcome | None"]
-"""Returns the monitor's results for the run that has ended; None if the scenario has no monitor."""
+_PORTIONS = 64  # in the ring that the loop reads
+
+
+class MonitorResults:
+    """Results of the monitor: of_run returns those of the run that has ended, source those that arrive during it."""
+
+    def __init__(self, of_run: Callable[[Outcome], MonitorOutcome | None], source: PortionSource | None = None) -> None:
+        self._of_run = of_run
+        self._source = source
+
+    def __call__(self, outcome: Outcome) -> MonitorOutcome | None:
+        """Return the results for the run that has ended; None if no images were rendered."""
+        return self._of_run(outcome)
+
+    def attach(self, runner: Runner) -> None:
+        """Connect the interlock of the runner's loop, if it has one."""
+        if runner.loop.monitor is not None:
+            runner.loop.monitor.source = self._source
 
 
 @contextmanager
@@ -31,17 +49,23 @@ def beside(
     Raises DeviceError if that process does not start.
     """
     scenario = job.scenario.value
-    if scenario.monitor.source == "none":
-        yield lambda _: None
+    if scenario.monitor.source != "rendered":
+        yield MonitorResults(lambda _: None)
         return
-    from hil.setup.docking_monitor import MonitorProcess
+    from hil.setup.docking_monitor import MonitorProcess, RingPortions
 
     scene = load_scene(scenario.monitor.scene).value
-    with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, *_rings(sinks)) as process:
-        announce("starting the docking monitor; its first start compiles its kernels")
-        process.wait_ready()
-        announce(f"docking monitor process {process.pid}")
-        yield lambda _: _results(process, scenario.monitor.scene)
+    images, recorded = _rings(sinks)
+    portions = recorded or Ring.create(PORTION, _PORTIONS, "portions")
+    try:
+        with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, images, portions) as process:
+            announce("starting the docking monitor; its first start compiles its kernels")
+            process.wait_ready()
+            announce(f"docking monitor process {process.pid}")
+            yield MonitorResults(lambda _: _results(process, scenario.monitor.scene), RingPortions(portions))
+    finally:
+        if recorded is None:
+            portions.close()
 
 
 @contextmanager
@@ -57,23 +81,37 @@ def runner(
     Raises DeviceError if a process does not start.
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
-    if scenario.monitor.source == "none":
+    if scenario.monitor.source != "rendered":
         with build.runner(job, on_progress, announce, operator, sinks) as plain:
-            yield plain, lambda _: None
+            yield plain, MonitorResults(lambda _: None)
         return
     if rig.kind == "mock":
-        from hil.setup.docking_monitor import monitor_recorded
+        from hil.setup.docking_monitor import CameraMonitor, InLoopMonitor, monitor_recorded
 
         scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, on_progress, announce, operator, sinks) as in_memory:
             outlets = (sinks.monitor_image_encoder(rig), sinks.portions) if sinks else ()
-            yield in_memory, lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
+            if in_memory.loop.monitor is None or job.paced:  # to render takes longer than a cycle
+                yield (
+                    in_memory,
+                    MonitorResults(
+                        lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
+                    ),
+                )
+                return
+            in_loop = InLoopMonitor(CameraMonitor(scenario, scene, rig, seed, *outlets), in_memory.loop.telemetry)
+            in_memory.loop.telemetry = in_loop
+            results = MonitorResults(lambda _: in_loop.finish(), in_loop)
+            results.attach(in_memory)
+            yield in_memory, results
         return
     with (
         build.wired_bench(job, announce, sinks) as bench,
         beside(job, bench.telemetry, announce, sinks) as results,
     ):
-        yield bench.runner(on_progress, operator), results
+        made = bench.runner(on_progress, operator)
+        results.attach(made)
+        yield made, results
 
 
 def _rings(sinks: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:

@@ -15,7 +15,7 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
-from hil.core.messages import AXES, CYCLE, PoseFrame, new
+from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
 from hil.core.operator_commands import Operator
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
@@ -39,6 +39,7 @@ from hil.loop.cycle import CycleData, Loop
 from hil.loop.fault_stages import AxisFaults, FrameFaults
 from hil.loop.guard_stage import GuardStage
 from hil.loop.model_stage import ModelDssStage
+from hil.loop.monitor_stage import MonitorStage, monitor_noise, monitor_record
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -176,6 +177,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     )
     if rig.guard.enabled:
         loop.guard = GuardStage(bench_params.bench_guard(rig, scenario), loop.bench)
+    loop.monitor = _docking_monitor(job, rig, loop.bench)
     if any(fault.family == "vmu" for fault in job.truth.faults):
         loop.vision.faults = FrameFaults(fault_rows(job.truth, "vmu", job.seed), vision_params.mounting(rig))
     if any(fault.family == "axis" for fault in job.truth.faults):
@@ -216,6 +218,21 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         context.on_progress,
         context.operator,
     )
+
+
+def _docking_monitor(job: Job, rig: Rig, bench: BenchStage) -> MonitorStage | None:
+    """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
+    params = monitor_record(job.scenario.value, job.truth, job.seed)
+    if not params.acts:
+        return None
+
+    def axes() -> tuple[Array, Array]:
+        if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
+            return np.asarray(bench.rails.servo().position), np.asarray(bench.turntable.servo().position)
+        rails, turntable = bench.feedback
+        return rails.position, turntable.position
+
+    return MonitorStage(params, bench.params, axes, monitor_noise(job.seed))
 
 
 def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:

@@ -31,6 +31,8 @@ def python_only(job: Job) -> str:
         "a GNC backend of the caller": job.make_backend is not None,
         "command words of a flight computer": rig.flight_computer.command_words != "none",
         "rendered images": job.truth.vmu.source != "model",
+        "rendered images of a docking monitor with an interlock": scenario.monitor.interlock
+        and job.truth.monitor.source == "rendered",
         "shadow filter": scenario.gnc.shadow.enabled,
         "parts of the plant in FMUs": bool(job.truth.models),
         "a target on axes": rig.moved_target is not None,
@@ -62,7 +64,7 @@ def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks)
     assert isinstance(mocks.sensor, PoseModel)
     backend = compiled_backend(loop.gnc)
     params = loop_params(scenario, rig, backend.params, loop.bench.params, loop.bench.safety.limits.guard)
-    set_truth(params, job.truth, job.seed, loop.dss.params)
+    set_truth(params, scenario, job.truth, job.seed, loop.dss.params)
     if loop.axis_faults is not None:
         params.nominal_axes = loop.axis_faults.nominal
     frames = frames_in_transit(rig, scenario.step_s)

@@ -1,6 +1,7 @@
 """Docking monitor of a run: rendered camera and monitor, in this process or in a child process.
 
-Its only input is the measured axis positions in the rows of CYCLE. The loop neither waits for it nor uses its results.
+Its only input is the measured axis positions in the rows of CYCLE. The loop does not wait for it; results that arrive
+while it runs are compared with the navigation (``loop/monitor_stage.py``).
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ from hil.core.messages import CYCLE
 from hil.frmn.image_memory import image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.monitor.monitor import DockingMonitor
-from hil.monitor.results import PORTION, Portion, portion_row
+from hil.monitor.results import PORTION, Portion, portion_of, portion_row
 from hil.monitor.screen.overlay import annotated_shapes
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import WHOLE, VideoFrame
 
 NAME: Final = "docking monitor"
+_NO_ROWS: Final = np.zeros(0, CYCLE)
 _NICE: Final = 10  # lower priority than the processes that move the bench
 _POLL_S: Final = 0.02
 _READY_WALL_S: Final = 300.0  # the first start compiles
@@ -117,6 +119,53 @@ class CameraMonitor:
         self._images.put(
             CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
         )
+
+
+class InLoopMonitor:
+    """Monitor in the process of a loop in simulated time: sink of its rows, source of the results for its interlock.
+
+    telemetry: next sink of the rows.
+    """
+
+    def __init__(self, monitor: CameraMonitor, telemetry: Telemetry) -> None:
+        self._monitor = monitor
+        self._telemetry = telemetry
+        self._rows: list[np.ndarray] = []
+        self._polled = 0
+
+    def put(self, row: np.ndarray) -> None:
+        """Take a row of CYCLE, shape (1,)."""
+        self._telemetry.put(row)
+        self._rows.append(row.copy())
+
+    def poll(self) -> list[Portion]:
+        """Return the portions that the rows so far have completed."""
+        self._monitor.update(self._read)
+        portions = self._monitor.outcome.portions[self._polled :]
+        self._polled += len(portions)
+        return portions
+
+    def finish(self) -> MonitorOutcome:
+        """Return the results of the run."""
+        self.poll()
+        outcome = self._monitor.finish()
+        outcome.lag_s = 0.0
+        return outcome
+
+    def _read(self) -> np.ndarray:
+        rows, self._rows = self._rows, []
+        return np.concatenate(rows) if rows else _NO_ROWS
+
+
+class RingPortions:
+    """Results of a monitor in another process, from the ring that it fills."""
+
+    def __init__(self, portions: Ring) -> None:
+        self._reader = portions.reader(from_now=True)
+
+    def poll(self) -> list[Portion]:
+        """Return the portions since the last call; never waits."""
+        return [portion_of(row) for row in self._reader.read()]
 
 
 def settings_of(scenario: Scenario) -> MonitorSettings:

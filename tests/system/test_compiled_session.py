@@ -149,6 +149,7 @@ Check = Callable[..., Evidence]
         ("scheme-1", ("rig.rails.x.lead_s=-0.01", "rig.vmu.bench_sigma_m=0.002")),
         ("scheme-1", (*RATES, *LATE, "rig.vmu.rate_hz=7.0", "rig.rails.x.lead_s=0.01")),
         ("scheme-1", (*ALL_ERRORS, *LATE, "imu.rate_hz=100.0", "rig.guard.enabled=false")),
+        ("scheme-1", ("monitor.source=model", _fault("monitor", "offset", "value = [0.1, 0.0, 0.0], until_s = 9.0"))),
     ],
     ids=[
         "scheme-1",
@@ -163,6 +164,7 @@ Check = Callable[..., Evidence]
         "lead, other sigma",
         "fast axes and IMU",
         "all terms of the error models",
+        "docking monitor that disagrees for a time",
     ],
 )
 def test_compiled_session_equals_the_cycle_in_python(check: Check, scheme: str, settings: tuple[str, ...]) -> None:

@@ -31,6 +31,12 @@ VALUES = {
     "imu.bias_step": [0.01, -0.02, 0.03],
     "imu.scale_factor": 1.1,
     "imu.noise_scale": 4.0,
+    "monitor.offset": [0.3, -0.1, 0.05],
+    "monitor.drift": [0.02, 0.0, 0.01],
+    "monitor.outlier": 0.9,
+    "monitor.noise_scale": 5.0,
+    "monitor.sigma_scale": 3.0,
+    "monitor.latency": 0.35,
     "thruster.leak": 0.3,
     "thruster.force_scale": 0.5,
     "thruster.delay": 0.05,
@@ -46,6 +52,8 @@ KINDS = [f"{family}.{kind}" for family, kinds in TERMS.items() for kind in kinds
 MORE = {
     "vmu.outlier": {"size_m": 0.5},
     "vmu.latency": {"stamp": "arrival"},
+    "monitor.outlier": {"size_m": 0.5},
+    "monitor.latency": {"stamp": "arrival"},
     "imu.stuck": {"sensor": "accelerometer"},
     "imu.bias_step": {"until_s": UNTIL_S},
 }
@@ -53,6 +61,8 @@ DISTURBED = ("vmu.latency_s=0.05", "vmu.latency_jitter_s=0.2", "vmu.duplicate_pr
 """Frames that arrive out of order and twice."""
 WITHOUT_GUARD = ("rig.guard.enabled=false", "rig.rails.following_error_max_m=0.5")
 """Each fault shows its effect."""
+NO_DISAGREEMENT = ("monitor.no_pose", "monitor.noise_scale", "monitor.sigma_scale", "monitor.latency")
+"""Faults of the docking monitor that leave it in agreement with the navigation."""
 
 
 def fault(name: str, **keys: Any) -> dict[str, Any]:
@@ -66,7 +76,7 @@ def fault(name: str, **keys: Any) -> dict[str, Any]:
 
 def fly(*faults: dict[str, Any], duration_s: float = END_S) -> np.ndarray:
     """Return the rows of a run of scheme-1 with these faults."""
-    settings = (*WITHOUT_GUARD, _settings(*faults))
+    settings = (*WITHOUT_GUARD, *_monitor(*faults), _settings(*faults))
     with build.runner(make_job(duration_s, settings)) as runner:
         return runner.run().history
 
@@ -89,9 +99,14 @@ def _settings(*faults: dict[str, Any]) -> str:
     return f"faults=[{', '.join(f'{{{table}}}' for table in tables)}]"
 
 
+def _monitor(*faults: dict[str, Any]) -> tuple[str, ...]:
+    """Return the settings of a docking monitor, if one of ``faults`` is its own."""
+    return ("monitor.source=model",) if any(fault["device"] == "monitor" for fault in faults) else ()
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name: str) -> None:
-    settings = (*DISTURBED, *WITHOUT_GUARD, _settings(fault(name)))
+    settings = (*DISTURBED, *WITHOUT_GUARD, *_monitor(fault(name)), _settings(fault(name)))
     job = make_job(END_S, settings, seed=3)
     rows = []
     for compiled in (True, False):
@@ -104,7 +119,7 @@ def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name:
     assert_same_bits(rows[0], case, without=("on_wire_s",))
 
 
-@pytest.mark.parametrize("name", [name for name in KINDS if name != "vmu.sigma_scale"])
+@pytest.mark.parametrize("name", sorted(set(KINDS) - {"vmu.sigma_scale", *NO_DISAGREEMENT}))
 def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.ndarray, name: str) -> None:
     found = fly(fault(name))
     before = healthy["t_s"] < AT_S - 1e-9
@@ -117,8 +132,9 @@ def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.nda
 def test_fault_is_detected_as_the_table_states(name: str) -> None:
     sizes = {"value": 0.9} if name == "vmu.outlier" else {"value": 0.01} if name == "axis.slow" else {}
     onset_s = 20.0
-    settings = _settings(fault(name, at_s=onset_s, until_s=100.0, **sizes))
-    scenario, rig = load_scenario("scheme-1", (settings,)).value, load_rig("mock").value
+    injected = fault(name, at_s=onset_s, until_s=100.0, **sizes)
+    settings = (*_monitor(injected), _settings(injected))
+    scenario, rig = load_scenario("scheme-1", settings).value, load_rig("mock").value
     stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
     assert row["detected_by"] == RESPONSES[name].detected_by

@@ -17,6 +17,7 @@ from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, Po
 from hil.drivers.io.mock import MockIo
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.mock import MockVmu, MockVmuState
+from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.frmn.ring import NoTelemetry
 from hil.loop.compiled import loop_kernel
 from hil.loop.compiled.backends import CompiledBackend
@@ -28,6 +29,7 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.maths.random_streams import RandomRows
 
 _BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctrl-C and progress have their turn
+_NO_MONITOR_NOISE: Final = np.zeros((0, MONITOR_NOISE))
 _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
 _NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
 _NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
@@ -152,6 +154,8 @@ class CompiledCycles:
             loop.guard.restart_with_motion()
             state.bench_guard = loop.guard.memory
         state.vision_memory = mocks.vision_memory
+        if loop.monitor is not None:
+            state.monitor = loop.monitor.memory
         source = mocks.source.state()
         state.next_exposure, state.first_exposure = source.next_exposure, source.first_exposure
         state.received, state.without_pose = source.received, source.without_pose
@@ -170,7 +174,7 @@ class CompiledCycles:
         """Run the cycles ``first`` to ``end`` - 1; return the code of ``run_loop``."""
         loop, mocks, state, params = self._loop, self._mocks, self._state, self._params
         end_s = state.zero_s + end * params.step_s
-        next_exposure = int(state.next_exposure)
+        next_exposure, next_measured = int(state.next_exposure), int(state.monitor.next)
         exposures = max(0, math.ceil(end_s * params.vmu_rate_hz) - next_exposure + 1)
         self._arrivals = _NO_ARRIVALS
         if loop.vision.frame_sink is not None:
@@ -186,6 +190,7 @@ class CompiledCycles:
             loop.dss.noise.peek((end - first) * self._n_samples),
             mocks.vision_noise.peek(exposures),
             mocks.travel_draws.peek(exposures),
+            self._monitor_noise(end),
             state,
             self._samples,
             self._backend.memory,
@@ -204,7 +209,16 @@ class CompiledCycles:
         loop.dss.noise.skip((int(state.cycle) - first + (code == loop_kernel.NOT_FINITE)) * self._n_samples)
         for rows in (mocks.vision_noise, mocks.travel_draws):
             rows.skip(int(state.next_exposure) - next_exposure)
+        if loop.monitor is not None:
+            loop.monitor.noise.skip(int(state.monitor.next) - next_measured)
         return code
+
+    def _monitor_noise(self, end: int) -> np.ndarray:
+        """Return the noise of the docking monitor's measurements before cycle ``end``."""
+        if self._loop.monitor is None:
+            return _NO_MONITOR_NOISE
+        last_s, rate_hz = end * self._params.step_s, self._params.monitor.model.rate_hz
+        return self._loop.monitor.noise.peek(max(0, math.ceil(last_s * rate_hz) - int(self._state.monitor.next) + 1))
 
     def _store(self, begun: int, code: int) -> None:
         """Write LOOP_STATE to the stages, after a block from tick ``begun`` on that ended with ``code``."""
@@ -243,6 +257,8 @@ class CompiledCycles:
         bench.limited_in_row = int(state.limited_in_row)
         if self._loop.guard is not None:
             np.asarray(self._loop.guard.memory)[...] = state.bench_guard
+        if self._loop.monitor is not None:
+            np.asarray(self._loop.monitor.memory)[...] = state.monitor
         bench.limited_cycles += int(self._stats.limited_cycles)
         feedback, cycle = state.now.feedback, int(state.cycle)
         last = ((cycle - 1) * self._ticks + bench.tick if bench.tick else cycle * self._ticks) - 1

@@ -34,6 +34,7 @@ from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE, copy_progress, gnc_step, has_event
 from hil.loop.compiled.library_kernel import LIBRARY, has_new_text, library_step
 from hil.loop.compiled.run_stats import count_cycle, count_exposure
+from hil.loop.monitor_kernel import MONITOR_PARAMS, MONITOR_STATE, compare_received, is_measured, measure_bench
 from hil.maths import stack
 from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import cut_to_range
@@ -72,6 +73,7 @@ LOOP_PARAMS = np.dtype(
         ("verdict", APPROACH_MONITOR_PARAMS),  # margins of the verdict, whatever the GNC's own are
         ("ready", READY_PARAMS),
         ("integrity", INTEGRITY_PARAMS),
+        ("monitor", MONITOR_PARAMS),
         ("vmu_faults", FAULTS),
         ("axis_faults", FAULTS),
         ("nominal_axes", NOMINAL_AXES),
@@ -101,6 +103,7 @@ LOOP_STATE = np.dtype(
         ("breach", BREACH),
         ("bench_guard", BENCH_GUARD_MEMORY),
         ("limited_in_row", "i8"),  # setpoints, the last one included
+        ("monitor", MONITOR_STATE),
         ("gnc", GNC_STATE),
         ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
         ("library", LIBRARY),
@@ -346,6 +349,18 @@ def _read_axes(state, now_s):
 
 
 @kernel
+def _check_monitor(params, state, t_s, noise, first):
+    """Compare the navigation with the docking monitor's measurements, which are those of the statistical model."""
+    if is_measured(params.monitor, state.monitor, t_s):
+        r, q = stack.vector(3), stack.vector(4)
+        kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
+        measure_bench(params.monitor, state.monitor, t_s, r, q, noise, first)
+    state.gnc.approach.monitor_disagrees = compare_received(
+        params.monitor, state.monitor, t_s, state.now.navigation
+    )  # fmt: skip
+
+
+@kernel
 def _mirror_thrusters(params, state, now_s):
     """Write the digital lines if a thruster has changed; the relay stays closed, as its pump is pulsed each cycle."""
     state.now.on_wire_s = state.lines_changed_s - state.zero_s  # as the coupler was read, at the start of the cycle
@@ -460,8 +475,8 @@ def _has_event(state):
 
 @kernel
 def run_loop(
-    params, field, leds, imu_noise, vision_noise, travel_draws, state, samples, memory, poses, frames, delayed, stats,
-    history, arrivals, axes_log, samples_log,
+    params, field, leds, imu_noise, vision_noise, travel_draws, monitor_noise, state, samples, memory, poses, frames,
+    delayed, stats, history, arrivals, axes_log, samples_log,
 ):  # fmt: skip
     """Run the cycles from ``state.cycle`` to ``state.end``; return why it ended.
 
@@ -473,17 +488,20 @@ def run_loop(
 
     params: LOOP_PARAMS. field: harmonics, measure ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
     IMU_NOISE), one row per sample, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
-    travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``, zeroed but for
-    ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and instance of a library.
-    samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of ``fusion.new_memory``. poses:
-    (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and two more. delayed: as many
-    again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles from here. arrivals: of ARRIVAL,
-    filled from ``state.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of IMU_SAMPLE, likewise; (0,) for none.
+    travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. monitor_noise: (n, MONITOR_NOISE), one row per
+    measurement of a modelled docking monitor, (0, MONITOR_NOISE) without one. state: LOOP_STATE; if not ``opened``,
+    zeroed but for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and
+    instance of a library. samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of
+    ``fusion.new_memory``. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and
+    two more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles from
+    here. arrivals: of ARRIVAL, filled from ``state.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of IMU_SAMPLE,
+    likewise; (0,) for none.
     """
     now = state.now
     if state.opened == 0:
         _open(params, state)
     first_cycle, first, n_samples = state.cycle, state.next_exposure, samples.shape[0]
+    first_measured = state.monitor.next
     while state.cycle < state.end:
         k = state.cycle
         begins = state.tick == 0
@@ -512,6 +530,8 @@ def run_loop(
             if params.bench_guard.enabled != 0:
                 for i in range(arrived):
                     bench_guard.compare_pose(params.bench_guard, params.bench, state.bench_guard, poses[i])
+            if params.monitor.acts != 0:
+                _check_monitor(params, state, t_s, monitor_noise, first_measured)
             if params.reports != 0:
                 copy_progress(state.gnc.approach.progress, state.progress_before)
             if state.library.step_address == 0:

@@ -11,6 +11,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import VMU_FRAME, new
 from hil.loop.compiled.loop_kernel import LOOP_PARAMS
+from hil.loop.monitor_stage import monitor_record
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import vision as vision_params
@@ -36,15 +37,16 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     return params
 
 
-def set_truth(params: np.record, truth: Scenario, seed: int, dss: np.record) -> None:
+def set_truth(params: np.record, scenario: Scenario, truth: Scenario, seed: int, dss: np.record) -> None:
     """Write vehicle, sensors, transport of frames and faults of ``truth`` to ``params`` (LOOP_PARAMS). dss: DSS_PARAMS.
 
-    seed: of the run.
+    scenario: as the loop has it. seed: of the run.
     """
     vmu = truth.vmu
     params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
     params.vision = vision_params.vision(truth, seed)
     params.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
+    params.monitor = monitor_record(scenario, truth, seed)
     params.vmu_faults, params.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.cameras.docking import EncoderTrack, RenderedCamera, mounting, view
+from hil.cameras.docking import EncoderTrack, RenderedCamera, view
 from hil.checks.compatibility import axes_at, check_monitor
 from hil.config.docking_monitor import DockingMonitorConfig
-from hil.config.load import load_scene
+from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
 from hil.maths import euler
 from hil.params import bench as bench_params
+from hil.params.monitor import mounting
 
 STEP_S = 0.02
 PLACED = DockingMonitorConfig(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))
@@ -107,11 +108,9 @@ def test_frames_come_as_soon_as_the_encoders_cover_their_time_and_once(mock_rig:
     assert (known_at < times + STEP_S + 1e-9).all()
 
 
-def test_a_run_rejects_a_missing_scene(scheme_1: Scenario, tmp_path: object) -> None:
-    from hil.config.load import load_scenario
-
+def test_a_run_rejects_a_missing_scene() -> None:
     def said(*settings: str) -> list[str]:
-        return [str(problem) for problem in check_monitor(load_scenario("scheme-1", settings))]
+        return [str(problem) for problem in check_monitor(load_scenario("scheme-1", settings), load_rig("mock"))]
 
     assert said() == []
     assert said("monitor.scene=missing") == []  # no reader

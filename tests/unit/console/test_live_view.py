@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hil.cameras.docking import chaser_position, mounting, view
+from hil.cameras.docking import chaser_position, view
 from hil.console.live_view import Client, LiveView, picture_of
 from hil.console.message import ImageMessage, pack, unpack
 from hil.console.session_process import SessionProcess
@@ -18,6 +18,7 @@ from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.maths import euler
 from hil.monitor.results import PORTION, Portion, portion_row
+from hil.params.monitor import mounting
 from tests.support.run_settings import make_job
 
 JOB = make_job(1.0)
