@@ -17,9 +17,7 @@ from hil.models.camera_timing import TIME_SLACK_S
 from hil.models.faults import FAULTS
 from hil.monitor.kernels.interlock import INTERLOCK_PARAMS, INTERLOCK_STATE, compare_estimate
 
-_WAITING_MAX = 32  # measurements between exposure and arrival
-RATE_MAX_HZ = 10.0
-"""Of the measurements: with a latency of 1 s and a fault that adds 1 s, no more wait than there is room for."""
+_WAITING_MAX = 32  # measurements between exposure and arrival; further ones are lost
 
 MONITOR_PARAMS = np.dtype(
     [
