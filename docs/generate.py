@@ -175,8 +175,8 @@ row without a test is open: such a fault may stay undetected, and what protects 
     devices = {
         "vmu": "`vmu`: vision unit. Its frames are disturbed on their way to the loop, whatever their source",
         "imu": "`imu`: virtual IMU",
-        "monitor": "`monitor`: docking monitor, if the scenario has one. Its measurements are disturbed on their way to the "
-        "interlock",
+        "monitor": "`monitor`: docking monitor of the scenario. Its measurements are disturbed on their way to "
+        "the interlock",
         "thruster": "`thruster.1` and so on, in the order of the scenario",
         "axis": "`rails.x`, `rails.y`, `rails.z`, `turntable.roll`, `turntable.pitch`, `turntable.yaw`",
         "target": "`target`: leaves the place where the approach expects it",
