@@ -32,7 +32,7 @@ VALUES = {
     "imu.scale_factor": 1.1,
     "imu.noise_scale": 4.0,
     "monitor.offset": [0.3, -0.1, 0.05],
-    "monitor.drift": [0.02, 0.0, 0.01],
+    "monitor.drift": [0.06, 0.0, 0.02],
     "monitor.outlier": 0.9,
     "monitor.noise_scale": 5.0,
     "monitor.sigma_scale": 3.0,
