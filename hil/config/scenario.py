@@ -48,12 +48,22 @@ class Thrusters(ConfigModel):
     """Positions in c, from the reference point."""
     direction: tuple[Triple, ...]
     """Unit vectors in c of the force on the vehicle."""
+    isolation: Literal["none", "each", "bank"] = "none"
+    """Isolation valves upstream of the thrusters' own: none, one per thruster, or one per bank."""
+    isolation_closing_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.5
+    """Time that an isolation valve takes to close; it does not open again."""
+    bank: tuple[Annotated[int, Field(ge=1, le=MAX_THRUSTERS)], ...] = ()
+    """Bank of each thruster."""
     errors: ThrusterErrors = ThrusterErrors()
 
     @model_validator(mode="after")
     def _one_direction_each(self) -> Self:
         if len(self.direction) != len(self.position_m):
             raise ValueError(f"{len(self.position_m)} position_m, but {len(self.direction)} direction: one each")
+        if self.isolation == "bank" and len(self.bank) != len(self.position_m):
+            raise ValueError(
+                f'isolation = "bank" with {len(self.bank)} bank: needs one per thruster, {len(self.position_m)}'
+            )
         for number, vector in enumerate(self.direction, start=1):
             if abs(math.hypot(*vector) - 1.0) > 1e-6:
                 raise ValueError(f"direction {number} = {list(vector)} must be a unit vector")
@@ -335,6 +345,8 @@ class Abort(ConfigModel):
     """Of the retreat."""
     at_s: NotNegative | None = None
     """Time of a simulated abort."""
+    one_thruster_failed: bool = True
+    """Require before a run that an abort stays clear of the keep-out with any one thruster stuck open or closed."""
 
 
 class NavigationIntegrity(ConfigModel):

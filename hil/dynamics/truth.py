@@ -21,6 +21,7 @@ from hil.dynamics import cached_gravity, orbit
 from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.hill import hill_acceleration
+from hil.dynamics.isolation import ISOLATION, close_isolated
 from hil.dynamics.mass_centre import add_lever_terms, shift
 from hil.dynamics.moon_gravity import GRAVITY_PARAMS
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
@@ -59,13 +60,14 @@ DSS_PARAMS = np.dtype(
         ("sun_I", "f8", 3),  # unit vector to the Sun, inertial
         ("thruster_errors", THRUSTER_ERRORS),
         ("thruster_faults", FAULTS),
+        ("isolation_closing_s", "f8"),
         ("target_faults", FAULTS),
     ],
     align=True,
 )
 
 TRUTH_MEMORY = np.dtype(
-    [("gravity", CACHED_GRAVITY), ("thrust", THRUST_MEMORY), ("target", TARGET_MEMORY)],
+    [("gravity", CACHED_GRAVITY), ("thrust", THRUST_MEMORY), ("isolation", ISOLATION), ("target", TARGET_MEMORY)],
     align=True,
 )
 """What a step keeps for the next ones, zeroed before the first."""
@@ -268,6 +270,8 @@ def step(params, field, memory, truth, on):
             params.thruster_faults, params.thruster_errors, memory.thrust, truth, on[:n], params.minimum_on_s, dt,
             fraction[:n],
         )  # fmt: skip
+    if memory.isolation.acts != 0:
+        close_isolated(memory.isolation, params.isolation_closing_s, dt, fraction[:n])
     if params.target_faults.n != 0:
         move_target(params.target_faults, memory.target, truth)
     load, y, sun_f, w_before = stack.vector(7), stack.vector(_N), stack.vector(3), stack.vector(3)

@@ -65,6 +65,8 @@ def acquire(params, monitor, state, t_s, estimate):
 def _wanted(params, state, kind, t_s, health, cause):
     """Return the strongest reaction in a phase of ``kind``; write its cause to ``cause`` (1,)."""
     strongest = CONTINUE
+    if health == 0 and state.unprotected_since_s == 0.0:
+        return strongest
     for condition in range(CONDITIONS):
         if condition < HEALTH_BITS:
             applies = (health >> condition) & 1 != 0

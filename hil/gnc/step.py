@@ -46,6 +46,10 @@ GNC_PARAMS = np.dtype(
         ("dead_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # the same without a dead thruster
         ("open_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # without one stuck open and those against it
         ("against", "i1", (MAX_THRUSTERS, MAX_THRUSTERS)),  # those that cancel one stuck open
+        ("isolation", "i8"),  # 1: isolation valves close one stuck open
+        ("closing_cycles", "i8"),  # that these take
+        ("isolates", "i1", (MAX_THRUSTERS, MAX_THRUSTERS)),  # those whose supply is closed with that of each thruster
+        ("isolated_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # sets without these
         ("thruster_monitor", THRUSTER_MONITOR_PARAMS),
     ],
     align=True,
@@ -84,6 +88,7 @@ GNC_STATE = np.dtype(
         ("navigation", NAVIGATION_STATE),
         ("fused", "i8"),  # 1: the filters took a pose in this cycle
         ("thrusters", THRUSTER_MONITOR_STATE),
+        ("isolated_cycles", "i8"),  # since the isolation valves were commanded, 0 before
     ],
     align=True,
 )
@@ -209,15 +214,21 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
 
 @kernel
 def actuate(params, state, estimate, reference, command):
-    """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE."""
+    """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE.
+
+    A thruster stuck open is cancelled by those against it until its isolation valve, if it has one, is closed.
+    """
     control.control(params.control, estimate, reference, command)
     fault, thruster = state.thrusters.fault, state.thrusters.thruster
     if fault == NO_FAULT:
         allocation.select(params.sets, params.n_thrusters, command)
     elif fault == DEAD:
         allocation.select(params.dead_sets[thruster], params.n_thrusters, command)
+    elif state.isolated_cycles > params.closing_cycles:
+        allocation.select(params.isolated_sets[thruster], params.n_thrusters, command)
     else:
         allocation.select(params.open_sets[thruster], params.n_thrusters, command)
         for j in range(params.n_thrusters):
             if params.against[thruster, j] != 0:
                 command.on[j] = 1
+        state.isolated_cycles += params.isolation

@@ -110,7 +110,7 @@ def _set_thrusters(params: np.record, scenario: Scenario, draws: Array | None) -
     params.thruster_position[:n] = np.array(thrusters.position_m) - params.mass_centre
     params.thruster_direction[:n] = direction
     params.thruster_force[:n] = force
-    params.minimum_on_s = thrusters.minimum_on_s
+    params.minimum_on_s, params.isolation_closing_s = thrusters.minimum_on_s, thrusters.isolation_closing_s
     params.exhaust_speed = thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
 
 

@@ -54,6 +54,11 @@ def gnc(scenario: Scenario) -> np.record:
     params.n_thrusters = len(scenario.chaser.thrusters.position_m)
     params.sets = sets
     params.dead_sets, params.open_sets, params.against = _fault_allocation(scenario.chaser.thrusters)
+    thrusters = scenario.chaser.thrusters
+    if thrusters.isolation != "none":
+        params.isolation = 1
+        params.closing_cycles = math.ceil(thrusters.isolation_closing_s / scenario.step_s)
+        params.isolates, params.isolated_sets = _isolation(thrusters)
     params.thruster_monitor = thruster_monitor(scenario)
     return params
 
@@ -268,10 +273,7 @@ def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
 @lru_cache(maxsize=8)
 def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
     """Return ``allocation``, cached by layout: it searches thousands of sets."""
-    n = len(thrusters.position_m)
-    wrenches = unit_wrenches(
-        np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
-    )
+    n, wrenches = len(thrusters.position_m), _wrenches(thrusters)
     sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
     chosen, strength = thruster_sets(wrenches)
     sets[:AXES_OF_A_BODY, :, :n] = chosen
@@ -284,19 +286,40 @@ def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
 def _fault_allocation(thrusters: Thrusters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ``dead_sets``, ``open_sets`` and ``against`` of GNC_PARAMS."""
     n = len(thrusters.position_m)
-    wrenches = unit_wrenches(
-        np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n)
-    )
-    against = opposing_thrusters(wrenches)
+    against = opposing_thrusters(_wrenches(thrusters))
     dead, stuck = np.eye(n, dtype=bool), np.eye(n, dtype=bool) | against.astype(bool)
-    shape = (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)
-    tables = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
-    for table, excluded in zip(tables, (dead, stuck), strict=True):
-        table[:n, :AXES_OF_A_BODY, :, :n] = sets_without(wrenches, excluded)
-        table[:n, AXES_OF_A_BODY:, :, :n] = sets_without(wrenches, excluded, full_thrust=True)[:, :3]
-    cancelling = np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
-    cancelling[:n, :n] = against
-    return (*tables, cancelling)
+    return _sets_without(thrusters, dead), _sets_without(thrusters, stuck), _square(against)
+
+
+@lru_cache(maxsize=8)
+def _isolation(thrusters: Thrusters) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``isolates`` and ``isolated_sets`` of GNC_PARAMS."""
+    n = len(thrusters.position_m)
+    closed = np.eye(n, dtype=bool)
+    if thrusters.isolation == "bank":
+        closed = np.equal.outer(thrusters.bank, thrusters.bank)
+    return _square(closed), _sets_without(thrusters, closed)
+
+
+def _wrenches(thrusters: Thrusters) -> Array:
+    n = len(thrusters.position_m)
+    return unit_wrenches(np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n))
+
+
+def _sets_without(thrusters: Thrusters, excluded: np.ndarray) -> np.ndarray:
+    """Return the sets without those of each row of ``excluded`` (n, n), in the shape of GNC_PARAMS."""
+    n, wrenches = len(thrusters.position_m), _wrenches(thrusters)
+    table = np.zeros((MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS), np.int8)
+    table[:n, :AXES_OF_A_BODY, :, :n] = sets_without(wrenches, excluded)
+    table[:n, AXES_OF_A_BODY:, :, :n] = sets_without(wrenches, excluded, full_thrust=True)[:, :3]
+    return table
+
+
+def _square(table: np.ndarray) -> np.ndarray:
+    """Return ``table`` (n, n) in the shape of GNC_PARAMS."""
+    n, found = len(table), np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
+    found[:n, :n] = table
+    return found
 
 
 def control(scenario: Scenario, strength: Array) -> np.record:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+from hil.checks.abort import check_abort
 from hil.checks.clock import check_clock
 from hil.checks.compatibility import (
     check_approach,
@@ -59,7 +60,7 @@ def check(job: Job) -> None:
         pass
     problems = [
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
-        *check_approach(job.scenario),
+        *(check_approach(job.scenario) or check_abort(job.scenario)),
         *check_keep_out(job.scenario),
         *check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),

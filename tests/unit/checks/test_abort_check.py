@@ -1,0 +1,37 @@
+"""Check that an abort stays clear of the target with any one thruster failed."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.checks.abort import check_abort, failed_thrusters
+from hil.config.load import load_scenario
+
+
+@pytest.mark.parametrize("scheme", ["scheme-1", "scheme-2", "scheme-3"])
+def test_shipped_scenarios_can_be_aborted_with_any_one_thruster_failed(scheme: str) -> None:
+    scenario = load_scenario(scheme)
+    assert check_abort(scenario) == []
+    failed = failed_thrusters(scenario.value)
+    assert len(failed) == 2 * len(scenario.value.chaser.thrusters.position_m)
+    # four thrusters of 5 N brake a ton; one that pushes at the target is cancelled by one of them or two
+    assert min(each.braking_mps2 for each in failed) == pytest.approx(0.01)
+    assert max(each.push_mps2 for each in failed) == pytest.approx(0.005)
+
+
+def test_abort_that_would_enter_the_keep_out_is_rejected_with_thruster_and_range() -> None:
+    scenario = load_scenario(
+        "scheme-1", ("gnc.corridor.closing_rate_mps=0.08", "gnc.corridor.closing_rate_max_mps=0.08")
+    )
+    (problem,) = check_abort(scenario)
+    assert "gnc.abort.one_thruster_failed: true: with thruster." in str(problem)
+    assert "at the closing limit of 0.40 m an abort stops at" in str(problem)
+    waived = load_scenario(
+        "scheme-1",
+        (
+            "gnc.corridor.closing_rate_mps=0.08",
+            "gnc.corridor.closing_rate_max_mps=0.08",
+            "gnc.abort.one_thruster_failed=false",
+        ),
+    )
+    assert check_abort(waived) == []
