@@ -3,7 +3,8 @@
 The loop polls the socket once per cycle and never waits: a slow or dead console does not delay it. A message is one
 JSON object per packet of a socket pair.
 
-to the loop    {"order": "hold", "by": "ann", "id": 7}   {"acknowledge": true, "by": "ann", "id": 8}
+to the loop    {"order": "hold", "by": "ann", "id": 7}   {"acknowledge": 3, "by": "ann", "id": 8}: an alarm, true: all
+               {"shelve": [3, 600.0], "by": "ann", "id": 9}
                {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
                {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann", "has the command"]}
 to the console {"answer": 7, "text": ""}    {"alarms": [...]}    {"events": [...]}   and further ``OutgoingMessages``
@@ -129,6 +130,7 @@ class RemoteOperator(Operator):
         self._status.write(self._writer.fill(now_s), now_s)
         while self.rejections:
             self._messages.send(word=self.rejections.popleft())
+        self._runner.safety.alarms.poll(now_s)
         alarms = self._runner.safety.alarms.all()
         events = self._runner.all_events()
         state = (alarms, len(events), self._runner.safety.hold_reason)
@@ -167,9 +169,15 @@ class RemoteOperator(Operator):
         elif "note" in message:
             self._log_event(*message["note"])
         elif "acknowledge" in message:
-            self._runner.safety.alarms.acknowledge()
-            self._log_event("operator", message.get("by", ""), "acknowledged the alarms")
+            which, by = message["acknowledge"], message.get("by", "")
+            number = None if which is True else int(which)
+            self._runner.safety.alarms.acknowledge(number, by)
+            self._log_event("operator", by, f"acknowledged {'the alarms' if number is None else f'alarm {number}'}")
             self._messages.send(answer=message["id"], text="")
+        elif "shelve" in message:
+            (number, lasting_s), by = message["shelve"], message.get("by", "")
+            text = self._runner.safety.alarms.shelve(int(number), self._runner.now_s(), float(lasting_s), by)
+            self._messages.send(answer=message["id"], text=text)
         elif "adjust" in message:
             self._messages.send(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
         elif "order" in message:

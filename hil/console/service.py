@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from hil.console.session_manager import SessionManager
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 from hil.errors import BadInput, one_line
+from hil.setup.assembly import Job
 
 CONFIRMATIONS: Final = {
     OperatorCommand.HOME: "Home: axes that are not homed search for their switches. Is the bench clear of people?",
@@ -32,12 +34,34 @@ CONFIRMATIONS: Final = {
 OPEN_QUESTION: Final = "Open: the devices open and the drives are powered. Is the bench clear of people?"
 WITHOUT_COMMAND: Final = (OperatorCommand.STOP.value, OperatorCommand.HOLD.value)
 """Commands that each client may send, with the command of the bench or without it."""
+SECOND_PERSON_S: Final = 30.0
+"""Time in which another person has to confirm a command that requires it, wall clock."""
 SEED_MAX: Final = 2**63 - 1
 _DEVICE_TEXT: Final = 200  # characters of a fault's line
 
 
+def _alarm_number(command: dict[str, Any]) -> int | None:
+    """Return the number of the alarm that a request names, None for all."""
+    number = command.get("alarm")
+    if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
+        raise RequestRejected(f"alarm {number!r}: allowed is its number")
+    return number
+
+
+@dataclass(frozen=True)
+class SecondPerson:
+    """Confirmed command of ``client`` that waits until ``until_wall_s`` for the confirmation of another person."""
+
+    word: str
+    client: Client
+    command: dict[str, Any]
+    until_wall_s: float
+
+
 class ConsoleService(SessionManager):
     """Session manager with the requests and the updates of clients."""
+
+    second_person: SecondPerson | None = None
 
     # requests of the clients
 
@@ -59,11 +83,13 @@ class ConsoleService(SessionManager):
                 self._release(client)
             case "open":
                 self.lease.require(client.key)
-                return self._open(command)
+                return self._open(client, command)
+            case "second":
+                return await self._second(client, str(command.get("order")))
             case "order":
                 if command.get("order") not in WITHOUT_COMMAND:
                     self.lease.require(client.key)
-                return await self._order(client, str(command.get("order")), bool(command.get("confirmed")))
+                return await self._order(client, str(command.get("order")), command)
             case "jog":
                 self.lease.require(client.key)
                 self._jog(str(command.get("axis")), command.get("direction"))
@@ -74,7 +100,10 @@ class ConsoleService(SessionManager):
                 client.camera = str(command.get("camera"))
             case "acknowledge":
                 self.lease.require(client.key)
-                await self._acknowledge(client)
+                await self._acknowledge(client, _alarm_number(command))
+            case "shelve":
+                self.lease.require(client.key)
+                await self._shelve(client, _alarm_number(command), command.get("lasting_s"))
             case "fault":
                 self.lease.require(client.key)
                 device, line = (one_line(str(command.get(key)), _DEVICE_TEXT) for key in ("device", "line"))
@@ -101,7 +130,31 @@ class ConsoleService(SessionManager):
         self.lease.release(client.key)
         self.log(f"{client.name} released the command")
 
-    def _open(self, command: dict[str, Any]) -> dict[str, Any]:
+    def _awaits_second(self, client: Client, word: str, command: dict[str, Any], job: Job) -> dict[str, Any] | None:
+        """Return the answer to a confirmed command that another person has to confirm, None if it may be executed."""
+        if word not in job.rig.value.console.second_person:
+            return None
+        awaited = self.second_person
+        if awaited is not None and awaited.command is command:
+            self.second_person = None
+            return None
+        self.second_person = SecondPerson(word, client, command, self.wall_s() + SECOND_PERSON_S)
+        self.log(f"{client.name}: {word} waits for a second person")
+        text = f"{word}: waits {SECOND_PERSON_S:g} s for the confirmation of a second person at another page"
+        return {"ok": False, "text": text, "second": word}
+
+    async def _second(self, client: Client, word: str) -> dict[str, Any]:
+        """Confirm the command of another client, and execute it as this client's."""
+        awaited = self.second_person
+        if awaited is None or awaited.word != word or self.wall_s() > awaited.until_wall_s:
+            raise RequestRejected(f"{word}: no such command waits for a second person")
+        if client.key == awaited.client.key or client.name == awaited.client.name:
+            raise RequestRejected(f"{word}: {awaited.client.name} commanded it, another person has to confirm it")
+        self.log(f"{client.name} confirmed {word} of {awaited.client.name} as the second person")
+        self.record_event("operator", client.name, f"confirmed {word} of {awaited.client.name} as the second person")
+        return await self._execute(awaited.client, awaited.command)
+
+    def _open(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
         if self.session is not None:
             raise RequestRejected("a session is open: stop it first")
         if self.state.unacknowledged:
@@ -116,10 +169,12 @@ class ConsoleService(SessionManager):
         choice = self.choice.model_copy(update=changes)
         if not command.get("confirmed"):
             return {"ok": False, "ask": "\n".join([*map(str, waivers(choice.job().rig.value)), OPEN_QUESTION])}
+        if answer := self._awaits_second(client, "open", command, choice.job()):
+            return answer
         self.start_session(choice)
         return {"ok": True, "text": ""}
 
-    async def _order(self, client: Client, word: str, confirmed: bool) -> dict[str, Any]:
+    async def _order(self, client: Client, word: str, command: dict[str, Any]) -> dict[str, Any]:
         if word not in [order.value for order in OperatorCommand if order is not OperatorCommand.JOG]:
             raise RequestRejected(f"{word!r}: unknown order")
         order = OperatorCommand(word)
@@ -132,8 +187,11 @@ class ConsoleService(SessionManager):
                 raise RequestRejected(f"bench: cannot {word} while it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
-        if order in CONFIRMATIONS and self.mode in ALLOWED_IN[order] and not confirmed:
-            return {"ok": False, "ask": CONFIRMATIONS[order]}
+        if order in CONFIRMATIONS and self.mode in ALLOWED_IN[order]:
+            if not command.get("confirmed"):
+                return {"ok": False, "ask": CONFIRMATIONS[order]}
+            if answer := self._awaits_second(client, word, command, self.choice.job()):
+                return answer
         self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
         text = await self.session.ask(order=word, by=client.name)
         self.log(f"{client.name}: {word}{f' rejected: {text}' if text else ''}")
@@ -172,13 +230,24 @@ class ConsoleService(SessionManager):
         self.log(f"{client.name}: {change.key} = {change.value:g}, {done}")
         return {"ok": not text, "text": text}
 
-    async def _acknowledge(self, client: Client) -> None:
+    async def _acknowledge(self, client: Client, number: int | None) -> None:
+        if number is not None and number not in {alarm.get("number") for alarm in self.state.alarms}:
+            raise RequestRejected(f"alarm {number}: no such alarm")
         if self.session is not None and self.session.ready:
-            text = await self.session.ask(acknowledge=True, by=client.name)
+            text = await self.session.ask(acknowledge=True if number is None else number, by=client.name)
             if text:
                 raise RequestRejected(text)
-        self.state.acknowledge()
-        self.log(f"{client.name} acknowledged the alarms")
+        self.state.acknowledge(number)
+        self.log(f"{client.name} acknowledged {'the alarms' if number is None else f'alarm {number}'}")
+
+    async def _shelve(self, client: Client, number: int | None, lasting_s: object) -> None:
+        if self.session is None or not self.session.ready:
+            raise RequestRejected("no session is open: nothing to shelve")
+        if number is None or isinstance(lasting_s, bool) or not isinstance(lasting_s, int | float):
+            raise RequestRejected("shelve needs alarm, its number, and lasting_s, in s")
+        if text := await self.session.ask(shelve=[number, float(lasting_s)], by=client.name):
+            raise RequestRejected(text)
+        self.log(f"{client.name} shelved alarm {number} for {lasting_s:g} s")
 
     # updates for the clients
 
@@ -205,9 +274,17 @@ class ConsoleService(SessionManager):
             "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
             "watching": len(self.clients),
             "cameras": self.view.cameras,
+            "second_person": self._second_person(now_s),
             "recording": self.state.recording.as_json() if self.session is not None else None,
             **self.state.live(now_s),
         }
+
+    def _second_person(self, now_s: float) -> dict[str, str] | None:
+        """Return the command that waits for a second person, and who gave it; None if there is none."""
+        awaited = self.second_person
+        if awaited is None or now_s > awaited.until_wall_s:
+            return None
+        return {"order": awaited.word, "by": awaited.client.name}
 
     def _page(self) -> dict[str, Any]:
         return {

@@ -114,12 +114,17 @@ class SessionState:
 
     @property
     def unacknowledged(self) -> bool:
-        """Whether an alarm is not acknowledged."""
-        return any(not alarm["acknowledged"] for alarm in self.alarms)
+        """Whether an alarm that is not shelved is not acknowledged."""
+        return any(not alarm["acknowledged"] and not alarm.get("shelved_until_s") for alarm in self.alarms)
 
-    def acknowledge(self) -> None:
-        """Mark all alarms as acknowledged."""
-        self.alarms = [alarm | {"acknowledged": True} for alarm in self.alarms]
+    def acknowledge(self, number: int | None = None) -> None:
+        """Mark alarm ``number``, None for all, as acknowledged; one that has returned to normal no longer stands."""
+        self.alarms = [
+            alarm | {"acknowledged": True, "latched": alarm["latched"] and alarm.get("active", True)}
+            if number in (None, alarm.get("number"))
+            else alarm
+            for alarm in self.alarms
+        ]
 
     def unlatch(self) -> None:
         """Unlatch all alarms."""

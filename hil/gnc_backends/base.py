@@ -50,6 +50,10 @@ class GncBackend(Protocol):
         """Reason why a run on hold cannot be resumed, "" if it can."""
 
     @property
+    def isolated_thrusters(self) -> np.ndarray | None:
+        """Thrusters whose isolation valves this cycle has commanded to close, (n,) of 0 or 1; None for none."""
+
+    @property
     def event_logs(self) -> Sequence[ObservableList[Event]]:
         """Lists to which events are appended as they happen."""
 

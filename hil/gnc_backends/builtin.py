@@ -33,6 +33,13 @@ class BuiltinGnc(Approach):
         """Whether the filters took a pose in the last cycle."""
 
     @property
+    def isolated_thrusters(self) -> np.ndarray | None:
+        """Thrusters whose isolation valves this cycle has commanded to close, (n,) of 0 or 1; None for none."""
+        if self.state["isolated_cycles"] != 1:
+            return None
+        return np.asarray(self.params["isolates"][self.state["thrusters"]["thruster"]])
+
+    @property
     def event_logs(self) -> tuple[ObservableList[Event], ...]:
         """Lists of events: of the approach and of the filter monitor."""
         return (self.event_log.events, self.filter_monitor.events)

@@ -22,6 +22,7 @@ from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import FixedTarget, TargetStage
+from hil.safety.condition_alarms import HealthAlarms
 
 
 class CycleData:
@@ -70,6 +71,8 @@ class Loop:
     """Rows of the run, (n,) of CYCLE: all of them, or those of the part since ``first``."""
     bench_now_s: Callable[[], float]
     """Bench time, to stamp the thruster command."""
+    health_alarms: HealthAlarms
+    """Alarms of the consistency monitors."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
@@ -146,6 +149,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     if loop.monitor is not None:
         loop.monitor.check(t_s, now.navigation, loop.gnc)  #    docking monitor against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
+    loop.health_alarms.update(bench_s, int(now.navigation.health))
+    loop.dss.isolate(loop.gnc.isolated_thrusters)
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s

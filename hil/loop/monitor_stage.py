@@ -87,6 +87,11 @@ class MonitorStage:
                 self._put(portion, t_s)
         gnc.set_monitor_disagrees(bool(compare_received(self.params, self.memory, t_s, estimate)))
 
+    def disagreement(self) -> tuple[int, float, float]:
+        """Return component, value and limit, m or rad, of the last disagreement."""
+        found = self.memory.interlock
+        return int(found.component), float(found.value), float(found.limit)
+
     def _put(self, portion: Portion, t_s: float) -> None:
         """Take a portion that arrives at ``t_s``; one without range and line of sight is no measurement."""
         frame = self.memory.frame

@@ -15,6 +15,7 @@ from hil.drivers.base import Exposes, PoseSource
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu_faults import IMU_MEMORY
+from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.frmn.ring import Telemetry
 from hil.loop.fault_stages import FrameFaults
@@ -71,6 +72,11 @@ class DssStage:
             self._row["cycle"], self._row["t_s"] = k + 1, (k * n + i + 1) * float(self.params.dt_s)
             self._row["imu"] = sample
             self.sample_sink.put(self._row)
+
+    def isolate(self, thrusters: np.ndarray | None) -> None:
+        """Command the isolation valves of ``thrusters`` (n,), 0 or 1, to close; None: of no further ones."""
+        if thrusters is not None:
+            isolate(self.memory.isolation, thrusters)
 
     def rate_against_hill(self, truth: np.record) -> Array:
         """Return the chaser's rate relative to H, in c, (3,), rad/s; valid until the next call."""

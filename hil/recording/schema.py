@@ -37,7 +37,7 @@ LOG_ENTRY: Final = np.dtype(
     [("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888")]
 )
 """Entry of the log. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first on which it acts, or
-during which it happened, -1 before the run. kind: event, alarm, mode, order (command to the GNC), setting,
+during which it happened, -1 before the run. kind: event, alarm, alarm state, mode, order (command to the GNC), setting,
 operator (action at the console), fault (switched on an emulator)."""
 
 GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"

@@ -51,6 +51,11 @@ class EventRecorder:
         """Log an alarm."""
         self.log_event("alarm", alarm.device, alarm.text)
 
+    def alarm_change(self, change: tuple[Alarm, str]) -> None:
+        """Log an alarm that was acknowledged, shelved, or has returned to normal."""
+        alarm, text = change
+        self.log_event("alarm state", alarm.device, f"alarm {alarm.number}, {alarm.quantity}: {text}")
+
     def mode(self, mode: Mode) -> None:
         """Log a change of mode."""
         self.log_event("mode", "bench", mode.value)
@@ -98,6 +103,7 @@ class RecordingSinks:
             events.subscribe(recorder.event)
         loop.gnc.orders.subscribe(lambda order: recorder.order(*order))
         runner.safety.alarms.raised.subscribe(recorder.alarm)
+        runner.safety.alarms.changes.subscribe(recorder.alarm_change)
         runner.safety.modes.history.subscribe(recorder.mode)
         return recorder
 

@@ -53,6 +53,7 @@ from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
 from hil.params.faults import fault_rows
+from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
@@ -165,19 +166,22 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     bench = bench_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
     safety = SafetyMonitor(safety_limits(rig, bench), axis_names, _links(rig, rails, turntable, source))
+    stage = BenchStage(rails, turntable, bench, safety, ticks=job.ticks, cycle_s=scenario.step_s)
+    monitor = _docking_monitor(job, stage)
     loop = Loop(
         dss=_dss(job.truth, job.seed),
-        bench=BenchStage(rails, turntable, bench, safety, ticks=job.ticks, cycle_s=scenario.step_s),
+        bench=stage,
         vision=VisionStage(source, vision_params.mounting(rig)),
         gnc=_backend(job, rig, rate),
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
+        health_alarms=HealthAlarms(safety.alarms, scenario, monitor.disagreement if monitor else None),
+        monitor=monitor,
         now=CycleData(scenario.imu_samples),
     )
     if rig.guard.enabled:
         loop.guard = GuardStage(bench_params.bench_guard(rig, scenario), loop.bench)
-    loop.monitor = _docking_monitor(job, rig, loop.bench)
     if any(fault.family == "vmu" for fault in job.truth.faults):
         loop.vision.faults = FrameFaults(fault_rows(job.truth, "vmu", job.seed), vision_params.mounting(rig))
     if any(fault.family == "axis" for fault in job.truth.faults):
@@ -220,7 +224,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     )
 
 
-def _docking_monitor(job: Job, rig: Rig, bench: BenchStage) -> MonitorStage | None:
+def _docking_monitor(job: Job, bench: BenchStage) -> MonitorStage | None:
     """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
     params = monitor_record(job.scenario.value, job.truth, job.seed)
     if not params.acts:

@@ -14,6 +14,7 @@ from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.camera_images import IMAGE, overlay_shapes
+from hil.core.gnc_records import GncHealth
 from hil.core.messages import CYCLE
 from hil.errors import LinkLost
 from hil.frmn.ring import Ring
@@ -153,6 +154,41 @@ def test_run_command_refuses_a_scene_that_is_not_there() -> None:
     )
     assert done.returncode == 2
     assert "missing: unknown scene: give atv, bright-cross" in done.stderr
+
+
+WRONG = 'faults=[{device = "monitor", kind = "offset", at_s = 4.0, value = [0.2, 0.0, 0.0]}]'
+"""The docking monitor measures a chaser that is displaced."""
+
+
+def test_rendered_monitor_that_disagrees_holds_the_approach_and_raises_an_alarm() -> None:
+    job = make_job(8.0, (*SETTINGS, WRONG))
+    with with_docking_monitor.runner(job) as (runner, look):
+        outcome = runner.run()
+        watched = look(outcome)
+    assert watched is not None
+    assert len(watched.portions) == 11
+    (held,) = [event for event in outcome.events if "the docking monitor disagrees" in event.text]
+    assert held.text == "reaction hold: the docking monitor disagrees"
+    assert 4.8 < held.t_s < 6.5  # two portions that were measured after the onset
+    (alarm,) = outcome.alarms
+    assert (alarm.device, alarm.priority) == ("monitor", "medium")
+    assert outcome.history["navigation"]["health"][-1] == GncHealth.MONITOR_DISAGREES
+
+
+@pytest.mark.slow
+def test_monitor_of_an_emulated_bench_holds_the_approach(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    arguments = ["run", "scheme-1", "--rig", "emulated", "--duration", "12", "--json", str(path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", *arguments, *typed("monitor.source=rendered", WRONG, *UNHURRIED)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+    )
+    assert done.returncode == 1, done.stderr
+    (fault,) = json.loads(path.read_text(encoding="utf-8"))["injected"]
+    assert (fault["detected_by"], fault["reaction"]) == ("monitor", "hold")
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import { Settings } from "/page/settings.js";
 
 const $ = (id) => document.getElementById(id);
+const SHELVED_S = 600;
 const JOG_MS = 60; // the bench stops 0.2 s after the last message
 const ANSWER_MS = 6000;
 
@@ -27,6 +28,13 @@ export class Controls {
     $("open").onclick = () => this.open();
     $("stop").onclick = () => this.ask({ do: "order", order: "stop" });
     $("acknowledge").onclick = () => this.ask({ do: "acknowledge" });
+    $("alarmlist").onclick = (event) => {
+      const row = event.target.closest("li");
+      if (!row || !this.now.lease.mine) return;
+      const alarm = Number(row.dataset.number);
+      this.ask(event.shiftKey ? { do: "shelve", alarm, lasting_s: SHELVED_S } : { do: "acknowledge", alarm });
+    };
+    $("second").onclick = () => this.ask({ do: "second", order: this.now.second_person.order });
     $("fault_device").onchange = () => this.faultKinds();
     $("fault_kind").onchange = () => this.faultAxes();
     $("fault_on").onclick = () => this.switchFault();
@@ -134,6 +142,9 @@ export class Controls {
     }
     $("open").disabled = !mine || open;
     $("stop").disabled = !open;
+    const second = now.second_person;
+    $("second").hidden = !second;
+    if (second) $("second").textContent = `Second person: confirm ${second.order} of ${second.by}`;
     $("acknowledge").disabled = !mine || !page.alarms.some((alarm) => !alarm.acknowledged);
     this.settings.show(page, mine && open);
     const jogs = mine && open && ["standby", "jogging"].includes(now.mode);

@@ -68,13 +68,16 @@ export function ages(now, page, link_age_s) {
 }
 
 export function alarms(page) {
-  const newest = [...page.alarms].reverse();
-  fill($("alarmlist"), newest, "li", (row, alarm) => {
-    row.className = `${alarm.latched ? "latched" : ""} ${alarm.acknowledged ? "" : "new"}`;
-    const state = `${alarm.latched ? "latched" : "reset"}, ${alarm.acknowledged ? "acknowledged" : "NEW"}`;
-    text(row, `${alarm.t_s.toFixed(2)} s ${state}`, alarm.text);
+  const rank = { high: 0, medium: 1, low: 2 };
+  const order = [...page.alarms].sort((a, b) => b.latched - a.latched || rank[a.priority] - rank[b.priority] || b.t_s - a.t_s);
+  fill($("alarmlist"), order, "li", (row, alarm) => {
+    row.className = `${alarm.latched ? "latched" : ""} ${alarm.acknowledged || alarm.shelved_until_s ? "" : "new"} ${alarm.priority}`;
+    row.dataset.number = alarm.number;
+    row.title = "click: acknowledge; with shift: shelve for 10 min";
+    const stands = alarm.shelved_until_s ? "shelved" : alarm.priority === "high" ? (alarm.latched ? "latched" : "reset") : alarm.active ? "active" : "normal again";
+    text(row, `${alarm.t_s.toFixed(2)} s ${alarm.priority}, ${stands}, ${alarm.acknowledged ? "acknowledged" : "NEW"}`, alarm.text);
   });
-  const first = page.alarms.find((alarm) => alarm.latched);
+  const first = order.find((alarm) => alarm.latched && !alarm.shelved_until_s);
   $("alarmline").textContent = first ? `\u26a0 ${first.text}${first.acknowledged ? " (acknowledged)" : ""}` : "";
   $("alarmline").classList.toggle("seen", Boolean(first && first.acknowledged));
 }

@@ -283,12 +283,16 @@ class CompiledCycles:
         if is_sampled or loop.vision.frame_sink is not None or not isinstance(loop.telemetry, NoTelemetry):
             due[:] = True
         due[-1:] = True
+        health = rows["navigation"]["health"]
+        due[1:] |= health[1:] != health[:-1]
+        due[:1] = True
         nis_position, nis_attitude = rows["navigation"]["nis_position"], rows["navigation"]["nis_attitude"]
         for i in np.flatnonzero(due):
             k = first + int(i)
             self._begin(k)
             if has_poses[i]:
                 self._backend.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
+            loop.health_alarms.update(self._tick.now_s, int(health[i]))
             if is_last and k == end - 1:
                 self._backend.log_events(float(rows["t_s"][i]), self._state)
             loop.telemetry.put(rows[i : i + 1])

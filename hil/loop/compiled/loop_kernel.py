@@ -23,6 +23,7 @@ from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.imu_faults import IMU_MEMORY
+from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision import VISION_PARAMS, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
@@ -104,6 +105,7 @@ LOOP_STATE = np.dtype(
         ("bench_guard", BENCH_GUARD_MEMORY),
         ("limited_in_row", "i8"),  # setpoints, the last one included
         ("monitor", MONITOR_STATE),
+        ("disagreed_before", "i8"),  # the interlock of the cycle before the last one
         ("gnc", GNC_STATE),
         ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
         ("library", LIBRARY),
@@ -355,6 +357,7 @@ def _check_monitor(params, state, t_s, noise, first):
         r, q = stack.vector(3), stack.vector(4)
         kinematics.pose_of_axes(params.bench, state.rails.position, state.turntable.position, r, q)
         measure_bench(params.monitor, state.monitor, t_s, r, q, noise, first)
+    state.disagreed_before = state.gnc.approach.monitor_disagrees
     state.gnc.approach.monitor_disagrees = compare_received(
         params.monitor, state.monitor, t_s, state.now.navigation
     )  # fmt: skip
@@ -467,8 +470,10 @@ def _open(params, state):
 
 @kernel
 def _has_event(state):
-    """Return whether the last cycle has an event: of the approach, or a new text of the library."""
+    """Return whether the last cycle has an event: of approach or interlock, or a new text of the library."""
     if has_event(state.progress_before, state.gnc.approach.progress):
+        return True
+    if state.disagreed_before != state.gnc.approach.monitor_disagrees:
         return True
     return state.library.step_address != 0 and has_new_text(state.library)
 
@@ -539,6 +544,8 @@ def run_loop(
                     params.gnc, state.gnc, memory, t_s, samples, poses, arrived,
                     now.navigation, now.reference, now.supervision, now.command,
                 )  # fmt: skip
+                if state.gnc.isolated_cycles == 1:
+                    isolate(state.truth_memory.isolation, params.gnc.isolates[state.gnc.thrusters.thruster])
             elif not library_step(params.gnc, state, poses, arrived, k, t_s):
                 return GNC_FAILED
             _mirror_thrusters(params, state, now_s)

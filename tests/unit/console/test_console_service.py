@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -121,6 +122,45 @@ def test_alarm_of_a_session_that_ended_bars_the_next_one_until_it_is_acknowledge
     assert service.state.page()["alarms"] == [alarm(acknowledged=True)]
     assert ask(service, do="order", order="reset") == "ok"
     assert service.state.page()["alarms"] == [alarm(acknowledged=True, latched=False)]
+
+
+def test_one_alarm_is_acknowledged_and_one_that_returned_to_normal_no_longer_stands(service: ConsoleService) -> None:
+    alarms = [alarm(number=1, active=True), alarm(number=2, active=False)]
+    service.state.apply({"alarms": alarms, "events": [], "hold_reason": ""})
+    assert ask(service, do="acknowledge", alarm=2) == "ok"
+    assert [(a["acknowledged"], a["latched"]) for a in service.state.alarms] == [(False, True), (True, False)]
+    assert ask(service, do="acknowledge", alarm=3) == "alarm 3: no such alarm"
+    assert ask(service, do="acknowledge", alarm="1") == "alarm '1': allowed is its number"
+    assert ask(service, do="shelve", alarm=1, lasting_s=60.0) == "no session is open: nothing to shelve"
+
+
+def test_second_person_confirms_at_another_page_in_time(
+    service: ConsoleService, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    rig = tmp_path / "two-persons.toml"
+    rig.write_text('extends = "mock"\n[console]\nsecond_person = ["open"]\n')
+    service.rigs.append(str(rig))
+    opened: list[Choice] = []
+    monkeypatch.setattr(service, "start_session", opened.append)
+    bob, other_ann = Client("b" * 16, "bob"), Client("c" * 16, "ann")
+
+    def second(client: Client) -> dict[str, Any]:
+        return asyncio.run(service.execute(client, {"do": "second", "order": "open"}))
+
+    assert "no such command waits" in second(bob)["text"]
+    assert ask(service, do="open", rig=str(rig)).startswith("Open: the devices open")
+    assert "waits 30 s for the confirmation" in ask(service, do="open", rig=str(rig), confirmed=True)
+    assert service.update_for(bob)[0]["second_person"] == {"order": "open", "by": "ann"}
+    for same in (ANN, other_ann):
+        assert second(same)["text"] == "open: ann commanded it, another person has to confirm it"
+    assert not opened
+    assert second(bob)["ok"]
+    assert [choice.rig for choice in opened] == [str(rig)]
+    assert "no such command waits" in second(bob)["text"]
+    ask(service, do="open", rig=str(rig), confirmed=True)
+    service.wall_s = lambda: 131.0
+    service.lease.acquire(ANN.key, ANN.name, 131.0)
+    assert "no such command waits" in second(bob)["text"]
 
 
 def test_account_logs_each_alarm_and_hold_once() -> None:

@@ -6,8 +6,10 @@ import json
 
 import pytest
 
+from hil.config.load import load_scenario
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
-from hil.safety.alarms import Alarm, AlarmLog, alarm_from_error
+from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog, alarm_from_error
+from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
 FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
@@ -53,6 +55,69 @@ def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
     book.latch(FOLLOWING)
     assert len(book.all()) == 3
     assert len(book.latched()) == 1
+
+
+DISAGREES = Alarm(3.0, "monitor", "pose", "off by 0.12 m", "0.03 m", priority=MEDIUM)
+
+
+def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> None:
+    book = AlarmLog()
+    book.raise_condition(DISAGREES)
+    book.raise_condition(DISAGREES)
+    (alarm,) = book.latched()
+    assert (alarm.number, alarm.active, alarm.acknowledged) == (1, True, False)
+    book.return_to_normal("monitor", "pose")
+    (alarm,) = book.latched()
+    assert not alarm.active  # normal again, and not read yet
+    book.raise_condition(DISAGREES)
+    assert len(book.all()) == 1
+    assert book.latched()[0].active
+    book.acknowledge(by="ann")
+    assert book.latched()[0].acknowledged_by == "ann"  # it lasts
+    book.return_to_normal("monitor", "pose")
+    assert not book.latched()
+    book.raise_condition(DISAGREES)
+    assert [alarm.number for alarm in book.all()] == [1, 2]
+
+
+def test_each_alarm_is_acknowledged_by_itself_and_trips_come_first() -> None:
+    book = AlarmLog()
+    book.raise_condition(DISAGREES)
+    book.latch(FOLLOWING)
+    assert [alarm.number for alarm in book.all()] == [2, 1]
+    assert book.acknowledge(2, "ann") == 1
+    assert [(alarm.number, alarm.acknowledged) for alarm in book.all()] == [(2, True), (1, False)]
+
+
+def test_conditions_can_be_shelved_for_a_time_and_trips_cannot() -> None:
+    book = AlarmLog()
+    book.raise_condition(DISAGREES)
+    book.latch(FOLLOWING)
+    assert book.shelve(2, 10.0, 60.0) == "alarm 2: of high priority, which cannot be shelved"
+    assert book.shelve(7, 10.0, 60.0) == "alarm 7: does not stand"
+    assert book.shelve(1, 10.0, 1e9) == "1e+09 s: allowed 0 to 3600 s"
+    assert book.shelve(1, 10.0, 60.0, "ann") == ""
+    book.poll(69.9)
+    assert book.all()[1].shelved_until_s == 70.0
+    book.poll(70.0)
+    assert book.all()[1].shelved_until_s == 0.0
+    assert book.shelve(1, 80.0, 60.0) == ""
+    assert book.shelve(1, 81.0, 0.0, "bob") == ""
+    texts = [text for _, text in book.changes]
+    assert texts == ["shelved for 60 s by ann", "unshelved: its time is over", "shelved for 60 s", "unshelved by bob"]
+
+
+def test_bits_of_the_health_are_conditions_that_name_the_device() -> None:
+    book = AlarmLog()
+    kinds = ("approach", "hold", "wait", "final", "retreat")
+    scenario = load_scenario("scheme-1", tuple(f"gnc.reactions.thruster_fault.{kind}=continue" for kind in kinds))
+    health = HealthAlarms(book, scenario.value, lambda: (2, 0.1234, 0.03))
+    for bench_s, bits in ((1.0, 0), (2.0, 16), (3.0, 16), (4.0, 24), (5.0, 8), (6.0, 0)):
+        health.update(bench_s, bits)
+    first, second = book.all()
+    assert first.text == "monitor: pose of the navigation off by 0.1234 m along the line of sight, allowed 0.0300 m"
+    assert (first.t_s, first.priority, first.active) == (2.0, MEDIUM, False)
+    assert (second.device, second.t_s, second.priority, second.active) == ("thrusters", 4.0, LOW, False)
 
 
 def test_single_lost_packets_are_forgiven_for_ever() -> None:

@@ -1,0 +1,73 @@
+"""Consistency monitors as alarms: each bit of the navigation's health, whichever GNC reports it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hil.config.scenario import Scenario
+from hil.core.gnc_records import GncHealth
+from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog
+
+_COMPONENTS = ("to the right", "upwards", "along the line of sight", "pitch", "yaw", "roll")
+
+
+class HealthAlarms:
+    """Alarms of the navigation's health: raised with a bit, returned to normal when the bit is cleared.
+
+    Those to which the scenario's reactions are none in any phase are of low priority, the others of medium.
+    disagreement: returns component, value and limit, m or rad, of the docking monitor's last disagreement.
+    """
+
+    def __init__(
+        self, alarms: AlarmLog, scenario: Scenario, disagreement: Callable[[], tuple[int, float, float]] | None = None
+    ) -> None:
+        self._alarms = alarms
+        self._disagreement = disagreement
+        self._health = 0
+        lost_s, rejected = scenario.gnc.integrity.lost_after_s, scenario.gnc.integrity.suspect_after
+        self._texts = {
+            GncHealth.VISION_LOST: ("vmu", "accepted poses", f"none for {lost_s:g} s", f"one within {lost_s:g} s"),
+            GncHealth.VISION_SUSPECT: (
+                "vmu",
+                "innovations",
+                "rejected, or not those of their covariance",
+                f"fewer than {rejected} rejected in a row, consistent",
+            ),
+            GncHealth.IMU_SUSPECT: ("imu", "readings", "repeated, or explained by no thruster", "explained"),
+            GncHealth.THRUSTER_FAULT: ("thrusters", "thrust", "stuck open or dead", "as commanded"),
+            GncHealth.COVARIANCE_INVALID: ("navigation", "covariance", "not positive definite", "positive definite"),
+        }
+        reactions = scenario.gnc.reactions.conditions()
+        self._priorities = {
+            bit: LOW if set(row.model_dump().values()) == {"continue"} else MEDIUM
+            for bit, row in zip((bit for bit in GncHealth if bit), reactions, strict=False)
+        }
+
+    def update(self, bench_s: float, health: int) -> None:
+        """Take the health of a cycle at ``bench_s`` of bench time."""
+        changed = health ^ self._health
+        if not changed:
+            return
+        self._health = health
+        for bit in GncHealth:
+            if not bit or not changed & bit:
+                continue
+            device, quantity, value, limit = self._of(bit)
+            if health & bit:
+                priority = self._priorities[bit]
+                self._alarms.raise_condition(Alarm(bench_s, device, quantity, value, limit, priority=priority))
+            else:
+                self._alarms.return_to_normal(device, quantity)
+
+    def _of(self, bit: GncHealth) -> tuple[str, str, str, str]:
+        """Return device, quantity, value and limit."""
+        if bit is not GncHealth.MONITOR_DISAGREES:
+            return self._texts[bit]
+        value, limit = "beyond both sigmas", "within both sigmas"
+        if self._disagreement is not None:
+            component, off, allowed = self._disagreement()
+            unit, scale = ("m", 1.0) if component < 3 else ("deg", math.degrees(1.0))
+            value = f"off by {scale * off:.4f} {unit} {_COMPONENTS[component]}"
+            limit = f"{scale * allowed:.4f} {unit}"
+        return "monitor", "pose of the navigation", value, limit
