@@ -16,6 +16,7 @@ from hil.params import gnc as gnc_params
 
 KEY = "gnc.abort.one_thruster_failed"
 STUCK_OPEN = "stuck open"
+_UNWANTED_MAX = 0.8  # of the wanted force or torque of a set
 _RANGES = 50  # between ready point and start
 _DETECTION_CYCLES = 3  # beyond ``thruster_open_s``
 
@@ -58,7 +59,29 @@ def check_abort(scenario: Loaded[Scenario]) -> list[Problem]:
     if value.gnc.binary is not None or not value.gnc.abort.one_thruster_failed:
         return []
     text = next((found for failed in failed_thrusters(value) if (found := _why_not(value, failed))), "")
+    text = text or _why_not_isolated(value)
     return [Problem(scenario.where(KEY), KEY, f"true: {text}")] if text else []
+
+
+def _why_not_isolated(scenario: Scenario) -> str:
+    """Return which demand the thrusters left without a bank cannot meet, "" if they meet all of them.
+
+    A bank takes several thrusters away at once; one alone is replaced by the same sets as a dead one.
+    """
+    thrusters = scenario.chaser.thrusters
+    if thrusters.isolation != "bank":
+        return ""
+    params, n = gnc_params.gnc(scenario), len(thrusters.position_m)
+    wrenches = gnc_params.wrenches_of(thrusters)
+    arm = np.linalg.norm(thrusters.position_m, axis=1).mean()
+    scaled = wrenches / np.array([1.0, 1.0, 1.0, arm, arm, arm])
+    for j, axis, sign in np.ndindex(n, AXES_OF_A_BODY, 2):
+        total = params.isolated_sets[j, axis, sign, :n] @ scaled
+        wanted = total[axis] * (2 * sign - 1)
+        if not np.linalg.norm(np.delete(total, axis)) < _UNWANTED_MAX * wanted:
+            demand = f"{'-+'[sign]}{'FFFTTT'[axis]}{'xyz'[axis % 3]}"
+            return f'isolation = "bank" of thruster.{j + 1} leaves no thrusters for the {demand} demand'
+    return ""
 
 
 def _why_not(scenario: Scenario, failed: FailedThruster) -> str:

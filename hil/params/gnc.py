@@ -273,7 +273,7 @@ def allocation(chaser: Chaser) -> tuple[np.ndarray, Array]:
 @lru_cache(maxsize=8)
 def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
     """Return ``allocation``, cached by layout: it searches thousands of sets."""
-    n, wrenches = len(thrusters.position_m), _wrenches(thrusters)
+    n, wrenches = len(thrusters.position_m), wrenches_of(thrusters)
     sets = np.zeros((ROWS, 2, MAX_THRUSTERS), dtype=np.int64)
     chosen, strength = thruster_sets(wrenches)
     sets[:AXES_OF_A_BODY, :, :n] = chosen
@@ -286,7 +286,7 @@ def _allocation(thrusters: Thrusters) -> tuple[np.ndarray, Array]:
 def _fault_allocation(thrusters: Thrusters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ``dead_sets``, ``open_sets`` and ``against`` of GNC_PARAMS."""
     n = len(thrusters.position_m)
-    against = opposing_thrusters(_wrenches(thrusters))
+    against = opposing_thrusters(wrenches_of(thrusters))
     dead, stuck = np.eye(n, dtype=bool), np.eye(n, dtype=bool) | against.astype(bool)
     return _sets_without(thrusters, dead), _sets_without(thrusters, stuck), _square(against)
 
@@ -301,14 +301,15 @@ def _isolation(thrusters: Thrusters) -> tuple[np.ndarray, np.ndarray]:
     return _square(closed), _sets_without(thrusters, closed)
 
 
-def _wrenches(thrusters: Thrusters) -> Array:
+def wrenches_of(thrusters: Thrusters) -> Array:
+    """Return force, N, and torque, N m, of each thruster, (n, 6), in c."""
     n = len(thrusters.position_m)
     return unit_wrenches(np.array(thrusters.position_m), np.array(thrusters.direction), np.full(n, thrusters.force_n))
 
 
 def _sets_without(thrusters: Thrusters, excluded: np.ndarray) -> np.ndarray:
     """Return the sets without those of each row of ``excluded`` (n, n), in the shape of GNC_PARAMS."""
-    n, wrenches = len(thrusters.position_m), _wrenches(thrusters)
+    n, wrenches = len(thrusters.position_m), wrenches_of(thrusters)
     table = np.zeros((MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS), np.int8)
     table[:n, :AXES_OF_A_BODY, :, :n] = sets_without(wrenches, excluded)
     table[:n, AXES_OF_A_BODY:, :, :n] = sets_without(wrenches, excluded, full_thrust=True)[:, :3]

@@ -35,3 +35,12 @@ def test_abort_that_would_enter_the_keep_out_is_rejected_with_thruster_and_range
         ),
     )
     assert check_abort(waived) == []
+
+
+def test_bank_whose_isolation_leaves_a_demand_without_thrusters_is_rejected() -> None:
+    banks = [1] * 8 + [2] * 8  # those on the y axis, those on the z axis
+    scenario = load_scenario("scheme-1", ("chaser.thrusters.isolation=bank", f"chaser.thrusters.bank={banks}"))
+    (problem,) = check_abort(scenario)
+    assert str(problem).endswith('isolation = "bank" of thruster.1 leaves no thrusters for the -Fz demand')
+    each = load_scenario("scheme-1", ("chaser.thrusters.isolation=each",))
+    assert check_abort(each) == []
