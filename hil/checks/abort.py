@@ -23,7 +23,7 @@ _DETECTION_CYCLES = 3  # beyond ``thruster_open_s``
 
 @dataclass(frozen=True)
 class FailedThruster:
-    """A thruster, from 1, and how it failed. braking_mps2: of the others, away from the target; push_mps2: its own."""
+    """A thruster, from 1, and how it failed. braking_mps2: what is left, away from the target; push_mps2: towards it."""
 
     number: int
     kind: str
@@ -49,7 +49,7 @@ def failed_thrusters(scenario: Scenario) -> list[FailedThruster]:
         dead, stuck = params.dead_sets[j, row, sign, :n], params.open_sets[j, row, sign, :n] | params.against[j, :n]
         found.append(FailedThruster(j + 1, "stuck closed", float(dead @ along)))
         opened = float(stuck @ along + along[j])
-        found.append(FailedThruster(j + 1, STUCK_OPEN, opened, max(0.0, -float(along[j]))))
+        found.append(FailedThruster(j + 1, STUCK_OPEN, opened, -float(along[j])))
     return found
 
 
@@ -84,6 +84,14 @@ def _why_not_isolated(scenario: Scenario) -> str:
     return ""
 
 
+def largest_approach_mps(scenario: Scenario) -> float:
+    """Return the largest closing rate that the plan and the correction of position errors need."""
+    guidance = scenario.gnc.guidance
+    phases = [guidance.phases[name] for name in guidance.sequence]
+    speeds = [phase.speed_mps or guidance.approach_speed_mps for phase in phases if phase.kind in ("approach", "final")]
+    return max(speeds, default=0.0) + scenario.gnc.control.correction_rate_mps
+
+
 def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     """Return why an abort with ``failed`` would not stay clear, "" if it would."""
     which = f"thruster.{failed.number} {failed.kind}"
@@ -94,11 +102,13 @@ def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     if failed.kind == STUCK_OPEN:
         found_s += scenario.gnc.integrity.thruster_open_s
     ready_m, start_m = math.hypot(*scenario.gnc.guidance.ready_point_m), math.hypot(*scenario.initial.position_m)
+    planned_mps = largest_approach_mps(scenario)
     for range_m in np.linspace(ready_m, max(ready_m, start_m), _RANGES):
-        stops_m = float(range_m) - failed.stopping_m(float(closing_limit(monitor, float(range_m))), found_s)
+        closing_mps = min(planned_mps, float(closing_limit(monitor, float(range_m))))
+        stops_m = float(range_m) - failed.stopping_m(closing_mps, found_s)
         if keep_out_m > 0.0 and stops_m < keep_out_m:
             return (
-                f"with {which} at the closing limit of {range_m:.2f} m an abort stops at {stops_m:.3f} m, "
+                f"with {which} at {range_m:.2f} m and {closing_mps:g} m/s an abort stops at {stops_m:.3f} m, "
                 f"keep_out.radius_m is {keep_out_m:g}"
             )
     return ""

@@ -149,7 +149,6 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     if loop.monitor is not None:
         loop.monitor.check(t_s, now.navigation, loop.gnc)  #    docking monitor against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
-    loop.health_alarms.update(bench_s, int(now.navigation.health))
     loop.dss.isolate(loop.gnc.isolated_thrusters)
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
@@ -157,6 +156,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     now.sampled_s[0, 0], now.sampled_s[0, 1] = loop.bench.sampled_s(run_zero_s)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
+    loop.health_alarms.update(bench_s, int(now.navigation.health))
     loop.record(k)  # 8  record of the cycle at t_s
     loop.dss.step(k, now.truth, now.command, now.imu, now.samples)  # 9, 10 truth over this cycle, virtual IMU
     w_CH_C = loop.dss.rate_against_hill(now.truth)

@@ -24,7 +24,7 @@ _KINDS: dict[type[DeviceError], tuple[str, str]] = {
 
 HIGH, MEDIUM, LOW = "high", "medium", "low"
 PRIORITIES: Final = (HIGH, MEDIUM, LOW)
-"""Of alarms, in their order: act at once, act soon, know."""
+"""Of alarms, in their order: to act on at once, soon, when there is time."""
 SHELVED_MAX_S: Final = 3600.0
 """Longest time for which an alarm can be shelved."""
 

@@ -292,9 +292,10 @@ class CompiledCycles:
             self._begin(k)
             if has_poses[i]:
                 self._backend.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
-            loop.health_alarms.update(self._tick.now_s, int(health[i]))
             if is_last and k == end - 1:
                 self._backend.log_events(float(rows["t_s"][i]), self._state)
+            loop.now.t_s[0] = rows["t_s"][i]
+            loop.health_alarms.update(self._tick.now_s, int(health[i]))
             loop.telemetry.put(rows[i : i + 1])
             self._send_samples()
             self._send_axes(k * self._ticks + 1)

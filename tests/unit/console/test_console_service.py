@@ -139,7 +139,7 @@ def test_second_person_confirms_at_another_page_in_time(
 ) -> None:
     rig = tmp_path / "two-persons.toml"
     rig.write_text('extends = "mock"\n[console]\nsecond_person = ["open"]\n')
-    service.rigs.append(str(rig))
+    service.rigs = (*service.rigs, str(rig))
     opened: list[Choice] = []
     monkeypatch.setattr(service, "start_session", opened.append)
     bob, other_ann = Client("b" * 16, "bob"), Client("c" * 16, "ann")
