@@ -23,7 +23,7 @@ _DETECTION_CYCLES = 3  # beyond ``thruster_open_s``
 
 @dataclass(frozen=True)
 class FailedThruster:
-    """A thruster, from 1, and how it failed. braking_mps2: what is left, away from the target; push_mps2: towards it."""
+    """A thruster, from 1, and how it failed. braking_mps2: what is left, outwards; push_mps2: its own, inwards."""
 
     number: int
     kind: str

@@ -7,7 +7,6 @@ import pytest
 from hil.checks.abort import check_abort, failed_thrusters
 from hil.config.load import load_scenario
 
-
 FAST = (
     "gnc.guidance.approach_speed_mps=0.07",
     "gnc.corridor.closing_rate_mps=0.08",
