@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from cyclopts import App
 from rich.console import Console
@@ -10,7 +12,12 @@ from rich.console import Console
 from hil.cli.dss import link_addresses
 from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
 from hil.cli.output import check_json_path, write_json
-from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.config.scenario import Scenario
+    from hil.frmn.link import Link
+    from hil.gnc_backends.shared_library import GncLibrary
+    from hil.processes.gnc_server import GncServer
 
 app = App(name="gnc")
 app.command("hil.cli.gnc_check:gnc_check", name="check", help="Check an external GNC: latency, signs, units and order.")
@@ -33,7 +40,7 @@ def gnc(
     Parameters
     ----------
     scenario
-        scheme-1, scheme-2, scheme-3, or the path of a scenario file.
+        scheme-1, scheme-2, scheme-3, or the path of a scenario file. Its library or FMU replaces the built-in GNC.
     dss
         Address and port of the bench; 127.0.0.1:24500 unless --listen is given.
     listen
@@ -53,26 +60,25 @@ def gnc(
     from hil.frmn.authentication import link_key
     from hil.frmn.udp import LOOPBACK, shown
     from hil.frmn.wire import PORT
-    from hil.gnc_backends.library import key_of
-    from hil.processes.gnc_server import GncServer, gnc_side
+    from hil.gnc_backends.library import key_of, open_library
+    from hil.processes.binary_gnc_server import OFFERS
+    from hil.processes.gnc_server import gnc_side
 
     if bind is not None and listen is None:  # by default the bench on this computer
         bind, peer = None, (LOOPBACK, PORT)
     found = load_scenario(scenario, settings)
     loaded = found.value
-    if loaded.gnc.binary is not None:
-        key = key_of(loaded.gnc)
-        text = f'"{loaded.gnc.binary}": hil gnc runs the built-in GNC; set it for hil run, campaign or console'
-        raise BadInput.single(found.where(key), key, text)
+    library = open_library(loaded.gnc, found.where(key_of(loaded.gnc)))
     console = Console(stderr=True)
 
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)
 
-    link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file))
+    offers = {} if library is None else {"offers": OFFERS}
+    link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file), **offers)
     try:
         with console.status("compiling the kernels that are not cached"):
-            server = GncServer(loaded, link, announce)
+            server = _server(library, loaded, link, announce)
         announce(f"ready on {shown(link.address)}" + (f", the bench is at {shown(peer)}" if peer else ""))
         with RealTime() as realtime, no_garbage_collection(), realtime.realtime_priority():
             stats = server.serve(wait)
@@ -84,6 +90,16 @@ def gnc(
     if json is not None:
         write_json(stats.as_json(link), json)
     return 0
+
+
+def _server(library: GncLibrary | None, scenario: Scenario, link: Link, announce: Callable[[str], None]) -> GncServer:
+    """Return the server of the binary, or of the built-in GNC."""
+    from hil.processes.binary_gnc_server import BinaryGncServer
+    from hil.processes.gnc_server import GncServer
+
+    if library is None:
+        return GncServer(scenario, link, announce)
+    return BinaryGncServer(library, scenario, link, announce)
 
 
 @app.command(help="Print hil_gnc.h, the C header of the records between the bench and an external GNC.")

@@ -39,9 +39,18 @@ _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_forc
 """Fields of GNC_SETUP in which bench and GNC must agree: they describe the chaser."""
 
 
-def gnc_side(name: str, bind: Address | None, peer: Address | None, key: bytes | None = None) -> Link:
-    """Return the GNC's side of the link. bind: address to listen on. peer: the bench. key: None for the user's."""
-    link = Link(Role.GNC, name, _OFFERS, _WANTS, bind, peer, key)
+def gnc_side(
+    name: str,
+    bind: Address | None,
+    peer: Address | None,
+    key: bytes | None = None,
+    offers: tuple[str, ...] = _OFFERS,
+) -> Link:
+    """Return the GNC's side of the link. bind: address to listen on. peer: the bench. key: None for the user's.
+
+    offers: mailboxes that it sends; by default those of the built-in GNC.
+    """
+    link = Link(Role.GNC, name, offers, _WANTS, bind, peer, key)
     link.silent_max_s = _SILENT_S
     return link
 

@@ -209,9 +209,9 @@ def test_archive_that_cannot_be_used_is_refused(fmu: Path, tmp_path: Path, chang
     assert "\n" not in error
 
 
-def test_program_that_runs_the_built_in_gnc_refuses_an_fmu(fmu: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert execute(["gnc", "scheme-1", "--set", f"gnc.fmu={fmu}"]) == 2
-    assert "hil gnc runs the built-in GNC" in capsys.readouterr().err
+def test_hil_gnc_refuses_an_fmu_that_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["gnc", "scheme-1", "--set", f"gnc.fmu={tmp_path / 'no.fmu'}"]) == 2
+    assert "no such file" in capsys.readouterr().err
 
 
 def test_parameter_of_the_scenario_is_set(tmp_path: Path) -> None:

@@ -6,13 +6,20 @@ import json
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hil.cli.main import execute
+from hil.config.load import load_scenario
+from hil.frmn.authentication import link_key
+from hil.gnc_backends.library import open_library
+from hil.processes.binary_gnc_server import OFFERS, BinaryGncServer
+from hil.processes.gnc_server import gnc_side
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
+from tests.support.fmu import example_fmu
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -46,6 +53,71 @@ def test_c_program_in_lock_step_flies_as_the_same_code_in_a_library(tmp_path: Pa
     here = json.loads(numbers.read_text())
     for name in ("navigation", "thrusters", "verdict", "events"):
         assert apart[name] == here[name], name
+
+
+def over_hil_gnc(folder: Path, setting: str, *options: str) -> dict[str, Any]:
+    """Return the numbers of ``hil dss`` in lock-step with ``hil gnc --set`` at the other end."""
+    port, numbers = str(free_port()), folder / "dss.json"
+    bench = f"127.0.0.1:{port}"
+    command = [sys.executable, "-m", "hil", "gnc", "scheme-1", "--dss", bench, "--set", setting, *options]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as program:
+        listen = ["--lock-step", "--listen", bench, "--json", str(numbers), "--duration", "8"]
+        execute(["dss", "scheme-1", *listen])
+        program.wait(10.0)
+    found: dict[str, Any] = json.loads(numbers.read_text())
+    return found
+
+
+def test_server_of_a_library_flies_as_the_library_does(tmp_path: Path) -> None:
+    """In two threads of one process; the program itself is in the slow tests."""
+    numbers, apart, port = tmp_path / "run.json", tmp_path / "dss.json", free_port()
+    library = f"gnc.library={c_example(tmp_path)}"
+    execute(["run", "scheme-1", "--duration", "2", "--set", library, "--json", str(numbers)])
+    scenario = load_scenario("scheme-1", [library]).value
+    link = gnc_side("test gnc", None, ("127.0.0.1", port), link_key(None), OFFERS)
+    binary = open_library(scenario.gnc)
+    assert binary is not None
+    server = BinaryGncServer(binary, scenario, link)
+    thread = threading.Thread(target=server.serve, args=(30.0,))
+    thread.start()
+    listen = ["--lock-step", "--listen", f"127.0.0.1:{port}", "--json", str(apart), "--duration", "2"]
+    execute(["dss", "scheme-1", *listen])
+    thread.join(30.0)
+    link.close()
+    server.close()
+    found, here = json.loads(apart.read_text()), json.loads(numbers.read_text())
+    assert found["stop"] == "completed"
+    assert (found["navigation"], found["thrusters"]) == (here["navigation"], here["thrusters"])
+
+
+@pytest.mark.slow
+def test_hil_gnc_flies_a_library_and_an_fmu_as_hil_run_does(tmp_path: Path) -> None:
+    numbers = tmp_path / "run.json"
+    library = f"gnc.library={c_example(tmp_path)}"
+    execute(["run", "scheme-1", "--duration", "8", "--set", library, "--json", str(numbers)])
+    here = json.loads(numbers.read_text())
+    for setting in (library, f"gnc.fmu={example_fmu(tmp_path)}"):
+        apart = over_hil_gnc(tmp_path, setting)
+        assert apart["stop"] == "completed"
+        for name in ("navigation", "thrusters", "verdict"):
+            assert apart[name] == here[name], name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("failure", "words"),
+    [
+        ("for (;;) {}", "no answer within 0.3 s"),
+        ("*(volatile int *)0 = 1;", "its process has ended"),
+        ("return 3;", "its step returned 3"),
+    ],
+    ids=["hangs", "crashes", "error"],
+)
+def test_fmu_that_fails_in_hil_gnc_stops_the_bench_and_is_contained(tmp_path: Path, failure: str, words: str) -> None:
+    fmu = example_fmu(tmp_path, 2, f"gnc_state *g = gnc; => gnc_state *g = gnc; if (input->t_s > 0.5) {{ {failure} }}")
+    settings = ["--set", "gnc.fmu_process=true", "--set", "gnc.fmu_timeout_s=0.3"]
+    apart = over_hil_gnc(tmp_path, f"gnc.fmu={fmu}", *settings)
+    assert words in apart["stop"]
 
 
 @pytest.mark.slow
