@@ -12,6 +12,7 @@ from hil.core.clock import SimulatedClock, WallClock
 from hil.core.wait import wait_until
 
 _SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
+_RETURN_NS = 6_000  # from compiled code, with the interpreter's lock: the rest of the wait is in Python
 _SPIN_FRACTION = 0.5  # of a period at most: the kernel preempts a real-time thread that never sleeps
 
 
@@ -115,9 +116,12 @@ class WallClockRate:
             self.skipped_periods += skipped
             self._deadline_ns += skipped * self._period_ns
             self._zero_s += skipped * self._step_s
-        while wait_until(self._deadline_ns, self._spin_ns, self._timespec) < self._deadline_ns:
+        nearly_ns = self._deadline_ns - _RETURN_NS
+        spin_ns = max(0, self._spin_ns - _RETURN_NS)
+        while wait_until(nearly_ns, spin_ns, self._timespec) < nearly_ns:
             pass  # a signal: Python handles it here
-        now_ns = time.monotonic_ns()  # with the interpreter's lock again
+        while (now_ns := time.monotonic_ns()) < self._deadline_ns:
+            pass
         self.executed += 1
         lateness_s = (now_ns - self._deadline_ns) * 1e-9
         if not skipped:
