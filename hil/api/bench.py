@@ -16,6 +16,7 @@ from typing import Final, Literal, Self, cast
 import numpy as np
 
 from hil.api.jobs import (
+    Faults,
     Overrides,
     is_positive,
     job_of,
@@ -31,6 +32,7 @@ from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_object import PythonGnc
 from hil.loop.runner import Outcome, Runner
+from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 
@@ -131,7 +133,7 @@ class ProcedureOperator(Operator):
             step.begun_s = now_s
         step.every_cycle(runner, now_s)
         if runner.safety.modes.mode is Mode.SAFE_STOP and step.command is not OperatorCommand.RESET:
-            step.problem = runner.safety.alarms.all()[-1].text
+            step.problem = runner.safety.alarms.latest_trip().text
         elif self.rejections:
             step.problem = self.rejections[-1]
         elif not step.ended(runner, now_s):
@@ -182,13 +184,16 @@ class Bench:
         gnc: PythonGnc | None = None,
         record: str | Path | None = None,
         speed: float = 1.0,
+        faults: Faults | None = None,
     ) -> None:
         """Check the arguments, which are those of ``hil.run``. Raises BadInput; nothing moves and nothing is opened.
 
         speed: relative to real time, on rigs that run in real time.
         """
         with named_as_argument():
-            self._job = replace(job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc), compiled=False)
+            self._job = replace(
+                job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc, faults=faults), compiled=False
+            )
             build.check(self._job)
         self._operator = ProcedureOperator()
         self._request = RunRequest(
@@ -227,6 +232,12 @@ class Bench:
         """Present mode of the bench."""
         runner = self._operator.runner
         return runner.safety.modes.mode if runner is not None and self._thread.is_alive() else Mode.OFF
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Alarms of the session so far, those of high priority first; they stay known after its end."""
+        runner = self._operator.runner
+        return runner.safety.alarms.all() if runner is not None else ()
 
     def feedback(self) -> np.record:
         """Return the newest encoder samples: ``rail_m``, ``rail_mps``, ``gimbal_rad``, ``gimbal_radps``, (3,) each."""

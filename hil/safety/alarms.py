@@ -157,6 +157,10 @@ class AlarmLog:
         """Return all alarms of the session, those of high priority first."""
         return tuple(sorted(self._alarms, key=lambda alarm: PRIORITIES.index(alarm.priority)))
 
+    def latest_trip(self) -> Alarm:
+        """Return the newest alarm of high priority: the reason of a safe stop."""
+        return [alarm for alarm in self._alarms if alarm.priority == HIGH][-1]
+
     def latched(self) -> tuple[Alarm, ...]:
         return tuple(alarm for alarm in self.all() if alarm.latched)
 

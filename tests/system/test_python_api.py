@@ -212,6 +212,18 @@ def test_fault_ends_the_command_and_names_the_device() -> None:
         assert run is bench.result
 
 
+def test_procedure_injects_a_fault_and_reads_the_alarm() -> None:
+    shifted = {"device": "rails.y", "kind": "offset", "at_s": 1.0, "value": 0.02}
+    with hil.Bench("mock", "scheme-1", faults=[shifted]) as bench:
+        bench.home()
+        bench.arm()
+        assert bench.alarms == ()
+        run = bench.start(until=5.0)
+    (alarm,) = bench.alarms
+    assert (alarm.device, alarm.priority, alarm.text) == ("rails.y", "high", run.stop)
+    assert run.summary["injected"][0]["detected_by"] in ("guard", "device")
+
+
 def test_another_thread_stops_the_bench() -> None:
     class Stops:
         def __init__(self) -> None:
