@@ -17,6 +17,9 @@ WORKERS := 3
 # the C example is built in the tests
 CC_MISSING := { apt-get update --quiet && apt-get install --quiet --yes gcc libc6-dev; }
 
+# cameras are tested against libaravis' fake ones; without it those tests are skipped
+ARAVIS_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no-install-recommends libaravis-0.8-0; }
+
 .PHONY: demo test slow oracle bench lateness docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
@@ -25,6 +28,7 @@ demo: .venv/ready
 
 test: .venv/ready
 	command -v cc > /dev/null || $(CC_MISSING)
+	ldconfig -p | grep -q libaravis-0.8 || $(ARAVIS_MISSING) || true
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python -m compileall -q hil  # hundreds of processes start, also where Python may not write bytecode itself
