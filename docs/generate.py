@@ -27,6 +27,7 @@ from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 
 FOLDER: Final = "reference/generated"
@@ -219,8 +220,9 @@ def other_files() -> str:
         "Geometry file of the vision unit": VmuGeometry,
         "Scene file of the docking monitor": Scene,
         "Protocol file of a serial turntable": Protocol,
+        "Frame file of a vision unit": VmuFrame,
     }
-    text = "# Keys of geometry, scene and protocol files\n\nJSON or TOML; protocol files are TOML.\n"
+    text = "# Keys of geometry, scene, protocol and frame files\n\nJSON or TOML; protocol and frame files are TOML.\n"
     return text + "".join(f"\n## {title}\n\n{_sections(model, level=3)}" for title, model in parts.items())
 
 

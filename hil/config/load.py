@@ -23,6 +23,7 @@ from hil.config.renamed_keys import present_key, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
 from hil.errors import BadInput, Problem
@@ -34,6 +35,7 @@ _SUFFIXES = {"targets": (".json", ".toml")}  # scenes of other programs are JSON
 _WORDS = {"targets": "scene", "geometries": "geometry", "dispersions": "dispersion set"}
 _FILES_OF_KEYS = {
     "protocol": (".toml",),
+    "frames": (".toml",),
     "scene": (".json", ".toml"),
     "library": (".so",),
     "fmu": (".fmu",),
@@ -55,7 +57,8 @@ def configs_folder() -> Path:
 
 
 def shipped(kind: str) -> list[str]:
-    """Return the names of the shipped files of ``kind``: "scenarios", "dispersions", "rigs", "protocols", "targets"."""
+    """Return the names of the shipped files of ``kind``: "scenarios", "dispersions", "rigs", "protocols", "frames",
+    "targets"."""
     return sorted(path.stem for path in (configs_folder() / kind).glob("*.toml"))
 
 
@@ -99,6 +102,11 @@ def check_wires(rig: Loaded[Rig]) -> None:
 def load_protocol(name: str) -> Loaded[Protocol]:
     """Return the command set ``name`` (shipped, or a path); raise BadInput."""
     return _load(name, "protocols", Protocol, (), prefix="")
+
+
+def load_frame(name: str) -> Loaded[VmuFrame]:
+    """Return the pose frame ``name`` of a vision unit (shipped, or a path); raise BadInput."""
+    return _load(name, "frames", VmuFrame, (), prefix="")
 
 
 def load_geometry(path: str) -> Loaded[VmuGeometry]:
@@ -211,7 +219,7 @@ def _read_table(path: Path) -> Table:
 
 
 def _find_files_beside(table: Table, folder: Path) -> None:
-    """Make paths relative to the folder of their file: keys in ``_file``, protocol, scene, library, FMU."""
+    """Make paths relative to the folder of their file: keys in ``_file``, protocol, frames, scene, library, FMU."""
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)

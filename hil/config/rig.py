@@ -263,6 +263,13 @@ class AsciiTurntableLine(SerialLine):
     """Expected model, serial and firmware of the controller; omitted ones are not checked."""
 
 
+class VmuLine(SerialLine):
+    """Serial port and frames of the vision unit."""
+
+    frames: str = "hil"
+    """Pose frames: `hil` (built in, with identity), `hil-pose`, `euler-mm` or the path of a frame file."""
+
+
 class AxisGroupTable(DeviceTable):
     """Table of three axes, each in a table of its own name."""
 
@@ -447,7 +454,7 @@ class Vmu(DeviceTable):
     """The same for the attitude."""
     identity: VmuIdentity = VmuIdentity()
     """Expected identity of the unit."""
-    rs422: SerialLine | None = None
+    rs422: VmuLine | None = None
 
 
 class Safety(ConfigModel):

@@ -48,9 +48,10 @@ def main() -> None:
     parent.send(pids=cameras.pids)
     try:
         while not parent.wait_end(0.0):
+            before_s = clock.now_s()  # frames that arrive while this process waits for the processor are not late
             for side, frame in cameras.frames(_WAIT_WALL_S):
                 vision.put(side, frame)
-            cameras.check(clock.now_s())
+            cameras.check(before_s)
             for pose in vision.poses(clock.now_s()):
                 now_s = clock.now_s()
                 replace(pose, received_s=now_s).write_to(record)

@@ -13,11 +13,12 @@ from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 
 ROOT = Path(__file__).resolve().parents[2]
-MODELS = (Scenario, Rig, VmuGeometry, Scene, Protocol)
+MODELS = (Scenario, Rig, VmuGeometry, Scene, Protocol, VmuFrame)
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)

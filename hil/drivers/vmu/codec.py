@@ -205,12 +205,18 @@ def _decode(raw: bytes, received_s: float) -> Decoded | None:
     t_v, q_vt, upper = numbers[:3], numbers[3:7], numbers[7:]
     if not all(map(math.isfinite, numbers)) or abs(math.hypot(*q_vt) - 1.0) > _UNIT_TOLERANCE:
         return None
-    if not 0.0 < t_v[2] <= RANGE_MAX_M or math.hypot(*t_v) > RANGE_MAX_M:
-        return None  # behind the cameras or farther than any bench is long
     covariance = np.zeros((6, 6))
     covariance[_UPPER] = upper
     covariance.T[_UPPER] = upper
-    if not _is_covariance(covariance):
+    return checked_pose(PoseFrame(counter, t_s, received_s, np.array(t_v), np.array(q_vt), covariance, left, right))
+
+
+def checked_pose(pose: PoseFrame) -> Decoded | None:
+    """Return ``pose`` as the content of an intact frame, None for an impossible one; its quaternion is a unit one."""
+    if not all(np.isfinite(part).all() for part in (pose.t_v, pose.q_vt, pose.covariance)):
         return None
-    pose = PoseFrame(counter, t_s, received_s, np.array(t_v), np.array(q_vt), covariance, left, right)
-    return Decoded(counter, t_s, status, pose)
+    if not 0.0 < pose.t_v[2] <= RANGE_MAX_M or math.hypot(*pose.t_v) > RANGE_MAX_M:
+        return None  # behind the cameras or farther than any bench is long
+    if not _is_covariance(pose.covariance):
+        return None
+    return Decoded(pose.counter, pose.t_s, STATUS_GOOD, pose)

@@ -10,12 +10,13 @@ from typing import Final
 
 import serial
 
-from hil.config.rig import SerialLine, Vmu
+from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import Clock
 from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
 from hil.drivers.vmu import COUNTERS, NAME
-from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, Decoded, PoseDecoder
+from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded
+from hil.drivers.vmu.frame_codec import frame_codec
 from hil.drivers.vmu.unit_clock import UnitClock
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 
@@ -24,7 +25,7 @@ _READ_WALL_S: Final = 0.1  # bound of one blocking read; close cuts it short
 _COUNTER_MASK: Final = 0xFFFF_FFFF
 _HALF_COUNTER: Final = 0x8000_0000
 _HISTORY: Final = 64  # frames; 10 s of a unit at 6.25 Hz
-_BITS_PER_FRAME: Final = 10 * FRAME_BYTES
+_BITS_PER_BYTE: Final = 10
 _CLOCKS_AGREE_S: Final = 0.001  # a shared clock may be off by this
 _OLDEST_S: Final = 5.0  # no frame takes longer from exposure to arrival
 _JUMP_S: Final = 0.5  # a clock of the unit's own that goes off by more than this at once has jumped
@@ -44,10 +45,11 @@ class Rs422Vmu:
     def __init__(self, config: Vmu, clock: Clock) -> None:
         self.name = NAME
         self._timeout_s = config.timeout_s
-        self._line = config.rs422 or SerialLine()
+        self._line = config.rs422 or VmuLine()
+        self._codec = frame_codec(self._line.frames)
         self._expected = config.identity
         self._own_clock = config.clock == "own"
-        self._fastest_s = config.processing_s + _BITS_PER_FRAME / self._line.baud
+        self._fastest_s = config.processing_s + _BITS_PER_BYTE * self._codec.size / self._line.baud
         self._clock = clock
         self._port: serial.Serial | None = None
         self._reader: threading.Thread | None = None
@@ -61,7 +63,7 @@ class Rs422Vmu:
         self._seen: deque[int] = deque(maxlen=_HISTORY)  # counters handed on
         self._offsets: deque[float] = deque(maxlen=_HISTORY)  # reception less time stamp
         self._clock_offset = UnitClock(self._fastest_s)
-        self._decoder = PoseDecoder()
+        self._decoder = self._codec.decoder()
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
 

@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from hil.config.rig import SerialLine, Vmu
+from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import NAME
-from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode, encode_identity, encode_status
+from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode_identity
+from hil.drivers.vmu.frame_codec import BUILT_IN, frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.maths.random_streams import stream
 
@@ -45,7 +46,10 @@ class VmuEmulator:
     ) -> None:
         self._rate_hz = config.rate_hz
         self._processing_s = config.processing_s
-        self._baud = (config.rs422 or SerialLine()).baud
+        line = config.rs422 or VmuLine()
+        self._baud = line.baud
+        self._codec = frame_codec(line.frames)
+        self._identifies = line.frames == BUILT_IN
         self._clock = clock
         self._pose_at = pose_at
         self._transport = transport
@@ -82,7 +86,7 @@ class VmuEmulator:
                 continue
             if self._wait(exposed_s, stop):
                 return
-            if exposed_s >= identify_s:
+            if self._identifies and exposed_s >= identify_s:
                 self._send(encode_identity(IDENTITY), exposed_s)
                 identify_s = exposed_s + IDENTITY_PERIOD_S
             frame = self._expose(exposed_s)
@@ -111,9 +115,9 @@ class VmuEmulator:
         pose = self._pose_at(t_s)
         stamp_s = max(0.0, t_s + (self.faults.value("clock_jump") or 0.0))
         if pose is None:
-            self._frame = encode_status(counter, stamp_s, STATUS_NO_POSE)
+            self._frame = self._codec.encode_status(counter, stamp_s, STATUS_NO_POSE)
         else:
-            self._frame = encode(replace(pose, counter=counter, t_s=stamp_s))
+            self._frame = self._codec.encode(replace(pose, counter=counter, t_s=stamp_s))
         return self._frame
 
     def _wait(self, t_s: float, stop: threading.Event) -> bool:

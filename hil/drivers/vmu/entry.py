@@ -6,6 +6,20 @@ from typing import Final
 
 from hil.config.cameras import VisionCameras
 from hil.config.driver_registry import DriverEntry, WireKey
+from hil.config.load import load_frame
+from hil.config.rig import Vmu
+from hil.drivers.vmu.frame_codec import BUILT_IN
+from hil.errors import BadInput
+
+
+def _check_files(vmu: Vmu) -> list[str]:
+    if vmu.rs422 is None or vmu.rs422.frames == BUILT_IN:
+        return []
+    frame = load_frame(vmu.rs422.frames)
+    if any(text is not None for text in vmu.identity.model_dump().values()):
+        raise BadInput.single("rig", "vmu.identity", f'frames "{frame.value.name}" have no identity: omit the table')
+    return frame.value.warnings()
+
 
 ENTRY: Final = DriverEntry(
     "vmu",
@@ -13,6 +27,7 @@ ENTRY: Final = DriverEntry(
     driver="hil.drivers.vmu.driver:Rs422Vmu",
     emulator="hil.drivers.vmu.emulator:VmuEmulator",
     wires=[WireKey("rs422.port", "serial")],
+    check_files=_check_files,
     identity=lambda vmu: vmu.identity.model_dump(exclude_none=True),
 )
 

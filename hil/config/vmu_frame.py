@@ -1,0 +1,134 @@
+"""Frame files: binary pose frames of a vision unit on RS-422 (docs/reference/wire-formats.md)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from hil.config.model import ConfigModel, Positive
+
+COUNTS: Final = {"position": 3, "quaternion": 4, "euler": 3, "covariance": 21, "sigma_position": 3, "sigma_angle": 3}
+"""Numbers of a field; one for the others."""
+REQUIRED: Final = ("counter", "time", "position")
+FieldName = Literal[
+    "constant",
+    "ignore",
+    "counter",
+    "time",
+    "position",
+    "quaternion",
+    "euler",
+    "covariance",
+    "sigma_position",
+    "sigma_angle",
+    "leds_left",
+    "leds_right",
+    "status",
+]
+NumberType = Literal["u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64"]
+Hexadecimal = Annotated[str, Field(pattern=r"^[0-9A-Fa-f]{2}( ?[0-9A-Fa-f]{2}){0,7}$")]
+
+
+class FrameField(ConfigModel):
+    """One field, of one or more numbers of the same type, in the order of the frame."""
+
+    name: FieldName
+    """Meaning: the SI value, m, s or rad, is the number on the wire times `scale`."""
+    type: NumberType
+    """Type of each number."""
+    scale: Positive = 1.0
+    """SI value per unit of the number: 1e-6 for microseconds, 0.001 for millimetres."""
+    value: Annotated[int, Field(ge=0)] | None = None
+    """Of a `constant`: its value; frames with another one are not decoded."""
+
+    @property
+    def count(self) -> int:
+        """Return how many numbers the field has."""
+        return COUNTS.get(self.name, 1)
+
+    @model_validator(mode="after")
+    def _constants_have_values(self) -> Self:
+        if (self.name == "constant") != (self.value is not None):
+            raise ValueError("value: needed for a constant, and for nothing else")
+        if self.name in ("counter", "leds_left", "leds_right", "status", "constant") and not self.type.startswith("u"):
+            raise ValueError(f'type "{self.type}": of {self.name} allowed are u8, u16, u32, u64')
+        return self
+
+
+class FrameChecksum(ConfigModel):
+    """Checksum at the end of the frame."""
+
+    kind: Literal["none", "crc16-ccitt-false", "crc16-xmodem", "crc16-modbus", "crc32", "sum8", "xor8"]
+    """Algorithm."""
+    covers_sync: bool = False
+    """Also covers the sync bytes."""
+
+
+class FrameStatus(ConfigModel):
+    """Meaning of the field `status`. Any other value is a fault of the unit."""
+
+    good: Annotated[int, Field(ge=0)] = 0
+    """The frame has a pose."""
+    no_pose: Annotated[int, Field(ge=0)] = 1
+    """The target is not visible; the other fields are void."""
+
+
+class VmuFrame(ConfigModel):
+    """Pose frame of constant length: sync, fields, checksum.
+
+    The pose is that of the target's frame t in the left camera's frame v: ``p_v = R p_t + position``.
+    """
+
+    name: str
+    """Name of the frame."""
+    byte_order: Literal["little", "big"]
+    """Byte order of all numbers and of the checksum."""
+    sync: Hexadecimal
+    """Bytes at the start, hexadecimal."""
+    fields: Annotated[tuple[FrameField, ...], Field(min_length=1, max_length=64)]
+    """Fields in their order."""
+    checksum: FrameChecksum
+    rotation: Literal["t_to_v", "v_to_t"]
+    """Rotation that quaternion or Euler angles stand for, active, by Hamilton's convention: R, or its inverse."""
+    quaternion_order: Literal["xyzw", "wxyz"] = "xyzw"
+    """Scalar last or first."""
+    euler_sequence: Annotated[str, Field(pattern=r"^([XYZ]{3}|[xyz]{3})$")] = "ZYX"
+    """Axes of the Euler angles in their order: upper case about rotated axes, lower case about fixed ones."""
+    sigma_position_m: Positive | None = None
+    """Standard deviation of the position, per axis, if the frame has none."""
+    sigma_angle_deg: Positive | None = None
+    """Standard deviation of the attitude, per axis, if the frame has none."""
+    status: FrameStatus = FrameStatus()
+
+    @model_validator(mode="after")
+    def _frame_is_a_pose(self) -> Self:
+        names = [field.name for field in self.fields]
+        repeated = sorted({name for name in names if names.count(name) > 1} - {"constant", "ignore"})
+        if repeated:
+            raise ValueError(f"fields: {', '.join(repeated)}: more than once")
+        missing = [name for name in REQUIRED if name not in names]
+        if missing:
+            raise ValueError(f"fields: {', '.join(missing)}: missing")
+        if ("quaternion" in names) == ("euler" in names):
+            raise ValueError("fields: the attitude must be a quaternion or euler, one of them")
+        if "covariance" in names and {"sigma_position", "sigma_angle"} & set(names):
+            raise ValueError("fields: covariance and sigmas are redundant, give one of them")
+        for name in ("sigma_position", "sigma_angle"):
+            key = f"{name}_{'m' if name == 'sigma_position' else 'deg'}"
+            if "covariance" not in names and name not in names and getattr(self, key) is None:
+                raise ValueError(f"{key}: is missing: the frame has neither {name} nor covariance")
+        if len(set(self.euler_sequence)) == 2 and self.euler_sequence[0] != self.euler_sequence[2]:
+            raise ValueError(f"euler_sequence {self.euler_sequence}: neighbouring axes must differ")
+        if len(set(self.euler_sequence)) == 1:
+            raise ValueError(f"euler_sequence {self.euler_sequence}: neighbouring axes must differ")
+        return self
+
+    def warnings(self) -> list[str]:
+        """Return one line per protection that these frames lack."""
+        found = []
+        if self.checksum.kind == "none":
+            found.append(f"frame {self.name}: no checksum: a corrupted pose can be accepted")
+        if "status" not in [field.name for field in self.fields]:
+            found.append(f"frame {self.name}: no status: the unit cannot report that it has no pose")
+        return found
