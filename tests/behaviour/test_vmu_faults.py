@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from hil.config.rig import SerialLine, Vmu
+from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.vmu.driver import Rs422Vmu
@@ -56,7 +56,7 @@ def emulated(**changes: object) -> Iterator[tuple[VmuEmulator, Rs422Vmu, WallClo
     stop = threading.Event()
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()
-    vmu = Rs422Vmu(Vmu.model_validate({"driver": "rs422", "rs422": SerialLine(port=path)} | changes), clock)
+    vmu = Rs422Vmu(Vmu.model_validate({"driver": "rs422", "rs422": VmuLine(port=path)} | changes), clock)
     try:
         yield emulator, vmu, clock
     finally:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.config.rig import SerialLine, Vmu
+from hil.config.rig import Vmu, VmuLine
 from hil.core.child_process import ChildProcess
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
@@ -46,7 +46,7 @@ serve(unit)
 
 
 def config(port: str | None = None, **changes: float) -> Vmu:
-    return Vmu.model_validate({"driver": "rs422", "rs422": SerialLine(port=port)} | changes)
+    return Vmu.model_validate({"driver": "rs422", "rs422": VmuLine(port=port)} | changes)
 
 
 @dataclass

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig
-from hil.config.rig import SerialLine
+from hil.config.rig import VmuLine
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
@@ -72,7 +72,7 @@ def _on_the_wire() -> Iterator[Backend]:
     path = emulator.start()["vmu"]
     thread = threading.Thread(target=emulator.run, args=(stop,))
     thread.start()
-    source = Rs422Vmu(CONFIG.model_copy(update={"rs422": SerialLine(port=path)}), clock)
+    source = Rs422Vmu(CONFIG.model_copy(update={"rs422": VmuLine(port=path)}), clock)
     try:
         yield Backend(source, clock.now_s, lambda s: clock.sleep_until(clock.now_s() + s), stop.set)
     finally:

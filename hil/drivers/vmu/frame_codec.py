@@ -190,7 +190,8 @@ class FileFrameDecoder:
 
     def _numbers(self, raw: bytes) -> dict[str, Array] | None:
         """Return the SI values of each field, None for a frame with another constant or a wrong checksum."""
-        frame, found, k = self._frames.frame, {}, 0
+        frame, k = self._frames.frame, 0
+        found: dict[str, Array] = {}
         values = self._frames.body.unpack_from(raw, len(self._frames.sync))
         for field in frame.fields:
             part = values[k : k + field.count]
