@@ -125,3 +125,59 @@ def _verdict(entry: dict[str, Any]) -> str:
 
 def _with_unit(value: float | None, form: str, unit: str) -> str:
     return "-" if value is None else f"{value:{form}} {unit}"
+
+
+@app.command(name="place", help="Place recorded runs in the distribution of a campaign.")
+def place_recordings(
+    recordings: Annotated[list[str], Parameter(negative=())],
+    /,
+    *,
+    campaign: str,
+    json: Output = None,
+) -> int:
+    """Place recorded runs in the distribution of a campaign: which outcomes are outside all its cases, by how much.
+
+    Exit code 1 if an outcome of a run is outside.
+
+    Parameters
+    ----------
+    recordings
+        Files of hil run --record.
+    campaign
+        Results folder of a campaign of the same scenario.
+    json
+        File for the numbers, - for standard output.
+    """
+    refuse(check_json_path("--json", json))
+
+    from hil.api.recordings import open_recording
+    from hil.monte_carlo.placement import place_run
+
+    runs: list[dict[str, Any]] = [
+        {"recording": name, "outcomes": place_run(open_recording(name).summary, Path(campaign))} for name in recordings
+    ]
+    if json != "-":
+        for run in runs:
+            _render_places(run)
+    if json is not None:
+        write_json({"campaign": campaign, "runs": runs}, json)
+    return int(any(_is_outside(cell) for run in runs for cell in run["outcomes"].values()))
+
+
+def _is_outside(cell: dict[str, Any]) -> bool:
+    return cell["percentile"] is not None and cell["outside"] != 0.0
+
+
+def _render_places(run: dict[str, Any]) -> None:
+    head = ("outcome", "value", "percentile", "p", "outside")
+    rows = []
+    for name, cell in sorted(run["outcomes"].items(), key=lambda item: item[1]["p_value"] or 1.0):
+        known = cell["percentile"] is not None
+        beyond = "-" if cell["outside"] is None else f"{cell['outside']:.2f}" if cell["outside"] else ""
+        p = (f"{cell['percentile']:.1f}", f"{cell['p_value']:.3g}") if known else ("-", "-")
+        rows.append((name, f"{cell['value']:.5g}", *p, beyond))
+    outside = sum(_is_outside(cell) for cell in run["outcomes"].values())
+    cases = max((cell["cases"] for cell in run["outcomes"].values()), default=0)
+    expected = 2.0 * len(run["outcomes"]) / (cases + 1)
+    print_columns(head, rows)
+    print(f"{run['recording']}: {outside} of {len(rows)} outcomes outside {cases} cases, {expected:.2g} expected")  # noqa: T201

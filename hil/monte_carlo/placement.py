@@ -1,0 +1,83 @@
+"""Placement of recorded runs in the cases of a campaign: which outcomes are outside, and by how much.
+
+If the simulation is true to the rig, a run is one more case: each of n + 1 ranks among the cases is equally probable,
+and an outcome is outside all n cases with a probability of 2 / (n + 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hil.core.messages import Array
+from hil.errors import BadInput, one_line
+from hil.monte_carlo.store import TABLE, parquet
+from hil.monte_carlo.stored_campaign import StoredCampaign
+from hil.report.verdict import ROW_NAMES
+
+_AXES: Final = "xyz"
+_NAVIGATION: Final = ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg")
+
+
+def outcomes_of(summary: Mapping[str, Any]) -> dict[str, float]:
+    """Return the outcomes of a run, by the columns of a campaign; summary: that of ``hil run --json``."""
+    ready, navigation, thrusters = (summary.get(key) or {} for key in ("ready_phase", "navigation", "thrusters"))
+    security = (summary.get("verdict") or {}).get("security") or {}
+    found = {"ready_time_s": summary.get("ready_time_s"), "propellant_kg": thrusters.get("propellant_kg")}
+    found |= {name: navigation.get(name) for name in ("nees_pkf", "nees_akf")}
+    found |= {name: security.get(name) for name in ("corridor_margin_m", "closing_margin_mps", "nearest_m")}
+    if "thruster_firings" in thrusters:
+        found["firings"] = sum(thrusters["thruster_firings"])
+    for names, table in ((ROW_NAMES, ready), (_NAVIGATION, navigation)):
+        for name in names:
+            found |= {f"{name}_{axis}": value for axis, value in zip(_AXES, table.get(name) or (), strict=False)}
+    return {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
+
+
+def place(value: float, cases: Array) -> dict[str, Any]:
+    """Return the place of a run's outcome among those of the cases, (n,), nan without one; None if there are none.
+
+    percentile: of the cases below it. p_value: probability of a rank as extreme. outside: by how much it is beyond all
+    cases, in widths of their range from 5 to 95 %; 0 inside.
+    """
+    known = cases[np.isfinite(cases)]
+    n = len(known)
+    if n == 0:
+        return {"value": value, "cases": 0, "percentile": None, "p_value": None, "outside": None}
+    below, equal = int(np.count_nonzero(known < value)), int(np.count_nonzero(known == value))
+    tail = min(below + equal, n - below) + 1
+    low, high = np.percentile(known, (5.0, 95.0))
+    beyond = max(0.0, value - float(known.max()), float(known.min()) - value)
+    width = float(high - low)
+    return {
+        "value": value,
+        "cases": n,
+        "percentile": 100.0 * (below + 0.5 * equal) / n,
+        "p_value": min(1.0, 2.0 * tail / (n + 1)),
+        "outside": beyond / width if width > 0.0 else (0.0 if beyond == 0.0 else None),
+    }
+
+
+def place_run(summary: Mapping[str, Any], folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the place of each outcome of a run in the finished campaign of ``folder``. Raises BadInput."""
+    pa, pq = parquet()
+    table = folder / TABLE
+    if not table.is_file():
+        raise BadInput.single("--campaign", "", f"{folder}: holds no finished campaign")
+    campaign, scenario = StoredCampaign(folder), summary.get("scenario")
+    if campaign.is_rare or campaign.is_sobol:
+        raise BadInput.single("--campaign", "", f"{folder}: its cases are no sample of the scenario")
+    if campaign.scenario != scenario:
+        text = f"{folder}: is a campaign of {campaign.scenario}, the recording one of {scenario}"
+        raise BadInput.single("--campaign", "", text)
+    outcomes = outcomes_of(summary)
+    try:
+        file = pq.ParquetFile(table)
+        known = [name for name in outcomes if name in file.schema_arrow.names]
+        columns = file.read(columns=known)
+        return {name: place(outcomes[name], np.asarray(columns.column(name).to_numpy(), dtype=float)) for name in known}
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise BadInput.single("--campaign", "", f"{folder}: {one_line(str(error), 200)}") from error
