@@ -1,6 +1,7 @@
-"""Search for the settings of scheme 3, vision alone: low-passes, dead bands, lead times, periods, ramps.
+"""Search for the settings of scheme 3, vision alone: speed and ramps, low-passes and control of the position.
 
 python sims/scheme3_search.py                  the search, then 200 seeds of the shipped and of the found settings
+python sims/scheme3_search.py --spread 0.3     from shipped settings that were found so, to refine them
 python sims/scheme3_search.py --generations 0  the shipped settings only
 
 Cross-entropy method (Rubinstein, Kroese 2004) in the logarithms of the settings: each generation draws candidates from
@@ -23,24 +24,20 @@ from hil.monte_carlo.outcome import row_of
 SCHEME: Final = "scheme-3"
 LATE: Final = "vmu.latency_s=0.1"
 KEYS: Final = (
+    "gnc.guidance.approach_speed_mps",
     "gnc.guidance.acceleration_mps2",
     "gnc.guidance.deceleration_mps2",
     "gnc.vision_only.position_lag_s",
     "gnc.vision_only.velocity_lag_s",
-    "gnc.vision_only.attitude_lag_s",
-    "gnc.vision_only.rate_lag_s",
     "gnc.control.deadband_m",
     "gnc.control.lead_s",
     "gnc.control.period_s",
     "gnc.control.correction_rate_mps",
-    "gnc.control.deadband_deg",
-    "gnc.control.attitude_lead_s",
-    "gnc.control.attitude_period_s",
 )
+NARROWER: Final = {"gnc.guidance.approach_speed_mps": 0.2}
+"""Factors of the spread of some keys."""
 SEARCH_SEEDS: Final = 100_000
 """The first seed of the search."""
-SPREAD: Final = 0.5
-"""Standard deviation of the first generation, of the natural logarithms."""
 BEST_FRACTION: Final = 0.2
 
 
@@ -70,7 +67,7 @@ class Flights:
 
 
 def score(rows: list[dict[str, Any]]) -> float:
-    """Return the score of a candidate: runs that pass Table III count 1, less the propellant in kg.
+    """Return the score of a candidate: runs that pass Table III count 1, less a tenth of the propellant in kg.
 
     One that reaches the ready phase and leaves its tolerances later counts 0.4 at most, by how far it leaves them.
     """
@@ -78,14 +75,14 @@ def score(rows: list[dict[str, Any]]) -> float:
     for row in rows:
         margin = row["control_margin"]
         total += 1.0 if row["passed"] else 0.4 * float(np.clip(1.0 + margin, 0.0, 1.0)) if margin is not None else 0.0
-        total -= row["propellant_kg"] or 0.0
+        total -= 0.1 * (row["propellant_kg"] or 0.0)
     return total / len(rows)
 
 
-def search(generations: int, candidates: int, seeds: int) -> np.ndarray:
-    """Return the values that the search ends with."""
+def search(generations: int, candidates: int, seeds: int, spread: float) -> np.ndarray:
+    """Return the values that the search ends with; spread: standard deviation of the first generation's logarithms."""
     flights, generator = Flights(), np.random.default_rng(0)
-    mean, sigma = np.log(shipped_values()), np.full(len(KEYS), SPREAD)
+    mean, sigma = np.log(shipped_values()), spread * np.array([NARROWER.get(key, 1.0) for key in KEYS])
     kept = max(2, round(BEST_FRACTION * candidates))
     for number in range(generations):
         trials = mean + sigma * generator.standard_normal((candidates, len(KEYS)))
@@ -119,12 +116,13 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=12)
     parser.add_argument("--candidates", type=int, default=40, help="per generation")
     parser.add_argument("--search-seeds", type=int, default=6, help="of each candidate")
+    parser.add_argument("--spread", type=float, default=0.5, help="of the first generation, in natural logarithms")
     parser.add_argument("--seeds", type=int, default=200, help="of the result, from 0 on")
     given = parser.parse_args()
     flights = Flights()
     report("shipped settings", flights.rows((), 0, given.seeds))
     if given.generations:
-        found = settings_of(search(given.generations, given.candidates, given.search_seeds))
+        found = settings_of(search(given.generations, given.candidates, given.search_seeds, given.spread))
         print("\n".join(f"  {text}" for text in found))
         report("found settings", flights.rows(found, 0, given.seeds))
 
