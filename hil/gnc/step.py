@@ -222,6 +222,8 @@ def actuate(params, state, estimate, reference, command):
     fault, thruster = state.thrusters.fault, state.thrusters.thruster
     if fault == NO_FAULT:
         allocation.select(params.sets, params.n_thrusters, command)
+        if state.thrusters.withheld_cycles > 0:
+            command.on[state.thrusters.withheld] = 0
     elif fault == DEAD:
         allocation.select(params.dead_sets[thruster], params.n_thrusters, command)
     elif state.isolated_cycles > params.closing_cycles:

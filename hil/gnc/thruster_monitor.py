@@ -29,6 +29,7 @@ _IMPOSSIBLE = 2.0  # times what all thrusters together can do
 _BIAS_SIGMAS = 4.0
 _CLEAR = 3  # of so many cycles one has to be clear
 _REPEATS_MAX = 10  # cycles
+_WITHHELD = 8  # cycles: enough to find either of two
 
 THRUSTER_MONITOR_PARAMS = np.dtype(
     [
@@ -59,6 +60,8 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("counts", "i8"),  # 1: one of these is not 0
         ("fault", "i8"),  # NO_FAULT, STUCK_OPEN, DEAD
         ("thruster", "i8"),  # that has it, from 0
+        ("withheld", "i8"),  # thruster whose command is withheld, from 0
+        ("withheld_cycles", "i8"),  # for so many more
         ("unexplained", "i8"),  # cycles
         ("repeats", "i8"),  # cycles in which gyro or accelerometer repeat their readings
         ("imu_suspect", "i8"),  # 1: it stays so
@@ -114,7 +117,8 @@ def _judge(params, state, residual, thrust):
 
     An open thruster looks like the opposite one that fails, as long as that is commanded: a third of the cycles has to
     be clear of that. A cycle without residual acquits one that is not commanded of being open, and one that is of
-    being dead; one is dead only when all others are acquitted of being open.
+    being dead; one is dead only when all others are acquitted of being open. A command that lasts would acquit none: it
+    is withheld for a moment from a thruster that looks dead.
     """
     square = 0.0
     for i in range(6):
@@ -153,6 +157,8 @@ def _judge(params, state, residual, thrust):
             state.fault, state.thruster = STUCK_OPEN, j
         elif state.dead_count[j] >= params.dead_cycles and not suspects:
             state.fault, state.thruster = DEAD, j
+        elif state.dead_count[j] >= params.dead_cycles and state.withheld_cycles == 0:
+            state.withheld, state.withheld_cycles = j, _WITHHELD
 
 
 @kernel
@@ -181,6 +187,8 @@ def watch(params, state, samples, on, bias, bias_sigma, estimate):
             rate[i] += weight * samples[k].rate_C[i]
             force[i] += weight * samples[k].force_C[i]
     _expected_thrust(params, state, on, thrust)
+    if state.withheld_cycles > 0:
+        state.withheld_cycles -= 1
     if state.calls >= 2:
         _watch_readings(state, rate, force)
     if state.calls >= 2 and state.imu_suspect == 0 and state.fault == NO_FAULT:

@@ -29,8 +29,11 @@ class MonitoredChaser:
         self._on = np.zeros(MAX_THRUSTERS, np.int64)
         self.samples = np.zeros(1, IMU).view(np.recarray)
 
-    def cycle(self, forced: dict[int, float]) -> None:
-        """Run a cycle: forced: thrust of failed thrusters, whatever is commanded."""
+    def cycle(self, forced: dict[int, float], wanted: int | None = None) -> None:
+        """Run a cycle. forced: thrust of failed thrusters, whatever is commanded. wanted: thruster that is needed."""
+        if wanted is not None:
+            self._on[:] = 0
+            self._on[wanted] = self.state.withheld_cycles == 0 or self.state.withheld != wanted
         thrust = self._on[:N] * self._scale
         for j, value in forced.items():
             thrust[j] = value
@@ -39,7 +42,7 @@ class MonitoredChaser:
         self.samples[0].force_C = acceleration[:3] + 2e-4 * self._rng.standard_normal(3)
         self.samples[0].rate_C = self._rate - 0.5 * STEP_S * acceleration[3:] + 1e-8 * self._rng.standard_normal(3)
         self.watch()
-        if self._rng.uniform() < 0.2:
+        if wanted is None and self._rng.uniform() < 0.2:
             self._on[:N] = self._rng.uniform(size=N) < 0.25
 
     def watch(self) -> None:
@@ -87,6 +90,26 @@ def test_dead_thruster_is_found_when_it_is_used(chaser: MonitoredChaser, thruste
         chaser.cycle({thruster: 0.0})
     assert (chaser.state.fault, chaser.state.thruster) == (DEAD, thruster)
     assert chaser.health == GncHealth.THRUSTER_FAULT
+
+
+@pytest.mark.parametrize("thruster", range(N))
+def test_dead_thruster_whose_command_lasts_is_found(chaser: MonitoredChaser, thruster: int) -> None:
+    for _ in range(50):
+        chaser.cycle({thruster: 0.0}, wanted=thruster)
+    assert (chaser.state.fault, chaser.state.thruster) == (DEAD, thruster)
+
+
+def test_thruster_stuck_open_is_told_from_a_dead_one_opposite_whose_command_lasts(chaser: MonitoredChaser) -> None:
+    # at the same place, in opposite directions: together they give nothing
+    for _ in range(50):
+        chaser.cycle({5: 1.0}, wanted=4)
+    assert (chaser.state.fault, chaser.state.thruster) == (STUCK_OPEN, 5)
+
+
+def test_no_command_is_withheld_from_a_healthy_chaser(chaser: MonitoredChaser) -> None:
+    for _ in range(2000):
+        chaser.cycle({})
+        assert chaser.state.withheld_cycles == 0
 
 
 @pytest.mark.parametrize("sensor", ["rate_C", "force_C"])
