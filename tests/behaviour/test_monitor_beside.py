@@ -132,6 +132,25 @@ def test_run_without_monitor_has_none(rig: Rig) -> None:
         assert look(runner.run()) is None
 
 
+WRONG = 'faults=[{device = "monitor", kind = "offset", at_s = 4.0, value = [0.2, 0.0, 0.0]}]'
+"""The docking monitor measures a chaser that is displaced."""
+
+
+def test_rendered_monitor_that_disagrees_holds_the_approach_and_raises_an_alarm() -> None:
+    job = make_job(8.0, (*SETTINGS, WRONG))
+    with with_docking_monitor.runner(job) as (runner, look):
+        outcome = runner.run()
+        watched = look(outcome)
+    assert watched is not None
+    assert len(watched.portions) == 11
+    (held,) = [event for event in outcome.events if "the docking monitor disagrees" in event.text]
+    assert held.text == "reaction hold: the docking monitor disagrees"
+    assert 4.8 < held.t_s < 6.5  # two portions that were measured after the onset
+    (alarm,) = outcome.alarms
+    assert (alarm.device, alarm.priority) == ("monitor", "medium")
+    assert outcome.history["navigation"]["health"][-1] == GncHealth.MONITOR_DISAGREES
+
+
 def test_run_command_reports_the_monitor(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     arguments = ["run", "scheme-1", "--duration", "2", "--set", "monitor.source=rendered", "--json", str(path)]
@@ -154,25 +173,6 @@ def test_run_command_refuses_a_scene_that_is_not_there() -> None:
     )
     assert done.returncode == 2
     assert "missing: unknown scene: give atv, bright-cross" in done.stderr
-
-
-WRONG = 'faults=[{device = "monitor", kind = "offset", at_s = 4.0, value = [0.2, 0.0, 0.0]}]'
-"""The docking monitor measures a chaser that is displaced."""
-
-
-def test_rendered_monitor_that_disagrees_holds_the_approach_and_raises_an_alarm() -> None:
-    job = make_job(8.0, (*SETTINGS, WRONG))
-    with with_docking_monitor.runner(job) as (runner, look):
-        outcome = runner.run()
-        watched = look(outcome)
-    assert watched is not None
-    assert len(watched.portions) == 11
-    (held,) = [event for event in outcome.events if "the docking monitor disagrees" in event.text]
-    assert held.text == "reaction hold: the docking monitor disagrees"
-    assert 4.8 < held.t_s < 6.5  # two portions that were measured after the onset
-    (alarm,) = outcome.alarms
-    assert (alarm.device, alarm.priority) == ("monitor", "medium")
-    assert outcome.history["navigation"]["health"][-1] == GncHealth.MONITOR_DISAGREES
 
 
 @pytest.mark.slow
