@@ -55,9 +55,9 @@ def can() -> str:
     from hil.drivers.shared_state import SharedAxisState
 
     settings = ('rig.turntable.cia402.interface="socketcan"', 'rig.turntable.cia402.channel="vcan0"')
-    slow = ("rig.turntable.timeout_s=5.0",)  # the processor may be emulated
-    table = load_rig("emulated", (*settings, *slow)).value.turntable
-    clock, board, ending = WallClock(), SharedAxisState.create(), threading.Event()
+    table = load_rig("emulated", (*settings, "rig.turntable.timeout_s=5.0")).value.turntable
+    clock = WallClock(speed=0.05)  # all time-outs are longer: the processor may be emulated
+    board, ending = SharedAxisState.create(), threading.Event()
     emulator = table.make_emulator(clock, board)
     address = emulator.start()
     thread = threading.Thread(target=emulator.run, args=(ending,))
@@ -70,7 +70,7 @@ def can() -> str:
         while clock.now_s() - begun_s < 4.0:
             fraction = min(1.0, (clock.now_s() - begun_s) / 2.0)
             driver.send(start + fraction * (goal - start), np.zeros(3), clock.now_s())
-            time.sleep(0.02)
+            time.sleep(clock.wall_s(0.02))
         found = driver.read(clock.now_s()).position
         assert abs(found[2] - goal[2]) < 2e-3, found
         return f"{address}, yaw moved by {found[2] - start[2]:.4f} rad of 0.02"
