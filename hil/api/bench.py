@@ -16,7 +16,6 @@ from typing import Final, Literal, Self, cast
 import numpy as np
 
 from hil.api.jobs import (
-    Faults,
     Overrides,
     is_positive,
     job_of,
@@ -184,16 +183,13 @@ class Bench:
         gnc: PythonGnc | None = None,
         record: str | Path | None = None,
         speed: float = 1.0,
-        faults: Faults | None = None,
     ) -> None:
         """Check the arguments, which are those of ``hil.run``. Raises BadInput; nothing moves and nothing is opened.
 
-        speed: relative to real time, on rigs that run in real time.
+        overrides: ``{"faults": [...]}`` injects faults. speed: relative to real time, on rigs that run in real time.
         """
         with named_as_argument():
-            self._job = replace(
-                job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc, faults=faults), compiled=False
-            )
+            self._job = replace(job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc), compiled=False)
             build.check(self._job)
         self._operator = ProcedureOperator()
         self._request = RunRequest(

@@ -214,7 +214,7 @@ def test_fault_ends_the_command_and_names_the_device() -> None:
 
 def test_procedure_injects_a_fault_and_reads_the_alarm() -> None:
     shifted = {"device": "rails.y", "kind": "offset", "at_s": 1.0, "value": 0.02}
-    with hil.Bench("mock", "scheme-1", faults=[shifted]) as bench:
+    with hil.Bench("mock", "scheme-1", overrides={"faults": [shifted]}) as bench:
         bench.home()
         bench.arm()
         assert bench.alarms == ()
