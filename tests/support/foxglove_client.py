@@ -56,6 +56,7 @@ class FoxgloveClient:
             max_size=None,
             open_timeout=30.0,
             compression=None,
+            close_timeout=0.1,
         )
         self.socket = self._opened.__enter__()
         self.until(lambda: bool(self.info), "the server's information")
