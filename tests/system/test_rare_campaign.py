@@ -186,7 +186,7 @@ def test_workers_and_a_kill_in_the_middle_change_nothing(tmp_path: Path) -> None
 def test_dask_cluster_gives_the_same_estimate(tmp_path: Path) -> None:
     from distributed import LocalCluster
 
-    command = ["campaign", "scheme-1", "--rare", "propellant_kg > 0.03", "--runs", "500", "--duration", "2"]
+    command = ["campaign", "scheme-1", "--rare", "propellant_kg > 0.018", "--runs", "500", "--duration", "2"]
     with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         assert execute([*command, "--out", str(tmp_path / "dask"), "--scheduler", cluster.scheduler_address]) == 0
     assert execute([*command, "--out", str(tmp_path / "here"), "--workers", "1"]) == 0
