@@ -8,6 +8,8 @@ from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, Positive
 
+BUILT_IN: Final = "hil"
+"""Frames that need no file."""
 COUNTS: Final = {"position": 3, "quaternion": 4, "euler": 3, "covariance": 21, "sigma_position": 3, "sigma_angle": 3}
 """Numbers of a field; one for the others."""
 REQUIRED: Final = ("counter", "time", "position")

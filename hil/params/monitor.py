@@ -15,7 +15,6 @@ from hil.dynamics.docking_monitor import MONITOR_MODEL
 from hil.maths import quat
 from hil.models.mounting import MOUNTING
 from hil.monitor.kernels.interlock import INTERLOCK_PARAMS
-from hil.monitor.settings import MonitorSettings
 from hil.params.gnc import largest_accelerations
 
 _AGE_MAX_S = 2.0  # of a measurement
@@ -33,6 +32,8 @@ def mounting(config: DockingMonitorConfig) -> np.record:
 
 def monitor_model(scenario: Scenario) -> np.record:
     """Return MONITOR_MODEL: one measurement per portion of the scene's images, in the field of its camera."""
+    from hil.monitor.settings import MonitorSettings  # slow import, for runs with a docking monitor only
+
     config, settings = scenario.monitor, MonitorSettings()
     scene, params = load_scene(config.scene).value, new(MONITOR_MODEL)
     images_hz = scene.fps if scene.fields == "whole" else 2.0 * scene.fps

@@ -147,7 +147,9 @@ class StreamPairs:
         elif name.isdecimal():
             stream = cv2.VideoCapture(int(name))
         else:
-            raise BadInput.single("SOURCE", "", f"{source}: give cameras by number, camera:0,1")
+            raise BadInput.single(
+                "SOURCE", "", f"{source}: give both cameras by number, camera:0,1, or both by address"
+            )
         if not stream.isOpened():
             what = f"camera {name} cannot be opened" if self.live else f"{name}: not a readable video"
             raise BadInput.single("SOURCE", "", what)

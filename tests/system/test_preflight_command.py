@@ -13,7 +13,18 @@ from tests.support.run_settings import UNHURRIED, typed
 
 pytestmark = pytest.mark.wires
 
-OF_THIS_MACHINE = ("clock", "scheduling", "memory lock", "CPU", "processors", "disk", "kernel", "compiled", "lateness")
+OF_THIS_MACHINE = (
+    "clock",
+    "PTP",
+    "scheduling",
+    "memory lock",
+    "CPU",
+    "processors",
+    "disk",
+    "kernel",
+    "compiled",
+    "lateness",
+)
 
 
 @pytest.fixture(autouse=True)

@@ -83,7 +83,7 @@ def test_poses_of_videos_go_into_the_file_and_onto_the_line(streams: tuple[str, 
     [
         ("nowhere.mkv,{right}", "nowhere.mkv: no such file"),
         ("{geometry},{right}", "not a readable video"),
-        ("camera:a,b", "give cameras by number"),
+        ("camera:b,0", "give both cameras by number"),
         ("{left},{right},{right}", "give two streams"),
     ],
 )

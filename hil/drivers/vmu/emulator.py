@@ -10,13 +10,14 @@ from dataclasses import replace
 from typing import Final
 
 from hil.config.rig import Vmu, VmuLine
+from hil.config.vmu_frame import BUILT_IN
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode_identity
-from hil.drivers.vmu.frame_codec import BUILT_IN, frame_codec
+from hil.drivers.vmu.frame_codec import frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.maths.random_streams import stream
 

@@ -8,7 +8,7 @@ from hil.config.cameras import VisionCameras
 from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.load import load_frame
 from hil.config.rig import Vmu
-from hil.drivers.vmu.frame_codec import BUILT_IN
+from hil.config.vmu_frame import BUILT_IN
 from hil.errors import BadInput
 
 

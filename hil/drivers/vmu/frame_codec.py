@@ -11,7 +11,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from hil.config.load import load_frame
-from hil.config.vmu_frame import VmuFrame
+from hil.config.vmu_frame import BUILT_IN, VmuFrame
 from hil.core.messages import Array, PoseFrame
 from hil.drivers.vmu import codec
 from hil.drivers.vmu.codec import STATUS_GOOD, STATUS_NO_POSE, Decoded, ReportedIdentity, checked_pose
@@ -20,7 +20,6 @@ from hil.maths import quat
 _TYPES: Final = ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64")
 _STRUCT: Final = dict(zip(_TYPES, "BbHhIiQqfd", strict=True))
 _UPPER: Final = np.triu_indices(6)
-BUILT_IN: Final = "hil"
 _COUNTER_BITS: Final = 32
 _QUATERNION_TOLERANCE: Final = 1e-3  # scaled integers of 16 bits
 

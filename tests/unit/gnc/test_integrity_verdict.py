@@ -160,7 +160,7 @@ def test_faults_are_detected_by_what_follows_their_onset() -> None:
     }  # fmt: skip
     stop = SafeStop(9.0, "guard")
     assert detection(state, 1, faults[1], stop) == {
-        "detected_s": pytest.approx(7.0), "detected_by": "navigation", "reaction": "safe stop", "reaction_s": 9.0,
+        "detected_s": pytest.approx(7.0), "detected_by": "monitor", "reaction": "safe stop", "reaction_s": 9.0,
     }  # fmt: skip
     assert detection(state, 1, faults[1], SafeStop(6.5, "guard"))["detected_by"] == "guard"
     assert detection(state, 0, faults[0], SafeStop(1.0, "device"))["detected_s"] == pytest.approx(3.0)
@@ -175,8 +175,8 @@ def test_second_sensor_alone_detects_as_monitor() -> None:
 
 
 def test_along_the_axis_what_is_left_to_the_keep_out_is_the_limit() -> None:
-    params = integrity_params.integrity(SCENARIO)
-    assert (params.keep_out, params.axial, params.axial_per_range) == (0.25, 0.06, 0.1)
+    params = integrity_params.integrity(SCENARIO).approach
+    assert (params.keep_out, params.alert_distance, params.alert_slope) == (0.25, 0.06, 0.1)
     history = rows(10.0, 0.4)
     history["truth"]["v_CT_H"] = (-0.06, 0.0, 0.0)
     history["navigation"]["r_CT_H"][:, 0] += 0.06
