@@ -80,6 +80,8 @@ def test_paused_playback_sends_nothing_and_continues_where_it_was(client: Foxglo
 
 def test_seek_sends_what_was_valid_then_and_goes_on_from_there(client: FoxgloveClient) -> None:
     for to_s in (20.0, 3.0):
+        client.control(play=False)
+        client.during(0.1)  # what was under way
         client.messages.clear()
         state = client.control(play=True, speed=1.0, seek_ns=START_NS + round(to_s * 1e9))
         assert state["sought"]
