@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Literal, Self, cast
+from typing import Any, Final, Literal, Self, cast
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_object import PythonGnc
 from hil.loop.runner import Outcome, Runner
-from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 
@@ -230,10 +229,10 @@ class Bench:
         return runner.safety.modes.mode if runner is not None and self._thread.is_alive() else Mode.OFF
 
     @property
-    def alarms(self) -> tuple[Alarm, ...]:
-        """Alarms of the session so far, those of high priority first; they stay known after its end."""
+    def alarms(self) -> list[dict[str, Any]]:
+        """Alarms of the session so far, as in ``Run.alarms``, those of high priority first; kept after its end."""
         runner = self._operator.runner
-        return runner.safety.alarms.all() if runner is not None else ()
+        return [alarm.as_json() for alarm in runner.safety.alarms.all()] if runner is not None else []
 
     def feedback(self) -> np.record:
         """Return the newest encoder samples: ``rail_m``, ``rail_mps``, ``gimbal_rad``, ``gimbal_radps``, (3,) each."""

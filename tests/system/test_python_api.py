@@ -217,10 +217,11 @@ def test_procedure_injects_a_fault_and_reads_the_alarm() -> None:
     with hil.Bench("mock", "scheme-1", overrides={"faults": [shifted]}) as bench:
         bench.home()
         bench.arm()
-        assert bench.alarms == ()
+        assert bench.alarms == []
         run = bench.start(until=5.0)
     (alarm,) = bench.alarms
-    assert (alarm.device, alarm.priority, alarm.text) == ("rails.y", "high", run.stop)
+    assert [alarm] == run.alarms
+    assert (alarm["device"], alarm["priority"], alarm["text"]) == ("rails.y", "high", run.stop)
     assert run.summary["injected"][0]["detected_by"] in ("guard", "device")
 
 
