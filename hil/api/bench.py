@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Literal, Self, cast
+from typing import Final, Literal, Self, cast
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_object import PythonGnc
 from hil.loop.runner import Outcome, Runner
+from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 
@@ -229,10 +230,10 @@ class Bench:
         return runner.safety.modes.mode if runner is not None and self._thread.is_alive() else Mode.OFF
 
     @property
-    def alarms(self) -> list[dict[str, Any]]:
+    def alarms(self) -> list[Alarm]:
         """Alarms of the session so far, as in ``Run.alarms``, those of high priority first; kept after its end."""
         runner = self._operator.runner
-        return [alarm.as_json() for alarm in runner.safety.alarms.all()] if runner is not None else []
+        return list(runner.safety.alarms.all()) if runner is not None else []
 
     def feedback(self) -> np.record:
         """Return the newest encoder samples: ``rail_m``, ``rail_mps``, ``gimbal_rad``, ``gimbal_radps``, (3,) each."""

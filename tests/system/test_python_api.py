@@ -221,7 +221,7 @@ def test_procedure_injects_a_fault_and_reads_the_alarm() -> None:
         run = bench.start(until=5.0)
     (alarm,) = bench.alarms
     assert [alarm] == run.alarms
-    assert (alarm["device"], alarm["priority"], alarm["text"]) == ("rails.y", "high", run.stop)
+    assert (alarm.device, alarm.priority, alarm.text) == ("rails.y", "high", run.stop)
     assert run.summary["injected"][0]["detected_by"] in ("guard", "device")
 
 
