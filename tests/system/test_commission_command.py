@@ -57,8 +57,9 @@ def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def bench(rig_file: Path) -> Iterator[WiredBench]:
+    """Yield a bench of one test: an axis that is wired wrongly may end on its limit switch."""
     job = build.Job(load_scenario("scheme-1"), load_rig(str(rig_file)), 0, 0.02, SPEED)
     warm_up(job)
     with build.wired_bench(job) as wired:

@@ -37,6 +37,7 @@ from tests.support.foxglove_client import FoxgloveClient
 pytest.importorskip("foxglove")
 
 CODE = "0123-right"
+PATIENCE_WALL_S = 30.0
 DEADBAND = "gnc.control.deadband_m"
 
 
@@ -154,6 +155,7 @@ def test_every_topic_of_a_recording_is_live_with_its_schema_and_all_its_messages
     session: Desk, client: FoxgloveClient, tmp_path: Path, rng: np.random.Generator
 ) -> None:
     client.until(lambda: bool(client.of("/scene")), "the scene")
+    client.get_parameters()  # answered when all subscriptions have been taken
     rows = np.frombuffer(bytearray(rng.standard_normal(60 * CYCLE.itemsize // 8).tobytes()), CYCLE)
     rows["t_s"] = 0.001 * np.arange(60)
     entry = np.zeros(1, LOG_ENTRY)
@@ -163,7 +165,9 @@ def test_every_topic_of_a_recording_is_live_with_its_schema_and_all_its_messages
     session.rings["log"].put(entry)
     client.until(lambda: len(client.of("/cycle")) == 60 and bool(client.of("/log")), "the rows")
     picture = f"{PICTURE_TOPICS}left"
+    end_s = time.monotonic() + PATIENCE_WALL_S
     while not client.of(picture):  # the topic appears with the first image
+        assert time.monotonic() < end_s, "no picture came"
         session.rings["images"].put(image_row("left", 0.02, b"\xff\xd8"))
         client.during(0.05)
     assert client.of(picture)[-1].json["data"] == base64.b64encode(b"\xff\xd8").decode()
