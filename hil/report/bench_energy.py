@@ -8,6 +8,7 @@ from hil.bench.energy import add_work
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.params import bench as bench_params
+from hil.params import gnc as gnc_params
 from hil.report.bench_error import encoders_at_truth
 
 ENERGY_KEYS = ("translation_added_j", "translation_work_j", "rotation_added_j", "rotation_work_j")
@@ -22,13 +23,12 @@ def judge_energy_added(history: np.ndarray, scenario: Scenario, rig: Rig) -> dic
     rows, rail_m, gimbal_rad = encoders_at_truth(history)
     work = np.zeros(4)
     if len(rows) > 1:
-        thrusters = scenario.chaser.thrusters
-        direction = np.array(thrusters.direction)
-        newton = thrusters.force_n * rows["truth"]["thrust_fraction"][:, : len(direction)]
+        wrenches = gnc_params.wrenches_of(scenario.chaser.thrusters)
+        fraction = rows["truth"]["thrust_fraction"][:, : len(wrenches)]
         add_work(
             bench_params.bench(rig, scenario.step_s),
-            newton @ direction,
-            newton @ np.cross(np.array(thrusters.position_m), direction),
+            fraction @ wrenches[:, :3],
+            fraction @ wrenches[:, 3:],
             rail_m,
             gimbal_rad,
             np.ascontiguousarray(rows["truth"]["r_CT_H"]),
