@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.api.jobs import (
     Overrides,
+    check_counts,
     job_of,
     named_as_argument,
 )
@@ -68,9 +69,7 @@ def campaign(
     CampaignStopped
         The disk is full: completed cases are kept.
     """
-    for name, value, least in (("runs", runs, 1), ("workers", workers, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
+    check_counts(runs, workers)
     with named_as_argument():
         job = job_of(scenario, RIG, overrides, seed, duration_s)
         checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)

@@ -118,6 +118,13 @@ def with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
     return load.check_table(table, Scenario, scenario.source, {**scenario.origin, "faults": "faults"})
 
 
+def check_counts(runs: int, workers: int) -> None:
+    """Raise BadInput unless ``runs`` is a number of cases, and ``workers`` one of processes, 0 for one per core."""
+    for name, value, least in (("runs", runs, 1), ("workers", workers, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
+
+
 def make_job(
     scenario: Loaded[Scenario],
     rig: Loaded[Rig],

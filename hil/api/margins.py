@@ -13,6 +13,7 @@ from hil.api.jobs import (
     Faults,
     Overrides,
     Settings,
+    check_counts,
     loaded_rig,
     loaded_scenario,
     named_as_argument,
@@ -22,7 +23,6 @@ from hil.api.jobs import (
 from hil.config.error_models import LAG_MAX_S
 from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
 from hil.config.scenario import DELAY_MAX_S, Scenario
-from hil.errors import BadInput
 from hil.monte_carlo.campaign import RIG, CampaignJob, write_summary
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.margins import DelayedPart, delay_margin, draw_margins
@@ -71,9 +71,7 @@ def margins(
     BadInput
         Invalid arguments, with one line per error.
     """
-    for name, value, least in (("runs", runs, 1), ("workers", workers, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
+    check_counts(runs, workers)
     with named_as_argument():
         settings = settings_of(overrides)
         flown, rig = loaded_scenario(scenario, settings).value, loaded_rig(RIG, settings).value
