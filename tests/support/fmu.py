@@ -16,8 +16,9 @@ from tests.support.external_gnc import C_EXAMPLE, changed
 BINARY = "binaries/linux64/gnc.so"
 
 
-def _example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("build_fmu", C_EXAMPLE / "build_fmu.py")
+def script(path: Path) -> ModuleType:
+    """Return the script at ``path``, imported."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -30,7 +31,7 @@ def example_fmu(folder: Path, version: int = 2, *replacements: str, step_s: floa
     source = folder / "gnc.c"
     source.write_text(changed((C_EXAMPLE / "gnc.c").read_text(), *replacements))
     out = folder / f"gnc-{version}.fmu"
-    build(replace(_example().gnc_model([source]), step_s=step_s), version, out)
+    build(replace(script(C_EXAMPLE / "build_fmu.py").gnc_model([source]), step_s=step_s), version, out)
     return out
 
 

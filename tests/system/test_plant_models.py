@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from hil.cli.main import BAD_INPUT, execute
 from hil.errors import BadInput
 from hil.fmi.package import build
 from tests.support.external_gnc import changed
-from tests.support.fmu import described
+from tests.support.fmu import described, script
 from tests.support.rows import assert_same_bits
 
 MODELS = Path(__file__).parents[2] / "examples" / "models_c"
@@ -32,21 +30,12 @@ HILL = {
 """The motion that truth.c has."""
 
 
-def _example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("build_model_fmu", MODELS / "build_fmu.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def model_fmu(folder: Path, part: str, *replacements: str, version: int = 2, step_s: float | None = None) -> Path:
     """Return the FMU of a part. replacements: in its source, see ``changed``; step_s: the only step."""
     source = folder / f"{part}.c"
     source.write_text(changed((MODELS / f"{part}.c").read_text(), *replacements))
     out = folder / f"{part}-{version}.fmu"
-    build(replace(_example().part_model(source), step_s=step_s), version, out)
+    build(replace(script(MODELS / "build_fmu.py").part_model(source), step_s=step_s), version, out)
     return out
 
 
