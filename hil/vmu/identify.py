@@ -20,8 +20,7 @@ TOO_FEW: Final = "too_few"
 NO_MATCH: Final = "rejected_no_match"
 GEOMETRY: Final = "rejected_geometry"
 NOT_TOGETHER: Final = "rejected_sync"
-SWAPPED: Final = "rejected_swapped"
-OTHER_RING: Final = "rejected_ring"
+GEOMETRY_FILE: Final = "rejected_geometry_file"
 
 _GATE_6 = 33.0  # chi-square of six components that a true pose exceeds once in 100 000
 _GATE_2 = 20.0  # as in matching
@@ -101,6 +100,12 @@ class Identifier:
 
         mature: the prediction is that of a long track, which a single pair of images does not overrule.
         """
+        found = self._by_hypotheses(view, prediction, mature)
+        if found.status in (NO_MATCH, GEOMETRY, TOO_FEW) and (apart := self._each_alone(view)) != OK:
+            return LedIdentification(apart)
+        return found
+
+    def _by_hypotheses(self, view: View, prediction: Prediction | None, mature: bool) -> LedIdentification:
         if max(view.counts) < 3:
             return LedIdentification(TOO_FEW)
         fits, all_kept = self._solver.hypotheses(view, prediction)
@@ -137,7 +142,7 @@ class Identifier:
         not have it.
         """
         if np.abs(best["shift"]).max() > _SHIFTED:
-            return NOT_TOGETHER if abs(best["shift"][1]) > _SHIFTED else OTHER_RING
+            return NOT_TOGETHER if abs(best["shift"][1]) > _SHIFTED else GEOMETRY_FILE
         own = (fits["spot"] >= 0).sum(axis=2)
         least = min(_OWN, len(self._solver.scene.leds) - 1)
         singles = []
@@ -166,18 +171,31 @@ class Identifier:
     def _why_apart(self, left: np.void, right: np.void) -> str:
         """Return the status for the poses of the left and of the right image alone that differ.
 
-        Seen by both cameras, a ring of another size by the factor s has poses that differ by baseline / s - baseline,
-        and with exchanged cameras s is negative. Any other difference is one of time or of a camera's rotation.
+        Poses of a ring of another size, or of exchanged cameras, differ along the baseline only. Any other difference
+        is one of time or of a camera's rotation.
         """
         scene = self._solver.scene
-        baseline = -scene.rotation[1].T @ scene.translation[1]
-        apart = left["t"] - right["t"] + baseline
-        scale = float(baseline[:2] @ apart[:2]) / float(apart[:2] @ apart[:2])
-        off = apart[:2] * scale - baseline[:2]
-        across = abs(float(baseline[0] * off[1] - baseline[1] * off[0])) / float(np.linalg.norm(baseline[:2]))
-        if across * float(scene.lens[0]["fx"]) > _EPIPOLAR_PX * abs(scale) * float(np.linalg.norm(left["t"])):
-            return NOT_TOGETHER
-        return SWAPPED if scale < 0.0 else OTHER_RING
+        baseline = (-scene.rotation[1].T @ scene.translation[1])[:2]
+        off = (left["t"] - right["t"])[:2]  # of the position by the left image from that by the right one
+        length = float(np.linalg.norm(baseline))
+        along, across = float(baseline @ off) / length, abs(float(baseline[0] * off[1] - baseline[1] * off[0])) / length
+        far = across * float(scene.lens[0]["fx"]) > _EPIPOLAR_PX * float(np.linalg.norm(left["t"]))
+        return NOT_TOGETHER if far or across > abs(along) else GEOMETRY_FILE
+
+    def _each_alone(self, view: View) -> str:
+        """Return OK, or the status if each image alone shows a pattern of the LEDs, though both together do not."""
+        if min(view.counts) < _OWN:
+            return OK
+        singles = []
+        for c in range(2):
+            counts = np.zeros_like(view.counts)
+            counts[c] = view.counts[c]
+            fits, _ = self._solver.hypotheses(view._replace(counts=counts))
+            fits = fits[[bool((fit["spot"] >= 0).sum() >= _OWN and self._possible(fit)) for fit in fits]]
+            if not len(fits):
+                return OK
+            singles.append(fits[np.argmax(fits["score"])])
+        return self._why_apart(singles[0], singles[1])
 
     def _by_spots(self, view: View, fits: np.ndarray) -> LedIdentification:
         scores = np.array([fit["score"] - self._marked_cost(view, fit) for fit in fits])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,17 +17,16 @@ from hil.maths import quat
 from hil.vmu.detect import SpotDetector
 from hil.vmu.identify import (
     AMBIGUOUS,
+    GEOMETRY_FILE,
     NOT_TOGETHER,
     OK,
-    OTHER_RING,
-    SWAPPED,
     TOO_FEW,
     Identifier,
     LedIdentification,
 )
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
-from hil.vmu.kernels.records import SPOT, View
+from hil.vmu.kernels.records import SPOT, RingScene, View
 from hil.vmu.kernels.refine import place
 from hil.vmu.pose import Prediction, Solver, SolverSettings
 from hil.vmu.track import Track, TrackSettings
@@ -34,9 +34,11 @@ from hil.vmu.track import Track, TrackSettings
 PREDICTED: Final = "predicted"
 WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
+BRIGHT: Final = "rejected_bright"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
+_BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # of the pixels: more than LEDs cover
 _WINDOW_LIMIT = 0.25  # of the image: larger windows are no faster than the whole image
 
 
@@ -66,7 +68,9 @@ class Solution:
 
     status: ``ok``, ``predicted``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first two only.
     spots: SPOT of each image, as far as it was searched. leds: for each image, the index into spots of each
-    LED, -1 for none. chi2, degrees: of the fit. candidates: number of remaining poses.
+    LED, -1 for none. chi2, degrees: of the fit. candidates: number of remaining poses. epipolar_px: root mean square
+    distance of the right spots from the epipolar lines of the left ones, NaN unless both images have spots of an LED.
+    scale: of the residuals relative to noise and tolerances as stated, 1 if these are right.
     """
 
     t_s: float
@@ -78,6 +82,8 @@ class Solution:
     degrees: int = 0
     candidates: int = 0
     full_frame: bool = True
+    epipolar_px: float = math.nan
+    scale: float = math.nan
 
     @property
     def t(self) -> Array:
@@ -220,9 +226,11 @@ class VisionUnit:
     ) -> Solution:
         spots = self._detect(images, (None, None))
         if not any(len(found) for found in spots):
-            return self._no_pose(t_s, DARK)
+            return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else DARK)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
+        if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):
+            return self._no_pose(t_s, BRIGHT)
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
 
     def _detect(
@@ -253,7 +261,7 @@ class VisionUnit:
                 return Solution(
                     t_s, AMBIGUOUS, None, spots, (self._none, self._none), candidates=len(verdict.candidates)
                 )
-            if verdict.status in (NOT_TOGETHER, SWAPPED, OTHER_RING):
+            if verdict.status in (NOT_TOGETHER, GEOMETRY_FILE):
                 self.track.fail()
                 return Solution(t_s, verdict.status, None, spots, (self._none, self._none))
             return self._predicted(t_s, verdict.status, spots)
@@ -264,7 +272,11 @@ class VisionUnit:
         left, right = (tuple(int(kept[c][k]) if k >= 0 else -1 for k in fit["spot"][c][:n]) for c in range(2))
         degrees = 2 * int(fit["points"]) - 6
         candidates = len(verdict.candidates)
-        return Solution(t_s, OK, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame)
+        scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else math.nan
+        distance_px = epipolar_distance(self.solver.scene, view, fit["spot"])
+        return Solution(
+            t_s, OK, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame, distance_px, scale
+        )
 
     def _confirmed(self, verdict: LedIdentification, t_s: float) -> LedIdentification:
         """Return a jump off the track as ``ok`` once it has come several times in a row; the old track then ends."""
@@ -292,6 +304,26 @@ class VisionUnit:
 
     def _no_pose(self, t_s: float, status: str) -> Solution:
         return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
+
+
+def is_bright(image: np.ndarray | None) -> bool:
+    """Return whether more of ``image`` is at or near full scale than LEDs can cover: its background is overexposed."""
+    return image is not None and float((image[::4, ::4] >= _BRIGHT_LEVEL).mean()) > _BRIGHT_FRACTION
+
+
+def epipolar_distance(scene: RingScene, view: View, spots: np.ndarray) -> float:
+    """Return the root mean square distance, px, of the right spots from the epipolar lines of the left ones.
+
+    spots: (2, MAX_LEDS), indices into the view's spots, -1 for none. NaN without an LED in both images.
+    """
+    both = spots[:, (spots >= 0).all(axis=0)]
+    if not both.shape[1]:
+        return math.nan
+    turn = scene.rotation[1] @ scene.rotation[0].T
+    left, right = view.spots["ray"][0, both[0]] @ turn.T, view.spots["ray"][1, both[1]]
+    normals = np.cross(scene.translation[1] - turn @ scene.translation[0], left)
+    away = (normals * right).sum(axis=1) / right[:, 2] / np.hypot(normals[:, 0], normals[:, 1])
+    return float(scene.lens[1]["fx"] * np.sqrt(np.mean(away**2)))
 
 
 def widened(candidates: Sequence[np.void]) -> np.void:

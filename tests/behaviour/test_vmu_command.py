@@ -62,7 +62,7 @@ def solve(folder: Path, *options: str) -> tuple[int, list[dict[str, str]]]:
 
 def check_pose(row: dict[str, str], expected: Truth, sigmas: float = 5.0) -> None:
     values = np.array([float(row[name]) for name in COLUMNS[4:10]])
-    spread = np.array([float(row[name]) for name in COLUMNS[10:]])
+    spread = np.array([float(row[name]) for name in COLUMNS[10:16]])
     assert (np.abs(values[:3] - expected.t) < sigmas * spread[:3]).all()
     assert (np.abs(values[3:] - expected.turn) < sigmas * spread[3:] + 1e-3).all()
 
@@ -77,6 +77,8 @@ def test_every_frame_gets_a_row_with_its_pose(folder: Path) -> None:
     for k, row in enumerate(rows):
         check_pose(row, truth(k))
         assert row["n_leds"] == "6"
+        assert 0.0 < float(row["epipolar_px"]) < 0.2
+        assert 0.0 < float(row["scale"]) < 3.0
     assert json.loads(summary.read_text())["status"] == {"ok": FRAMES}
     picture = cv2.imread(str(folder / "pictures" / "0003.png"))
     assert picture is not None
@@ -108,6 +110,7 @@ def test_frames_without_images_are_predicted_along_a_track(folder: Path) -> None
     _, rows = solve(folder)
     assert [row["status"] for row in rows] == ["ok", "ok", "ok", "predicted", "ok", "ok"]
     check_pose(rows[3], truth(3))
+    assert (rows[3]["epipolar_px"], rows[3]["scale"]) == ("nan", "nan")
 
 
 def test_bad_images_never_make_a_pose(folder: Path) -> None:

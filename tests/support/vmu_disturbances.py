@@ -269,6 +269,7 @@ def _of(name: str, **errors: float) -> Row:
     return Row(name, single, _each(single))
 
 
+_OVEREXPOSED = PixelOptics(background_levels=250.0, texture_levels=10.0)
 _BRIGHT = PixelOptics(background_levels=70.0, texture_levels=15.0)
 
 ROWS = (
@@ -294,4 +295,5 @@ ROWS = (
     Row("right images late, tracked", VERY_GOOD, approach(VERY_GOOD), late=True, tracked=True),
     Row("cameras swapped", VERY_GOOD, _each(VERY_GOOD), swapped=True),
     Row("wrong ring", VERY_GOOD, _wrong_ring),
+    Row("overexposed background", VERY_GOOD, _each(VERY_GOOD, _OVEREXPOSED)),
 )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,13 @@ from tests.support.vmu_disturbances import EXACT, ROWS, USUAL, Row, Tally, known
 from tests.support.vmu_pixels import PixelOptics
 
 BY_NAME = {row.name: row for row in ROWS}
-APART = ("right images one frame late", "right images late, tracked", "cameras swapped", "wrong ring")
+APART = (
+    "right images one frame late",
+    "right images late, tracked",
+    "cameras swapped",
+    "wrong ring",
+    "overexposed background",
+)
 SOLVED = [row for row in ROWS if row.name not in (*APART, "glint on a tracked ring")]
 
 
@@ -48,10 +55,34 @@ def test_images_that_do_not_belong_together_are_never_grossly_wrong(name: str) -
     assert tally.solved <= 1  # a target that hardly moves within a frame
 
 
-def test_swapped_cameras_have_a_status_of_their_own() -> None:
-    tally = BY_NAME["cameras swapped"].run(4, 2)
-    assert tally.statuses["rejected_swapped"] >= 3, tally.line()
+@pytest.mark.parametrize(
+    ("name", "status"),
+    [
+        ("right images one frame late", "rejected_sync"),
+        ("cameras swapped", "rejected_geometry_file"),
+        ("overexposed background", "rejected_bright"),
+    ],
+)
+def test_images_without_a_pose_have_the_status_of_their_cause(name: str, status: str) -> None:
+    tally = BY_NAME[name].run(5, 2)
+    assert tally.statuses[status] >= 3, tally.line()
     assert tally.solved == 0
+
+
+def test_epipolar_distance_and_scale_tell_of_errors_that_are_not_stated(rng: np.random.Generator) -> None:
+    scene, truth = real_bench(EXACT, rng, PixelOptics()), somewhere(rng, 2.0, 2.5)
+    raised = replace(scene, right=replace(scene.right, cy=scene.right.cy + 0.3))
+    found = []
+    for bench, stated in ((scene, EXACT), (raised, USUAL), (raised, EXACT)):
+        left, right = bench.pair(truth.turn, truth.t_v, rng)
+        found.append(VisionUnit(known_geometry(stated)).solve(left, right, 0.0))
+    good, stated, rejected = found
+    assert 0.0 < good.epipolar_px < 0.05
+    assert 0.5 < good.scale < 1.6
+    assert stated.epipolar_px == pytest.approx(0.3, abs=0.03)
+    assert stated.scale < 2.0
+    assert rejected.status == "rejected_sync"
+    assert np.isnan([rejected.epipolar_px, rejected.scale]).all()
 
 
 def test_glint_on_the_ring_does_not_turn_a_tracked_pose() -> None:
