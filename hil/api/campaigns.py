@@ -163,7 +163,7 @@ def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str
     """
     stored = StoredCampaign(folder)
     job = replace(job, seed=stored.seed, duration_s=stored.duration_s)
-    if (stored.is_rare or stored.is_sobol) and job.rig.value.kind != "mock":
+    if not stored.is_sample and job.rig.value.kind != "mock":
         raise BadInput.single("--rig", job.rig.value.name, "a case of --rare or --sobol runs on the mock rig")
     mixed, unit = stored.mixed_seed(case), None
     if stored.is_sobol:

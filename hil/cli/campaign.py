@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from hil.monte_carlo.store import Store
 
 _DONE, _NOT_SHOWN = 0, 1
-_LEAST_PER_LEVEL, _LEAST_ROWS = 500, 10
+_LEAST_ROWS: Final = 10
+_LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of --rare by --method
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
 
@@ -79,7 +80,7 @@ class CaseOptions:
     """Options of the cases."""
 
     runs: OptionalInteger = None
-    """Number of cases, numbered from 0; with --rare of each level, 1000 unless given."""
+    """Number of cases, numbered from 0; with --rare of each level, 1000 unless given, by --method importance 2000."""
     seed: Integer = 0
     """Seed of the whole campaign."""
     duration: float | None = None
@@ -103,7 +104,9 @@ class StudyOptions:
     """Options of a rare event, or of Sobol' indices."""
 
     rare: str | None = None
-    """Probability of an event, as "position_m_x > 0.0058", by subset simulation over dispersions and noise."""
+    """Probability of an event, as "position_m_x > 0.0058", over dispersions and noise."""
+    method: str = "subset"
+    """Of --rare: subset, simulation in levels; importance, sampling with weights, for largest deviations only."""
     sobol: OptionalInteger = None
     """Number of rows for Sobol' indices of each dispersed number and the noise: rows x (numbers + 3) cases."""
 
@@ -118,8 +121,10 @@ class StudyOptions:
             found += at_least(sobol=(self.sobol, _LEAST_ROWS))
             if self.rare is not None or cases.runs is not None:
                 found.append(Problem("--sobol", "", "not together with --rare or --runs"))
-        if self.rare is not None and cases.runs is not None and cases.runs < _LEAST_PER_LEVEL:
-            text = f"{cases.runs}: too few for the probability of a rare event, at least {_LEAST_PER_LEVEL} per level"
+        least = _LEAST_CASES.get(self.method, 1)
+        if self.rare is not None and cases.runs is not None and cases.runs < least:
+            each = " per level" if self.method == "subset" else ""
+            text = f"{cases.runs}: too few for the probability of a rare event, at least {least}{each}"
             found.append(Problem("--runs", "", text))
         if variation != _ONE_SCENARIO:
             found.append(Problem(option, "", "not together with --against or --sweep"))
@@ -161,7 +166,7 @@ def campaign(
 
     parquet()
     if study.rare is not None:
-        return _estimate_rare(scenario, cases, study.rare, Path(out), workers, json)
+        return _estimate_rare(scenario, cases, study, Path(out), workers, json)
     if study.sobol is not None:
         return _compute_indices(scenario, cases, study.sobol, Path(out), workers, json)
     assert cases.runs is not None
@@ -277,21 +282,24 @@ def _render_indices(summary: dict[str, Any], console: Console) -> None:
 
 
 def _estimate_rare(
-    scenario: str, cases: CaseOptions, event: str, out: Path, workers: EngineOptions, json: str | None
+    scenario: str, cases: CaseOptions, study: StudyOptions, out: Path, workers: EngineOptions, json: str | None
 ) -> int:
     """Estimate the probability of a rare event; return the exit code."""
-    from hil.monte_carlo.rare_campaign import PER_LEVEL, POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
+    from hil.monte_carlo.rare_campaign import verdict_line
     from hil.monte_carlo.rare_events import RareEvent
+    from hil.monte_carlo.rare_methods import settings_of
 
-    settings = RareSettings(RareEvent.parse(event), cases.runs or PER_LEVEL)
+    assert study.rare is not None
+    settings = settings_of(study.method, RareEvent.parse(study.rare), cases.runs)
 
     def run(job: CampaignJob, store: Store, engine: Engine, bar: ProgressBar) -> dict[str, Any]:
         def watch(now: Progress) -> None:
-            bar.show(f"{now.title} {now.done} cases, {now.speed:.0f} x real time", 0.0)
+            speed = f", {now.speed:.0f} x real time" if now.speed else ""
+            bar.show(f"{now.title} {now.done} cases{speed}", now.done / now.runs if now.runs else 0.0)
 
-        return RareCampaign(job, settings, store, engine).run(watch)
+        return settings.run(job, store, engine, watch)
 
-    summary = _run_study(_job(scenario, cases), StudyFolder(out, settings.identity(), POINT_COLUMNS), workers, run)
+    summary = _run_study(_job(scenario, cases), StudyFolder(out, settings.identity(), settings.columns), workers, run)
     if json != "-":
         _render_rare(summary, verdict_line(summary["rare"]), Console())
         Console().print(f"results in {out}", highlight=False, soft_wrap=True)
@@ -302,15 +310,8 @@ def _estimate_rare(
 
 def _render_rare(summary: dict[str, Any], verdict: str, console: Console) -> None:
     rare = summary["rare"]
-    rows = Table(title=f"{summary['scenario']}: {rare['method']}", title_justify="left")
-    for column in ("level", "from", "fraction above the next", "c.o.v.", "acceptance"):
-        rows.add_column(column, justify="right")
-    for i, level in enumerate(rare["levels"]):
-        cells = (
-            "-" if level[name] is None else f"{level[name]:.4g}" for name in ("bound", "fraction", "cov", "acceptance")
-        )
-        rows.add_row(str(i), *cells)
-    console.print(rows)
+    if rare["levels"]:
+        _render_levels(summary, console)
     console.print(verdict, highlight=False, soft_wrap=True)
     if rare["without_value"]:
         text = f"{rare['without_value']} cases have no {rare['outcome']}: counted as not met"
@@ -325,6 +326,19 @@ def _render_rare(summary: dict[str, Any], verdict: str, console: Console) -> Non
     if halved:
         text = f"{halved[0]['dispersion']} with {100.0 * halved[0]['halved_by']:.0f} % of its spread"
         console.print(f"least change that halves the probability: {text}", highlight=False, soft_wrap=True)
+
+
+def _render_levels(summary: dict[str, Any], console: Console) -> None:
+    rare = summary["rare"]
+    rows = Table(title=f"{summary['scenario']}: {rare['method']}", title_justify="left")
+    for column in ("level", "from", "fraction above the next", "c.o.v.", "acceptance"):
+        rows.add_column(column, justify="right")
+    for i, level in enumerate(rare["levels"]):
+        cells = (
+            "-" if level[name] is None else f"{level[name]:.4g}" for name in ("bound", "fraction", "cov", "acceptance")
+        )
+        rows.add_row(str(i), *cells)
+    console.print(rows)
 
 
 def _run_all(

@@ -181,3 +181,54 @@ def _render_places(run: dict[str, Any]) -> None:
     expected = 2.0 * len(run["outcomes"]) / (cases + 1)
     print_columns(head, rows)
     print(f"{run['recording']}: {outside} of {len(rows)} outcomes outside {cases} cases, {expected:.2g} expected")  # noqa: T201
+
+
+@app.command(name="verify", help="Add recorded runs to the evidence for a campaign's requirements.")
+def verify_recordings(
+    recordings: Annotated[list[str], Parameter(negative=())],
+    /,
+    *,
+    campaign: str,
+    out: str | None = None,
+    json: Output = None,
+) -> int:
+    """Write requirements.html, .xml and .json with the evidence of a campaign and of recorded runs, step by step.
+
+    Exit code 1 if a requirement is not verified by the campaign, or violated in a run; open steps are no failure.
+
+    Parameters
+    ----------
+    recordings
+        Files of hil run --record, on the mock, emulated or hardware rig.
+    campaign
+        Results folder of a campaign of the same scenario, which has [[requirements]].
+    out
+        Folder for the files, instead of the campaign's.
+    json
+        File for the evidence, - for standard output.
+    """
+    refuse(check_json_path("--json", json))
+
+    from hil.api.recordings import open_recording
+    from hil.monte_carlo.campaign import write_evidence
+    from hil.monte_carlo.placement import evidence_of_runs
+    from hil.report.requirements_page import OPEN, VERIFIED, with_open_steps
+
+    opened = {Path(name).name: open_recording(name) for name in recordings}
+    runs = {name: (run.rig.kind, run.summary) for name, run in opened.items()}
+    scenario, sources, rows = evidence_of_runs(runs, Path(campaign))
+    folder = Path(campaign if out is None else out)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_evidence(folder, scenario, sources, rows)
+    whole = with_open_steps(rows)
+    if json != "-":
+        cells = [(row.id, row.step, row.evidence, row.result, _margin(row.margin), row.status) for row in whole]
+        print_columns(("id", "step", "evidence", "result", "margin", "status"), cells, left=(0, 1, 2, 3, 5))
+        print(f"results in {folder / 'requirements.html'}")  # noqa: T201
+    if json is not None:
+        write_json({"scenario": scenario, "sources": sources, "evidence": [row.as_json() for row in whole]}, json)
+    return int(any(row.status not in (VERIFIED, OPEN) for row in whole))
+
+
+def _margin(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

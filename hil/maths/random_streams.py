@@ -6,7 +6,8 @@ Two runs of the same seed have the same sensor noise, whatever else differs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -23,6 +24,7 @@ _STREAMS = {
     "pictures": 8,
     "dispersions": 9,
 }
+_NO_MEANS = np.zeros(0)
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -43,12 +45,14 @@ class NoiseSource(Protocol):
 class MixedSeed(int):
     """Seed of a run whose noise is a weighted sum of the noise of several seeds; the integer is the first of them.
 
-    seeds: newest first. weights: of their standard normals, with a sum of squares of 1. Random numbers that are not
-    drawn by ``noise_source`` are those of the first seed.
+    seeds: newest first. weights: of their standard normals, with a sum of squares of 1. means: added to the first
+    normals of a source, by its name, flat. Random numbers that are not drawn by ``noise_source`` are those of the first
+    seed.
     """
 
     seeds: tuple[int, ...]
     weights: tuple[float, ...]
+    means: Mapping[str, np.ndarray] = MappingProxyType({})
 
     def __new__(cls, seeds: Sequence[int], weights: Sequence[float]) -> Self:
         found = super().__new__(cls, seeds[0])
@@ -68,13 +72,23 @@ class MixedSeed(int):
         kept = math.sqrt(1.0 - scale * scale)
         return type(self)((seed, *self.seeds), (scale, *(kept * weight for weight in self.weights)))
 
+    def shifted(self, means: Mapping[str, np.ndarray]) -> Self:
+        """Return this noise with ``means`` added to its standard normals."""
+        found = type(self)(self.seeds, self.weights)
+        found.means = means
+        return found
+
 
 class _MixedNoise:
-    """Weighted sum of generators' standard normals; uniform numbers are their distribution function."""
+    """Weighted sum of generators' standard normals; uniform numbers are their distribution function.
 
-    def __init__(self, generators: list[np.random.Generator], weights: tuple[float, ...]) -> None:
+    means: added to the first normals that are drawn.
+    """
+
+    def __init__(self, generators: list[np.random.Generator], weights: tuple[float, ...], means: np.ndarray) -> None:
         self._generators = generators
         self._weights = weights
+        self._means = means
         self._drawn = np.empty(0)
 
     def standard_normal(self, size: Any = None, *, out: Any = None) -> Any:
@@ -88,6 +102,10 @@ class _MixedNoise:
             drawn = generator.standard_normal(total.shape, out=self._drawn)
             np.multiply(drawn, weight, out=drawn)
             np.add(total, drawn, out=total)
+        if len(self._means):
+            flat = total.reshape(-1)
+            flat[: len(self._means)] += self._means[: flat.size]
+            self._means = self._means[flat.size :]
         return total
 
     def random(self, size: Any = None, *, out: Any = None) -> Any:
@@ -99,7 +117,8 @@ class _MixedNoise:
 def noise_source(seed: int, name: str) -> NoiseSource:
     """Return the source of the numbers that a rare-event campaign may mix: of ``stream`` unless ``seed`` is mixed."""
     if isinstance(seed, MixedSeed):
-        return _MixedNoise([stream(each, name) for each in seed.seeds], seed.weights)
+        means = seed.means.get(name, _NO_MEANS)
+        return _MixedNoise([stream(each, name) for each in seed.seeds], seed.weights, means)
     return stream(seed, name)
 
 

@@ -16,6 +16,7 @@ from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed
+from hil.monte_carlo.importance_density import LOG_WEIGHT, ImportanceDensity, block_normals
 from hil.monte_carlo.outcome import failed_row, row_of
 from hil.monte_carlo.sobol_indices import sobol_point
 
@@ -28,7 +29,7 @@ class Spec:
     """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read.
 
     mixed: seeds of the cases of a rare-event campaign, by the case's number; the other cases have that of their number.
-    sobol: the cases are those of a campaign of Sobol' indices.
+    sobol: the cases are those of a campaign of Sobol' indices. density: text of the importance density of their noise.
     """
 
     scenario: str
@@ -37,6 +38,7 @@ class Spec:
     duration_s: float
     mixed: Mapping[int, MixedSeed] = field(default_factory=dict)
     sobol: bool = False
+    density: str = ""
 
     @classmethod
     def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float) -> Spec:
@@ -54,6 +56,7 @@ class Case:
         self.mixed: Mapping[int, MixedSeed] = spec.mixed
         self._design = Design(scenario, spec.seed)
         self._runner = CaseRunner(scenario.value, self._rig, spec.duration_s)
+        self._density = ImportanceDensity.parse(spec.density) if spec.density else None
 
     def row(self, case: int) -> dict[str, Any]:
         """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
@@ -63,7 +66,18 @@ class Case:
         except Exception as error:  # one case must not end the campaign: its row has the reason
             kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
             outcome = failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
-        return {"case": case, "seed": int(seed), **self.drawn(case), **outcome}
+        found = {"case": case, "seed": int(seed), **self.drawn(case), **outcome}
+        return found if self._density is None else found | {LOG_WEIGHT: self._log_weight(seed)}
+
+    def _log_weight(self, seed: int) -> float:
+        """Return the logarithm of the weight of the case that was run last."""
+        density = self._density
+        assert density is not None
+        normals = {
+            name: block_normals(rows, rate_hz, density.block_s, density.blocks)
+            for name, (rows, rate_hz) in self._runner.noise().items()
+        }
+        return density.log_weight(normals, self._design.normals(seed))
 
     def drawn(self, case: int) -> dict[str, float]:
         """Return the dispersions of ``case`` by their names."""
@@ -75,7 +89,7 @@ class Case:
         if self._spec.sobol:
             unit, seed = sobol_point(campaign_seed, case, len(design.names))
             return design.values(case, unit=unit), seed
-        mixed = self.mixed.get(case)
+        mixed = self.mixed.get(case) if self._density is None else self._density.seed(campaign_seed, case)
         return design.values(case, mixed), case_seed(campaign_seed, case) if mixed is None else mixed
 
     def _outcome(self, case: int, seed: int) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.evidence import check_requirements, judge_requirements, tolerance_bounds
 from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
 from hil.monte_carlo.store import Store, atomic_write
-from hil.report.requirements_page import junit, requirements_page
+from hil.report.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.session import build
 from hil.setup.assembly import Job
 
@@ -61,6 +61,11 @@ class CampaignJob:
         self.design = Design(scenario, seed)
         self.spec = Spec.of(scenario.value, rig.value, seed, self.duration_s)
         self.seed = seed
+
+    @property
+    def rig(self) -> Rig:
+        """The mock rig."""
+        return self._rig.value
 
     def _check(self) -> None:
         build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0))
@@ -137,15 +142,16 @@ class CampaignJob:
         return summary
 
     def _write_evidence(self, store: Store, requirements: list[dict[str, Any]]) -> None:
-        """Write the page of the requirements, and their JUnit XML, into the folder."""
-        name = self.scenario.value.name
-        texts = {
-            "requirements.html": requirements_page(name, self.identity() | {"folder": store.folder.name}, requirements),
-            "requirements.xml": junit(name, requirements),
-        }
-        for file, text in texts.items():
-            with atomic_write(store.folder / file) as partial:
-                partial.write_text(text, encoding="utf-8")
+        """Write the page of the requirements, their JUnit XML and JSON into the folder."""
+        sources = {"campaign": store.folder.name} | self.identity()
+        write_evidence(store.folder, self.scenario.value.name, sources, campaign_rows(requirements, self.identity()))
+
+
+def write_evidence(folder: Path, scenario: str, sources: dict[str, Any], rows: Sequence[EvidenceRow]) -> None:
+    """Write ``requirements.html``, ``.xml`` and ``.json`` into ``folder``; rows: the evidence, of all steps."""
+    for name, text in evidence_files(scenario, sources, rows).items():
+        with atomic_write(folder / name) as partial:
+            partial.write_text(text, encoding="utf-8")
 
 
 def scenario_digest(scenario: Scenario, rig: Rig) -> str:

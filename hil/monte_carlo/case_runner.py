@@ -171,6 +171,11 @@ class CaseRunner:
         noise: np.ndarray = noise_source(seed, "monitor").standard_normal((n, MONITOR_NOISE))
         return noise
 
+    def noise(self) -> dict[str, tuple[np.ndarray, float]]:
+        """Return the standard normals of the last case, rows in the order of time, and rows per second, by source."""
+        imu_hz = self.scenario.imu_samples / self.scenario.step_s
+        return {"imu": (self._imu_noise, imu_hz), "vision": (self._vision_noise, self.rig.vmu.rate_hz)}
+
     def prepared(self, truth: Scenario, seed: int) -> tuple[Any, ...]:
         """Return the arguments of ``run_loop`` before the first cycle of a case, without library and statistics.
 

@@ -14,7 +14,7 @@ from hil.config.scenario import ProbabilisticRequirement, Scenario
 from hil.core.messages import Array
 from hil.errors import Problem
 from hil.maths.order_statistics import acceptance_risk, allowed_failures, cases_needed
-from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS
+from hil.monte_carlo.outcome import NUMERIC
 from hil.monte_carlo.store import Store
 from hil.report.verdict import ROW_NAMES
 
@@ -26,12 +26,11 @@ _BOUNDED: Final = (*(f"{row}_{axis}" for row in ROW_NAMES for axis in "xyz"), "p
 
 def check_requirements(scenario: Loaded[Scenario]) -> list[Problem]:
     """Return a problem for each requirement whose column no campaign has."""
-    known = (*NUMBERS, *COUNTS, *FLAGS)
     key = "requirements.probabilistic"
     return [
-        Problem(scenario.where(key), f"{key}[{i}].column", f'"{each.column}": give one of {", ".join(known)}')
+        Problem(scenario.where(key), f"{key}[{i}].column", f'"{each.column}": give one of {", ".join(NUMERIC)}')
         for i, each in enumerate(scenario.value.requirements.probabilistic)
-        if each.column not in known
+        if each.column not in NUMERIC
     ]
 
 

@@ -35,6 +35,8 @@ COUNTS: Final = ("firings", "limited_cycles", "cycles", "false_alerts")
 TEXTS: Final = ("stop", "abort", *_TEXTS_OF_FAULT)
 NUMBERS: Final = (*_SINGLE, *_OF_FAULT, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
 """Columns with floats; null where a run did not get far enough."""
+NUMERIC: Final = (*NUMBERS, *COUNTS, *FLAGS)
+"""Columns that can be compared with a limit."""
 
 
 def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> dict[str, Any]:

@@ -12,23 +12,36 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.core.files import CONFIG_BYTES, parse_json, read_text
 from hil.core.messages import Array
 from hil.errors import BadInput, one_line
 from hil.monte_carlo.store import TABLE, parquet
 from hil.monte_carlo.stored_campaign import StoredCampaign
+from hil.report.requirements_page import EvidenceRow, campaign_rows, run_row
 from hil.report.verdict import ROW_NAMES
 
 _AXES: Final = "xyz"
 _NAVIGATION: Final = ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg")
+_SECURITY: Final = ("corridor_margin_m", "closing_margin_mps", "nearest_m")
+_CONSISTENCY: Final = ("nees_pkf", "nees_akf")
+RUN_OUTCOMES: Final = (
+    "passed", "ready_time_s", "propellant_kg", "firings", *_CONSISTENCY, *_SECURITY,
+    *(f"{name}_{axis}" for name in (*ROW_NAMES, *_NAVIGATION) for axis in _AXES),
+)  # fmt: skip
+"""Columns of a campaign that a recorded run has too, if it got far enough."""
 
 
 def outcomes_of(summary: Mapping[str, Any]) -> dict[str, float]:
     """Return the outcomes of a run, by the columns of a campaign; summary: that of ``hil run --json``."""
     ready, navigation, thrusters = (summary.get(key) or {} for key in ("ready_phase", "navigation", "thrusters"))
     security = (summary.get("verdict") or {}).get("security") or {}
-    found = {"ready_time_s": summary.get("ready_time_s"), "propellant_kg": thrusters.get("propellant_kg")}
-    found |= {name: navigation.get(name) for name in ("nees_pkf", "nees_akf")}
-    found |= {name: security.get(name) for name in ("corridor_margin_m", "closing_margin_mps", "nearest_m")}
+    found = {
+        "passed": summary.get("passed"),
+        "ready_time_s": summary.get("ready_time_s"),
+        "propellant_kg": thrusters.get("propellant_kg"),
+    }
+    found |= {name: navigation.get(name) for name in _CONSISTENCY}
+    found |= {name: security.get(name) for name in _SECURITY}
     if "thruster_firings" in thrusters:
         found["firings"] = sum(thrusters["thruster_firings"])
     for names, table in ((ROW_NAMES, ready), (_NAVIGATION, navigation)):
@@ -68,7 +81,7 @@ def place_run(summary: Mapping[str, Any], folder: Path) -> dict[str, dict[str, A
     if not table.is_file():
         raise BadInput.single("--campaign", "", f"{folder}: holds no finished campaign")
     campaign, scenario = StoredCampaign(folder), summary.get("scenario")
-    if campaign.is_rare or campaign.is_sobol:
+    if not campaign.is_sample:
         raise BadInput.single("--campaign", "", f"{folder}: its cases are no sample of the scenario")
     if campaign.scenario != scenario:
         text = f"{folder}: is a campaign of {campaign.scenario}, the recording one of {scenario}"
@@ -81,3 +94,32 @@ def place_run(summary: Mapping[str, Any], folder: Path) -> dict[str, dict[str, A
         return {name: place(outcomes[name], np.asarray(columns.column(name).to_numpy(), dtype=float)) for name in known}
     except (OSError, ValueError, pa.ArrowException) as error:
         raise BadInput.single("--campaign", "", f"{folder}: {one_line(str(error), 200)}") from error
+
+
+def evidence_of_runs(
+    runs: Mapping[str, tuple[str, Mapping[str, Any]]], folder: Path
+) -> tuple[str, dict[str, Any], list[EvidenceRow]]:
+    """Return scenario, sources and evidence of a campaign with requirements in ``folder`` and of recorded runs.
+
+    runs: kind of the rig and summary of each recording, by its name. Raises BadInput.
+    """
+    campaign, path = StoredCampaign(folder), folder / "summary.json"
+    try:
+        summary: Any = parse_json(read_text(path, CONFIG_BYTES))
+        requirements = list(summary["requirements"])
+    except (BadInput, ValueError, TypeError, KeyError) as error:
+        raise BadInput.single("--campaign", "", f"{path}: no requirements: {one_line(str(error), 200)}") from error
+    if not requirements:
+        raise BadInput.single("--campaign", "", f"{folder}: its scenario has no [[requirements]]")
+    sources: dict[str, Any] = {"campaign": folder.name, "seed": campaign.seed, "digest": campaign.digest}
+    rows = campaign_rows(requirements, sources)
+    for name, (kind, run) in runs.items():
+        if run.get("scenario") != campaign.scenario:
+            text = f"{name}: is a run of {run.get('scenario')}, the campaign one of {campaign.scenario}"
+            raise BadInput.single("--campaign", "", text)
+        outcomes = outcomes_of(run)
+        evidence = f"{name}, rig {run.get('rig', '-')}, seed {run.get('seed', '-')}"
+        sources[name] = f"rig {run.get('rig', '-')}, seed {run.get('seed', '-')}, {run.get('stop', '-')}"
+        known = [each for each in requirements if each["column"] in RUN_OUTCOMES]
+        rows += [run_row(each, kind, evidence, outcomes.get(each["column"])) for each in known]
+    return campaign.scenario, sources, rows

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from scipy.special import ndtr
@@ -55,6 +55,9 @@ class RareSettings:
     event: RareEvent
     per_level: int = PER_LEVEL
 
+    columns: ClassVar = POINT_COLUMNS
+    """Columns of the cases in addition to those of every campaign."""
+
     @property
     def cases_per_level(self) -> int:
         """Cases of each level."""
@@ -67,6 +70,10 @@ class RareSettings:
     def method(self, seed: int) -> Method:
         """Return the method that estimates the probability."""
         return subset_simulation(self.event.level, self.cases_per_level, seed)
+
+    def run(self, job: CampaignJob, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:
+        """Run the cases that are missing; return the summary, which is also written to the folder."""
+        return RareCampaign(job, self, store, engine).run(watch)
 
 
 class RareCampaign:
@@ -217,6 +224,8 @@ def verdict_line(rare: dict[str, Any]) -> str:
             f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {known}"
             f"probability at most {rare['high']:.2g}, {cases}"
         )
+    if rare["probability"] is None:
+        return f"{event}: no estimate by {rare['method']}: {rare['verdict']}, {rare['failing_cases']} of {cases} met it"
     text = f"{event}: probability {rare['probability']:.3g} ({rare['low']:.2g} .. {rare['high']:.2g})"
     met = "always met, " if rare["probability"] == 1.0 else ""
     return f"{text}, {met}c.o.v. {rare['cov']:.2f}, {cases}"

@@ -19,7 +19,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.dispersions import case_seed
-from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS
+from hil.monte_carlo.outcome import NUMERIC
 from hil.monte_carlo.statistics import CONFIDENCE
 
 FRESH: Final = -1
@@ -52,9 +52,8 @@ class RareEvent:
             raise BadInput.single("--rare", "", form) from error
         if not math.isfinite(threshold):
             raise BadInput.single("--rare", match[1], f"{match[3]}: must be a finite number")
-        known = (*NUMBERS, *COUNTS, *FLAGS)
-        if match[1] not in known:
-            raise BadInput.single("--rare", match[1], f"no such outcome: give one of {', '.join(known)}")
+        if match[1] not in NUMERIC:
+            raise BadInput.single("--rare", match[1], f"no such outcome: give one of {', '.join(NUMERIC)}")
         return cls(match[1], match[2], threshold)
 
     def __str__(self) -> str:

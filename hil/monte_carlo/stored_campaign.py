@@ -8,6 +8,7 @@ from typing import Any
 from hil.core.files import CONFIG_BYTES, parse_json, read_text
 from hil.errors import BadInput, one_line
 from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo.importance_campaign import DENSITY, read_density
 from hil.monte_carlo.rare_campaign import PARENT, SCALE, stored_seed
 from hil.monte_carlo.store import MANIFEST, PARTS, TABLE, parquet
 
@@ -27,11 +28,19 @@ class StoredCampaign:
             self.scenario, self.digest = str(identity["scenario"]), str(identity["digest"])
             self.seed, self.duration_s = int(identity["seed"]), float(identity["duration_s"])
             self.is_rare, self.is_sobol = "rare" in identity, "sobol" in identity
+            self.is_importance = "importance" in identity
         except (BadInput, ValueError, TypeError, KeyError) as error:
             raise BadInput.single(_OPTION, "", f"{path}: cannot be read: {one_line(str(error), 200)}") from error
 
+    @property
+    def is_sample(self) -> bool:
+        """Whether its cases are a sample of the scenario: not moved, weighted or paired by a study."""
+        return not (self.is_rare or self.is_sobol or self.is_importance)
+
     def mixed_seed(self, case: int) -> MixedSeed | None:
         """Return the seed of ``case`` of a rare-event campaign, None for a case of another one. Raises BadInput."""
+        if self.is_importance:
+            return read_density(self._folder / DENSITY).seed(self.seed, case)
         if not self.is_rare:
             return None
         points = self._points()

@@ -1,53 +1,141 @@
 """Requirements and their evidence: one self-contained page as in a verification control document, and JUnit XML.
 
-The columns are those of ECSS-E-ST-10-02C, annex B: requirement, method, level of the evidence, result, status.
+The columns are those of ECSS-E-ST-10-02C, annex B: requirement, method, level of the evidence, result, status. The
+level is the step of the rig: mock, emulated, hardware.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from typing import Any, Final, NamedTuple
 from xml.etree import ElementTree
 
 from hil.report import html
 
 Requirement = Mapping[str, Any]
 """Result of a requirement, by the keys of a campaign's ``summary.json``."""
+STEPS: Final = ("mock", "emulated", "hardware")
+_HEAD: Final = ("id", "requirement", "step", "method", "evidence", "result", "margin", "status")
+VERIFIED, OPEN = "verified", "open"
+_MISSING: Final = {
+    "mock": "no campaign or run",
+    "emulated": "no run with drivers and wires in real time",
+    "hardware": "no run on the rig",
+}
 
-_HEAD = ("id", "requirement", "step", "evidence", "result", "margin", "status")
-_OPEN = (("emulated", "drivers and wires in real time"), ("hardware", "the rig"))
+
+class EvidenceRow(NamedTuple):
+    """Evidence of one step for a requirement. method: "analysis" by a campaign, or "test" by a run.
+
+    text: wording with the limit. status: ``VERIFIED``, ``OPEN`` or why it is not verified.
+    """
+
+    id: str
+    text: str
+    step: str
+    method: str
+    evidence: str
+    result: str
+    margin: float | None
+    status: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the row by the keys of ``requirements.json``."""
+        return self._asdict()
 
 
-def requirements_page(scenario: str, identity: Mapping[str, Any], found: Sequence[Requirement]) -> str:
-    """Return the page of a campaign. identity: of the campaign, as in its folder."""
-    verified = sum(each["verdict"] == "verified" for each in found)
-    rows = [row for each in found for row in _rows(each, identity)]
-    body = [
-        html.heading(1, f"Requirements of {scenario}"),
+def campaign_rows(found: Iterable[Requirement], identity: Mapping[str, Any]) -> list[EvidenceRow]:
+    """Return the evidence of a campaign. identity: of the campaign, as in its folder."""
+    of = f"seed {identity.get('seed', '-')}, digest {identity.get('digest', '-')}"
+    return [
+        EvidenceRow(
+            each["id"],
+            f"{each['text']} ({limit_text(each)})",
+            "mock",
+            "analysis",
+            f"{each['cases']} cases, {of}",
+            result_text(each),
+            each["margin"],
+            each["verdict"],
+        )
+        for each in found
+    ]
+
+
+def run_row(found: Requirement, step: str, evidence: str, value: float | None) -> EvidenceRow:
+    """Return the evidence of a run for a requirement of a campaign. value: of its outcome, None without one."""
+    text = f"{found['text']} ({limit_text(found)})"
+    if value is None:
+        return EvidenceRow(found["id"], text, step, "test", evidence, "outcome not reached", None, "not verified")
+    margin = found["limit"] - value if found["side"] == "at most" else value - found["limit"]
+    status = VERIFIED if margin >= 0.0 else "not verified"
+    return EvidenceRow(found["id"], text, step, "test", evidence, f"{found['column']} {value:.5g}", margin, status)
+
+
+def with_open_steps(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
+    """Return ``rows`` sorted by requirement, in their first order, and step, with an open row for each missing step."""
+    order = list(dict.fromkeys(row.id for row in rows))
+    found = []
+    for identifier in order:
+        own = [row for row in rows if row.id == identifier]
+        for step in STEPS:
+            there = [row for row in own if row.step == step]
+            found += there or [EvidenceRow(identifier, own[0].text, step, "-", _MISSING[step], "-", None, OPEN)]
+    return found
+
+
+def requirements_page(scenario: str, sources: Mapping[str, Any], rows: Sequence[EvidenceRow]) -> str:
+    """Return the page of ``rows``. sources: what identifies the evidence, as the campaign's identity."""
+    whole = with_open_steps(rows)
+    body = [html.heading(1, f"Requirements of {scenario}"), *_verdicts(whole)]
+    body += [
         html.paragraph(
-            f"{verified} of {len(found)} verified", f"verdict {'pass' if verified == len(found) else 'fail'}"
+            "Analysis: Monte Carlo simulation of the closed loop, judged by order statistics (NASA TP-2010-216447); a "
+            "case without the outcome is a failure. It holds for independent cases: dispersions of a Latin hypercube "
+            "or of Sobol's sequence are not, which makes the bounds approximate. Test: one run, whose outcome is "
+            "compared with the limit; it shows the limit in that run, not the probability."
         ),
-        html.paragraph(
-            "Method: analysis by Monte Carlo simulation of the closed loop, judged by order statistics "
-            "(NASA TP-2010-216447). A case without the outcome is a failure. The judgement holds for independent "
-            "cases: dispersions of a Latin hypercube or of Sobol's sequence are not, which makes the bounds "
-            "approximate. The steps on wires and on hardware are to be shown by recordings of those rigs."
-        ),
-        html.table(_HEAD, rows, words=True),
+        html.table(_HEAD, _cells(whole), words=True),
         html.heading(2, "Evidence"),
-        html.table(("key", "value"), [(key, str(value)) for key, value in identity.items()], words=True),
+        html.table(("source", "identification"), [(key, str(value)) for key, value in sources.items()], words=True),
     ]
     return html.page(f"Requirements of {scenario}", body)
 
 
-def _rows(found: Requirement, identity: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return a row for each step of a requirement."""
-    wording = f"{found['text']} ({limit_text(found)})"
-    evidence = f"{found['cases']} cases, seed {identity.get('seed', '-')}, digest {identity.get('digest', '-')}"
-    margin = "-" if found["margin"] is None else f"{found['margin']:.4g}"
-    status = found["verdict"] if found["verdict"] == "verified" else f"fail: {found['verdict']}"
-    rows: list[tuple[str, ...]] = [(found["id"], wording, "mock", evidence, result_text(found), margin, status)]
-    return rows + [(found["id"], "", step, what, "-", "-", "open") for step, what in _OPEN]
+def _verdicts(rows: Sequence[EvidenceRow]) -> list[str]:
+    """Return a line for each step: how many requirements are verified, not verified, open."""
+    lines, failed = [], False
+    for step in STEPS:
+        states = [_state([row for row in own if row.step == step]) for own in _by_requirement(rows)]
+        counts = {state: states.count(state) for state in (VERIFIED, "not verified", OPEN)}
+        failed = failed or counts["not verified"] > 0
+        lines.append(f"{step}: " + ", ".join(f"{number} {state}" for state, number in counts.items() if number))
+    verdict = "FAIL" if failed else "PASS" if any(row.status == VERIFIED for row in rows) else "OPEN"
+    return [html.paragraph(verdict, f"verdict {'fail' if failed else 'pass'}"), html.paragraph("; ".join(lines))]
+
+
+def _by_requirement(rows: Sequence[EvidenceRow]) -> list[list[EvidenceRow]]:
+    return [list(own) for _, own in groupby(rows, key=lambda row: row.id)]
+
+
+def _state(rows: Sequence[EvidenceRow]) -> str:
+    """Return the state of a requirement in a step from all its evidence there."""
+    if all(row.status == OPEN for row in rows):
+        return OPEN
+    return VERIFIED if all(row.status == VERIFIED for row in rows) else "not verified"
+
+
+def _cells(rows: Sequence[EvidenceRow]) -> list[tuple[str, ...]]:
+    found: list[tuple[str, ...]] = []
+    for own in _by_requirement(rows):
+        for i, row in enumerate(own):
+            margin = "-" if row.margin is None else f"{row.margin:.4g}"
+            status = row.status if row.status in (VERIFIED, OPEN) else f"fail: {row.status}"
+            named = (row.id, row.text) if i == 0 else ("", "")
+            found.append((*named, row.step, row.method, row.evidence, row.result, margin, status))
+    return found
 
 
 def limit_text(found: Requirement) -> str:
@@ -67,16 +155,36 @@ def result_text(found: Requirement) -> str:
     return f"{text}, {found['allowed_failures']} allowed{bound}"
 
 
-def junit(scenario: str, found: Sequence[Requirement]) -> str:
-    """Return the requirements as the test cases of a JUnit suite."""
-    failed = [each for each in found if each["verdict"] != "verified"]
+def junit(scenario: str, rows: Sequence[EvidenceRow]) -> str:
+    """Return the rows as the test cases of a JUnit suite; open ones are skipped."""
+    failed = [row for row in rows if row.status not in (VERIFIED, OPEN)]
+    skipped = [row for row in rows if row.status == OPEN]
     suite = ElementTree.Element(
-        "testsuite", name=f"requirements of {scenario}", tests=str(len(found)), failures=str(len(failed)), errors="0"
+        "testsuite",
+        name=f"requirements of {scenario}",
+        tests=str(len(rows)),
+        failures=str(len(failed)),
+        errors="0",
+        skipped=str(len(skipped)),
     )
-    for each in found:
-        case = ElementTree.SubElement(suite, "testcase", classname=scenario, name=f"{each['id']}: {each['text']}")
-        if each["verdict"] != "verified":
-            failure = ElementTree.SubElement(case, "failure", message=f"{each['verdict']}: {result_text(each)}")
-            failure.text = limit_text(each)
+    for row in rows:
+        name = f"{row.id}: {row.text}"
+        case = ElementTree.SubElement(suite, "testcase", classname=f"{scenario}.{row.step}", name=name)
+        if row.status == OPEN:
+            ElementTree.SubElement(case, "skipped", message=row.evidence)
+        elif row.status != VERIFIED:
+            failure = ElementTree.SubElement(case, "failure", message=f"{row.status}: {row.result}")
+            failure.text = row.evidence
     ElementTree.indent(suite)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(suite, encoding="unicode") + "\n"
+
+
+def evidence_files(scenario: str, sources: Mapping[str, Any], rows: Sequence[EvidenceRow]) -> dict[str, str]:
+    """Return the page, the JUnit XML and the rows as JSON, by the names of their files."""
+    whole = with_open_steps(rows)
+    content = {"scenario": scenario, "sources": dict(sources), "evidence": [row.as_json() for row in whole]}
+    return {
+        "requirements.html": requirements_page(scenario, sources, rows),
+        "requirements.xml": junit(scenario, rows),
+        "requirements.json": json.dumps(content, indent=2) + "\n",
+    }

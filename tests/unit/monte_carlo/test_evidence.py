@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,15 @@ from hil.errors import BadInput
 from hil.maths.order_statistics import cases_needed
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.evidence import judge_requirement, tolerance_bound
-from hil.report.requirements_page import junit, requirements_page
+from hil.monte_carlo.placement import evidence_of_runs
+from hil.report.requirements_page import (
+    campaign_rows,
+    evidence_files,
+    junit,
+    requirements_page,
+    run_row,
+    with_open_steps,
+)
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "run-a-campaign.md"
 REQUIREMENT = ProbabilisticRequirement(id="R-1", text="x is small", column="position_m_x", at_most=0.006)
@@ -64,16 +73,61 @@ def test_tolerance_bound_is_exceeded_by_the_stated_fraction_in_nine_of_ten_campa
     assert np.mean([bound is not None and bound >= 0.99 for bound in bounds]) == pytest.approx(0.925, abs=0.035)
 
 
+SOURCES = {"seed": 3, "digest": "abc"}
+
+
 def test_page_and_junit_have_each_requirement() -> None:
     found = [judged(np.full(852, 0.005)), judged(np.full(852, 0.007), id="R-2", text="<b>x</b>")]
-    page = requirements_page("scheme-1", {"seed": 3, "digest": "abc"}, found)
-    assert "1 of 2 verified" in page
+    rows = campaign_rows(found, SOURCES)
+    page = requirements_page("scheme-1", SOURCES, rows)
+    assert "mock: 1 verified, 1 not verified; emulated: 2 open; hardware: 2 open" in page
+    assert ">FAIL<" in page
     assert "852 cases, seed 3, digest abc" in page
     assert "<b>x</b>" not in page
-    assert page.count("hardware") >= 2
-    suite = ElementTree.fromstring(junit("scheme-1", found))
-    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
+    suite = ElementTree.fromstring(junit("scheme-1", rows))
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("2", "1", "0")
     assert [len(case) for case in suite] == [0, 1]
+
+
+def test_recorded_run_is_evidence_of_its_step_with_its_margin() -> None:
+    found = judged(np.full(852, 0.005))
+    rows = campaign_rows([found], SOURCES)
+    shown = with_open_steps([*rows, run_row(found, "emulated", "a.mcap", 0.004)])
+    assert [(row.step, row.method, row.status) for row in shown] == [
+        ("mock", "analysis", "verified"), ("emulated", "test", "verified"), ("hardware", "-", "open"),
+    ]  # fmt: skip
+    assert shown[1].margin == pytest.approx(0.002)
+    for value in (0.0061, None):
+        bad = run_row(found, "hardware", "b.mcap", value)
+        assert bad.status == "not verified"
+        page = requirements_page("scheme-1", {}, [*rows, bad])
+        assert ">FAIL<" in page
+        assert "hardware: 1 not verified" in page
+    at_least = run_row(found | {"side": "at least"}, "mock", "c.mcap", 0.0061)
+    assert (at_least.status, at_least.margin) == ("verified", pytest.approx(0.0001))
+
+
+def test_evidence_of_runs_stands_beside_that_of_the_campaign(tmp_path: Path) -> None:
+    identity = {"scenario": "scheme-1", "digest": "abc", "seed": 3, "duration_s": 400.0}
+    (tmp_path / "campaign.json").write_text(json.dumps(identity))
+    requirements = [judged(np.full(852, 0.005)), judged(np.full(852, 0.005), id="R-2", column="limited_cycles")]
+    (tmp_path / "summary.json").write_text(json.dumps({"requirements": requirements}))
+    run = {"scenario": "scheme-1", "rig": "emulated", "seed": 1, "stop": "completed"}
+    run |= {"ready_phase": {"position_m": [0.003, 0.0, 0.0]}}
+    scenario, sources, rows = evidence_of_runs({"a.mcap": ("emulated", run)}, tmp_path)
+    assert scenario == "scheme-1"
+    assert "emulated, seed 1, completed" in sources["a.mcap"]
+    assert [(row.id, row.step, row.margin) for row in rows] == [
+        ("R-1", "mock", pytest.approx(0.001)), ("R-2", "mock", pytest.approx(0.001)),
+        ("R-1", "emulated", pytest.approx(0.003)),
+    ]  # fmt: skip
+    files = evidence_files(scenario, sources, rows)
+    assert [each["step"] for each in json.loads(files["requirements.json"])["evidence"]].count("hardware") == 2
+    with pytest.raises(BadInput, match="run of scheme-2"):
+        evidence_of_runs({"b.mcap": ("mock", run | {"scenario": "scheme-2"})}, tmp_path)
+    (tmp_path / "summary.json").write_text("{}")
+    with pytest.raises(BadInput, match="no requirements"):
+        evidence_of_runs({}, tmp_path)
 
 
 def test_requirements_are_read_as_a_list_that_extends_the_table(tmp_path: Path) -> None:
