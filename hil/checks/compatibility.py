@@ -25,7 +25,9 @@ from hil.params import gnc as gnc_params
 _NOISE_SIGMAS = 3.0  # of a pose, which an alert limit must exceed
 _RATE_MAX_HZ = 10_000.0
 _RATIO_TOLERANCE = 1e-9
-_MEMORY_STEPS_MAX = 20_000  # each of them 3 kB, and a few microseconds when a pose is that late
+_MEMORY_STEPS_MAX = (
+    20_000  # each of them 3 kB, 20 kB with an error budget, and a few microseconds when a pose is that late
+)
 
 
 def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
@@ -173,6 +175,21 @@ def check_memory(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         text = f"{navigation.memory_s:g}: allowed from {oldest_s:g}, the age of the latest poses ({', '.join(parts)})"
         return [Problem(scenario.where(key), key, text)]
     return []
+
+
+def check_budget(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each place on which the error budget of the GNC and the rig disagree."""
+    budget, bench = scenario.value.gnc.navigation.budget, rig.value.bench
+    if budget.is_empty:
+        return []
+    problems = []
+    for name in ("camera_position_m", "led_ring_position_m"):
+        assumed, mounted = getattr(budget, name), getattr(bench, name)
+        if assumed != mounted:
+            key = f"gnc.navigation.budget.{name}"
+            text = f"{list(assumed)}: must be bench.{name} of the rig, {list(mounted)}"
+            problems.append(Problem(scenario.where(key), key, text))
+    return problems
 
 
 def check_drivers(rig: Loaded[Rig]) -> list[Problem]:

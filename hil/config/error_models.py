@@ -12,6 +12,9 @@ RelativeError = Annotated[float, Field(gt=-0.5, lt=0.5)]
 RelativeErrors = tuple[RelativeError, RelativeError, RelativeError]
 Rotation = Annotated[float, Field(ge=-30.0, le=30.0)]
 Misalignment = tuple[Rotation, Rotation, Rotation]
+SmallAngle = Annotated[float, Field(ge=0.0, le=10.0)]
+RelativeSigma = Annotated[float, Field(ge=0.0, le=0.5)]
+NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 LAG_MAX_S = 1.0
 Lag = Annotated[float, Field(ge=0.0, le=LAG_MAX_S)]
@@ -81,3 +84,61 @@ class ThrusterErrors(ConfigModel):
     """Relative scatter of the impulse of a firing of the minimum on-time, from firing to firing."""
     half_pressure_kg: Positive | None = None
     """Propellant whose use halves supply pressure and thrust (blow-down, `truth.mass_loss`); unset: regulated."""
+
+
+class ErrorBudget(ConfigModel):
+    """Sizes of the sensors' errors for the GNC, all standard deviations; without them the filters have none.
+
+    Constants are considered, correlated errors are estimated ([error budget](../../explanation/error-budget.md)).
+    """
+
+    vision_bias_sigma_m: NotNegativeTriple = _NONE
+    """Constant error of the measured position, in c."""
+    vision_misalignment_sigma_deg: SmallAngle = 0.0
+    """Rotation of the cameras against their assumed axes, about each axis."""
+    vision_scale_sigma: RelativeSigma = 0.0
+    """Relative error of the distance."""
+    vision_correlated_fraction: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0
+    """Fraction of the reported variance that is correlated in time."""
+    vision_correlation_time_s: Positive = 10.0
+    """Correlation time of it, and of the bench's error."""
+    vision_noise_scale_sigma: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Relative uncertainty of the reported standard deviations; above 0 the noise's size is estimated."""
+    vision_noise_window: Annotated[int, Field(ge=16, le=100_000)] = 256
+    """Poses over which it is estimated."""
+    bench_sigma_m: NotNegative = 0.0
+    """Part of the reported position that is the bench's error, correlated: `vmu.bench_sigma_m` of the rig, or 0."""
+    bench_sigma_deg: NotNegative = 0.0
+    """The same for the attitude."""
+    gyro_scale_sigma: RelativeSigma = 0.0
+    """Relative error of each gyro's scale factor."""
+    gyro_misalignment_sigma_deg: SmallAngle = 0.0
+    """Rotation of the gyros' axes against c, about each axis."""
+    gyro_instability_degps: NotNegative = 0.0
+    """Bias instability, a part of the drift."""
+    gyro_instability_time_s: Positive = 100.0
+    """Its correlation time."""
+    accelerometer_scale_sigma: RelativeSigma = 0.0
+    """Relative error of each accelerometer's scale factor."""
+    accelerometer_misalignment_sigma_deg: SmallAngle = 0.0
+    """Rotation of the accelerometers' axes against c, about each axis."""
+    accelerometer_instability_mps2: NotNegative = 0.0
+    """Bias instability, a part of the bias."""
+    accelerometer_instability_time_s: Positive = 100.0
+    """Its correlation time."""
+    camera_position_m: Triple = (0.6, 0.0, 0.0)
+    """In c: where the GNC assumes the left camera; `bench.camera_position_m` of the rig."""
+    led_ring_position_m: Triple = _NONE
+    """In H: where it assumes the centre of the LED ring; `bench.led_ring_position_m` of the rig."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether it has no error."""
+        return self.model_copy(update={name: getattr(_EMPTY, name) for name in _DETAILS}) == _EMPTY
+
+
+_DETAILS = (
+    "vision_correlation_time_s", "vision_noise_window", "gyro_instability_time_s", "accelerometer_instability_time_s",
+    "camera_position_m", "led_ring_position_m",
+)  # fmt: skip
+_EMPTY = ErrorBudget()

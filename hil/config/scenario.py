@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
-from hil.config.error_models import ImuErrors, ThrusterErrors, VisionErrors
+from hil.config.error_models import ErrorBudget, ImuErrors, ThrusterErrors, VisionErrors
 from hil.config.faults import TimedFault
 from hil.config.guard import KeepOut
 from hil.config.integrity import Integrity
@@ -190,6 +190,8 @@ class Navigation(ConfigModel):
     """Poses with a larger innovation are rejected and counted."""
     memory_s: Positive = 1.28
     """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
+    budget: ErrorBudget = ErrorBudget()
+    """Sizes of the sensors' errors, for the filters."""
 
 
 class AttitudeFilter(ConfigModel):
@@ -496,6 +498,16 @@ class GncConfig(ConfigModel):
                 raise ValueError(
                     f'reactions: phase "{name}", of kind {kind}, is left without an abort: allowed is at least one'
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _filters_can_have_the_budget(self) -> Self:
+        if self.navigation.budget.is_empty:
+            return self
+        if self.akf.form != "multiplicative":
+            raise ValueError('akf.form = "as_printed": has no error budget; allowed with one is "multiplicative"')
+        if self.shadow.enabled:
+            raise ValueError("shadow.enabled = true: the shadow filter has no error budget; allowed with one is false")
         return self
 
     @model_validator(mode="after")

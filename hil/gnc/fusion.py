@@ -19,9 +19,10 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import POSE
-from hil.gnc import akf, akf_additive, pkf
+from hil.gnc import akf, akf_additive, error_budget, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
+from hil.gnc.error_budget import BUDGET_STATE, ERROR_BUDGET, INNOVATION, NOISE_FACTOR
 from hil.gnc.integrity import pose_sigmas
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
@@ -45,6 +46,7 @@ FUSION_PARAMS = np.dtype(
         ("reopen_after", "i8"),  # consecutive poses that agree
         ("akf", AKF_PARAMS),
         ("pkf", PKF_PARAMS),
+        ("budget", ERROR_BUDGET),
     ],
     align=True,
 )
@@ -63,6 +65,7 @@ STEP = np.dtype(
         ("second", POSE),
         ("first_gated", "i8"),  # result of the gate: NOT_GATED, or the part that was accepted
         ("second_gated", "i8"),
+        ("budget", BUDGET_STATE),  # as ``predicted``; not used without a budget
     ],
     align=True,
 )
@@ -97,6 +100,11 @@ FUSION_STATE = np.dtype(
         ("gain_velocity", "f8"),  # 1/s
         ("gain_attitude", "f8"),
         ("interval_s", "f8"),  # between the last two accepted poses
+        # with an error budget
+        ("budget", BUDGET_STATE),
+        ("noise", NOISE_FACTOR),
+        ("found_attitude", INNOVATION),
+        ("found_position", INNOVATION),
     ],
     align=True,
 )
@@ -129,6 +137,22 @@ def _copy_filters(params, source, target):
 
 
 @kernel
+def _keep_predicted(params, state, step):
+    """Keep the filters as they are before the poses of ``step`` (STEP)."""
+    _copy_filters(params, state.filters, step.predicted)
+    if params.budget.n != 0:
+        error_budget.copy_state(params.budget, state.budget, step.budget)
+
+
+@kernel
+def _return_to(params, state, step):
+    """Return the filters to what ``_keep_predicted`` has kept."""
+    _copy_filters(params, step.predicted, state.filters)
+    if params.budget.n != 0:
+        error_budget.copy_state(params.budget, step.budget, state.budget)
+
+
+@kernel
 def _copy_pose(source, target):
     copy_into(target.z_TC_C, source.z_TC_C)
     copy_into(target.q_CH, source.q_CH)
@@ -138,17 +162,20 @@ def _copy_pose(source, target):
 
 
 @kernel
-def _start(params, pose, filters):
+def _start(params, state, pose, filters, budget):
+    """Start ``filters`` and, with an error budget, its state ``budget`` from ``pose``."""
     akf.start(params.akf, pose, filters.akf)
     pkf.start(params.pkf, pose, filters.akf.p, filters.pkf)
     if params.attitude_form == AS_PRINTED:
         akf_additive.from_multiplicative(filters.akf.x, filters.akf.p, filters.additive)
+    if params.budget.n != 0:
+        error_budget.start(params.budget, pose, state.noise, filters.akf, filters.pkf, budget)
 
 
 @kernel
-def _predict(params, filters, step):
+def _predict(params, state, step):
     """Carry both filters over ``step`` (STEP)."""
-    middle = stack.vector(4)
+    filters, middle = state.filters, stack.vector(4)
     copy_into(middle, filters.akf.x[0:4])
     akf.predict_state(params.akf, filters.akf, step.rate_C, step.hill)
     additive = params.attitude_form == AS_PRINTED
@@ -158,12 +185,54 @@ def _predict(params, filters, step):
     for i in range(4):
         middle[i] += filters.akf.x[i]
     quat.normalise(middle)
+    if params.budget.n != 0:
+        _predict_joint(params, state, middle, step)
+        return
     # with the attitude's covariance as it was before the step
     pkf.predict(params.pkf, filters.pkf, step.force_C, middle, filters.akf.p, filters.akf.phi, step.hill)
     if additive:
         _publish_additive(filters)
     else:
         akf.predict_covariance(params.akf, filters.akf)
+
+
+@kernel
+def _predict_joint(params, state, middle, step):
+    """Carry position, parameters and joint covariance over ``step``. middle: attitude (4,) in mid-step."""
+    filters = state.filters
+    a, force, rate = stack.matrix(3, 3), stack.vector(3), stack.vector(3)
+    quat.to_matrix_into(middle, a)
+    force[0], force[1], force[2] = pkf.predict_state(params.pkf, filters.pkf, step.force_C, a, step.hill)
+    for i in range(3):
+        rate[i] = step.rate_C[i] - filters.akf.x[4 + i]
+    error_budget.predict(
+        params.budget, params.akf, params.pkf, a, force, rate, filters.akf, filters.pkf, state.budget
+    )  # fmt: skip
+
+
+@kernel
+def _innovate_attitude(params, state, q_measured, covariance, gain, out):
+    """Write innovation and gain of the attitude filter; return the NIS."""
+    if params.budget.n != 0:
+        return error_budget.innovate_attitude(
+            params.budget, state.budget, state.noise, state.filters.akf, q_measured, covariance,
+            state.found_attitude, gain, out,
+        )  # fmt: skip
+    return akf.innovate(state.filters.akf, q_measured, covariance, gain, out)
+
+
+@kernel
+def _innovate_position(params, state, z, covariance, delta_s, h, h_attitude, gain, out):
+    """Write innovation and gain of the position filter; return the NIS."""
+    filters = state.filters
+    if params.budget.n != 0:
+        return error_budget.innovate_position(
+            params.budget, state.budget, state.noise, filters.akf, filters.pkf, z, covariance, delta_s,
+            state.found_position, gain, out,
+        )  # fmt: skip
+    return pkf.innovate(
+        filters.pkf, z, covariance, delta_s, filters.akf.x[0:4], filters.akf.p, h, h_attitude, gain, out
+    )
 
 
 @kernel
@@ -212,7 +281,7 @@ def _closed_gate(params, state, passes):
 
 
 @kernel
-def _remember_update(state, pose, innovation_a, gain_a, innovation_p, gain_p):
+def _remember_update(params, state, pose, innovation_a, gain_a, innovation_p, gain_p):
     """Keep what the monitors need of an accepted pose: its innovations, their noise and the gains."""
     filters = state.filters
     distance, p_position, p_attitude = 0.0, 0.0, 0.0
@@ -224,6 +293,9 @@ def _remember_update(state, pose, innovation_a, gain_a, innovation_p, gain_p):
     for i in range(3):
         of_position = math.sqrt(pose.covariance_position[i, i] + p_position + distance * p_attitude)
         of_attitude = math.sqrt(pose.covariance_attitude[i, i] + p_attitude)
+        if params.budget.n != 0:
+            of_position = math.sqrt(state.found_position.s[i, i])
+            of_attitude = math.sqrt(state.found_attitude.s[i, i])
         state.innovation[i] = innovation_p[i] / of_position
         state.innovation[3 + i] = innovation_a[i] / of_attitude
         state.noise_m, state.noise_rad = max(state.noise_m, of_position), max(state.noise_rad, of_attitude)
@@ -239,6 +311,21 @@ def _remember_update(state, pose, innovation_a, gain_a, innovation_p, gain_p):
 
 
 @kernel
+def _update_attitude(params, state, q_measured, covariance, gain, innovation):
+    """Fuse an accepted innovation of the attitude."""
+    filters = state.filters
+    if params.budget.n != 0:
+        error_budget.update(params.budget, state.budget, state.found_attitude, innovation, filters.akf, filters.pkf)
+        return
+    if params.attitude_form == AS_PRINTED:
+        akf_additive.update(filters.additive, q_measured, covariance)
+    akf.update(filters.akf, covariance, gain, innovation)
+    if params.attitude_form == AS_PRINTED:
+        _publish_additive(filters)
+    pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
+
+
+@kernel
 def _fuse_pose(params, state, pose, moment_s, gated):
     """Fuse one pose whose step is at ``moment_s``; return the part that was accepted.
 
@@ -246,7 +333,7 @@ def _fuse_pose(params, state, pose, moment_s, gated):
     """
     filters = state.filters
     if gated == RESTARTED:
-        _start(params, pose, filters)
+        _start(params, state, pose, filters, state.budget)
         return RESTARTED
     delta_s = pose.t_s - moment_s
     rotation, z, back, q_measured = stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4)
@@ -259,43 +346,46 @@ def _fuse_pose(params, state, pose, moment_s, gated):
     gain_a, innovation_a = stack.matrix(6, 3), stack.vector(3)
     gain_p, innovation_p = stack.matrix(9, 3), stack.vector(3)
     h, h_attitude, jump = stack.matrix(3, 9), stack.matrix(3, 3), stack.vector(3)
-    nis_a = akf.innovate(filters.akf, q_measured, pose.covariance_attitude, gain_a, innovation_a)
+    nis_a = _innovate_attitude(params, state, q_measured, pose.covariance_attitude, gain_a, innovation_a)
     nis_p = np.nan
     found = gated
     if gated == NOT_GATED:
         found = ATTITUDE_ONLY if 0.0 <= nis_a <= params.akf.gate else REJECTED
         if state.rejected_in_a_row >= params.close_after:
-            nis_p = pkf.innovate(
-                filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
-                h, h_attitude, gain_p, innovation_p,
-            )  # fmt: skip
+            nis_p = _innovate_position(
+                params, state, z, pose.covariance_position, delta_s, h, h_attitude, gain_p, innovation_p
+            )
             found = _closed_gate(params, state, found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate)
         if found == RESTARTED:
-            _start(params, pose, filters)
+            _start(params, state, pose, filters, state.budget)
             _count(params, state, pose, found, nis_a, nis_p)
             return found
     if found == REOPENED:
         _jump(filters, z, delta_s, jump)
         for i in range(3):
             filters.pkf.p[i, i] += jump[i] * jump[i]
+            if params.budget.n != 0:
+                state.budget.p[i, i] += jump[i] * jump[i]
             state.jump_m[i] = max(state.jump_m[i], abs(jump[i]))
     if found >= ATTITUDE_ONLY:
-        if params.attitude_form == AS_PRINTED:
-            akf_additive.update(filters.additive, q_measured, pose.covariance_attitude)
-        akf.update(filters.akf, pose.covariance_attitude, gain_a, innovation_a)
-        if params.attitude_form == AS_PRINTED:
-            _publish_additive(filters)
-        pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
-        nis_p = pkf.innovate(
-            filters.pkf, z, pose.covariance_position, delta_s, filters.akf.x[0:4], filters.akf.p,
-            h, h_attitude, gain_p, innovation_p,
-        )  # fmt: skip
+        _update_attitude(params, state, q_measured, pose.covariance_attitude, gain_a, innovation_a)
+        nis_p = _innovate_position(
+            params, state, z, pose.covariance_position, delta_s, h, h_attitude, gain_p, innovation_p
+        )
         if gated == NOT_GATED and found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate:
             found = ACCEPTED
         if found >= ACCEPTED:
             if gated == NOT_GATED:
-                _remember_update(state, pose, innovation_a, gain_a, innovation_p, gain_p)
-            pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_attitude, gain_p, innovation_p)
+                _remember_update(params, state, pose, innovation_a, gain_a, innovation_p, gain_p)
+            if params.budget.n != 0:
+                error_budget.update(
+                    params.budget, state.budget, state.found_position, innovation_p, filters.akf, filters.pkf
+                )
+            else:
+                pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_attitude, gain_p, innovation_p)
+            if params.budget.n != 0 and gated == NOT_GATED:
+                error_budget.adapt(params.budget, state.noise, 0, state.found_position, innovation_p)
+                error_budget.adapt(params.budget, state.noise, 1, state.found_attitude, innovation_a)
     if gated == NOT_GATED:
         _count(params, state, pose, found, nis_a, nis_p)
     return found
@@ -355,7 +445,7 @@ def _place(params, state, memory, pose):
         state.started = 1
         state.start_cycle = cycle
         state.last_accepted_s = pose.t_s
-        _start(params, pose, step.predicted)
+        _start(params, state, pose, step.predicted, step.budget)
     else:
         step.n_poses += 1
     return cycle
@@ -385,8 +475,8 @@ def advance(params, state, memory, imu):
     state.nis_position = np.nan
     state.nis_attitude = np.nan
     if state.started != 0:
-        _predict(params, state.filters, step)
-        _copy_filters(params, state.filters, step.predicted)
+        _predict(params, state, step)
+        _keep_predicted(params, state, step)
 
 
 @kernel
@@ -398,10 +488,10 @@ def fuse(params, state, memory, pose):
         return
     _compare(state, pose)
     dt, n = params.pkf.dt_s, memory.shape[0]
-    _copy_filters(params, memory[first % n].predicted, state.filters)
+    _return_to(params, state, memory[first % n])
     _fuse_step(params, state, memory[first % n], first * dt)
     for cycle in range(first + 1, state.cycle + 1):
         step = memory[cycle % n]
-        _predict(params, state.filters, step)
-        _copy_filters(params, state.filters, step.predicted)
+        _predict(params, state, step)
+        _keep_predicted(params, state, step)
         _fuse_step(params, state, step, cycle * dt)

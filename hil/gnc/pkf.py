@@ -108,8 +108,19 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi, hill)
     before the step of the attitude filter's error; attitude_phi: its transition over it (6, 6), whose lower rows, of
     a constant drift, are ``[0 I]``. hill: motion of H over the step, HILL_STEP.
     """
-    a, x = stack.matrix(3, 3), stack.vector(6)
+    a = stack.matrix(3, 3)
     quat.to_matrix_into(q_CH, a)
+    f0, f1, f2 = predict_state(params, state, measured_force, a, hill)
+    joint_covariance.propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi)
+
+
+@kernel
+def predict_state(params, state, measured_force, a, hill):
+    """Carry the state, without its covariance, over one step; return the specific force in c, m/s^2.
+
+    a: A(q_CH) (3, 3) in mid-step. The others as of ``predict``.
+    """
+    x = stack.vector(6)
     h, g = params.hill_transition, params.hill_response
     f0, f1, f2 = measured_force[0] - state.x[6], measured_force[1] - state.x[7], measured_force[2] - state.x[8]
     u0 = a[0, 0] * f0 + a[1, 0] * f1 + a[2, 0] * f2
@@ -122,8 +133,8 @@ def predict(params, state, measured_force, q_CH, attitude_p, attitude_phi, hill)
     if hill.is_elliptic != 0:
         add_ellipse(hill, params.dt_s, state.x[0:6], x)
     copy_into(state.x[0:6], x)
-    joint_covariance.propagate(params, state, a, f0, f1, f2, attitude_p, attitude_phi)
     state.nis = np.nan
+    return f0, f1, f2
 
 
 @kernel

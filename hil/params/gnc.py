@@ -31,6 +31,7 @@ from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.dynamics import mean_motion
+from hil.params.error_budget import error_budget
 
 _NIS_TAIL = 1e-10  # false-alarm probability of a mean
 _CORRELATION_S = 10.0  # of the filters' errors
@@ -98,6 +99,7 @@ def navigation(scenario: Scenario) -> np.record:
     pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
     pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
+    fusion.budget = error_budget(scenario)
     vision = params.vision_only
     vision.dt_s = scenario.step_s
     vision.position_lag_s = gnc.vision_only.position_lag_s

@@ -10,6 +10,7 @@ from hil.checks.abort import check_abort
 from hil.checks.clock import check_clock
 from hil.checks.compatibility import (
     check_approach,
+    check_budget,
     check_drivers,
     check_flight_computer,
     check_host,
@@ -88,6 +89,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *check_io(job.scenario, job.rig),
         *check_rates(job.scenario, job.rig),
         *check_memory(job.scenario, job.rig),
+        *check_budget(job.scenario, job.rig),
         *check_drivers(job.rig),
         *check_flight_computer(job.rig),
     ]
