@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import new
-from hil.gnc.error_budget import ERROR_BUDGET, FILTER_ERRORS
+from hil.gnc.error_budget import ERROR_BUDGET, FILTER_ERRORS, JOINT_MAX
 
 
 def error_budget(scenario: Scenario) -> np.record:
@@ -35,7 +35,7 @@ def error_budget(scenario: Scenario) -> np.record:
         ),
     }
     n = FILTER_ERRORS
-    params.kept = 1.0
+    params.kept = np.ones(JOINT_MAX)
     for name, (sigmas, time_s) in groups.items():
         if not np.any(sigmas):
             continue
