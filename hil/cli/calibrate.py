@@ -5,13 +5,14 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse
+from hil.cli.options import Flag, Group, Integer, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
 from hil.cli.output import (
     base_of,
     check_figure_path,
@@ -21,12 +22,13 @@ from hil.cli.output import (
 )
 from hil.cli.progress import ProgressBar
 from hil.core.text_files import write_text
-from hil.errors import Problem
+from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
     from hil.vmu.calibration.board import Board
 
 _PASSED, _FAILED = 0, 1
+_CLEARANCE_M: Final = 0.1  # beyond the scenario's keep-out
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
@@ -128,12 +130,35 @@ class DriftOptions:
     """With --check: probability of a chance result below which a drift is significant."""
 
 
-_START, _RESULT, _SIGMAS, _LIMITS, _DRIFT = (
+@dataclass(frozen=True)
+class DriveOptions:
+    """Options of views that the bench takes itself."""
+
+    drive: Flag = False
+    """Move the bench of --rig through a plan of views and write VIEWS, a new folder, before the calibration."""
+    count: Integer = 40
+    """With --drive: number of views."""
+    near_m: float = 0.7
+    """With --drive: least range from camera to target."""
+    far_m: float = 4.0
+    """With --drive: largest range from camera to target."""
+    turn_deg: float = 20.0
+    """With --drive: largest angle of each gimbal."""
+    settle_s: float = 0.5
+    """With --drive: time at rest before an exposure."""
+    speed: float = 1.0
+    """With --drive: simulation speed relative to real time, on an emulated rig."""
+    yes: Flag = False
+    """With --drive: confirm that the bench is clear (required for hardware rigs)."""
+
+
+_START, _RESULT, _SIGMAS, _LIMITS, _DRIFT, _DRIVE = (
     InitialGuessOptions(),
     ResultOptions(),
     BenchSigmas(),
     LimitOptions(),
     DriftOptions(),
+    DriveOptions(),
 )
 
 
@@ -146,16 +171,19 @@ def calibrate(
     sigmas: Group[BenchSigmas] = _SIGMAS,
     limits: Group[LimitOptions] = _LIMITS,
     drift: Group[DriftOptions] = _DRIFT,
+    driving: Group[DriveOptions] = _DRIVE,
     settings: Settings = (),
 ) -> int:
     """Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.
+
+    With --drive the bench takes the views itself.
 
     Parameters
     ----------
     views
         Folder with views.csv and the images (docs/how-to/calibrate-cameras.md), or the path of such a CSV file.
     """
-    problems = [problem for group in (start, sigmas, limits, drift) for problem in _not_positive(group)]
+    problems = [problem for group in (start, sigmas, limits, drift, driving) for problem in _not_positive(group)]
     problems += start.problems()
     if drift.check is not None:
         given = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
@@ -163,10 +191,79 @@ def calibrate(
         problems += [Problem("--check", "", f"goes without --{name}") for name, value in given.items() if value]
     elif drift.moved:
         problems.append(Problem("--moved", "", "goes with --check only"))
-    refuse(problems + result.problems())
+    refuse(problems + result.problems() + (_drive_problems(views, start, driving) if driving.drive else []))
+    if driving.drive:
+        _drive(Path(views), start, sigmas, driving, settings)
     if drift.check is not None:
         return _check(views, drift.check, start, result.json, limits, drift)
     return _calibrate(views, start, result, sigmas, limits, settings)
+
+
+def _drive_problems(views: str, start: InitialGuessOptions, driving: DriveOptions) -> list[Problem]:
+    problems = []
+    if start.board is not None:
+        problems.append(Problem("--drive", "", "goes without --board: the target is the LED ring"))
+    if driving.count < 2:
+        problems.append(Problem("--count", "", f"{driving.count}: must be at least 2"))
+    if driving.near_m >= driving.far_m:
+        problems.append(Problem("--near-m", "", f"{driving.near_m:g}: must be less than --far-m {driving.far_m:g}"))
+    folder = Path(views)
+    if not folder.absolute().parent.is_dir():
+        problems.append(Problem(views, "", "its parent folder does not exist"))
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        problems.append(Problem(views, "", "exists: give the name of a new folder for --drive"))
+    return problems
+
+
+def _drive(
+    folder: Path, start: InitialGuessOptions, sigmas: BenchSigmas, driving: DriveOptions, settings: Sequence[str]
+) -> None:
+    """Take the views with the bench and write them to ``folder``."""
+    import numpy as np
+
+    from hil.cli.warm_up import compile_kernels_with_notice
+    from hil.commission.calibration_drive import CalibrationDrive, write_views
+    from hil.commission.view_plan import Clearance, PlanRequest, plan_views
+    from hil.config.load import load_geometry, load_rig, load_scenario
+    from hil.drivers.cameras.pairing import Pairing
+    from hil.drivers.cameras.processes import CameraProcesses
+    from hil.params import bench as bench_params
+    from hil.session import build
+    from hil.vmu.calibration.model import Setup
+    from hil.vmu.calibration.refine import weak_prior
+    from hil.vmu.geometry import geometry_of_rig
+
+    refuse_wires_in_use(start.rig, settings)
+    scenario = load_scenario("scheme-1", [*settings, "vmu.source=cameras"])
+    loaded = load_rig(start.rig, settings)
+    if loaded.value.kind == "hardware" and not driving.yes:
+        text = f"{loaded.value.name} is hardware and its axes will move: clear the bench, then add --yes"
+        raise BadInput.single("--yes", "", text)
+    job = build.Job(scenario, loaded, 0, scenario.value.step_s, driving.speed)
+    build.check_rig(job)
+    rig = job.rig.value
+    geometry = geometry_of_rig(rig) if start.geometry is None else load_geometry(start.geometry).value
+    bench_axes = bench_params.bench(rig, scenario.value.step_s)
+    setup = Setup.of(geometry, rig.bench)
+    axis_sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
+    held = weak_prior(setup, start.keep, axis_sigma, 1e-3 * sigmas.led_sigma_mm, 0.0)
+    clear = Clearance(bench_axes, scenario.value.keep_out.radius_m + _CLEARANCE_M)
+    request = PlanRequest(driving.count, driving.near_m, driving.far_m, float(np.radians(driving.turn_deg)))
+    plan = plan_views(setup, bench_axes, held, request, clear, np.random.default_rng(0))
+    console = Console(stderr=True)
+    compile_kernels_with_notice(job, console)
+    sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
+
+    def announce(text: str) -> None:
+        console.print(text, style="dim", highlight=False, soft_wrap=True)
+
+    with ProgressBar(console, "opening the axes") as bar, build.wired_bench(job, announce) as bench:
+        runner, cameras = bench.runner(), CameraProcesses(bench.rig.vmu, sizes, bench.clock)
+        chosen = rig.vmu.settings
+        with closing(cameras), runner.axes_only() as sequencer:
+            pairing = Pairing(chosen.pair_within_s, chosen.pair_wait_s)
+            views = CalibrationDrive(sequencer, cameras, pairing, clear, driving.settle_s, bar.show).take(plan)
+    write_views(folder, views)
 
 
 def _calibrate(
@@ -202,6 +299,13 @@ def _calibrate(
         limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))
         outcome = job.calibrate(loaded, rig.value, geometry, given, limit_values, label, guess, bar.show)
     fit = outcome.solved.fit
+    if result.json is not None:
+        write_json(as_json(outcome), result.json)
+    if result.figure is not None:
+        from hil.vmu.calibration.figure import draw
+
+        draw(outcome, result.figure)
+    outcome.refuse_unusable(views)
     if result.out is not None:
         used = len(outcome.solved.observations.names)
         table = geometry_table(label, fit, outcome.turntable, sigma, geometry, used)
@@ -209,12 +313,6 @@ def _calibrate(
     if result.rig_out is not None:
         content = {"extends": base_of(start.rig, result.rig_out), **rig_table(fit.setup, board is None)}
         write_text(as_toml(content, f"Mounting of the cameras, from calibration {label.id}."), result.rig_out)
-    if result.json is not None:
-        write_json(as_json(outcome), result.json)
-    if result.figure is not None:
-        from hil.vmu.calibration.figure import draw
-
-        draw(outcome, result.figure)
     if result.json != "-":
         print_outcome(outcome, Console())
     return _PASSED if outcome.passed else _FAILED

@@ -62,6 +62,8 @@ class Tolerances(ConfigModel):
     """Position of each LED, along each axis."""
     spot_px: NotNegative = 0.01
     """Least error of a spot beyond its noise; a larger one is estimated from the residuals."""
+    sync_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Time between the exposures of both cameras: 0 with a common trigger."""
 
 
 class VmuGeometry(ConfigModel):

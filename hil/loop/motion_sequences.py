@@ -196,6 +196,24 @@ class MotionSequencer:
             self.brake()
         self.modes.go(Mode.STANDBY)
 
+    def visit(self, target: np.record, is_done: Callable[[float], bool]) -> None:
+        """Move all axes slowly to ``target`` (AXES), hold them there until ``is_done`` of the time, and go to standby.
+
+        ``is_done`` is called every cycle with the axes at rest; it must not wait.
+        """
+        bench, now = self.loop.bench, self.loop.now
+        self.begin()
+        tick = self.seed_for_run()
+        self.modes.go(Mode.PLACING)
+        while not self._move_to(target, tick):
+            tick = self.hold(self._newest)
+        tick = self._newest
+        while not is_done(tick.now_s):
+            bench.command(target, tick.now_s, now.setpoint, bench.params)
+            tick = self.tick()
+            self.require_resumable_hold()
+        self.modes.go(Mode.STANDBY)
+
     def brake(self) -> None:
         """Brake all axes to standstill."""
         bench, now = self.loop.bench, self.loop.now

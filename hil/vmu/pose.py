@@ -23,7 +23,7 @@ from hil.vmu.kernels.pose_search import (
     add_settled,
     search,
 )
-from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SPOT_RAY, RingScene, View
+from hil.vmu.kernels.records import FIT, MAX_LEDS, MAX_SPOTS, SHARED, SPOT_RAY, RingScene, View
 from hil.vmu.kernels.start_poses import orientation_of
 
 _REMEMBERED, _FITS = 256, 64
@@ -33,6 +33,7 @@ _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
 OPTICS_PX = 0.15  # error of a spot that gates and search allow in any case
+_USUAL_MPS = 0.3  # speed of a target without a track
 _TYPICAL_RANGE_M = 1.5  # at which they assess the tolerances
 _TURNED = 2  # best hypotheses whose turns are compared
 _SAME_TURN = 0.35  # of the least distance of two LEDs: by how much a turn of the ring may miss one
@@ -71,12 +72,23 @@ class Prediction:
     covariance: Array
 
 
+@dataclass(frozen=True, slots=True)
+class TargetMotion:
+    """Motion of the target in v. t_v: (3,), m. rates: (6,), m/s, rad/s about v's axes. covariance: (6, 6), of them."""
+
+    t_v: Array
+    rates: Array
+    covariance: Array
+
+
 class Solver:
     """Scene and scratch memory of one vision unit."""
 
     def __init__(self, geometry: VmuGeometry, settings: SolverSettings) -> None:
         self.settings = settings
         self.scene = scene_of(geometry, settings)
+        self._still, self._sync_s = self.scene.tolerance, geometry.tolerances.sync_s
+        self.consider_motion(None)
         self.normal_t = thin_axis(self.scene.leds)
         self.centre_t = np.asarray(self.scene.leds.mean(axis=0))
         self._search = np.zeros(1, SEARCH).view(np.recarray)[0]
@@ -90,6 +102,15 @@ class Solver:
         self._settled = np.zeros(_FITS + 1, FIT)
         self._state = np.zeros(STATE_WIDTH, np.int64)
         self._turns = list(ring_turns(self.scene.leds, self.normal_t))
+
+    def consider_motion(self, motion: TargetMotion | None) -> None:
+        """Set the target's motion between the exposures of both cameras; None: unknown, of a usual speed.
+
+        A target that moves between them is one at rest for a right camera that moves the other way.
+        """
+        if not self._sync_s:
+            return
+        self.scene = self.scene._replace(tolerance=_with_motion(self.scene, self._still, self._sync_s, motion))
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
@@ -208,7 +229,24 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
     )
     tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
     found = RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2))
-    return found._replace(slack=_slack(found))
+    moving = found._replace(tolerance=_with_motion(found, tolerance, geometry.tolerances.sync_s, None))
+    return found._replace(slack=_slack(moving))
+
+
+def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMotion | None) -> Array:
+    """Return the covariance ``still`` of the considered parameters with the motion between the exposures added.
+
+    With rates v, w of a target at t, and a right camera at b with axes R, the right image of ``sync_s`` later is that
+    of a camera turned by ``-R.T w sync_s`` and at ``b + (w x (t - b) - v) sync_s``.
+    """
+    motion = motion or TargetMotion(np.zeros(3), np.zeros(6), np.diag([_USUAL_MPS**2] * 3 + [0.0] * 3))
+    arm = motion.t_v + scene.rotation[1].T @ scene.translation[1]
+    turn = np.array([[0.0, -arm[2], arm[1]], [arm[2], 0.0, -arm[0]], [-arm[1], arm[0], 0.0]])
+    moved = np.block([[np.zeros((3, 3)), -scene.rotation[1]], [-np.eye(3), -turn]])
+    second_moment = np.outer(motion.rates, motion.rates) + motion.covariance
+    found = still.copy()
+    found[SHARED - 6 : SHARED, SHARED - 6 : SHARED] += sync_s**2 * moved @ second_moment @ moved.T
+    return found
 
 
 def _slack(scene: RingScene) -> Array:

@@ -12,7 +12,7 @@ from hil.maths import quat
 from hil.maths.kalman import propagate_covariance
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.refine import rotate
-from hil.vmu.pose import Prediction
+from hil.vmu.pose import Prediction, TargetMotion
 
 _STRANGE = 33.0  # chi-square of six components above which a pose does not continue the track
 
@@ -66,6 +66,13 @@ class Track:
             return None
         r, t, p = self._carried(t_s - self._t_s)
         return Prediction(t, _quaternion(r), p[:6, :6].copy())
+
+    def motion(self, t_s: float) -> TargetMotion | None:
+        """Return position and rates at ``t_s``; None without a track of at least two poses."""
+        if self.poses < 2 or not 0.0 <= t_s - self._t_s <= self.settings.longest_s:
+            return None
+        _, t, p = self._carried(t_s - self._t_s)
+        return TargetMotion(t, self._rates.copy(), p[6:, 6:].copy())
 
     def fail(self) -> None:
         """Count an image in which the target was expected and not measured."""

@@ -160,6 +160,7 @@ class VisionUnit:
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
         expected = prediction or self.track.predict(t_s)
+        self.solver.consider_motion(self.track.motion(t_s))
         solution = self._by_windows(images, t_s, expected) if expected is not None else None
         return solution or self._by_search(images, t_s, expected)
 
@@ -200,6 +201,7 @@ class VisionUnit:
     ) -> Solution:
         """Return the solution of spots (SPOT) of the whole images; see ``solve``."""
         expected = prediction or self.track.predict(t_s)
+        self.solver.consider_motion(self.track.motion(t_s))
         view = self.solver.view(left, right)
         verdict = self._identifier.tracked(view, expected) if expected is not None and not self._recheck() else None
         verdict = verdict or self._identifier.search(view, expected, self.track.is_mature)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.unit import Solution, VisionUnit
-from tests.support.vmu_pixels import Array, PixelCamera, PixelOptics, PixelScene, turned
+from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene, turned
 
 LENS = {"fx": 1200.0, "fy": 1200.0, "width": 1024, "height": 1024, "distortion": (-0.08, 0.02, 3e-4, -2e-4, 0.0)}
 CENTRES = ((511.5, 511.5), (509.0, 512.5))
@@ -30,7 +30,8 @@ PERIOD_S = 0.16
 class CalibrationErrors:
     """Standard deviations of a calibration: of each principal point, focal length, rotation, baseline and LED.
 
-    distortion_px: at the image's corner. spot_px: least error of a spot that the geometry file states.
+    distortion_px: at the image's corner. spot_px: least error of a spot that the geometry file states. sync_s: time
+    between the exposures of both cameras that it states.
     """
 
     principal_point_px: float = 0.0
@@ -40,6 +41,7 @@ class CalibrationErrors:
     baseline_m: float = 0.0
     led_m: float = 0.0
     spot_px: float = 0.0
+    sync_s: float = 0.0
 
 
 EXACT = CalibrationErrors()
@@ -224,17 +226,35 @@ def _false_lights(number: int) -> Frames:
     return frames
 
 
-def approach(errors: CalibrationErrors, speed_mps: float = 0.25, from_m: float = 6.0) -> Frames:
-    """Return frames of one bench on a moving approach, seen every 0.16 s."""
+@dataclass(frozen=True)
+class ApartScene(PixelScene):
+    """A bench whose right camera sees the ring at another pose, that of its own exposure."""
+
+    seen_right: Pose = field(kw_only=True)
+
+    def pair(self, turn: Array, t_v: Array, rng: np.random.Generator) -> tuple[Image, Image]:
+        """Return the left image of the given pose and the right one of ``seen_right``."""
+        return self.image(0, turn, t_v, rng), self.image(1, self.seen_right.turn, self.seen_right.t_v, rng)
+
+
+def approach(
+    errors: CalibrationErrors, speed_mps: float = 0.25, from_m: float = 6.0, right_later_s: float = 0.0
+) -> Frames:
+    """Return frames of one bench on a moving approach, seen every 0.16 s; the right camera ``right_later_s`` later."""
 
     def frames(rng: np.random.Generator, count: int) -> Iterable[Frame]:
         scene, phase = real_bench(errors, rng, PixelOptics()), rng.uniform(0.0, 6.0, 3)
-        for k in range(count):
-            t = PERIOD_S * k
+
+        def pose_at(t: float) -> Pose:
             z = max(from_m - speed_mps * t, 1.0)
-            place = np.array([0.1 + 0.03 * z * np.sin(0.9 * t + phase[0]), 0.03 * z * np.cos(0.7 * t + phase[1]), z])
+            across = 0.03 * z * np.array([np.sin(0.9 * t + phase[0]), np.cos(0.7 * t + phase[1])])
             turn = np.array([0.08 * np.sin(0.5 * t), 0.08 * np.cos(0.4 * t), 0.4 + 0.05 * t + phase[2]])
-            yield scene, Pose(turn, place)
+            return Pose(turn, np.array([0.1 + across[0], across[1], z]))
+
+        for k in range(count):
+            later = pose_at(PERIOD_S * k + right_later_s)
+            parts = (scene.left, scene.right, scene.leds_m, scene.optics)
+            yield ApartScene(*parts, seen_right=later) if right_later_s else scene, pose_at(PERIOD_S * k)
 
     return frames
 
@@ -269,6 +289,7 @@ def _of(name: str, **errors: float) -> Row:
     return Row(name, single, _each(single))
 
 
+_APART = replace(VERY_GOOD, sync_s=0.01)
 _OVEREXPOSED = PixelOptics(background_levels=250.0, texture_levels=10.0)
 _BRIGHT = PixelOptics(background_levels=70.0, texture_levels=15.0)
 
@@ -290,6 +311,9 @@ ROWS = (
     Row("usual calibration", USUAL, _each(USUAL)),
     Row("usual calibration, nothing stated", None, _each(USUAL)),
     Row("very good calibration, tracked", VERY_GOOD, approach(VERY_GOOD), tracked=True),
+    Row("10 ms between the cameras", _APART, approach(VERY_GOOD, right_later_s=0.01)),
+    Row("10 ms between the cameras, tracked", _APART, approach(VERY_GOOD, right_later_s=0.01), tracked=True),
+    Row("10 ms apart, not stated", VERY_GOOD, approach(VERY_GOOD, right_later_s=0.01)),
     Row("glint on a tracked ring", VERY_GOOD, _glint(12), tracked=True, lead_in=12),
     Row("right images one frame late", VERY_GOOD, approach(VERY_GOOD), late=True),
     Row("right images late, tracked", VERY_GOOD, approach(VERY_GOOD), late=True, tracked=True),

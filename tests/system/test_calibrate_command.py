@@ -19,7 +19,8 @@ from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.render import NO_EXTRAS
 from tests.support.calibration_images import board_pair, led_pair, led_renderer, write_views
 from tests.support.calibration_views import plan, shifted
-from tests.support.run_settings import typed
+from tests.support.emulated_cameras import require_libaravis
+from tests.support.run_settings import UNHURRIED, typed
 
 pytestmark = pytest.mark.xdist_group("vision unit")
 
@@ -124,6 +125,34 @@ def test_chessboard_views_are_calibrated_and_one_with_wrong_axes_is_named(
 def test_squares_of_another_size_fail(board_views: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["calibrate", str(board_views), *board_options("48")]) == 1
     assert "FAIL      board's size against the rails" in capsys.readouterr().out
+
+
+def test_a_calibration_that_the_unit_cannot_use_is_refused_in_one_line(
+    led_views: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, report = tmp_path / "geometry.toml", tmp_path / "report.json"
+    files = ["--out", str(out), "--json", str(report)]
+    assert execute(["calibrate", str(led_views), *SET, *LOOSE, "--max-rms-px", "0.001", *files]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "reprojection, RMS" in line
+    assert "allowed 0.001 px: the vision unit cannot use this calibration" in line
+    assert not out.exists()
+    assert json.loads(report.read_text())["passed"] is False
+
+
+@pytest.mark.wires
+@pytest.mark.slow
+def test_bench_takes_the_views_of_its_own_calibration(tmp_path: Path) -> None:
+    """Errors over sigmas of ``hil calibrate VIEWS --drive --count 12 --rig emulated --json -``."""
+    require_libaravis()
+    views, report = tmp_path / "views", tmp_path / "report.json"
+    options = ("--drive", "--count", "12", "--rig", "emulated", "--json", str(report), *typed(*UNHURRIED))
+    assert execute(["calibrate", str(views), *options]) == 0
+    found = json.loads(report.read_text())["parameters"].values()  # of cameras that are as the rig file has them
+    ratios = np.array([(number["value"] - number["on_paper"]) / number["sigma"] for number in found])
+    assert np.abs(ratios).max() < 4.5
+    assert np.mean(np.abs(ratios) < 2.0) > 0.8
+    assert execute(["calibrate", str(views), "--drive", "--rig", "emulated"]) == 2
 
 
 def test_a_board_with_a_wrong_square_size_is_rejected(board_views: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,12 +53,13 @@ class CalibrationLimits:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationCheck:
-    """One line of the verdict."""
+    """One line of the verdict. needed: the vision unit cannot use a calibration that fails it."""
 
     name: str
     value: float
     limit: float
     unit: str
+    needed: bool = False
 
     @property
     def passed(self) -> bool:
@@ -83,6 +84,14 @@ class CalibrationOutcome:
     @property
     def passed(self) -> bool:
         return all(check.passed for check in self.checks)
+
+    def refuse_unusable(self, views: str) -> None:
+        """Raise BadInput if the vision unit cannot use the calibration of ``views``."""
+        failed = [check for check in self.checks if check.needed and not check.passed]
+        if failed:
+            found = ", ".join(f"{c.name} {c.value:.3g} {c.unit}, allowed {c.limit:g} {c.unit}" for c in failed)
+            text = f"{found}: the vision unit cannot use this calibration, no geometry file is written"
+            raise BadInput.single(views, "", text)
 
 
 def target_name(board: Board | None) -> str:
@@ -153,13 +162,14 @@ def _outcome(
     here = next((found for found in at_ranges if found.range_m == limits.range_m), None)
     error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
     checks = [
-        CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px"),
+        CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px", needed=True),
         CalibrationCheck(f"position of a point at {limits.range_m:g} m, 1 sigma", error, limits.error_mm, "mm"),
         CalibrationCheck(
             f"spot of an LED at {limits.range_m:g} m by the calibration, 1 sigma",
             quality.spot_error_px(fit.setup, fit.covariance, limits.range_m),
             limits.spot_px,
             "px",
+            needed=True,
         ),
     ]
     if held.free[PARTS["mounting"]].any():

@@ -1,0 +1,136 @@
+"""Calibration views taken by the bench itself: each position of a plan, and one image pair at rest there."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from hil.commission.view_plan import IsClear, axes_record
+from hil.core.messages import Array
+from hil.drivers.cameras.base import SIDES
+from hil.drivers.cameras.pairing import Pairing
+from hil.drivers.cameras.processes import CameraProcesses
+from hil.errors import BadInput, DeviceError, SafetyTrip
+from hil.loop.motion_sequences import MotionSequencer
+from hil.vmu.calibration.views import COLUMNS
+
+_LONGEST_WAIT_S: Final = 10.0  # for a pair, at rest
+
+OnProgress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class TakenView:
+    """One view. axes: (6,), mean of the encoders at rest, rails, m, gimbals, rad. images: left and right."""
+
+    axes: Array
+    images: tuple[np.ndarray, np.ndarray]
+
+
+class CalibrationDrive:
+    """Moves an open bench through a plan and takes an image pair at rest at each position.
+
+    settle_s: from rest to the exposure. Raises BenchError; the caller then stops the bench.
+    """
+
+    def __init__(
+        self,
+        sequencer: MotionSequencer,
+        cameras: CameraProcesses,
+        pairing: Pairing,
+        is_clear: IsClear,
+        settle_s: float,
+        on_progress: OnProgress,
+    ) -> None:
+        self._sequencer = sequencer
+        self._cameras = cameras
+        self._pairing = pairing
+        self._is_clear = is_clear
+        self._settle_s = settle_s
+        self._on_progress = on_progress
+
+    def take(self, plan: Array) -> list[TakenView]:
+        """Return the views at ``plan`` (n, 6), rails, m, gimbals, rad, in that order."""
+        self._sequencer.home()
+        views: list[TakenView] = []
+        for k, axes in enumerate(plan):
+            self._on_progress(f"view {k + 1} of {len(plan)}", k / len(plan))
+            if not self._is_clear(self.position(), axes):
+                raise SafetyTrip("bench", f"move to view {k + 1}", "enters the keep-out", "a clear way")
+            exposure = _Exposure(self, self._settle_s)
+            self._sequencer.visit(axes_record(axes), exposure.poll)
+            views.append(exposure.view())
+        return views
+
+    def position(self) -> Array:
+        """Return the encoders, (6,), rails, m, gimbals, rad."""
+        feedback = self._sequencer.loop.now.feedback
+        return np.concatenate([feedback.rail_m, feedback.gimbal_rad])
+
+    def new_pairs(self, now_s: float) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """Return the pairs that are complete by now: time of exposure, s, and both images. Raises DeviceError."""
+        for side, frame in self._cameras.frames(0.0):
+            self._pairing.put(side, frame)
+        self._cameras.check(now_s)
+        return [
+            (pair.exposed_s, pair.left.image, pair.right.image)
+            for pair in self._pairing.pairs(now_s)
+            if pair.left is not None
+            and pair.right is not None
+            and pair.left.image is not None
+            and pair.right.image is not None
+        ]
+
+
+class _Exposure:
+    """The first pair exposed after ``settle_s`` at rest, and the encoders meanwhile."""
+
+    def __init__(self, drive: CalibrationDrive, settle_s: float) -> None:
+        self._drive = drive
+        self._settle_s = settle_s
+        self._begun_s: float | None = None
+        self._positions: list[Array] = []
+        self._images: tuple[np.ndarray, np.ndarray] | None = None
+
+    def poll(self, now_s: float) -> bool:
+        """Return whether the pair is complete. Raises DeviceError if there is none for too long."""
+        pairs = self._drive.new_pairs(now_s)
+        if self._begun_s is None:
+            self._begun_s = now_s
+        if now_s >= self._begun_s + self._settle_s:
+            self._positions.append(self._drive.position())
+        for exposed_s, left, right in pairs:
+            if exposed_s >= self._begun_s + self._settle_s:
+                self._images = left, right
+                return True
+        if now_s - self._begun_s > self._settle_s + _LONGEST_WAIT_S:
+            raise DeviceError("vmu.left, vmu.right", f"no complete image pair for {_LONGEST_WAIT_S:g} s at rest")
+        return False
+
+    def view(self) -> TakenView:
+        """Return the view."""
+        assert self._images is not None
+        return TakenView(np.mean(self._positions, axis=0), self._images)
+
+
+def write_views(folder: Path, views: Sequence[TakenView]) -> None:
+    """Write a folder of views: ``views.csv`` and the images. Raises BadInput if it cannot be written."""
+    for side in SIDES:
+        (folder / side).mkdir(parents=True, exist_ok=True)
+    with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for k, view in enumerate(views):
+            rails, gimbals = (f"{x:.7f}" for x in view.axes[:3]), (f"{x:.6f}" for x in np.degrees(view.axes[3:]))
+            writer.writerow([f"{k + 1:04d}", *rails, *gimbals])
+    for k, view in enumerate(views):
+        for side, image in zip(SIDES, view.images, strict=True):
+            path = folder / side / f"{k + 1:04d}.png"
+            if not cv2.imwrite(str(path), image):
+                raise BadInput.single(str(path), "", "cannot be written")
