@@ -36,7 +36,7 @@ _IMPORT = re.compile(rb"^\s*from (hil[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULT
 CYCLE, COMPILED_LOOP = "complete", "complete compiled loop"
 """Groups of kernels: of the cycle in Python, and the loop that is one kernel."""
 
-_NOT_INLINED = ("hil.vmu.", "hil.monitor.", "hil.console.")
+_NOT_INLINED = ("hil.vmu.", "hil.monitor.", "hil.console.", "hil.gnc.error_budget")
 _KEPT_CACHES = 6
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
@@ -238,7 +238,7 @@ def kernel(function: _Function) -> _Function:
     """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
 
     Those of the loop are inlined where they are called, which makes it a third faster; those of the images are
-    large, called once per image, and would compile for minutes.
+    large, called once per image, and would compile for minutes. Those of the error budget are off by default.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     safety monitor's check for finite values and not by an exception in mid-cycle.
