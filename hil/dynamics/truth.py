@@ -75,7 +75,7 @@ TRUTH_MEMORY = np.dtype(
 # the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral of the
 # pressure's specific force in c 16:19, eta 19, its rate 20, and in the nonlinear model r_T_I 21:24, v_T_I 24:27
 _N = 27
-_SCRATCH = 7  # scratch vectors of a derivative
+_SCRATCH = 4  # scratch vectors of a derivative
 
 
 @kernel
@@ -127,14 +127,14 @@ def _derivative(params, gravity, y, load, sun_F, scratch, dy):
             dy[16 + i] = direction[i] * load[6]
             force[i] += dy[16 + i]
     quat.transform_back_into(q, force, transformed)
-    # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H rotates with [0, -w0, 0]
-    frame_rate = params.orbit_rate if params.relative_motion == HILL else 0.0
-    a = scratch[4:7]
-    quat.to_matrix_into(q, a)
     for i in range(3):
         dy[3 + i] += transformed[i]
-        dy[13 + i] = y[10 + i]
-        direction[i] = y[10 + i] + a[i, 1] * frame_rate
+        dy[13 + i] = direction[i] = y[10 + i]
+    if params.relative_motion == HILL:
+        # rate of c against F, in c: w_CF = w_CI - A(q) w_FI (bench paper eq. (3)); H rotates with [0, -w0, 0]
+        quat.second_column_into(q, transformed)
+        for i in range(3):
+            direction[i] += transformed[i] * params.orbit_rate
     quat.rate_of_change(q, direction, dy[6:10])
     dy[19], dy[20] = 0.0, 0.0
     spring = 0.0

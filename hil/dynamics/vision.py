@@ -11,9 +11,10 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.dynamics import vision_errors
-from hil.dynamics.vision_errors import LEAST_LEDS, VISION_ERRORS
+from hil.dynamics.vision_errors import LEAST_LEDS, PLACES, VISION_ERRORS
 from hil.maths import quat, stack
-from hil.maths.arrays import copy_into, fill_matrix
+from hil.maths.arrays import copy_into, fill, fill_matrix
+from hil.models.camera import view_margin
 from hil.models.mounting import camera_pose
 
 VISION_NOISE = 6  # standard normals per frame: position in v, small rotation about v's axes
@@ -39,14 +40,13 @@ def range_factor(params, r_CT_H):
 
 
 @kernel
-def measure(params, mounting, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
-    """Write the pose t -> v, and its covariance, that the unit reports of a chaser at ``r_CT_H`` with ``q_CH``.
+def add_noise(params, r_CT_H, noise, t_v, q_vt, covariance):
+    """Add the unit's noise to a pose t -> v, in place, and write the covariance that it reports.
 
-    params: VISION_PARAMS. mounting: MOUNTING. noise: standard normals, (6,). t_v: (3,), m. q_vt: (4,).
+    params: VISION_PARAMS. r_CT_H: (3,), m, of the chaser. noise: standard normals, (6,). t_v: (3,), m. q_vt: (4,).
     covariance: (6, 6), of t_v and of e in ``R_est = exp([e]x) R_true``.
     """
     factor = range_factor(params, r_CT_H)
-    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
     rotation, noise_q, q_true = stack.vector(3), stack.vector(4), stack.vector(4)
     fill_matrix(covariance, 0.0)
     for i in range(3):
@@ -61,25 +61,22 @@ def measure(params, mounting, r_CT_H, q_CH, noise, t_v, q_vt, covariance):
 
 
 @kernel
-def _look(camera, leds, mounting, r_CT_H, q_CH, frame):
-    """Write the LEDs in view; without enough of them in both images the frame has no pose."""
-    t_v, q_vt = stack.vector(3), stack.vector(4)
-    camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt)
+def _look(camera, leds, t_v, q_vt, frame):
+    """Write the LEDs in view of a camera at the true pose; return whether they are enough for a pose in both images."""
     left = vision_errors.leds_in_view(camera, leds, 0.0, t_v, q_vt)
     right = vision_errors.leds_in_view(camera, leds, camera.baseline, t_v, q_vt)
     if leds.shape[0] <= 62:
         frame.leds_left, frame.leds_right = left, right
-    if vision_errors.count_leds(left & right) < min(LEAST_LEDS, leds.shape[0]):
-        for i in range(3):
-            frame.t_v[i] = math.nan
+    return vision_errors.count_leds(left & right) >= min(LEAST_LEDS, leds.shape[0])
 
 
 @kernel
 def measure_frame(params, camera, leds, mounting, r_CT_H, q_CH, noise, t_s, memory, frame):
-    """Write pose, covariance and LEDs of ``frame`` (VMU_FRAME), as ``measure`` with the errors of the unit.
+    """Write pose, covariance and LEDs of ``frame`` (VMU_FRAME) of a chaser at ``r_CT_H`` with ``q_CH``.
 
-    Without a pose ``t_v`` is nan. camera: CAMERA. leds: (n, 3), m, in t. t_s: of the exposure, bench time.
-    memory: VISION_MEMORY.
+    The pose has the noise and the errors of the unit; without one ``t_v`` is nan. params: VISION_PARAMS.
+    camera: CAMERA. leds: (n, 3), m, in t. mounting: MOUNTING. noise: standard normals, (6,). t_s: of the exposure,
+    bench time. memory: VISION_MEMORY.
     """
     errors = params.errors
     mixed = stack.vector(6)
@@ -87,10 +84,15 @@ def measure_frame(params, camera, leds, mounting, r_CT_H, q_CH, noise, t_s, memo
     copy_into(mixed, noise)
     if errors.correlated_fraction > 0.0:
         vision_errors.correlate(errors, memory, t_s, noise, mixed)
-    measure(params, mounting, r_CT_H, q_CH, mixed, frame.t_v, frame.q_vt, frame.covariance)
+    camera_pose(mounting, r_CT_H, q_CH, frame.t_v, frame.q_vt)
+    memory.view_margin = view_margin(camera, leds, frame.t_v, frame.q_vt)
+    has_pose = True
+    if errors.needs_view != 0 and (memory.view_margin < 0.0 or leds.shape[0] != PLACES):
+        has_pose = _look(camera, leds, frame.t_v, frame.q_vt, frame)
+    add_noise(params, r_CT_H, mixed, frame.t_v, frame.q_vt, frame.covariance)
     if errors.enabled != 0:
         vision_errors.distort(errors, memory.exposures, frame.t_v, frame.q_vt)
-    if errors.needs_view != 0:
-        _look(camera, leds, mounting, r_CT_H, q_CH, frame)
+    if not has_pose:
+        fill(frame.t_v, math.nan)
     memory.exposures += 1
     memory.t_s = t_s

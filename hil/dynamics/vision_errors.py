@@ -32,8 +32,11 @@ VISION_ERRORS = np.dtype(
     align=True,
 )
 
-VISION_MEMORY = np.dtype([("exposures", "i8"), ("t_s", "f8"), ("correlated", "f8", 6)], align=True)
-"""exposures: so far. t_s: of the last one. correlated: the Gauss-Markov process there, of unit variance."""
+VISION_MEMORY = np.dtype(
+    [("exposures", "i8"), ("t_s", "f8"), ("correlated", "f8", 6), ("view_margin", "f8")], align=True
+)
+"""exposures: so far. t_s: of the last one. correlated: the Gauss-Markov process there, of unit variance. view_margin:
+least distance of an LED from an edge of an image there, px."""
 
 LEAST_LEDS = 3
 """LEDs that both images must show; with fewer the pose of a ring is not determined."""

@@ -7,6 +7,7 @@ from then on their largest absolute values count.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -32,6 +33,31 @@ READY_STATE = np.dtype(
 )
 
 _YAW_PITCH_ROLL = (2, 1, 0)
+_ANGLES: Final = 6  # first of the angles among the deviations
+
+
+@kernel
+def _linear_deviations(params, r_CT_H, v_CT_H, w_CH_C, out):
+    """Write the deviations (12,) but for the angles; return whether they are within the tolerance."""
+    within = True
+    for i in range(3):
+        out[i] = r_CT_H[i]
+        out[3 + i] = v_CT_H[i]
+        out[9 + i] = math.degrees(w_CH_C[i])
+    out[0] -= params.axial_distance
+    for i in range(DEVIATIONS):
+        if not (_ANGLES <= i < _ANGLES + 3 or abs(out[i]) <= params.tolerance[i]):
+            within = False
+    return within
+
+
+@kernel
+def _angles(q_CH, out):
+    """Write the angles of the deviations (12,)."""
+    angles = stack.vector(3)
+    euler.from_quaternion_into(q_CH, _YAW_PITCH_ROLL, angles)
+    for i in range(3):
+        out[_ANGLES + i] = math.degrees(angles[i])
 
 
 @kernel
@@ -40,14 +66,20 @@ def deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
 
     params: READY_PARAMS. r_CT_H: (3,), m. v_CT_H: (3,), m/s. q_CH: (4,). w_CH_C: (3,), rad/s, against H.
     """
-    angles = stack.vector(3)
-    euler.from_quaternion_into(q_CH, _YAW_PITCH_ROLL, angles)
-    for i in range(3):
-        out[i] = r_CT_H[i]
-        out[3 + i] = v_CT_H[i]
-        out[6 + i] = math.degrees(angles[i])
-        out[9 + i] = math.degrees(w_CH_C[i])
-    out[0] -= params.axial_distance
+    _linear_deviations(params, r_CT_H, v_CT_H, w_CH_C, out)
+    _angles(q_CH, out)
+
+
+@kernel
+def update_from(params, state, t_s, r_CT_H, v_CT_H, q_CH, w_CH_C):
+    """``update`` with the ``deviations`` at ``t_s``; the angles are computed only where they decide."""
+    deviation = stack.vector(12)
+    if _linear_deviations(params, r_CT_H, v_CT_H, w_CH_C, deviation) or state.is_ready != 0:
+        _angles(q_CH, deviation)
+        update(params, state, t_s, deviation)
+    else:
+        state.last_s = t_s
+        state.holding = 0
 
 
 @kernel

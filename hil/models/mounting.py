@@ -11,7 +11,6 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths import quat, stack
-from hil.maths.arrays import copy_into
 
 MOUNTING = np.dtype(
     [
@@ -42,6 +41,17 @@ def camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt):
 
 
 @kernel
+def _multiply(a, b, out):
+    """Write the matrix product of ``a`` and ``b`` into ``out``, which is neither of them."""
+    for i in range(a.shape[0]):
+        for j in range(b.shape[1]):
+            total = 0.0
+            for k in range(b.shape[0]):
+                total += a[i, k] * b[k, j]
+            out[i, j] = total
+
+
+@kernel
 def chaser_pose(mounting, t_v, q_vt, covariance, pose):
     """Write ``pose`` (POSE without t_s, fresh and status) of the chaser from the camera's pose and covariance.
 
@@ -55,40 +65,38 @@ def chaser_pose(mounting, t_v, q_vt, covariance, pose):
     ``covariance_cross`` (rows dz_c, columns e_c) and ``covariance_attitude``. The bench's own error, independent in
     position and attitude and unknown to the vision unit, is added to the two diagonal blocks.
     """
-    q_cv = quat.conjugate(mounting.q_vc)
-    copy_into(pose.q_CH, quat.multiply(q_cv, quat.multiply(q_vt, mounting.q_th)))
+    q_cv, turned = stack.vector(4), stack.vector(4)
+    ring_c, arm = stack.vector(3), stack.vector(3)
+    a, g, weighted = stack.matrix(3, 3), stack.matrix(3, 6), stack.matrix(3, 6)
+    quat.conjugate_into(mounting.q_vc, q_cv)
+    quat.multiply_into(q_vt, mounting.q_th, turned)
+    quat.multiply_into(q_cv, turned, pose.q_CH)
     # both orders of multiplication keep unit length up to rounding
     quat.normalise(pose.q_CH)
-    ring_c = quat.transform(q_cv, t_v)
-    ring_arm_c = quat.transform(pose.q_CH, mounting.led_ring_position)
+    quat.transform_into(q_cv, t_v, ring_c)
+    quat.transform_into(pose.q_CH, mounting.led_ring_position, arm)
+    quat.to_matrix_into(q_cv, a)
     for i in range(3):
-        pose.z_TC_C[i] = ring_c[i] + mounting.camera_position[i] - ring_arm_c[i]
-    # dz_c = A_cv dt_v - e_c x ring_arm_c, e_c = A_cv e_v
-    a = quat.to_matrix(q_cv)
-    g = np.zeros((3, 6))
-    for i in range(3):
-        for j in range(3):
-            g[i, j] = a[i, j]
-    for j in range(3):
-        g[0, 3 + j] = -(a[1, j] * ring_arm_c[2] - a[2, j] * ring_arm_c[1])
-        g[1, 3 + j] = -(a[2, j] * ring_arm_c[0] - a[0, j] * ring_arm_c[2])
-        g[2, 3 + j] = -(a[0, j] * ring_arm_c[1] - a[1, j] * ring_arm_c[0])
+        pose.z_TC_C[i] = ring_c[i] + mounting.camera_position[i] - arm[i]
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for m in range(3):
+            g[i, m] = a[i, m]
+            g[i, 3 + m] = -(a[j, m] * arm[k] - a[k, m] * arm[j])
+    _multiply(g, covariance, weighted)
     for i in range(3):
         for j in range(3):
-            position = 0.0
+            position = cross = 0.0
+            for n in range(6):
+                position += weighted[i, n] * g[j, n]
+            for n in range(3):
+                cross += weighted[i, 3 + n] * a[j, n]
+            pose.covariance_position[i, j], pose.covariance_cross[i, j] = position, cross
+    _multiply(a, covariance[3:, 3:], weighted[:, :3])
+    for i in range(3):
+        for j in range(3):
             attitude = 0.0
-            for m in range(6):
-                for n in range(6):
-                    position += g[i, m] * covariance[m, n] * g[j, n]
-            cross = 0.0
-            for m in range(6):
-                for n in range(3):
-                    cross += g[i, m] * covariance[m, 3 + n] * a[j, n]
-            for m in range(3):
-                for n in range(3):
-                    attitude += a[i, m] * covariance[3 + m, 3 + n] * a[j, n]
-            pose.covariance_position[i, j] = position
-            pose.covariance_cross[i, j] = cross
+            for n in range(3):
+                attitude += weighted[i, n] * a[j, n]
             pose.covariance_attitude[i, j] = attitude
         pose.covariance_position[i, i] += mounting.position_variance
         pose.covariance_attitude[i, i] += mounting.attitude_variance

@@ -86,10 +86,10 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
             for name, field in (
                 ("corridor_margin_m", "corridor_margin"),
                 ("closing_margin_mps", "closing_margin"),
-                ("nearest_m", "nearest"),
                 ("view_margin_px", "view_margin"),
             )
         },
+        "nearest_m": _number(stats.integrity.nearest) if flown else None,
         **_three("force_on_time_s", scenario.step_s * stats.force_cycles),
         **_three("torque_on_time_s", scenario.step_s * stats.torque_cycles),
         **_navigation(stats),

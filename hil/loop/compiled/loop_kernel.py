@@ -34,7 +34,7 @@ from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE, copy_progress, gnc_step, has_event
 from hil.loop.compiled.library_kernel import LIBRARY, has_new_text, library_step
-from hil.loop.compiled.run_stats import count_cycle, count_exposure
+from hil.loop.compiled.run_stats import count_cycle
 from hil.loop.monitor_kernel import MONITOR_PARAMS, MONITOR_STATE, compare_received, is_measured, measure_bench
 from hil.maths import stack
 from hil.maths.arrays import copy_into, copy_matrix, fill
@@ -190,7 +190,7 @@ def _expose(params, state, until_s, first, vision_noise, travel_draws, leds, fra
             frame,
         )  # fmt: skip
         if params.counts != 0:
-            count_exposure(params.camera, params.mounting, leds, r, q, stats)
+            stats.view_margin = min(stats.view_margin, state.vision_memory.view_margin)
         for copy in range(delays(params.travel, travel_draws[row], late)):
             sent = frames[state.in_transit]
             if copy > 0:

@@ -14,8 +14,6 @@ from hil.gnc.integrity_verdict import INTEGRITY_STATE, start_integrity, update_i
 from hil.gnc.ready_phase import READY_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into
-from hil.models.camera import view_margin
-from hil.models.mounting import camera_pose
 
 RUN_STATS = np.dtype(
     [
@@ -28,7 +26,6 @@ RUN_STATS = np.dtype(
         ("aborted_at_s", "f8"),
         ("corridor_margin", "f8"),  # m, least on the truth, up to an abort
         ("closing_margin", "f8"),  # m/s, the same
-        ("nearest", "f8"),  # m, least range
         ("view_margin", "f8"),  # px, least at an exposure
         ("reference_delta_v", "f8"),  # m/s, changes of the reference's velocity
         ("mass_start", "f8"),  # kg
@@ -46,7 +43,6 @@ RUN_STATS = np.dtype(
         ("from_H", "f8", 3),  # line of the cycle before
         ("to_H", "f8", 3),
         ("reference_v", "f8", 3),
-        ("deviation", "f8", 12),  # of the present cycle
     ],
     align=True,
 )
@@ -55,25 +51,13 @@ RUN_STATS = np.dtype(
 @kernel
 def start_run_stats(stats):
     """Initialise the zeroed ``stats`` for a run."""
-    stats.corridor_margin = stats.closing_margin = stats.nearest = stats.view_margin = np.inf
+    stats.corridor_margin = stats.closing_margin = stats.view_margin = np.inf
     start_integrity(stats.integrity)
-
-
-@kernel
-def count_exposure(camera, mounting, leds, r, q, stats):
-    """Count the field-of-view margin at an exposure with the bench at ``r`` (3,), m, ``q`` (4,)."""
-    t_v, q_vt = stack.vector(3), stack.vector(4)
-    camera_pose(mounting, r, q, t_v, q_vt)
-    stats.view_margin = min(stats.view_margin, view_margin(camera, leds, t_v, q_vt))
 
 
 @kernel
 def _count_security(params, now, stats):
     truth, reference = now.truth, now.reference
-    square = 0.0
-    for i in range(3):
-        square += truth.r_CT_H[i] * truth.r_CT_H[i]
-    stats.nearest = min(stats.nearest, math.sqrt(square))
     if stats.aborted != 0:
         return
     if now.supervision.aborted != 0:
@@ -103,7 +87,8 @@ def _count_thrusters(params, now, stats):
         stats.torque_cycles[i] += 1 if now.command.torque[i] != 0 else 0
         change += (now.reference.v_CT_H[i] - stats.reference_v[i]) ** 2
         stats.reference_v[i] = now.reference.v_CT_H[i]
-    stats.reference_delta_v += math.sqrt(change)
+    if change > 0.0:
+        stats.reference_delta_v += math.sqrt(change)
     if stats.cycles == 0:
         stats.mass_start = now.truth.mass_kg
     stats.mass_end = now.truth.mass_kg
@@ -136,8 +121,9 @@ def count_cycle(params, state, stats):
     now = state.now
     rate = stack.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
-    ready_phase.deviations(params.ready, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate, stats.deviation)
-    ready_phase.update(params.ready, stats.ready, now.t_s, stats.deviation)
+    ready_phase.update_from(
+        params.ready, stats.ready, now.t_s, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate
+    )
     update_integrity(params.integrity, stats.integrity, now)
     _count_security(params, now, stats)
     _count_thrusters(params, now, stats)

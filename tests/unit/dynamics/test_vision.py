@@ -11,12 +11,18 @@ from scipy.stats import chi2
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.dynamics.vision import measure, range_factor
+from hil.dynamics.vision import add_noise, range_factor
 from hil.maths import quat
 from hil.models.mounting import camera_pose
 from hil.params import vision as vision_params
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def measure(params, mounting, r, q, noise, t_v, q_vt, covariance) -> None:  # type: ignore[no-untyped-def]
+    """Write the noisy pose of a chaser at ``r``, ``q``."""
+    camera_pose(mounting, r, q, t_v, q_vt)
+    add_noise(params, r, noise, t_v, q_vt, covariance)
 
 
 @pytest.mark.parametrize(("distance", "factor"), [(0.4, 1.0), (2.0, 1.0), (4.0, 2.0), (10.0, 5.0)])

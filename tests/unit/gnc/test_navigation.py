@@ -12,11 +12,11 @@ from scipy.stats import chi2
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-from hil.dynamics.vision import measure
+from hil.dynamics.vision import add_noise
 from hil.gnc import fusion, navigation
 from hil.gnc.navigation import VISION_ALONE
 from hil.maths import quat
-from hil.models.mounting import chaser_pose
+from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
 
@@ -174,7 +174,8 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
                 imu.drift_C += 0.02 * akf.sigma_drift * rng.standard_normal(3)
             truth.r_CT_H, truth.v_CT_H = x[:3], x[3:]
             if k % 8 == 0:
-                measure(vision, mounting, truth.r_CT_H, truth.q_CH, rng.standard_normal(6), t_v, q_vt, covariance)
+                camera_pose(mounting, truth.r_CT_H, truth.q_CH, t_v, q_vt)
+                add_noise(vision, truth.r_CT_H, rng.standard_normal(6), t_v, q_vt, covariance)
                 chaser_pose(mounting, t_v, q_vt, covariance, poses[0])
                 poses[0].t_s = 0.02 * k
             navigation.navigate(params, state, memory, samples, poses, int(k % 8 == 0), out)
