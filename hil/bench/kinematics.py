@@ -15,6 +15,9 @@ from hil.core.jit import kernel
 from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
 
+SETPOINTS_KEPT = 512
+"""Setpoints of an axis that a limit of its jerk can average."""
+
 BENCH_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
@@ -25,11 +28,23 @@ BENCH_PARAMS = np.dtype(
         ("rate_max", "f8", 6),
         ("acceleration_max", "f8", 6),
         ("lead", "f8", 6),  # s, by which each axis is commanded ahead of its time
+        ("averaged", "i8", 6),  # setpoints whose mean is sent, which limits the jerk; below 2: off
     ],
     align=True,
 )
 
-MOTION = np.dtype([("position", "f8", 6), ("rate", "f8", 6)], align=True)  # rails, then gimbals; rate of the last step
+MOTION = np.dtype(
+    [
+        ("position", "f8", 6),  # rails, then gimbals
+        ("rate", "f8", 6),  # of the last step
+        ("wanted_rate", "f8", 6),  # of the last target, without its lead
+        ("newest", "i8"),  # place in the two arrays below
+        ("kept_position", "f8", (6, SETPOINTS_KEPT)),  # of the last setpoints, before their mean is taken
+        ("kept_rate", "f8", (6, SETPOINTS_KEPT)),
+    ],
+    align=True,
+)
+"""Last setpoints within travel, speed and acceleration."""
 
 SPAN = np.dtype([("known", "i8"), ("begin", AXES), ("end", AXES)], align=True)
 """Axes at begin and end of a cycle, without limits. known: 1 if ``end`` is that of the present motion."""
@@ -131,14 +146,19 @@ def limit_setpoint(params, motion, wanted, out):
     ``wanted`` (AXES) is first taken ahead by the lead of each axis, so that the limits hold for what is sent.
     motion: MOTION, where the last setpoints are and how fast they went; moved on in place. An axis
     that is within its limits passes to the last bit; one that is not goes after its target as fast
-    as it may, and brakes in time. Returns the number of axes that were limited.
+    as it may, and brakes in time. Axes with a limit of their jerk get the mean of their last setpoints, which are
+    taken ahead by its delay. Returns the number of axes that were limited.
     """
     limited = 0
     for axis in range(6):
         i = axis % 3
         feedforward = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
-        target = ahead(wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i], feedforward, params.lead[axis])
-        rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target, feedforward)
+        delay = averaging_delay(params, axis)
+        target = ahead(wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i], feedforward, params.lead[axis] + delay)
+        # of the target taken ahead, which accelerates as the wanted one does
+        target_rate = feedforward + delay * (feedforward - motion.wanted_rate[axis]) / params.dt_s
+        motion.wanted_rate[axis] = feedforward
+        rate, reached = _limit_axis(params, axis, motion.position[axis], motion.rate[axis], target, target_rate)
         if not (math.isfinite(target) and math.isfinite(feedforward)):
             # passed on: the driver of the axis rejects it, and the run stops
             position = target
@@ -153,7 +173,37 @@ def limit_setpoint(params, motion, wanted, out):
         motion.rate[axis] = rate
         motion.position[axis] = position
         write_axis(axis, position, feedforward, out)
+    limit_jerk(params, motion, out)
     return limited
+
+
+@kernel
+def averaging_delay(params, axis):
+    """Return the delay of the mean of the last setpoints of ``axis``, s; 0 without a limit of its jerk."""
+    return 0.5 * (max(1, params.averaged[axis]) - 1) * params.dt_s
+
+
+@kernel
+def limit_jerk(params, motion, out):
+    """Replace the setpoints in ``out`` (AXES) by the mean of the last ``averaged`` ones of their axis.
+
+    The mean of n setpoints whose acceleration is at most a has at most that acceleration, and its jerk, the third
+    difference over dt^3, is at most 2 a / (n dt). It is within the travel where they are. motion: MOTION.
+    """
+    motion.newest = (motion.newest + 1) % SETPOINTS_KEPT
+    for axis in range(6):
+        n, i = params.averaged[axis], axis % 3
+        if n < 2:
+            continue
+        position = out.rail_m[i] if axis < 3 else out.gimbal_rad[i]
+        rate = out.rail_mps[i] if axis < 3 else out.gimbal_radps[i]
+        motion.kept_position[axis, motion.newest], motion.kept_rate[axis, motion.newest] = position, rate
+        behind, rates = 0.0, 0.0
+        for back in range(n):
+            k = (motion.newest - back) % SETPOINTS_KEPT
+            behind += position - motion.kept_position[axis, k]
+            rates += motion.kept_rate[axis, k]
+        write_axis(axis, position - behind / n, rates / n, out)
 
 
 @kernel
@@ -205,8 +255,12 @@ def start_motion(rail_m, gimbal_rad, motion):
     for i in range(3):
         motion.position[i] = rail_m[i]
         motion.position[3 + i] = gimbal_rad[i]
-        motion.rate[i] = 0.0
-        motion.rate[3 + i] = 0.0
+        motion.rate[i] = motion.wanted_rate[i] = 0.0
+        motion.rate[3 + i] = motion.wanted_rate[3 + i] = 0.0
+    for axis in range(6):
+        for k in range(SETPOINTS_KEPT):
+            motion.kept_position[axis, k] = motion.position[axis]
+            motion.kept_rate[axis, k] = 0.0
 
 
 @kernel

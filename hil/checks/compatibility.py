@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.kinematics import axes_of_pose
+from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
 from hil.checks.reachability import check_reachability
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
@@ -119,7 +119,7 @@ def check_host(rig: Loaded[Rig]) -> list[Problem]:
 
 
 def check_rates(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return the problems of the rates of IMU and axes: of their ratio to the cycle's, and of the axes' wires."""
+    """Return the problems of the rates of IMU, axes and telemetry: of their ratio to the cycle's, and of the wires."""
     step_s = scenario.value.step_s
     imu_hz, axes_hz = scenario.value.imu.rate_hz, rig.value.bench.axes_rate_hz
     problems = []
@@ -133,7 +133,26 @@ def check_rates(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
             problems.append(Problem(source, key, text))
         elif rate_hz is not None and rate_hz > _RATE_MAX_HZ:
             problems.append(Problem(source, key, f"{rate_hz:g}: at most {_RATE_MAX_HZ:g} are allowed"))
-    return problems or _wire_problems(scenario, rig)
+    key, rate_hz = "telemetry.rate_hz", rig.value.telemetry.rate_hz
+    if rate_hz is not None and abs(rate_hz * step_s * rig.value.telemetry_cycles(step_s) - 1.0) > _RATIO_TOLERANCE:
+        text = f"{rate_hz:g}: allowed is the cycle's rate, {1.0 / step_s:g} Hz, divided by a whole number"
+        problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    return problems or [*_wire_problems(scenario, rig), *_jerk_problems(scenario, rig)]
+
+
+def _jerk_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each axis whose limit of the jerk averages more setpoints than are kept."""
+    value = rig.value
+    period_s = scenario.value.step_s / value.ticks(scenario.value.step_s)
+    problems = []
+    for device, table, unit in (("rails", value.rails, "mps3"), ("turntable", value.turntable, "degps3")):
+        for name, axis in zip(table.axis_names, table.axes, strict=True):
+            key, jerk = f"{device}.{name}.jerk_max_{unit}", getattr(axis, f"jerk_max_{unit}")
+            if jerk is not None and axis.averaging_s > SETPOINTS_KEPT * period_s:
+                least = jerk * axis.averaging_s / (SETPOINTS_KEPT * period_s)
+                text = f"{jerk:g}: allowed from {least:.3g} at {1.0 / period_s:g} setpoints per second"
+                problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    return problems
 
 
 def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:

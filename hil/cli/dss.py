@@ -110,7 +110,8 @@ def dss(
             operator = AutoResumeOperator() if link_options.resume_by_gnc else _at_terminal()
 
         def attach(runner: Runner) -> None:
-            runner.loop.telemetry = mirror_of(runner, link)
+            cycles = bench.value.telemetry_cycles(loaded.value.step_s)
+            runner.loop.telemetry = mirror_of(runner, link, cycles)
             if isinstance(operator, AutoResumeOperator):
                 operator.mode = lambda: runner.safety.modes.mode
 

@@ -23,14 +23,20 @@ def motion_digest(rig: Rig) -> str:
     protocol file cannot be read.
     """
     table = with_first_names("Rig", rig.model_dump(mode="json", include=set(_TABLES)))
-    for device, names in (("rails", RAIL_NAMES), ("turntable", GIMBAL_NAMES), ("target_manipulator", RAIL_NAMES)):
+    for device, names, key in (
+        ("rails", RAIL_NAMES, "jerk_max_mps3"),
+        ("turntable", GIMBAL_NAMES, "jerk_max_degps3"),
+        ("target_manipulator", RAIL_NAMES, "jerk_max_mps3"),
+    ):
         if table[device] is None:
             continue
         del table[device]["mechanics"]  # of emulators only
         for name in names:
             del table[device][name]["lead_s"]
+            if table[device][name][key] is None:
+                del table[device][name][key]  # added later: a sign-off from before stays valid
     if rig.bench.axes_rate_hz is None:
-        del table["bench"]["axes_rate_hz"]  # added later: a sign-off from before stays valid
+        del table["bench"]["axes_rate_hz"]  # likewise
     if rig.rails.map.functions == (23,):
         del table["rails"]["map"]["functions"]  # likewise
     if guard := rig.guard.model_dump(mode="json", exclude_defaults=True):

@@ -19,7 +19,7 @@ from hil.config.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu
-from hil.config.recording import RecordingTable
+from hil.config.recording import RecordingTable, TelemetryTable
 from hil.config.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")
@@ -29,6 +29,7 @@ BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" f
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 LEAD_MAX_S = 0.2
+AVERAGING_MAX_S = 1.0
 Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
@@ -113,6 +114,8 @@ class RailAxis(LoadedAxis):
     """Speed limit."""
     acceleration_max_mps2: Positive
     """Acceleration limit."""
+    jerk_max_mps3: Positive | None = None
+    """Limit of the jerk of setpoints, at least twice the acceleration limit per second; unless set, off."""
     park_m: float = 0.0
     """Park position."""
     encoder: Encoder = "absolute"
@@ -137,9 +140,15 @@ class RailAxis(LoadedAxis):
     def homing_rate(self) -> float:
         return self.homing_rate_mps
 
+    @property
+    def averaging_s(self) -> float:
+        """Time over which setpoints are averaged for the limit of their jerk, s; 0 without one."""
+        return 0.0 if self.jerk_max_mps3 is None else 2.0 * self.acceleration_max_mps2 / self.jerk_max_mps3
+
     @model_validator(mode="after")
     def _park_is_on_the_rail(self) -> Self:
         _check_travel("travel_m", self.travel_m, "park_m", self.park_m)
+        _check_jerk("jerk_max_mps3", self.jerk_max_mps3, self.acceleration_max_mps2)
         return self
 
 
@@ -152,6 +161,8 @@ class GimbalAxis(LoadedAxis):
     """Rate limit."""
     acceleration_max_degps2: Positive
     """Acceleration limit."""
+    jerk_max_degps3: Positive | None = None
+    """Limit of the jerk of setpoints, at least twice the acceleration limit per second; unless set, off."""
     park_deg: float = 0.0
     """Park position."""
     encoder: Encoder = "absolute"
@@ -176,9 +187,15 @@ class GimbalAxis(LoadedAxis):
     def homing_rate(self) -> float:
         return self.homing_rate_degps
 
+    @property
+    def averaging_s(self) -> float:
+        """Time over which setpoints are averaged for the limit of their jerk, s; 0 without one."""
+        return 0.0 if self.jerk_max_degps3 is None else 2.0 * self.acceleration_max_degps2 / self.jerk_max_degps3
+
     @model_validator(mode="after")
     def _park_is_in_range(self) -> Self:
         _check_travel("travel_deg", self.travel_deg, "park_deg", self.park_deg)
+        _check_jerk("jerk_max_degps3", self.jerk_max_degps3, self.acceleration_max_degps2)
         return self
 
 
@@ -187,6 +204,13 @@ def _check_travel(travel_key: str, travel: tuple[float, float], park_key: str, p
         raise ValueError(f"{travel_key} must rise from low to high")
     if not travel[0] <= park <= travel[1]:
         raise ValueError(f"{park_key} must lie within {travel_key}")
+
+
+def _check_jerk(key: str, jerk: float | None, acceleration: float) -> None:
+    """Require that a limit of the jerk delays the end of a move by at most ``AVERAGING_MAX_S``."""
+    least = 2.0 * acceleration / AVERAGING_MAX_S
+    if jerk is not None and jerk < least:
+        raise ValueError(f"{key} {jerk:g}: allowed from {least:g}, twice the acceleration limit per second")
 
 
 class ModbusAxis(ConfigModel):
@@ -487,6 +511,7 @@ class Rig(ConfigModel):
     clock: ClockConfig = ClockConfig()
     console: ConsoleTable = ConsoleTable()
     recording: RecordingTable = RecordingTable()
+    telemetry: TelemetryTable = TelemetryTable()
     gnc_link: GncLink = GncLink()
     flight_computer: FlightComputer = FlightComputer()
     io: Io | None = None
@@ -563,6 +588,11 @@ class Rig(ConfigModel):
         """Return the number of setpoints per cycle of ``step_s``."""
         rate_hz = self.bench.axes_rate_hz
         return 1 if rate_hz is None else max(1, round(rate_hz * step_s))
+
+    def telemetry_cycles(self, step_s: float) -> int:
+        """Return the number of cycles of ``step_s`` per row of the telemetry."""
+        rate_hz = self.telemetry.rate_hz
+        return 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * step_s)))
 
     def device_tables(self) -> dict[str, DeviceTable]:
         """Return the tables of the devices that the bench has, by their keys."""

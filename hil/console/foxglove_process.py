@@ -161,7 +161,7 @@ class LiveSession:
 
     def send_scene(self) -> None:
         """Send the scene, again to those that have it."""
-        self.messages.write_scene(self._files)
+        self.messages.begin(self._files)
 
     def close(self) -> None:
         """Release the shared memory."""

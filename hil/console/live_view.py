@@ -60,6 +60,7 @@ class LiveView:
         self.portions: list[dict[str, Any]] = []
         self._pictures: dict[str, tuple[int, ImageMessage]] = {}
         self._number = 0
+        self._cycles, self._taken = 1, 0  # cycles per row, and rows read so far
         self._bench: np.record | None = None
         self._places: np.record | None = None
 
@@ -68,6 +69,8 @@ class LiveView:
         scenario, rig = job.scenario.value, job.rig.value
         self._bench = bench_params.bench(rig, scenario.step_s)
         self._places = mounting(scenario.monitor)
+        self._cycles = rig.telemetry_cycles(scenario.step_s)
+        self._taken = 0
         self.rows.begin()
         self.portions = []
         self._pictures.clear()
@@ -75,7 +78,9 @@ class LiveView:
     def update(self, session: SessionProcess, status: np.ndarray, now_s: float) -> None:
         """Read the new data of ``session``. status: newest STATUS (1,); now_s: wall-clock time."""
         assert self._bench is not None
-        self.rows.add(console_rows(self._bench, session.read_rows()))
+        rows = session.read_rows()
+        self.rows.add(console_rows(self._bench, rows[-self._taken % self._cycles :: self._cycles]))
+        self._taken += len(rows)
         for rows in session.read_pictures():
             for row in rows:
                 self.show(picture_of(row, status, now_s))

@@ -19,15 +19,18 @@ MIRRORED: Final = (*_OF_THE_CYCLE, "health")
 class Mirror:
     """Passes each row of CYCLE on to ``inner``, and its records to the other side if its hello requested them.
 
-    mode: returns the bench's mode; overruns: returns the number of overruns so far.
+    mode: returns the bench's mode; overruns: returns the number of overruns so far. cycles: per row that is sent.
     """
 
-    def __init__(self, inner: Telemetry, link: Link, mode: Callable[[], str], overruns: Callable[[], int]) -> None:
+    def __init__(
+        self, inner: Telemetry, link: Link, mode: Callable[[], str], overruns: Callable[[], int], cycles: int = 1
+    ) -> None:
         self._inner = inner
         self._link = link
         self._mode = mode
         self._overruns = overruns
         self._health = np.zeros(1, HEALTH)
+        self._cycles = cycles
         self._cycle = -1
 
     def put(self, row: np.ndarray) -> None:
@@ -35,7 +38,7 @@ class Mirror:
         self._inner.put(row)
         self._cycle += 1
         peer = self._link.peer
-        if peer is None or peer.hello is None:
+        if peer is None or peer.hello is None or self._cycle % self._cycles:
             return
         for cell in peer.hello.wants.intersection(_OF_THE_CYCLE):
             self._link.send(cell, row[cell])

@@ -213,8 +213,11 @@ class BenchStage:
         return True
 
     def park_turntable(self, target: np.record, now_s: float) -> None:
-        """Move the turntable to ``target`` (AXES) by its drives' own profiles, if they have them."""
-        if isinstance(self.turntable, Parks):
+        """Move the turntable to ``target`` (AXES) by its drives' own profiles, if they have them.
+
+        They know no limit of the jerk: axes with one are moved by setpoints.
+        """
+        if isinstance(self.turntable, Parks) and self.params.averaged[3:].max() < 2:
             rate = self.safety.limits.parking_rate_fraction * self.params.rate_max[3:]
             self.turntable.move_to(target.gimbal_rad, rate, now_s)
 
@@ -253,6 +256,8 @@ class Move:
         self.limits = params.copy()
         self.limits.rate_max = np.minimum(self.RESERVE * self._speed, params.rate_max)
         self.limits.acceleration_max = np.minimum(self.RESERVE * self._acceleration, params.acceleration_max)
+        for axis in range(6):  # a move may be late by the limit of the jerk, but not beyond its end
+            self.limits.lead[axis] -= kinematics.averaging_delay(params, axis)
         self.duration_s = max(
             duration(abs(distance), speed, acceleration, acceleration)
             for distance, speed, acceleration in zip(self._distance, self._speed, self._acceleration, strict=True)

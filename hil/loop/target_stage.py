@@ -14,7 +14,7 @@ from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import Tick
-from hil.models.profile import along_line, duration
+from hil.models.profile import along_smooth_line, duration
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
@@ -69,7 +69,9 @@ class PlacedTarget:
         self.axes = axes
         self._place = np.array(config.place_m)
         self._held_within_m = config.held_within_m
-        limits = [(axis.rate_max_mps, axis.acceleration_max_mps2) for axis in (config.x, config.y, config.z)]
+        linear = (config.x, config.y, config.z)
+        limits = [(axis.rate_max_mps, axis.acceleration_max_mps2) for axis in linear]
+        self._smooth_s = np.array([axis.averaging_s for axis in linear])
         self._speed, self._acceleration = FRACTION_OF_LIMITS * np.array(limits).T
         self.acceleration_max = np.array(limits)[:, 1]
 
@@ -88,14 +90,14 @@ class PlacedTarget:
         if isinstance(self.axes, LimitsSetpoints):
             self.axes.set_limits(Move.RESERVE * self._speed, Move.RESERVE * self._acceleration)
         moved_s = 0.0
-        limits = list(zip(np.abs(distance), self._speed, self._acceleration, strict=True))
-        duration_s = max(duration(length, speed, acceleration, acceleration) for length, speed, acceleration in limits)
-        position, motion, along = np.empty(3), np.empty(3), np.empty(3)
+        limits = list(zip(np.abs(distance), self._speed, self._acceleration, self._smooth_s, strict=True))
+        duration_s = max(duration(length, speed, up, up) + smooth_s for length, speed, up, smooth_s in limits)
+        position, motion, along = np.empty(3), np.empty(3), np.empty(2)
         while moved_s <= duration_s or self._off(now_s) > _SETTLED_M:
             if moved_s > duration_s + _SETTLE_S:
                 raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
-            for i, (length, speed, acceleration) in enumerate(limits):
-                along_line(length, speed, acceleration, acceleration, moved_s, along)
+            for i, (length, speed, up, smooth_s) in enumerate(limits):
+                along_smooth_line(length, speed, up, up, smooth_s, moved_s, along)
                 position[i] = start[i] + math.copysign(along[0], distance[i])
                 motion[i] = math.copysign(along[1], distance[i])
             self.axes.send(position, motion, now_s)

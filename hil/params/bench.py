@@ -32,6 +32,7 @@ def bench(rig: Rig, step_s: float) -> np.record:
         *(math.radians(a.acceleration_max_degps2) for a in gimbals),
     ]
     params.lead = [a.lead_s for a in (*rails, *gimbals)]
+    params.averaged = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in (*rails, *gimbals)]
     return params
 
 

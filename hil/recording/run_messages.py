@@ -14,7 +14,7 @@ from hil.core.camera_images import overlay_shapes
 from hil.recording import foxglove, foxglove_images, foxglove_scene, schema
 
 SLACK_S: Final = 1e-9
-_JSON_EACH_S: Final = 0.1  # period of the JSON messages for viewers
+_JSON_EACH_S: Final = 0.1  # period of the JSON messages for viewers, unless the rig has another
 
 
 class MessageSchema(NamedTuple):
@@ -49,7 +49,7 @@ class RunMessages(ABC):
         self._source_dropped: dict[str, int] = {}
         self._cycles = 0
         self._last_s = 0.0
-        self._json_s = -math.inf
+        self._json_s, self._json_each_s = -math.inf, _JSON_EACH_S
 
     @abstractmethod
     def _open_channel(self, topic: str, encoding: str, content: MessageSchema) -> None:
@@ -84,8 +84,12 @@ class RunMessages(ABC):
             "axes_samples": lambda rows: self._write_samples("/axes", rows),
         }
 
-    def write_scene(self, files: Mapping[str, str]) -> None:
-        """Write target, chaser and corridor for a 3-D view; files: attachments of the recording, name -> text."""
+    def begin(self, files: Mapping[str, str]) -> None:
+        """Take over the rig's rate for viewers; write target, chaser and corridor for a 3-D view.
+
+        files: attachments of the recording, name -> text.
+        """
+        self._json_each_s = _telemetry_period_s(files)
         time_ns = self._time_ns(0.0)
         if (scene := foxglove_scene.scene_of(files, time_ns)) is not None:
             self._add(foxglove.SCENE_TOPIC, foxglove.encoded(scene), time_ns)
@@ -101,7 +105,7 @@ class RunMessages(ABC):
         time_ns = self._time_ns(t_s)
         self._add("/cycle", row.tobytes(), time_ns, self._cycles)
         self._cycles += 1
-        if t_s - self._json_s >= _JSON_EACH_S - SLACK_S:
+        if t_s - self._json_s >= self._json_each_s - SLACK_S:
             self._json_s = t_s
             self._add(foxglove.STATE_TOPIC, foxglove.encoded(foxglove.state(row)), time_ns)
             self._add(foxglove.TRANSFORM_TOPIC, foxglove.encoded(foxglove.transform(row, time_ns)), time_ns)
@@ -152,3 +156,10 @@ class RunMessages(ABC):
         """Write samples of IMU or axes that are faster than the cycle."""
         for row in rows:
             self._add(topic, row.tobytes(), self._time_ns(float(row["t_s"])))
+
+
+def _telemetry_period_s(files: Mapping[str, str]) -> float:
+    """Return the period of the messages for viewers, s, by the rig in the attachments ``files``."""
+    rig = json.loads(files.get("rig.json", "{}"))
+    rate_hz = rig.get("telemetry", {}).get("rate_hz")
+    return _JSON_EACH_S if rate_hz is None else 1.0 / rate_hz

@@ -64,7 +64,7 @@ class RunFile(RunMessages):
         self._writer.add_metadata(RUN, dict(header.run))
         for name, text in header.files.items():
             self._writer.add_attachment(self._started_ns, self._started_ns, name, "application/json", text.encode())
-        self.write_scene(header.files)
+        self.begin(header.files)
         self.flush()
         if self._file.problem:
             self._file.close()

@@ -60,7 +60,10 @@ def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: boo
     return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))
 
 
-def mirror_of(runner: Runner, link: Link) -> Mirror:
-    """Return the telemetry of ``runner`` that sends the other side the mailboxes that it wants."""
+def mirror_of(runner: Runner, link: Link, cycles: int = 1) -> Mirror:
+    """Return the telemetry of ``runner`` that sends the other side the mailboxes that it wants.
+
+    cycles: per row that is sent.
+    """
     modes, rate = runner.safety.modes, runner.rate
-    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns)
+    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns, cycles)

@@ -18,6 +18,13 @@ MOCK = "mock"
         (MOCK, ("imu.rate_hz=120.0",), "imu.rate_hz", "120: allowed are multiples"),
         (MOCK, ("rig.bench.axes_rate_hz=90.0",), "rig.bench.axes_rate_hz", "90: allowed are multiples"),
         (MOCK, ("rig.bench.axes_rate_hz=20000.0",), "rig.bench.axes_rate_hz", "20000: at most 10000 are allowed"),
+        (
+            MOCK,
+            ("rig.telemetry.rate_hz=30.0",),
+            "rig.telemetry.rate_hz",
+            "30: allowed is the cycle's rate, 50 Hz, divided",
+        ),
+        (MOCK, ("rig.telemetry.rate_hz=100.0",), "rig.telemetry.rate_hz", "100: allowed is the cycle's rate"),
         (RTU, ("rig.bench.axes_rate_hz=1000.0",), "rig.bench.axes_rate_hz", "rails (modbus_rtu) carries 60"),
         (RTU, ("step_s=0.001",), "step_s", "0.001: 1000 setpoints per second, the wire of rails (modbus_rtu) carries"),
         (
@@ -43,9 +50,13 @@ def test_rate_that_cannot_be_kept_is_rejected(rig: str, settings: tuple[str, ...
 
 @pytest.mark.parametrize("rig", [MOCK, "emulated"])
 def test_multiples_of_the_rate_of_the_cycle_are_accepted(rig: str) -> None:
-    job = make_job(1.0, ("imu.rate_hz=200.0", "rig.bench.axes_rate_hz=1000.0"), rig=rig)
+    job = make_job(1.0, ("imu.rate_hz=200.0", "rig.bench.axes_rate_hz=1000.0", "rig.telemetry.rate_hz=10.0"), rig=rig)
     assert check_rates(job.scenario, job.rig) == []
-    assert (job.ticks, job.scenario.value.imu_samples) == (20, 4)
+    assert (job.ticks, job.scenario.value.imu_samples, job.rig.value.telemetry_cycles(job.scenario.value.step_s)) == (
+        20,
+        4,
+        5,
+    )
 
 
 @pytest.mark.parametrize("step_s", [0.02, 0.004, 0.001])

@@ -30,9 +30,10 @@ class Session:
     def __init__(self) -> None:
         self.pictures: list[np.ndarray] = []
         self.portions = np.empty(0, PORTION)
+        self.rows = np.empty(0, CYCLE)
 
     def read_rows(self) -> np.ndarray:
-        return np.empty(0, CYCLE)
+        return self.rows
 
     def read_pictures(self) -> list[np.ndarray]:
         return self.pictures
@@ -51,6 +52,16 @@ def take(live_view: LiveView, **what: Any) -> None:
     session = Session()
     vars(session).update(what)
     live_view.update(cast(SessionProcess, session), status(12.0, 2.0), 100.0)
+
+
+def test_the_page_gets_the_rows_of_the_telemetry_rate() -> None:
+    view = LiveView()
+    view.begin(make_job(1.0, ("rig.telemetry.rate_hz=10.0",)))
+    rows = np.zeros(23, CYCLE)
+    rows["t_s"] = 0.02 * np.arange(23)
+    for first in (0, 3, 9):
+        take(view, rows=rows[first : {0: 3, 3: 9, 9: 23}[first]])
+    np.testing.assert_allclose(view.rows.all()[:, 0], [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-6)
 
 
 @pytest.fixture

@@ -45,6 +45,25 @@ def test_cells_that_are_wanted_arrive_with_what_the_cycle_had() -> None:
     viewer.close()
 
 
+def test_other_computers_get_the_rows_of_the_telemetry_rate() -> None:
+    bench = Link(Role.DSS, "bench", ("gnc.setup", *MIRRORED), ("gnc.output",), ("127.0.0.1", 0))
+    viewer = Link(Role.GNC, "viewer", ("gnc.output",), ("gnc.setup", "health"), None, bench.address)
+    inner = Rows()
+    mirror = Mirror(inner, bench, lambda: "running", lambda: 0, 5)
+    viewer.service()
+    viewer_is_there(bench)
+    bench.send("gnc.setup", np.zeros(1, MAILBOXES["gnc.setup"].dtype))
+    cycles = []
+    for _ in range(11):
+        mirror.put(np.zeros(1, CYCLE))
+        time.sleep(0.005)
+        cycles += [int(arrival.record["cycle"][0]) for arrival in viewer.poll() if arrival.name == "health"]
+    assert cycles == [0, 5, 10]
+    assert inner.rows == 11
+    bench.close()
+    viewer.close()
+
+
 def viewer_is_there(bench: Link) -> None:
     give_up_s = time.monotonic() + 5.0
     while not bench.joined:

@@ -13,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from hil.config.load import load_rig
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.camera_images import IMAGE_BYTES, image_row
@@ -74,6 +75,21 @@ def test_rows_come_back_bit_by_bit_and_plain_mcap_reads_them(tmp_path: Path, rng
     assert len(states) == 12  # one in 0.1 s
     assert set(states[0]) == set(tables["hil.State"]["properties"])
     assert {"foxglove.FrameTransform", "foxglove.Log"} <= set(tables)
+
+
+@pytest.mark.parametrize(("rate_hz", "messages"), [(50.0, 60), (5.0, 6)])
+def test_messages_for_viewers_have_the_rate_of_the_telemetry(
+    tmp_path: Path, rng: np.random.Generator, rate_hz: float, messages: int
+) -> None:
+    path = tmp_path / "run.mcap"
+    file = run_file(
+        path, files={"rig.json": load_rig("mock", (f"rig.telemetry.rate_hz={rate_hz}",)).value.model_dump_json()}
+    )
+    file.write_cycles(rows_of(60, rng))
+    file.finish({})
+    found = contents(path)
+    assert len(found.lines["/state"]) == messages
+    assert len(found.records["/cycle"]) == 60
 
 
 def test_what_came_0_1_s_ago_stands_in_the_file_while_the_run_goes_on(tmp_path: Path, rng: np.random.Generator) -> None:
