@@ -53,10 +53,13 @@ def can() -> str:
     from hil.config.load import load_rig
     from hil.core.clock import WallClock
     from hil.drivers.shared_state import SharedAxisState
+    from hil.drivers.turntable.cia402 import setup
 
+    # the processor may be emulated: times of the wall are longer, those of the bench by its clock
+    setup.REPLY_WALL_S, setup._ENABLE_WALL_S, setup._RESET_WALL_S = 20.0, 60.0, 5.0
     settings = ('rig.turntable.cia402.interface="socketcan"', 'rig.turntable.cia402.channel="vcan0"')
     table = load_rig("emulated", (*settings, "rig.turntable.timeout_s=5.0")).value.turntable
-    clock = WallClock(speed=0.05)  # all time-outs are longer: the processor may be emulated
+    clock = WallClock(speed=0.02)
     board, ending = SharedAxisState.create(), threading.Event()
     emulator = table.make_emulator(clock, board)
     address = emulator.start()
@@ -67,7 +70,7 @@ def can() -> str:
         driver.open(clock.now_s())
         start = driver.read(clock.now_s()).position
         goal, begun_s = start + np.array([0.0, 0.0, 0.02]), clock.now_s()
-        while clock.now_s() - begun_s < 4.0:
+        while clock.now_s() - begun_s < 3.0:
             fraction = min(1.0, (clock.now_s() - begun_s) / 2.0)
             driver.send(start + fraction * (goal - start), np.zeros(3), clock.now_s())
             time.sleep(clock.wall_s(0.02))

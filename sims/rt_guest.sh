@@ -59,9 +59,8 @@ INIT
 chmod +x initrd/init
 (cd initrd && find . | cpio -o -H newc --quiet | gzip -1) > initrd.gz
 cat > run.sh <<RUN
-export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root HIL_CACHE_DIR=/tmp/kernels PYTHONPATH=$top
+export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root HIL_CACHE_DIR=${HIL_CACHE_DIR:-/tmp/kernels} PYTHONPATH=$top
 cd $top
-mkdir -p /tmp/kernels && cp -r ${HIL_CACHE_DIR:-/nowhere}/. /tmp/kernels/ 2>/dev/null
 exec timeout ${GUEST_S:-900} $python sims/rt_guest.py
 RUN
 chmod +x run.sh
