@@ -42,6 +42,7 @@ UNITS: Final = {
     "deg": "deg",
     "degps": "deg/s",
     "degps2": "deg/s²",
+    "degps3": "deg/s³",
     "rad": "rad",
     "s": "s",
     "us": "us",

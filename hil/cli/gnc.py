@@ -62,7 +62,7 @@ def gnc(
     from hil.frmn.wire import PORT
     from hil.gnc_backends.library import key_of, open_library
     from hil.processes.binary_gnc_server import OFFERS
-    from hil.processes.gnc_server import gnc_side
+    from hil.processes.gnc_server import gnc_side, wants_of
 
     if bind is not None and listen is None:  # by default the bench on this computer
         bind, peer = None, (LOOPBACK, PORT)
@@ -74,8 +74,8 @@ def gnc(
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)
 
-    offers = {} if library is None else {"offers": OFFERS}
-    link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file), **offers)
+    mailboxes = {"wants": wants_of(found)} if library is None else {"offers": OFFERS}
+    link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file), **mailboxes)
     try:
         with console.status("compiling the kernels that are not cached"):
             server = _server(library, loaded, link, announce)

@@ -46,7 +46,7 @@ _NEVER = ("\0",)
 
 _PROBLEMS_MAX = 20
 
-_UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|kg_m2)$")
+_UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|degps3|kg_m2)$")
 
 
 def configs_folder() -> Path:

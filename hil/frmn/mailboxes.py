@@ -37,6 +37,19 @@ HEALTH: Final = np.dtype(
     align=True,
 )
 
+IMU_SAMPLES_MAX: Final = 24
+"""Samples of the IMU per cycle that the other side can get: with them the datagram stays below 1500 bytes."""
+IMU_SAMPLES: Final = np.dtype(
+    [
+        ("cycle", "i8"),  # of the input that follows
+        ("n", "i8"),  # the first n are valid
+        ("rate_C", "f8", (IMU_SAMPLES_MAX, 3)),
+        ("force_C", "f8", (IMU_SAMPLES_MAX, 3)),
+    ],
+    align=True,
+)
+"""Samples of an IMU that is faster than the cycle, since the last cycle; the input has their mean."""
+
 GNC_FLIGHT: Final = np.dtype([("output", GNC_OUTPUT), ("navigation", NAVIGATION), ("command", COMMAND)], align=True)
 """Output of the built-in GNC, sent instead of GNC_OUTPUT: everything that ``hil run`` records of it."""
 
@@ -121,6 +134,7 @@ _ALL: Final = (
     _mailbox(20, "setpoint", AXES, Role.DSS),
     _mailbox(21, "feedback", AXES, Role.DSS),
     _mailbox(22, "health", HEALTH, Role.DSS),
+    _mailbox(23, "imu.samples", IMU_SAMPLES, Role.DSS),
 )
 MAILBOXES: Final[dict[str, MailboxSpec]] = {box.name: box for box in _ALL}
 BY_NUMBER: Final[dict[int, MailboxSpec]] = {box.number: box for box in _ALL}

@@ -20,7 +20,7 @@ from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Eve
 from hil.core.observable import ObservableList
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.link import Link
-from hil.frmn.mailboxes import Role
+from hil.frmn.mailboxes import IMU_SAMPLES, IMU_SAMPLES_MAX, Role
 from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
 from hil.gnc import navigation
@@ -32,7 +32,7 @@ from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, ReceiveBuffe
 from hil.gnc_backends.udp_stats import LinkStats
 
 NAME: Final = "gnc"
-_OFFERS: Final = ("gnc.setup", "gnc.input", *MIRRORED)
+_OFFERS: Final = ("gnc.setup", "gnc.input", "imu.samples", *MIRRORED)
 _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
 _BUSY_S: Final = 0.1  # wall time between two idle cycles after which the bench itself may have been silent
 _SILENT_S: Final = 0.35  # wall time after which another GNC may replace a silent one: three heartbeats
@@ -85,6 +85,7 @@ class UdpGnc(ExternalGnc):
         self._idle_s = self._checked_from_s = -math.inf
         self._sent_orders: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # not replied to yet, and the cycle of sending
         self._reference = new(REFERENCE)
+        self._samples = np.zeros(1, IMU_SAMPLES)
         self._past_truth, self._past_imu = CycleBuffer(TRUTH), CycleBuffer(IMU)
         link.complaints.subscribe(self._log_complaint)
 
@@ -166,7 +167,7 @@ class UdpGnc(ExternalGnc):
         self.link.service()
         if self._lock_step:
             self._send()
-            self._replies.wait(self.cycle, self.input, reference)
+            self._replies.wait(self.cycle, self._send_input, reference)
         else:
             self._replies.receive(self.cycle)
             self._send()
@@ -247,9 +248,22 @@ class UdpGnc(ExternalGnc):
         if orders:
             self._sent_orders = (orders, self.cycle)
         super()._write_input(t_s, mode, orders, now, vision)
+        n = len(now.samples)
+        self._samples["cycle"], self._samples["n"] = self.cycle, n
+        if n <= IMU_SAMPLES_MAX:
+            for name in ("rate_C", "force_C"):
+                self._samples[name][0, :n] = now.samples[name]
 
     def _send(self) -> None:
         self.stats.sent(self.cycle)
+        self._send_input()
+
+    def _send_input(self) -> None:
+        """Send the input; before it the samples of an IMU that is faster than the cycle, to a peer that wants them."""
+        hello = self.link.peer.hello if self.link.peer is not None else None
+        is_new = self.input.mode == GncMode.RUNNING and 1 < self._samples["n"][0] <= IMU_SAMPLES_MAX
+        if is_new and hello is not None and "imu.samples" in hello.wants:
+            self.link.send("imu.samples", self._samples)
         self.link.send("gnc.input", self.input)
 
     def _lose(self, why: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -158,10 +159,10 @@ class ReplyReceiver:
         self.used = self._buffers.take(newest)
         return True
 
-    def wait(self, cycle: int, sent: np.record, reference: np.record | None = None) -> None:
-        """Wait for the reply to ``sent`` (GNC_INPUT), the input of ``cycle``; send it again meanwhile.
+    def wait(self, cycle: int, send: Callable[[], None], reference: np.record | None = None) -> None:
+        """Wait for the reply to the input of ``cycle``; send it again meanwhile.
 
-        reference: see ``receive``.
+        send: sends the input. reference: see ``receive``.
         """
         now_s = time.monotonic()
         give_up_s, resend_s = now_s + self._limit_s, now_s + self._again_s
@@ -177,7 +178,7 @@ class ReplyReceiver:
             if now_s >= resend_s:
                 resend_s = now_s + self._again_s
                 self._stats.resent += 1
-                self._link.send("gnc.input", sent)
+                send()
             self._link.wait(min(give_up_s, resend_s) - now_s)
 
     def receive(self, cycle: int, reference: np.record | None = None, at_most: int = _PER_CYCLE) -> None:

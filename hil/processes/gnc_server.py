@@ -14,12 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GNC_INPUT, GncMode, GncOrder, GncState
 from hil.core.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, Event, new
-from hil.errors import LinkLost, LinkTimeout
+from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.frmn.link import PORT_CLOSED, Arrival, Link
-from hil.frmn.mailboxes import GNC_FILTERS, GNC_FLIGHT, Role
+from hil.frmn.mailboxes import GNC_FILTERS, GNC_FLIGHT, IMU_SAMPLES, IMU_SAMPLES_MAX, Role
 from hil.frmn.udp import Address, shown
 from hil.frmn.wire import Refusal
 from hil.gnc_backends import udp_records
@@ -28,7 +29,8 @@ from hil.setup.assembly import make_gnc
 from hil.setup.gnc_setup import gnc_setup
 
 _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
-_WANTS: Final = ("gnc.setup", "gnc.input")
+WANTS: Final = ("gnc.setup", "gnc.input")
+"""Mailboxes that every GNC receives."""
 _SILENT_S: Final = 0.35  # wall time after which another bench may replace a silent one
 _BRIDGED_FRACTION: Final = 0.9375  # of the filters' memory: the longest time of consecutive lost inputs
 _SILENCES_LOGGED: Final = 3  # further ones are only counted
@@ -39,18 +41,32 @@ _NEEDED: Final = ("step_s", "n_thrusters", "thruster_position_m", "thruster_forc
 """Fields of GNC_SETUP in which bench and GNC must agree: they describe the chaser."""
 
 
+def wants_of(scenario: Loaded[Scenario]) -> tuple[str, ...]:
+    """Return the mailboxes that the built-in GNC of ``scenario`` receives: with the samples of a faster IMU.
+
+    Raises BadInput if the IMU has more samples per cycle than the link carries.
+    """
+    n = scenario.value.imu_samples
+    if n > IMU_SAMPLES_MAX:
+        key, most_hz = "imu.rate_hz", IMU_SAMPLES_MAX / scenario.value.step_s
+        text = f"{scenario.value.imu.rate_hz:g}: a GNC on another computer gets at most {most_hz:g} samples per second"
+        raise BadInput.single(scenario.where(key), key, text)
+    return WANTS if n == 1 else (*WANTS, "imu.samples")
+
+
 def gnc_side(
     name: str,
     bind: Address | None,
     peer: Address | None,
     key: bytes | None = None,
     offers: tuple[str, ...] = _OFFERS,
+    wants: tuple[str, ...] = WANTS,
 ) -> Link:
     """Return the GNC's side of the link. bind: address to listen on. peer: the bench. key: None for the user's.
 
-    offers: mailboxes that it sends; by default those of the built-in GNC.
+    offers, wants: mailboxes that it sends and receives; ``wants_of`` those of the built-in GNC.
     """
-    link = Link(Role.GNC, name, offers, _WANTS, bind, peer, key)
+    link = Link(Role.GNC, name, offers, wants, bind, peer, key)
     link.silent_max_s = _SILENT_S
     return link
 
@@ -109,6 +125,8 @@ class GncServer:
         self._fault = ""
         self._last = -1  # last cycle stepped
         self._samples: np.ndarray = np.zeros(scenario.imu_samples, IMU)
+        self._received = np.zeros(1, IMU_SAMPLES)
+        self._received["cycle"] = -1
         self._imu, self._reference = new(IMU), new(REFERENCE)
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self.arrived = 0
@@ -176,6 +194,9 @@ class GncServer:
     def _receive(self, arrival: Arrival) -> None:
         if arrival.name == "gnc.setup":
             self._receive_setup(arrival.record)
+            return
+        if arrival.name == "imu.samples":
+            self._received[:] = arrival.record
             return
         if self._joined != self.link.joined:
             return  # from a bench that has not sent its setup
@@ -251,7 +272,7 @@ class GncServer:
             self._bridge(gap)
         self.arrived = arrived
         out = self._out
-        self._navigate(None if self._last < 0 or gap else out.command)
+        self._navigate(None if self._last < 0 or gap else out.command, cycle)
         self._command_before = bytes(self._command_bytes)
         self._actuate(cycle)
         out.output.text = b""
@@ -278,12 +299,15 @@ class GncServer:
         self._gnc.actuate(out.navigation, self._reference, out.command)
         udp_records.write_output(cycle, out.navigation, out.command, self._n, out.output)
 
-    def _navigate(self, command: np.record | None) -> None:
-        """Run the filters over the last cycle: the input has the mean of the IMU's samples, which stands for each.
+    def _navigate(self, command: np.record | None, cycle: int = -1) -> None:
+        """Run the filters over the cycle before ``cycle``, or over a lost one: by the newest mean of the IMU.
 
-        command: of that cycle, None if the samples are not its own.
+        The mean stands for each sample that is missing. command: of that cycle, None if the samples are not its own.
         """
-        self._samples["rate_C"], self._samples["force_C"] = self._imu.rate_C, self._imu.force_C
+        samples, received, n = self._samples, self._received[0], len(self._samples)
+        samples["rate_C"], samples["force_C"] = self._imu.rate_C, self._imu.force_C
+        if n > 1 and cycle >= 0 and received["cycle"] == cycle and received["n"] == n:
+            samples["rate_C"], samples["force_C"] = received["rate_C"][:n], received["force_C"][:n]
         self._gnc.navigate(self._samples, self, self._out.navigation, command)
 
     def _join_at(self, cycle: int) -> None:

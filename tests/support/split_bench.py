@@ -19,7 +19,7 @@ from hil.frmn.udp import LOOPBACK, Address
 from hil.gnc_backends.udp import UdpGnc, gnc_link
 from hil.loop.cycle import Loop
 from hil.loop.runner import Outcome
-from hil.processes.gnc_server import GncServer, gnc_side
+from hil.processes.gnc_server import GncServer, gnc_side, wants_of
 from hil.session import build
 from hil.session.warm_up import warm_up
 from hil.setup.gnc_setup import make_udp_gnc, mirror_of
@@ -32,8 +32,9 @@ def gnc_thread(
     scenario_name: str, bench: Address, settings: Sequence[str] = (), patience_s: float = 20.0
 ) -> Iterator[GncServer]:
     """Give our GNC, which serves the bench at ``bench`` in a thread until that says goodbye or falls silent."""
-    link = gnc_side("test gnc", None, bench)
-    computer = GncServer(load_scenario(scenario_name, settings).value, link)
+    scenario = load_scenario(scenario_name, settings)
+    link = gnc_side("test gnc", None, bench, wants=wants_of(scenario))
+    computer = GncServer(scenario.value, link)
 
     def serve() -> None:
         with suppress(DeviceError):  # told by the bench's side as well

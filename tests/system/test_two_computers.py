@@ -41,11 +41,13 @@ def test_lock_step_gives_the_trajectory_of_one_process_bit_by_bit(scheme: str, d
 
 LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_probability=0.2", "vmu.loss_probability=0.1")
 """Poses that come late, out of order and several in a cycle."""
+FAST_IMU = ("imu.rate_hz=200.0",)
+"""Four samples of the IMU per cycle."""
 ABORT = ("gnc.abort.at_s=2.0",)
 """The plan changes on the bench's side, and control boosts on the other."""
 
 
-@pytest.mark.parametrize("settings", [LATE, ABORT])
+@pytest.mark.parametrize("settings", [LATE, ABORT, FAST_IMU, FAST_IMU + LATE])
 def test_lock_step_gives_the_same_also_with_late_poses_and_in_an_abort(settings: tuple[str, ...]) -> None:
     with build.runner(in_one_process("scheme-1", 4.0, settings, seed=3)) as runner:
         alone = runner.run()
@@ -107,6 +109,10 @@ def test_bench_that_nobody_answers_says_where_it_waited() -> None:
         (["dss", "scheme-1", "--wait", "0"], "--wait: 0: must be a time above 0 s"),
         (["dss", "scheme-1", "--set", "rig.gnc_link.coast_cycles=9"], "coast_cycles = 9: must not exceed"),
         (["dss", "scheme-1", "--set", "rig.gnc_link.on_loss=explode"], "rig.gnc_link.on_loss"),
+        (
+            ["gnc", "scheme-1", "--set", "imu.rate_hz=2000"],
+            "imu.rate_hz: 2000: a GNC on another computer gets at most 1200",
+        ),
         (["gnc", "scheme-1", "--dss", "127.0.0.1:0"], "--dss: 127.0.0.1:0: must name a port"),
         (["gnc", "scheme-1", "--listen", "192.0.2.1:5000"], "192.0.2.1:5000: cannot listen there"),
         (["gnc", "scheme-1", "--dss", "127.0.0.1:9", "--json", "/no/such/folder/x.json"], "folder does not exist"),
