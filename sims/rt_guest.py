@@ -55,7 +55,7 @@ def can() -> str:
     from hil.drivers.shared_state import SharedAxisState
     from hil.drivers.turntable.cia402 import setup
 
-    # the processor may be emulated: times of the wall are longer, those of the bench by its clock
+    # the processor may be emulated: wall-clock limits are longer, those of bench time by its clock
     setup.REPLY_WALL_S, setup._ENABLE_WALL_S, setup._RESET_WALL_S = 20.0, 60.0, 5.0
     settings = ('rig.turntable.cia402.interface="socketcan"', 'rig.turntable.cia402.channel="vcan0"')
     table = load_rig("emulated", (*settings, "rig.turntable.timeout_s=5.0")).value.turntable

@@ -215,7 +215,7 @@ class BenchStage:
     def park_turntable(self, target: np.record, now_s: float) -> None:
         """Move the turntable to ``target`` (AXES) by its drives' own profiles, if they have them.
 
-        They know no limit of the jerk: axes with one are moved by setpoints.
+        These have no limit of the jerk: axes with one are moved by setpoints.
         """
         if isinstance(self.turntable, Parks) and self.params.averaged[3:].max() < 2:
             rate = self.safety.limits.parking_rate_fraction * self.params.rate_max[3:]
