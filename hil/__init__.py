@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from hil.api.margins import margins
     from hil.api.recordings import Recording, Replay
     from hil.api.recordings import open_recording as open
+    from hil.api.requirements import RunRequirement
     from hil.api.results import RecordGroup, Run
     from hil.api.runs import run
+    from hil.api.studies import StudyResults, rare_event, sobol_indices
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
     from hil.core.build_info import VERSION
@@ -40,7 +42,9 @@ __all__ = [
     "Replay",
     "Rig",
     "Run",
+    "RunRequirement",
     "Scenario",
+    "StudyResults",
     "VisionUnit",
     "__version__",
     "campaign",
@@ -49,7 +53,9 @@ __all__ = [
     "load_scenario",
     "margins",
     "open",
+    "rare_event",
     "run",
+    "sobol_indices",
 ]
 
 _MODULES = {
@@ -61,7 +67,9 @@ _MODULES = {
     "Replay": "hil.api.recordings",
     "Rig": "hil.config.rig",
     "Run": "hil.api.results",
+    "RunRequirement": "hil.api.requirements",
     "Scenario": "hil.config.scenario",
+    "StudyResults": "hil.api.studies",
     "VisionUnit": "hil.vmu.unit",
     "__version__": "hil.core.build_info:VERSION",
     "campaign": "hil.api.campaigns",
@@ -69,7 +77,9 @@ _MODULES = {
     "load_scenario": "hil.api.jobs",
     "margins": "hil.api.margins",
     "open": "hil.api.recordings:open_recording",
+    "rare_event": "hil.api.studies",
     "run": "hil.api.runs",
+    "sobol_indices": "hil.api.studies",
 }
 """Name -> module, and the name there if it is another one."""
 

@@ -22,6 +22,7 @@ from hil.api.jobs import (
     named_as_argument,
     rig_name,
 )
+from hil.api.requirements import RunRequirement, write_run_evidence
 from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
 from hil.config.rig import BENCH_AXES, Rig
@@ -31,6 +32,7 @@ from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_object import PythonGnc
 from hil.loop.runner import Outcome, Runner
+from hil.report.requirements_page import EvidenceRow
 from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.warm_up import compile_kernels
@@ -205,6 +207,8 @@ class Bench:
         self._failure: BaseException | None = None
         self.result: Run | None = None
         """The whole run, once the session has ended; None before, and without a session."""
+        self._requirements: list[RunRequirement] = []
+        self._latest: Run | None = None
 
     def __enter__(self) -> Self:
         compile_kernels(self._job, log.warning)
@@ -234,6 +238,29 @@ class Bench:
         """Alarms of the session so far, as in ``Run.alarms``, those of high priority first; kept after its end."""
         runner = self._operator.runner
         return list(runner.safety.alarms.all()) if runner is not None else []
+
+    def require(self, *requirements: RunRequirement) -> None:
+        """Add requirements that the run is to keep in each of its cycles; ``evidence`` has their verdicts."""
+        self._requirements += requirements
+
+    @property
+    def evidence(self) -> list[EvidenceRow]:
+        """Result, margin and status of each requirement, of the run so far: that of the last ``start`` or ``resume``.
+
+        Raises BenchError before the first of them has returned.
+        """
+        run = self._judged_run()
+        return [requirement.check(run) for requirement in self._requirements]
+
+    def write_evidence(self, folder: str | Path) -> None:
+        """Write ``requirements.html``, ``.xml`` (JUnit) and ``.json`` with ``evidence`` into ``folder``."""
+        write_run_evidence(folder, self._judged_run(), self.evidence)
+
+    def _judged_run(self) -> Run:
+        run = self.result or self._latest
+        if run is None:
+            raise BenchError("bench: no evidence, no run has been started")
+        return run
 
     def feedback(self) -> np.record:
         """Return the newest encoder samples: ``rail_m``, ``rail_mps``, ``gimbal_rad``, ``gimbal_radps``, (3,) each."""
@@ -334,7 +361,8 @@ class Bench:
 
         if self._execute_step(_Step(command.value, command, ended, timeout_s, hold_when_reached)):
             assert outcome is not None
-            return judged_run(self._job, self._request.rig_name, outcome)
+            self._latest = judged_run(self._job, self._request.rig_name, outcome)
+            return self._latest
         self._thread.join(_END_WALL_S)
         if self.result is None:
             raise self._ended_error(command.value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -75,7 +74,7 @@ def campaign(
         checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)
     temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
     folder = Path(temporary.name if temporary else str(out))
-    engine = LocalEngine(workers or len(os.sched_getaffinity(0)))
+    engine = LocalEngine(workers)
     try:
         with checked.store(folder) as store:
             checked.warm_up()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable
 from contextlib import closing
@@ -25,7 +24,7 @@ from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
 from hil.config.scenario import DELAY_MAX_S, Scenario
 from hil.monte_carlo.campaign import RIG, CampaignJob, write_summary
 from hil.monte_carlo.engines import LocalEngine
-from hil.monte_carlo.margins import DelayedPart, delay_margin, draw_margins
+from hil.monte_carlo.margins import DelayedPart, delay_margins, draw_margins
 
 
 def margins(
@@ -93,8 +92,8 @@ def search_margins(
     folder = Path(temporary.name if temporary else str(out))
     try:
         parts[0].job(0.0).warm_up()
-        with closing(LocalEngine(workers or len(os.sched_getaffinity(0)))) as engine:
-            margin = [delay_margin(part, runs, engine, folder, watch) for part in parts]
+        with closing(LocalEngine(workers)) as engine:
+            margin = delay_margins(parts, runs, engine, folder, watch)
         found = {"scenario": scenario.name, "runs": runs, "seed": seed, "margins": margin}
         if out is not None:
             write_summary(folder / "margins.json", found)
@@ -125,8 +124,9 @@ def delayed_parts(scenario: Scenario, rig: Rig, seed: int) -> list[DelayedPart]:
         return job([f"chaser.thrusters.errors.delay_s={valve_s + delay_s}"])
 
     def axes(delay_s: float) -> CampaignJob:
-        names = [f"rails.{name}" for name in RAIL_NAMES] + [f"turntable.{name}" for name in GIMBAL_NAMES]
-        return job([f"rig.{name}.lead_s={-delay_s}" for name in names])
+        leads = {f"rails.{name}": getattr(rig.rails, name).lead_s for name in RAIL_NAMES}
+        leads |= {f"turntable.{name}": getattr(rig.turntable, name).lead_s for name in GIMBAL_NAMES}
+        return job([f"rig.{name}.lead_s={lead_s - delay_s}" for name, lead_s in leads.items()])
 
     return [
         DelayedPart("poses", DELAY_MAX_S - scenario.vmu.latency_s, poses),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -50,7 +49,7 @@ class EngineOptions:
 
         if self.scheduler:
             return DaskEngine(self.scheduler)
-        return LocalEngine(self.workers or len(os.sched_getaffinity(0)))
+        return LocalEngine(self.workers)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, Literal
 
 from rich.console import Console
@@ -51,6 +50,7 @@ def fusion(
 
     load_scenario("scheme-2", settings)  # report errors of the settings before the start
     load_rig("mock", settings)
+    from hil.monte_carlo.engines import worker_count
     from hil.monte_carlo.fusion import Study, run_fusion
 
     console = Console(stderr=True)
@@ -65,8 +65,7 @@ def fusion(
             next(done, None)
         counted = finished
 
-    workers = workers or len(os.sched_getaffinity(0))
-    found = run_fusion(vmu_noise, runs, seed, settings, workers, watch)
+    found = run_fusion(vmu_noise, runs, seed, settings, worker_count(workers), watch)
     if json is not None:
         write_json(found, json)
     if figure is not None:

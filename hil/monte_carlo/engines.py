@@ -55,11 +55,19 @@ class Engine(Protocol):
         """Release the workers."""
 
 
+def worker_count(workers: int) -> int:
+    """Return ``workers``, for 0 one per core that this process may use."""
+    return workers or len(os.sched_getaffinity(0))
+
+
 class LocalEngine:
-    """Worker processes of this computer, which stay until ``close``; a single one is this process."""
+    """Worker processes of this computer, which stay until ``close``; a single one is this process.
+
+    workers: their number; 0: one per core that this process may use.
+    """
 
     def __init__(self, workers: int) -> None:
-        self.workers = workers
+        self.workers = worker_count(workers)
         self._pool: ProcessPoolExecutor | None = None
 
     def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:

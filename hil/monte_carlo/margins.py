@@ -7,7 +7,7 @@ delay that all cases pass and the first that some fail: a loop that passed again
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -37,22 +37,43 @@ class DelayedPart:
     job: Callable[[float], CampaignJob]
 
 
-def delay_margin(
-    part: DelayedPart, runs: int, engine: Engine, folder: Path, watch: Callable[[str], None]
-) -> dict[str, Any]:
-    """Return the margin of one part with the delays that were flown, by the keys of ``hil margins --json``.
+def delay_margins(
+    parts: Sequence[DelayedPart], runs: int, engine: Engine, folder: Path, watch: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    """Return the margin of each part with the delays that were flown, by the keys of ``hil margins --json``.
 
     folder: of the campaigns. watch: called with a line before each delay. margin_s: the largest delay that all cases
-    pass with all parts of the verdict, None if they do not even without one.
+    pass with all parts of the verdict, None if they do not even without one. The cases without a delay are the same for
+    all parts and flown once.
     """
-    points: dict[float, dict[str, Any]] = {}
+
+    def fly(job: CampaignJob, name: str, delay_s: float) -> dict[str, Any]:
+        with job.store(folder / name) as store:
+            job.run(store, runs, engine, lambda _: None)
+            return {"delay_s": delay_s} | _judged(store)
+
+    watch("no delay")
+    undelayed = fly(parts[0].job(0.0), "undelayed", 0.0)
+
+    def margin(part: DelayedPart) -> dict[str, Any]:
+        def fly_delay(delay_s: float) -> dict[str, Any]:
+            watch(f"{part.name} later by {delay_s:.4g} s")
+            return fly(part.job(delay_s), f"{part.name}/{1e6 * delay_s:.0f}us", delay_s)
+
+        return _delay_margin(part, undelayed, fly_delay)
+
+    return [margin(part) for part in parts]
+
+
+def _delay_margin(
+    part: DelayedPart, undelayed: dict[str, Any], fly: Callable[[float], dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the margin of one part. undelayed: pass rate without a delay. fly: returns that of a delay, s."""
+    points = {0.0: undelayed}
 
     def passes(delay_s: float) -> bool:
-        watch(f"{part.name} later by {delay_s:.4g} s")
-        job = part.job(delay_s)
-        with job.store(folder / part.name / f"{1e6 * delay_s:.0f}us") as store:
-            job.run(store, runs, engine, lambda _: None)
-            points[delay_s] = {"delay_s": delay_s} | _judged(store)
+        if delay_s not in points:
+            points[delay_s] = fly(delay_s)
         rate = points[delay_s]["pass_rate"]
         return bool(rate["passed"] == rate["runs"])
 

@@ -41,6 +41,11 @@ class EvidenceRow(NamedTuple):
     margin: float | None
     status: str
 
+    @property
+    def verified(self) -> bool:
+        """Whether the requirement is verified in this step."""
+        return self.status == VERIFIED
+
     def as_json(self) -> dict[str, Any]:
         """Return the row by the keys of ``requirements.json``."""
         return self._asdict()

@@ -14,10 +14,12 @@ from collections.abc import Generator, Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from scipy.stats import norm
 
+import hil
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.maths.random_streams import noise_source
@@ -27,6 +29,7 @@ from hil.monte_carlo.engines import Batch
 from hil.monte_carlo.outcome import failed_row
 from hil.monte_carlo.rare_campaign import POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
 from hil.monte_carlo.rare_events import RareEvent
+from hil.monte_carlo.statistics import wilson
 from hil.monte_carlo.stored_campaign import StoredCampaign
 
 pytestmark = pytest.mark.xdist_group("campaign")
@@ -129,6 +132,10 @@ def test_case_flown_in_full_detail_has_the_bits_of_the_campaign(folder: Path, tm
         (("--rare", "position_m_x"), ("--rare", "must be an outcome")),
         (("--rare", "nearest_m > 1", "--runs", "100"), ("--runs", "100", "too few", "500")),
         (("--rare", "nearest_m > 1", "--sweep", "a=1:2:3"), ("--rare", "not together")),
+        (("--rare", "nearest_m > 1", "--method", "importance"), ("--method", "importance", "position_m_x")),
+        (("--rare", "position_m_x < 1", "--method", "importance"), ("--method", "importance", ">")),
+        (("--rare", "position_m_x > 1", "--method", "importance", "--runs", "9"), ("--runs", "9", "at least 200")),
+        (("--rare", "nearest_m > 1", "--method", "guess"), ("--method", "guess", "subset or importance")),
         ((), ("--runs", "must be given")),
     ],
 )
@@ -180,6 +187,27 @@ def test_workers_and_a_kill_in_the_middle_change_nothing(tmp_path: Path) -> None
     for name in ("cases.parquet", "summary.json"):
         assert (killed / name).read_bytes() == (tmp_path / "1" / name).read_bytes()
         assert (tmp_path / "2" / name).read_bytes() == (tmp_path / "1" / name).read_bytes()
+
+
+NEAR = {"initial.position_m": [-0.42, 0.0, 0.0], "duration_s": 40.0}
+"""A run that is ready after some seconds."""
+
+
+@pytest.mark.slow
+def test_importance_sampling_agrees_with_plain_cases_and_its_cases_fly_again(tmp_path: Path) -> None:
+    event, threshold = "position_m_x > 0.0035", 0.0035
+    found = hil.rare_event("scheme-1", event, tmp_path / "is", "importance", 1500, overrides=NEAR)
+    rare = found.summary["rare"]
+    plain = hil.campaign("scheme-1", 10_000, overrides=NEAR | {"dispersions.sampling": "random"})
+    interval = wilson(int(np.count_nonzero(plain.column("position_m_x") > threshold)), 10_000)
+    assert rare["low"] < interval["high"]
+    assert rare["high"] > interval["low"]
+    assert rare["cov"] < 0.3
+    case = rare["failing"][0]["case"]
+    assert found.run_case(case).verdict.worst["position_m"][0] == rare["failing"][0]["value"]
+    again = hil.rare_event("scheme-1", event, tmp_path / "one", "importance", 1500, overrides=NEAR, workers=1)
+    assert again.summary == found.summary
+    assert (tmp_path / "one" / "cases.parquet").read_bytes() == (tmp_path / "is" / "cases.parquet").read_bytes()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import pytest
 
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import LocalEngine
-from hil.monte_carlo.margins import DelayedPart, delay_margin
+from hil.monte_carlo.margins import DelayedPart, delay_margins
 
 RUNS = 4
 
@@ -38,7 +38,8 @@ class LimitedCampaign:
 
 def found(limit_s: float, tmp_path: Path) -> dict[str, Any]:
     part = DelayedPart("poses", 1.0, lambda delay_s: cast(CampaignJob, LimitedCampaign(delay_s, limit_s)))
-    return delay_margin(part, RUNS, LocalEngine(1), tmp_path, lambda _: None)
+    (margin,) = delay_margins([part], RUNS, LocalEngine(1), tmp_path, lambda _: None)
+    return margin
 
 
 @pytest.mark.parametrize("limit_s", [0.003, 0.0125, 0.09, 0.7])
@@ -60,3 +61,19 @@ def test_loop_that_fails_without_a_delay_has_no_margin(tmp_path: Path) -> None:
     margin = found(-1.0, tmp_path)
     assert (margin["margin_s"], margin["fails_at_s"]) == (None, 0.0)
     assert [point["pass_rate"]["passed"] for point in margin["points"]] == [RUNS - 1]
+
+
+def test_cases_without_a_delay_are_flown_once_for_all_parts(tmp_path: Path) -> None:
+    flown: list[tuple[str, float]] = []
+
+    def part(name: str) -> DelayedPart:
+        def job(delay_s: float) -> CampaignJob:
+            flown.append((name, delay_s))
+            return cast(CampaignJob, LimitedCampaign(delay_s, 0.5))
+
+        return DelayedPart(name, 1.0, job)
+
+    margins = delay_margins([part("poses"), part("axes")], RUNS, LocalEngine(1), tmp_path, lambda _: None)
+    assert [margin["part"] for margin in margins] == ["poses", "axes"]
+    assert [name for name, delay_s in flown if delay_s == 0.0] == ["poses"]
+    assert margins[0]["points"] == margins[1]["points"]
