@@ -318,6 +318,11 @@ def _render_rare(summary: dict[str, Any], verdict: str, console: Console) -> Non
     if rare["failing"]:
         shown = ", ".join(f"{row['case']} ({row['value']:.5g})" for row in rare["failing"][:5])
         console.print(f"{rare['failing_cases']} cases met it: {shown}", highlight=False, soft_wrap=True)
+    for row in rare.get("noise", ()):
+        halved_by = (
+            "" if row["halved_by"] is None else f", with {100.0 * row['halved_by']:.0f} % of it half the probability"
+        )
+        console.print(f"{100.0 * row['part']:.0f} % from {row['noise']}{halved_by}", highlight=False, soft_wrap=True)
     drivers = ", ".join(f"{row['dispersion']} {row['mean_sigma']:+.2f}" for row in rare["drivers"][:5])
     if drivers:
         console.print(f"mean of the dispersions there, in sigma: {drivers}", highlight=False, soft_wrap=True)

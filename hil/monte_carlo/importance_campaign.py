@@ -1,7 +1,9 @@
 """Importance sampling of a rare event: the probability that a deviation of the ready phase exceeds a threshold.
 
 A check of subset simulation by other cases: independent ones whose noise has the means of ``importance_density``, each
-with the weight of its density. The density is fitted to pilot cases and kept in the folder.
+with the weight of its density. The density is fitted to pilot cases and kept in the folder. The estimate has no bias
+whatever the density; one that misses a way to the event has a large error that its cases do not show, so an estimate
+with few effective cases, or that one case dominates, is withheld.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from hil.monte_carlo.importance_density import (
     block_length_s,
     block_normals,
     fitted_density,
+    noise_drivers,
 )
 from hil.monte_carlo.rare_events import ESTIMATED, RareEvent, lognormal_interval
 from hil.monte_carlo.statistics import CONFIDENCE
@@ -126,6 +129,7 @@ class ImportanceCampaign:
             values = event.values(np.asarray(self._store.column(event.outcome), dtype=float))
             weights = np.exp(np.asarray(self._store.column(LOG_WEIGHT), dtype=float))
             rare |= _result(values, weights, event.level) | {"distance": density.distance}
+            rare["noise"] = noise_drivers(density)
             failing = np.flatnonzero(values > event.level)
             rare["failing_cases"] = len(failing)
             shown = failing[np.argsort(-values[failing], kind="stable")][:_SHOWN]
@@ -166,6 +170,7 @@ def _result(values: Array, weights: Array, level: float) -> dict[str, Any]:
         "failing": [],
         "levels": [],
         "drivers": [],
+        "noise": [],
     }
 
 

@@ -13,7 +13,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from scipy.special import logsumexp
@@ -26,6 +26,11 @@ LOG_WEIGHT: Final = "log_weight"
 """Column of the cases: logarithm of the density of the scenario's noise over that of the campaign's."""
 LEAD_S: Final = 64.0
 """Time before a deviation in which its noise has means."""
+CHANNELS: Final = {
+    "imu": tuple(f"imu {kind} {axis}" for kind in ("gyro", "accelerometer", "gyro drift", "bias") for axis in "xyz"),
+    "vision": tuple(f"vision {kind} {axis}" for kind in ("position", "rotation") for axis in "xyz"),
+}
+"""Names of the columns of each source's normals."""
 _BLOCK_S: Final = 0.64  # of normals that have one mean
 _NOMINAL: Final = 0.1  # fraction of the cases without means
 _COMPONENT: Final = 5  # of the spawn keys of a campaign's seed
@@ -198,3 +203,25 @@ def _dispersion_means(pilot: PilotCases, power: float) -> Array:
     slope = np.where(np.abs(slopes) > _LEAST_SIGMAS * sigmas, slopes, 0.0)[1:]
     found: Array = power * slope / (1.0 + 2.0 * power * float(slope @ slope))
     return found
+
+
+def noise_drivers(density: ImportanceDensity) -> list[dict[str, Any]]:
+    """Return the channels of noise that lead to the deviation, by the keys of ``rare.noise``, the largest part first.
+
+    part: of the squared distance, as of the variance of a linear system. halved_by: factor on the channel's standard
+    deviation that halves the probability, which for a first passage goes with exp(-distance^2 / 2); None if the channel
+    is too small for that.
+    """
+    power = {
+        names[channel]: float((mean[:, channel] ** 2).sum())
+        for source, mean in density.means.items()
+        for names in (CHANNELS[source],)
+        for channel in np.flatnonzero(mean.any(axis=0))
+    }
+    total = sum(power.values())
+    lost = 1.0 - 1.0 / (1.0 + 2.0 * math.log(2.0) / total)  # part of the variance without which it is halved
+    rows = []
+    for name, own in sorted(power.items(), key=lambda item: -item[1]):
+        square = 1.0 - lost * total / own
+        rows.append({"noise": name, "part": own / total, "halved_by": math.sqrt(square) if square > 0.0 else None})
+    return rows

@@ -17,6 +17,7 @@ from hil.monte_carlo.importance_density import (
     block_normals,
     block_of_row,
     fitted_density,
+    noise_drivers,
 )
 
 BLOCK_S, RATES_HZ = 0.64, {"imu": 50.0, "vision": 6.25}
@@ -143,6 +144,17 @@ def test_means_reach_the_rows_of_their_blocks_in_any_block_size() -> None:
     sign = np.sign(added[11, 0])
     assert np.allclose(added, sign * np.repeat([0.0, 1.0, 2.0, 0.0], [4, 4, 4, 8])[:, None])
     assert isinstance(shifted, MixedSeed)
+
+
+def test_noise_that_is_reduced_by_its_factor_halves_the_probability() -> None:
+    means = {"vision": np.array([[0.0, 0.0, 4.0, 0.0, 0.0, 0.0]]), "imu": np.array([[0.0] * 3 + [1.0] + [0.0] * 8])}
+    rows = noise_drivers(ImportanceDensity(BLOCK_S, 0, 9, means, RATES_HZ, np.zeros(0)))
+    assert [row["noise"] for row in rows] == ["vision position z", "imu accelerometer x"]
+    assert rows[0]["part"] == pytest.approx(16.0 / 17.0)
+    assert rows[1]["halved_by"] is None
+    level = math.sqrt(17.0)
+    left = norm.sf(level / math.sqrt((16.0 * rows[0]["halved_by"] ** 2 + 1.0) / 17.0))
+    assert left / norm.sf(level) == pytest.approx(0.5, abs=0.02)
 
 
 def test_peaks_are_the_largest_deviations_that_stand_apart() -> None:
