@@ -40,7 +40,7 @@ class RunRequirement:
     for_s
         Time in which the limit may be exceeded without a break, s; 0: in no cycle.
     from_s
-        Time of the run from which it holds, s, or ``ready``: the begin of the ready phase.
+        Time of the run from which it holds, s, or ``ready``: from the start of the ready phase.
 
     Raises
     ------
