@@ -23,6 +23,7 @@ Length = Annotated[float, Field(gt=0.0, le=LONGEST_M)]
 Place = Annotated[float, Field(ge=-LONGEST_M, le=LONGEST_M)]
 Size = Annotated[int, Field(ge=32, le=8192)]
 Point = tuple[Place, Place]
+Tolerance = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class PixelNoise(ConfigModel):
@@ -32,6 +33,23 @@ class PixelNoise(ConfigModel):
     """Read noise, 1 sigma."""
     k: Annotated[float, Field(ge=0.0, le=16.0)] = 0.0
     """Variance per grey level."""
+
+
+class CameraTolerances(ConfigModel):
+    """Errors of camera and optics, 1 sigma, that the sigmas of the results include; 0: exact."""
+
+    focal_fraction: Tolerance = 0.0
+    """Focal length, relative."""
+    aspect_fraction: Tolerance = 0.0
+    """Height of a pixel, relative to its width."""
+    principal_point_px: Tolerance = 0.0
+    """Principal point, along u and v."""
+    distortion_px: Tolerance = 0.0
+    """Radial distortion at the image's corner."""
+    tone_px: Tolerance = 0.0
+    """Shift of each edge towards its darker side: tone curve, overexposure."""
+    time_s: Tolerance = 0.0
+    """Time of a portion's last frame: fields, lost frames."""
 
 
 class SceneCamera(ConfigModel):
@@ -50,6 +68,7 @@ class SceneCamera(ConfigModel):
     sky: Level = 12.0
     """Grey value behind everything, for rendering."""
     noise: PixelNoise = PixelNoise()
+    tolerances: CameraTolerances = CameraTolerances()
 
     @model_validator(mode="after")
     def _is_a_camera(self) -> Self:

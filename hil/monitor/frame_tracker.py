@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hil.config.scene import Scene
 from hil.models import docking_view
 from hil.monitor import validation
+from hil.monitor.considered import pose_errors
 from hil.monitor.detector import TargetDetector
 from hil.monitor.features import ACROSS, LABEL, UPRIGHT, target_features
 from hil.monitor.kernels import measure
@@ -160,7 +161,7 @@ class FrameTracker:
         )  # fmt: skip
         if status != measure.MEASURED:
             return self._no_result(frame, "rejected_measurement", "too few edges")
-        if validation.is_implausible(x):
+        if validation.is_implausible(x, self._camera.tolerances.tone_px):
             return self._no_result(frame, "rejected_pose", "pose out of bounds")
         samples = self._samples[:count]
         noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
@@ -198,6 +199,7 @@ class FrameTracker:
         return FrameResult(
             detection, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
             paper_frame(self._features.lens, samples) if in_paper_mode else None,
+            pose_errors(self._camera, samples[used], x, self._normal, prior),
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
+from hil.monitor.considered import motion_covariance
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
@@ -93,7 +94,8 @@ class DockingMonitor:
             return _nothing(frames, t_s, "rejected_motion")
         self._used_s = used[-1].detection.t_s
         self._tracker.expect(fit.motion)
-        return _result(frames, fit, status)
+        covariance = fit.motion.covariance + motion_covariance(self.scene.camera, used, fit.motion.w, t_s)
+        return _result(frames, fit, status, covariance)
 
 
 def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None:
@@ -116,8 +118,8 @@ def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -
     return Result(t_s, 0, status, _NAN, _NAN, reasons=_reasons(frames))
 
 
-def _result(frames: list[FrameResult], fit: MotionSolution, status: str) -> Result:
-    values, sigmas = derive(fit.motion.w, fit.motion.covariance)
+def _result(frames: list[FrameResult], fit: MotionSolution, status: str, covariance: NDArray[np.float64]) -> Result:
+    values, sigmas = derive(fit.motion.w, covariance)
     if status == FAR:
         # two uncertain angles rotate the image by half their product, an effect of second order
         roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
@@ -127,7 +129,7 @@ def _result(frames: list[FrameResult], fit: MotionSolution, status: str) -> Resu
         sigmas[hidden] = np.nan
     return Result(
         fit.motion.t_s, fit.frames, status, values, sigmas,
-        fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, fit.motion.covariance, _reasons(frames),
+        fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, covariance, _reasons(frames),
     )  # fmt: skip
 
 

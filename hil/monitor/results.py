@@ -129,7 +129,8 @@ class FrameResult:
 
     reason: why it was not used, as text. pose: (7,), d, m, phi, rad, growth, px. normal: (7, 7), of the edges alone;
     prior: (7,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
-    1 sigma of a pixel at grey value 100.
+    1 sigma of a pixel at grey value 100. errors: (7, k), of the pose by one standard deviation of each of the camera's
+    tolerances; None without any.
     """
 
     detection: FrameDetection
@@ -143,6 +144,7 @@ class FrameResult:
     noise: float = float("nan")
 
     paper: PaperFrame | None = None
+    errors: Floats | None = None
 
     @property
     def status(self) -> str:

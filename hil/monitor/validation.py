@@ -20,6 +20,8 @@ _LARGEST_SCATTER_PX: Final = 0.35
 _LARGEST_ANGLE: Final = 0.7  # rad
 _LARGEST_PASSIVE: Final = 0.4
 _FARTHEST_M: Final = 500.0
+_LARGEST_GROWTH_PX: Final = 0.5
+_TONE_SIGMAS: Final = 4.0
 _LEAST_STEP: Final = 4.0  # height of a step in noise sigmas
 
 
@@ -51,14 +53,14 @@ class Validation:
         return float(np.sqrt(max(square, 0.0)))
 
 
-def is_implausible(x: Floats) -> bool:
-    """Return whether the pose (7,) is outside the range of an approach."""
+def is_implausible(x: Floats, tone_px: float) -> bool:
+    """Return whether the pose (7,) is outside the range of an approach; tone_px: tolerance of the edges."""
     return (
         not np.all(np.isfinite(x))
         or not 0.05 < x[2] < _FARTHEST_M
         or bool(np.any(np.abs(x[3:6]) > _LARGEST_ANGLE))
         or max(abs(x[0]), abs(x[1])) > _LARGEST_PASSIVE * x[2]
-        or abs(x[6]) > 0.5
+        or abs(x[6]) > _LARGEST_GROWTH_PX + _TONE_SIGMAS * tone_px
     )
 
 

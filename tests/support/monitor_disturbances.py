@@ -1,0 +1,169 @@
+"""Rows of disturbances for the docking monitor: what lens, sensor, time and scene file do to its results."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from hil.config.load import load_scene
+from hil.config.scene import CameraTolerances, Scene
+from hil.monitor.monitor import DockingMonitor
+from hil.monitor.results import QUANTITIES, Result
+from hil.monitor.sources import VideoFrame
+from tests.support.tv_pixels import TvCamera, TvTarget
+
+Array = npt.NDArray[np.float64]
+FRAMES = 10
+GROSS_DEG, GROSS_SHARE, GROSS_SIGMAS = 3.0, 0.01, 4.0
+
+
+@dataclass
+class MonitorTally:
+    """Results of a row. ratios: errors over sigmas of the values of each portion."""
+
+    portions: int = 0
+    measured: int = 0
+    gross: int = 0
+    consistent: int = 0
+    statuses: Counter[str] = field(default_factory=Counter)
+    ratios: list[Array] = field(default_factory=list)
+
+    def add(self, found: Result, truth: Array) -> None:
+        """Count a portion; truth: (12,), by QUANTITIES."""
+        self.portions += 1
+        self.statuses[found.status] += 1
+        seen = np.isfinite(found.values)
+        if not seen.any():
+            return
+        self.measured += 1
+        self.consistent += found.consistent
+        error = found.values - truth
+        ratio = np.abs(error / found.sigmas)
+        self.ratios.append((error / found.sigmas)[seen])
+        for k, name in enumerate(QUANTITIES):
+            if not seen[k] or ratio[k] <= GROSS_SIGMAS or name.endswith("mps"):
+                continue
+            limit = np.radians(GROSS_DEG) if name.endswith("rad") else GROSS_SHARE * truth[6]
+            self.gross += bool(abs(error[k]) > limit)
+
+    def line(self) -> str:
+        """Return the row of the table."""
+        if not self.ratios:
+            return f"{self.measured:3d} of {self.portions}   gross 0 | {dict(self.statuses)}"
+        ratios = np.concatenate(self.ratios)
+        return (
+            f"{self.measured:3d} of {self.portions}   gross {self.gross:2d} | error/sigma rms "
+            f"{np.sqrt((ratios**2).mean()):7.2f} max {np.abs(ratios).max():7.1f} | within 2 sigma "
+            f"{100 * np.mean(np.abs(ratios) < 2.0):5.1f} % | consistent {self.consistent} | {dict(self.statuses)}"
+        )
+
+
+@dataclass(frozen=True)
+class MonitorRow:
+    """One row. draw: the real camera of a portion. stated: tolerances of the scene file. lost: frames left out."""
+
+    name: str
+    draw: Callable[[np.random.Generator], TvCamera]
+    stated: CameraTolerances | None = None
+    lost: int = 0
+    said_fields: str = "whole"
+
+    def scene(self) -> Scene:
+        """Return the scene file of the lab."""
+        scene = load_scene("atv").value
+        camera = scene.camera.model_copy(update={"tolerances": self.stated or CameraTolerances()})
+        return scene.model_copy(update={"camera": camera, "fields": self.said_fields})
+
+    def run(self, portions: int, seed: int) -> MonitorTally:
+        """Return the tally of ``portions`` portions, each of a new monitor."""
+        tally, scene = MonitorTally(), self.scene()
+        for number in range(portions):
+            rng = np.random.default_rng([seed, number])
+            camera, w = self.draw(rng), _motion(rng)
+            target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
+            left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
+            shown, found = 0, []
+            last_s = 0.0
+            for k in range(FRAMES + self.lost):
+                if k in left_out:
+                    continue
+                t_s = k / scene.fps
+                image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
+                found += (
+                    monitor.feed(image)
+                    if self.said_fields != "whole"
+                    else monitor.feed(VideoFrame(shown, shown / scene.fps, image))
+                )
+                shown, last_s = shown + 1, t_s
+                if found:
+                    break
+            found += monitor.finish()
+            end_s = last_s if self.said_fields == "whole" else found[0].t_s
+            tally.add(found[0], _truth(w, end_s))
+        return tally
+
+
+def _motion(rng: np.random.Generator) -> Array:
+    """Return (12,) of an approach between 3 and 12 m with the target in the image."""
+    d3 = float(np.exp(rng.uniform(np.log(3.0), np.log(12.0))))
+    passive, sight = rng.uniform(-0.05, 0.05, 2), rng.uniform(-0.03, 0.03, 2)
+    place = [
+        passive[0] * d3,
+        passive[1] * d3,
+        d3,
+        passive[1] + sight[1],
+        -passive[0] + sight[0],
+        rng.uniform(-0.06, 0.06),
+    ]
+    speed = 0.02 * d3
+    rates = [*(rng.uniform(-0.1, 0.1, 2) * speed), rng.uniform(-1.0, 1.0) * speed, *rng.normal(0.0, 1e-3, 3)]
+    w = np.empty(12)
+    w[0::2], w[1::2] = place, rates
+    return w
+
+
+def _truth(w: Array, t_s: float) -> Array:
+    """Return QUANTITIES (12,) at ``t_s``."""
+    d, phi, rate = w[0:6:2] + t_s * w[1:6:2], w[6::2] + t_s * w[7::2], w[1:6:2]
+    a = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_rotvec(phi).as_matrix()
+    x = -a.T @ d
+    away = float(np.linalg.norm(d))
+    angles = [np.arctan2(d[1], np.hypot(d[0], d[2])), np.arctan2(d[0], d[2])]
+    return np.array([*d, *phi, away, d @ rate / away, *angles, np.arctan2(x[0], x[2]), np.arctan2(x[1], x[2])])
+
+
+def _always(**errors: float | str) -> Callable[[np.random.Generator], TvCamera]:
+    return lambda _: TvCamera(**errors)  # type: ignore[arg-type]
+
+
+def _normal(**sigmas: float) -> Callable[[np.random.Generator], TvCamera]:
+    return lambda rng: TvCamera(**{name: sigma * rng.standard_normal() for name, sigma in sigmas.items()})
+
+
+_TONE = CameraTolerances(tone_px=0.2)
+
+MONITOR_ROWS = (
+    MonitorRow("clean", _always()),
+    MonitorRow("overexposed x1.6", _always(gain=1.6), _TONE),
+    MonitorRow("gamma 0.6", _always(gamma=0.6), _TONE),
+    MonitorRow("gamma 1.6", _always(gamma=1.6), _TONE),
+    MonitorRow("S-curve", _always(s_curve=0.8), _TONE),
+    MonitorRow("distortion, 2 px at the corner", _normal(distortion=0.0219), CameraTolerances(distortion_px=2.0)),
+    MonitorRow("focal length 1 %", _normal(f_share=0.01), CameraTolerances(focal_fraction=0.01)),
+    MonitorRow("focal length 3 %", _normal(f_share=0.03), CameraTolerances(focal_fraction=0.03)),
+    MonitorRow("aspect 1 %", _normal(aspect=0.01), CameraTolerances(aspect_fraction=0.01)),
+    MonitorRow("aspect 3 %", _normal(aspect=0.03), CameraTolerances(aspect_fraction=0.03)),
+    MonitorRow("lost frames", _always(), CameraTolerances(time_s=0.1), lost=2),
+    MonitorRow("half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02)),
+    MonitorRow(
+        "wrong field order", _always(fields="lower_first"), CameraTolerances(time_s=0.02), said_fields="upper_first"
+    ),
+    MonitorRow("vibration of 0.5 px", _always(jitter_px=0.5)),
+    MonitorRow("shadow beside an arm", _always(shadow=0.4)),
+    MonitorRow("low noise", _always(noise_levels=0.5)),
+)

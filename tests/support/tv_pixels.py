@@ -1,0 +1,125 @@
+"""Television images of a docking target for the monitor: rays through each pixel, supersampled at the edges.
+
+It shares no mathematics with ``hil.monitor``: its own rotation, planes and lens. It has what the monitor does not
+model: lens distortion, pixel aspect, gamma and S-curve, overexposure, vibration, fields, lost frames, a shadow beside
+an arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+from scipy.spatial.transform import Rotation
+
+from hil.config.scene import Scene
+
+Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]
+FINE = 4
+
+
+@dataclass(frozen=True)
+class TvCamera:
+    """Real camera and sensor. f_share, aspect: relative errors of the focal length and of the pixels' height.
+
+    distortion: k1. gamma: exponent of the levels. s_curve: strength of a smooth step mixed in. jitter_px: 1 sigma of a
+    displacement of each frame. fields: "" for whole frames, else which field is exposed first, the other half a
+    period later. shadow: depth of a shadow beside the cross, 0..1.
+    """
+
+    f_share: float = 0.0
+    aspect: float = 0.0
+    distortion: float = 0.0
+    gain: float = 1.0
+    gamma: float = 1.0
+    s_curve: float = 0.0
+    jitter_px: float = 0.0
+    fields: str = ""
+    shadow: float = 0.0
+    blur_px: float = 0.8
+    noise_levels: float = 2.0
+
+
+class TvTarget:
+    """The target of ``scene`` before a real camera."""
+
+    def __init__(self, scene: Scene, camera: TvCamera) -> None:
+        self._scene, self._camera = scene, camera
+
+    def frame(self, pose_at: Callable[[float], tuple[Array, Array]], t_s: float, rng: np.random.Generator) -> Image:
+        """Return the image of the exposure at ``t_s``; pose_at returns d (3,), m, and phi (3,), rad."""
+        shift = self._camera.jitter_px * rng.standard_normal(2)
+        light = self._light(*pose_at(t_s), shift)
+        if self._camera.fields:
+            later = self._light(*pose_at(t_s + 0.5 / self._scene.fps), shift)
+            second = 1 if self._camera.fields == "upper_first" else 0
+            light[second::2] = later[second::2]
+        return self._sensor(light, rng)
+
+    def _sensor(self, light: Array, rng: np.random.Generator) -> Image:
+        camera = self._camera
+        level = np.clip(light * camera.gain / 255.0, 0.0, 1.0) ** camera.gamma
+        level = (1.0 - camera.s_curve) * level + camera.s_curve * level * level * (3.0 - 2.0 * level)
+        levels = 255.0 * level + camera.noise_levels * rng.standard_normal(level.shape)
+        return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+    def _light(self, d: Array, phi: Array, shift: Array) -> Array:
+        known = self._scene.camera
+        rows, columns = np.mgrid[: known.height, : known.width].astype(float)
+        level = self._levels(columns, rows, d, phi, shift)
+        edge = maximum_filter(level, 3) != minimum_filter(level, 3)
+        v, u = np.nonzero(edge)
+        step = (np.arange(FINE) + 0.5) / FINE - 0.5
+        du, dv = (part.ravel() for part in np.meshgrid(step, step))
+        fine = self._levels(u[:, None] + du, v[:, None] + dv, d, phi, shift)
+        level[v, u] = fine.mean(axis=1)
+        return np.asarray(gaussian_filter(level, self._camera.blur_px, mode="nearest"))
+
+    def _levels(self, u: Array, v: Array, d: Array, phi: Array, shift: Array) -> Array:
+        """Return the grey levels that the rays of pixels see, nearest plane first."""
+        known, camera, target = self._scene.camera, self._camera, self._scene.target
+        f = known.f * (1.0 + camera.f_share)
+        a, b = (u - shift[0] - known.cx) / f, -(v - shift[1] - known.cy) / (f * (1.0 + camera.aspect))
+        x, y = a, b
+        for _ in range(4):
+            swell = 1.0 + camera.distortion * (x * x + y * y)
+            x, y = a / swell, b / swell
+        to_target = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_rotvec(phi).as_matrix()
+        ray = [to_target[i, 0] * x + to_target[i, 1] * y + to_target[i, 2] for i in range(3)]
+        level = np.full(u.shape, known.sky)
+
+        def plane(offset: float) -> tuple[Array, Array]:
+            reach = (offset - d[2]) / ray[2]
+            return d[0] + reach * ray[0], d[1] + reach * ray[1]
+
+        def paint(where: npt.NDArray[np.bool_], grey: float) -> None:
+            level[where] = grey
+
+        if target.outline is not None:
+            p, q = plane(target.outline.offset_m)
+            paint(np.hypot(p - target.outline.center_m[0], q - target.outline.center_m[1]) < target.outline.radius_m,
+                  target.outline.level)  # fmt: skip
+        for box in sorted(target.boxes, key=lambda box: box.offset_m):
+            p, q = plane(box.offset_m)
+            paint((abs(p - box.x_m) < 0.5 * box.width_m) & (abs(q - box.y_m) < 0.5 * box.height_m), box.level)
+        p, q = plane(0.0)
+        if target.plate is not None:
+            paint((abs(p) < 0.5 * target.plate.width_m) & (abs(q) < 0.5 * target.plate.height_m), target.plate.level)
+        if target.disc is not None:
+            paint(np.hypot(p, q) < target.disc.radius_m, target.disc.level)
+        if target.labels is not None:
+            for one, two in target.labels.centers_m:
+                paint(np.hypot(p - one, q - two) < target.labels.radius_m, target.labels.level)
+        if target.cross is not None:
+            arm, half = target.cross.arm_length_m, 0.5 * target.cross.arm_width_m
+            if camera.shadow:
+                beside = (abs(p) < arm) & (q < -half) & (q > -2.5 * half)
+                level[beside] *= 1.0 - camera.shadow
+            p, q = plane(target.cross.offset_m)
+            bar = ((abs(p) < arm) & (abs(q) < half)) | ((abs(q) < arm) & (abs(p) < half))
+            paint(bar, target.cross.level)
+        return level
