@@ -36,7 +36,7 @@ class LiveVision:
         self.unit = VisionUnit(geometry)
         self.unit.warm_up()
         settings = vmu.settings
-        self._rate_hz = vmu.rate_hz
+        self._rate_hz, self._only_noise = vmu.rate_hz, vmu.covariance == "noise"
         self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
         self._last: FramePair | None = None
         self._solved = self._counter = 0
@@ -75,7 +75,7 @@ class LiveVision:
                 self._counts["lost"] += 1
                 continue
             solution = self.unit.solve(images[0], images[1], t_s)
-            frame = solution.frame(self._counter & 0xFFFF_FFFF, math.nan)
+            frame = solution.frame(self._counter & 0xFFFF_FFFF, math.nan, self._only_noise)
             if frame is None:
                 self._counts["no_pose"] += 1
                 continue

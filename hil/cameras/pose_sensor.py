@@ -81,7 +81,7 @@ def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: ImageSink |
     bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
     rng = stream(seed, "pictures")
     cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng)
-    return RenderedPoseSensor(cameras, calibrated_geometry(rig), rng, shown)
+    return RenderedPoseSensor(cameras, calibrated_geometry(rig), rng, shown, rig.vmu.covariance == "noise")
 
 
 def calibrated_geometry(rig: Rig) -> VmuGeometry:

@@ -74,7 +74,7 @@ class RenderedPoseSensor:
 
     cameras: with the rendered geometry; geometry: the one that the unit assumes. rng: noise of the images.
     Every error of the bench, and of the calibration if they differ, affects the pose as it would in a lab.
-    shown: receives the images with their overlay.
+    shown: receives the images with their overlay. only_noise: the poses' covariance is that of the noise alone.
     """
 
     def __init__(
@@ -83,11 +83,13 @@ class RenderedPoseSensor:
         geometry: VmuGeometry,
         rng: np.random.Generator,
         shown: ImageSink | None = None,
+        only_noise: bool = False,
     ) -> None:
         self._cameras = cameras
         self._unit = VisionUnit(geometry)
         self._rng = rng
         self._shown = shown
+        self._only_noise = only_noise
         self._exposures = 0
 
     def measure(self, rail_m: Array, gimbal_rad: Array, t_s: float) -> PoseFrame | None:
@@ -97,7 +99,7 @@ class RenderedPoseSensor:
         if self._shown is not None:
             self._show(self._shown, left, right, solution)
         self._exposures += 1
-        return solution.frame(0, t_s)
+        return solution.frame(0, t_s, self._only_noise)
 
     def _show(self, shown: ImageSink, left: np.ndarray, right: np.ndarray, solution: Solution) -> None:
         """Send the pair with its overlay, if due."""

@@ -472,6 +472,9 @@ class Vmu(DeviceTable):
     """LEDs in t, of mock and emulated unit."""
     geometry_file: str | None = None
     """Calibrated cameras and LEDs of the unit; unless set, `camera` and `leds_m`."""
+    covariance: Literal["whole", "noise"] = "whole"
+    """Covariance of a pose that this host solves from images: the whole one, or only that of the noise, for a GNC whose
+    error budget (`gnc.navigation.budget`) has the constant part."""
     bench_sigma_m: NotNegative = 0.0
     """Error of axes and calibration, 1 sigma per axis, added to the covariance of each pose."""
     bench_sigma_deg: NotNegative = 0.0

@@ -146,11 +146,12 @@ def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesRepla
     found = ImagesReplayed(VMU)
     compared = _Compared([*((name, "m") for name in POSE[:3]), *((name, "rad") for name in POSE[3:]), *_REST])
     on_wires = recorded.run["rig_kind"] != "mock"
+    only_noise = recorded.rig.vmu.covariance == "noise"
     for left, right in images.pairs(recorded.path):
         counter.add(left)
         solution = unit.solve(left.image(recorded.path), right.image(recorded.path), left.bench_s)
         found.statuses[left.status, solution.status] += 1
-        before, now = frames.at(left.bench_s), solution.frame(0, left.bench_s)
+        before, now = frames.at(left.bench_s), solution.frame(0, left.bench_s, only_noise)
         if before is None or now is None:
             found.missing += before is not None
             found.new += now is not None and left.status != solution.status

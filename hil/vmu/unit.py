@@ -115,13 +115,17 @@ class Solution:
         """Return the LEDs used of a camera, bit n for LED n."""
         return sum(1 << n for n, k in enumerate(self.leds[camera]) if k >= 0)
 
-    def frame(self, counter: int, received_s: float) -> PoseFrame | None:
-        """Return the measured pose as the bench's message, None without one."""
+    def frame(self, counter: int, received_s: float, only_noise: bool = False) -> PoseFrame | None:
+        """Return the measured pose as the bench's message, None without one.
+
+        only_noise: its covariance is that of the part that is independent between images.
+        """
         if self.pose is None or self.status != OK:
             return None
         p = self.pose
         bits = self.bits(0), self.bits(1)
-        return PoseFrame(counter, self.t_s, received_s, p.t_v, p.q_vt, p.covariance, bits[0], bits[1])
+        covariance = p.noise if only_noise else p.covariance
+        return PoseFrame(counter, self.t_s, received_s, p.t_v, p.q_vt, covariance, bits[0], bits[1])
 
 
 class VisionUnit:

@@ -104,6 +104,11 @@ def test_covariance_grows_with_the_stated_tolerances_and_tells_noise_from_bias(r
     bias = usual.covariance - usual.pose.noise
     assert np.linalg.eigvalsh(bias).min() > -1e-12
     assert np.trace(bias[:3, :3]) > np.trace(usual.pose.noise[:3, :3])
+    whole, noise = usual.frame(0, 0.0), usual.frame(0, 0.0, only_noise=True)
+    assert whole is not None
+    assert noise is not None
+    assert np.array_equal(whole.covariance, usual.covariance)
+    assert np.array_equal(noise.covariance, usual.pose.noise)
 
 
 def test_covariance_of_a_calibration_takes_the_place_of_the_tolerances() -> None:
