@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.maths.kalman import propagate_covariance, update_three
 
@@ -37,13 +37,11 @@ def rotation_response(q, out):
 
 
 @kernel
-def angles(q):
-    """Return theta (3,), rad: eq. (9) with its third line corrected."""
-    theta = np.empty(3)
+def angles_into(q, theta):
+    """Write theta (3,), rad: eq. (9) with its third line corrected."""
     theta[0] = math.atan2(2.0 * (q[0] * q[3] + q[1] * q[2]), -q[0] * q[0] - q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     theta[1] = math.asin(min(1.0, max(-1.0, 2.0 * (q[1] * q[3] - q[0] * q[2]))))
     theta[2] = math.atan2(2.0 * (q[2] * q[3] + q[0] * q[1]), q[0] * q[0] - q[1] * q[1] - q[2] * q[2] + q[3] * q[3])
-    return theta
 
 
 @kernel
@@ -74,11 +72,10 @@ def angle_jacobian(q, h):
 @kernel
 def angle_covariance(q, covariance_rotation, out):
     """Write the covariance (3, 3) of theta for a covariance (3, 3), rad^2, of the small-angle rotation of c."""
-    h = np.zeros((3, 4))
-    xi = np.empty((4, 3))
+    h, xi, e = stack.matrix(3, 4), stack.matrix(4, 3), stack.matrix(3, 3)
     angle_jacobian(q, h)
     rotation_response(q, xi)
-    e = np.zeros((3, 3))
+    fill_matrix(e, 0.0)
     for i in range(3):
         for j in range(3):
             for m in range(4):
@@ -97,9 +94,9 @@ def from_multiplicative(x, p, state):
     """Start from the state ``x`` (7,) of the multiplicative filter and its covariance ``p`` (6, 6)."""
     copy_into(state.x, x)
     state.nis = np.nan
-    xi = np.empty((4, 3))
+    xi, t = stack.matrix(4, 3), stack.matrix(7, 6)
     rotation_response(x, xi)
-    t = np.zeros((7, 6))
+    fill_matrix(t, 0.0)
     for i in range(3):
         for j in range(4):
             t[j, i] = 0.5 * xi[j, i]
@@ -117,8 +114,8 @@ def from_multiplicative(x, p, state):
 @kernel
 def start(params, pose, state):
     """Start from the first pose: its attitude with its covariance, the drift from ``params`` (AKF_PARAMS)."""
-    x = np.empty(7)
-    p = np.zeros((6, 6))
+    x, p = stack.vector(7), stack.matrix(6, 6)
+    fill_matrix(p, 0.0)
     copy_into(x[0:4], pose.q_CH)
     for i in range(3):
         x[4 + i] = params.initial_drift[i]
@@ -132,23 +129,25 @@ def start(params, pose, state):
 def transition(params, x, measured_rate, hill, q_next, phi):
     """Write the quaternion after the step, (4,), and the transition matrix ``phi`` (7, 7)."""
     dt = params.dt_s
-    rotation = np.empty(3)
+    rotation, hill_rotation, xi = stack.vector(3), stack.vector(3), stack.matrix(4, 3)
+    dq_c, dq_h = stack.vector(4), stack.vector(4)
+    unit, before, column = stack.vector(4), stack.vector(4), stack.vector(4)
     for i in range(3):
         rotation[i] = (measured_rate[i] - x[4 + i]) * dt
-    dq_c = quat.from_rotation_vector(rotation)
-    hill_rotation = np.zeros(3)
+        hill_rotation[i] = 0.0
     hill_rotation[1] = hill.turn  # minus the rotation of H, about -y
-    dq_h = quat.from_rotation_vector(hill_rotation)
-    unit = np.zeros(4)
+    quat.from_rotation_vector_into(rotation, dq_c)
+    quat.from_rotation_vector_into(hill_rotation, dq_h)
     fill_matrix(phi, 0.0)
     for j in range(4):
         fill(unit, 0.0)
         unit[j] = 1.0
-        column = quat.multiply(dq_c, quat.multiply(unit, dq_h))
+        quat.multiply_into(unit, dq_h, before)
+        quat.multiply_into(dq_c, before, column)
         for i in range(4):
             phi[i, j] = column[i]
-    copy_into(q_next, quat.multiply(dq_c, quat.multiply(x[0:4], dq_h)))
-    xi = np.empty((4, 3))
+    quat.multiply_into(x[0:4], dq_h, before)
+    quat.multiply_into(dq_c, before, q_next)
     rotation_response(q_next, xi)
     for i in range(3):
         phi[4 + i, 4 + i] = 1.0
@@ -159,12 +158,12 @@ def transition(params, x, measured_rate, hill, q_next, phi):
 @kernel
 def predict(params, state, measured_rate, hill):
     """Carry the state over one step; arguments as of ``akf.predict``."""
-    q_next = np.empty(4)
-    phi = np.empty((7, 7))
+    q_next, along_y = stack.vector(4), stack.vector(3)
+    phi, noise = stack.matrix(7, 7), stack.matrix(7, 7)
     transition(params, state.x, measured_rate, hill, q_next, phi)
     copy_into(state.x[0:4], q_next)
     quat.normalise(state.x[0:4])
-    noise = np.zeros((7, 7))
+    fill_matrix(noise, 0.0)
     gyro = (0.5 * params.dt_s * params.sigma_gyro) ** 2
     for i in range(4):
         for j in range(4):
@@ -174,25 +173,25 @@ def predict(params, state, measured_rate, hill):
     for i in range(3):
         noise[4 + i, 4 + i] = (params.dt_s * params.sigma_drift) ** 2
     propagate_covariance(state.p, phi, noise)
-    a = quat.to_matrix(state.x[0:4])
+    quat.second_column_into(state.x[0:4], along_y)
     for i in range(3):
-        state.w_CH_C[i] = measured_rate[i] - state.x[4 + i] + a[i, 1] * hill.rate
+        state.w_CH_C[i] = measured_rate[i] - state.x[4 + i] + along_y[i] * hill.rate
     state.nis = np.nan
 
 
 @kernel
 def update(state, q_measured, covariance):
     """Fuse a measured attitude; covariance: (3, 3), rad^2, of its small-angle rotation, in c."""
-    q = state.x[0:4].copy()
-    expected = angles(q)
-    measured = angles(q_measured)
-    innovation = np.empty(3)
+    q, expected, measured, innovation = stack.vector(4), stack.vector(3), stack.vector(3), stack.vector(3)
+    h, r = stack.matrix(3, 7), stack.matrix(3, 3)
+    copy_into(q, state.x[0:4])
+    angles_into(q, expected)
+    angles_into(q_measured, measured)
     for i in range(3):
         difference = measured[i] - expected[i]
         innovation[i] = difference - 2.0 * math.pi * math.floor(difference / (2.0 * math.pi) + 0.5)
-    h = np.zeros((3, 7))
+    fill_matrix(h, 0.0)
     angle_jacobian(q, h)
-    r = np.empty((3, 3))
     angle_covariance(q, covariance, r)
     state.nis = update_three(state.x, state.p, h, r, innovation)
     quat.normalise(state.x[0:4])
@@ -202,9 +201,9 @@ def update(state, q_measured, covariance):
 def error_covariance(state, out):
     """Write the covariance (6, 6) of the small-angle rotation of c, rad, and the drift, from the additive one."""
     # t takes the seven additive errors to the six: rotation = 2 Xi.T dq
-    xi = np.empty((4, 3))
+    xi, t = stack.matrix(4, 3), stack.matrix(6, 7)
     rotation_response(state.x[0:4], xi)
-    t = np.zeros((6, 7))
+    fill_matrix(t, 0.0)
     for i in range(3):
         for j in range(4):
             t[i, j] = 2.0 * xi[j, i]

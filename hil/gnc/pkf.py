@@ -59,11 +59,11 @@ def start(params, pose, attitude_p, state):
     fill_matrix(state.p, 0.0)
     fill_matrix(state.c, 0.0)
     state.nis = np.nan
-    r = quat.transform_back(pose.q_CH, pose.z_TC_C)
-    a = quat.to_matrix(pose.q_CH)
+    r, a, lever = stack.vector(3), stack.matrix(3, 3), stack.matrix(3, 3)
+    quat.transform_back_into(pose.q_CH, pose.z_TC_C, r)
+    quat.to_matrix_into(pose.q_CH, a)
     z = pose.z_TC_C
     # dr_H = -A.T (dz + theta x z): lever (3, 3) of theta
-    lever = np.zeros((3, 3))
     for i in range(3):
         lever[i, 0] = -(a[1, i] * -z[2] + a[2, i] * z[1])
         lever[i, 1] = -(a[0, i] * z[2] + a[2, i] * -z[0])

@@ -60,7 +60,8 @@ VISION_ONLY_STATE = np.dtype(
 def _start(pose, state):
     """Start from the first pose, at rest."""
     state.started = 1
-    r = quat.transform_back(pose.q_CH, pose.z_TC_C)
+    r = stack.vector(3)
+    quat.transform_back_into(pose.q_CH, pose.z_TC_C, r)
     for i in range(3):
         state.r_CT_H[i] = -r[i]
         state.last_r[i] = -r[i]
@@ -149,9 +150,11 @@ def update(params, state, pose):
     if not elapsed > 0.0 or not _passes(params, state, pose, elapsed):
         return
     state.rejected_in_a_row = state.mutual = 0
-    measured = quat.transform_back(pose.q_CH, pose.z_TC_C)
-    turned = quat.to_rotation_vector(quat.multiply(pose.q_CH, quat.conjugate(state.last_q)))
-    off = quat.to_rotation_vector(quat.multiply(pose.q_CH, quat.conjugate(state.q_CH)))
+    measured, turned, off = stack.vector(3), stack.vector(3), stack.vector(3)
+    aside, moved = stack.vector(4), stack.vector(4)
+    quat.transform_back_into(pose.q_CH, pose.z_TC_C, measured)
+    quat.rotation_between(pose.q_CH, state.last_q, turned)
+    quat.rotation_between(pose.q_CH, state.q_CH, off)
     to_velocity = elapsed / (params.velocity_lag_s + elapsed)
     to_position = elapsed / (params.position_lag_s + elapsed)
     to_rate = elapsed / (params.rate_lag_s + elapsed)
@@ -163,7 +166,9 @@ def update(params, state, pose):
         state.w_CH_C[i] += to_rate * (turned[i] / elapsed - state.w_CH_C[i])
         state.last_r[i] = r
         off[i] *= to_attitude
-    copy_into(state.q_CH, quat.multiply(quat.from_rotation_vector(off), state.q_CH))
+    quat.from_rotation_vector_into(off, aside)
+    quat.multiply_into(aside, state.q_CH, moved)
+    copy_into(state.q_CH, moved)
     quat.normalise(state.q_CH)
     copy_into(state.last_q, pose.q_CH)
     state.last_t_s = pose.t_s
