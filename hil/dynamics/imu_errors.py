@@ -6,6 +6,8 @@ Allan deviation is greatest, 0.62 of its standard deviation, at 1.9 correlation 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.core.jit import kernel
@@ -42,7 +44,7 @@ def wander(errors, memory, imu):
         if sigma == 0.0:
             continue
         kept = 0.0 if memory.samples == 0 else kept
-        fresh = sigma * np.sqrt(1.0 - kept * kept)
+        fresh = sigma * math.sqrt(1.0 - kept * kept)
         for i in range(3):
             before = memory.instability[sensor, i]
             now = kept * before + fresh * normal(errors.seed, memory.samples, _LANE + 3 * sensor + i)
@@ -58,7 +60,7 @@ def _round(quantum, remainder, reading):
     """Round a reading (3,) to the quantum; the remainder (3,) is read later, as an integrating sensor does."""
     for i in range(3):
         wanted = reading[i] + remainder[i]
-        reading[i] = quantum * np.floor(wanted / quantum + 0.5)
+        reading[i] = quantum * math.floor(wanted / quantum + 0.5)
         remainder[i] = wanted - reading[i]
 
 

@@ -6,6 +6,8 @@ The loop and a campaign's compiled loop call the same kernels, also to call a sh
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from llvmlite import ir
 from numba import typeof, types
@@ -74,7 +76,7 @@ def clear_output(out, cycle):
 def _bad(values):
     """Return the index of the first of ``values`` that is not finite, -1 if all are finite."""
     for i in range(values.shape[0]):
-        if not np.isfinite(values[i]):
+        if not math.isfinite(values[i]):
             return i
     return -1
 
