@@ -170,9 +170,9 @@ the cycle in Python, campaigns and replays alike. Faults of axes need the mock r
 switched on
 at the control ports of its [emulators](../../how-to/set-up-a-rig.md).
 
-The effect is that without a reaction. Detection and reaction are those of a single fault at the sizes of the test; a
-row without a test is open: such a fault may stay undetected, and what protects the bench is the
-[keep-out](../../explanation/safety.md#what-is-monitored).
+The effect is that without a reaction. Detection and reaction are those of a single fault at the sizes of the test. A
+fault that is not detected for sure need not be: at the sizes of the test the approach ends without misleading
+information and outside of the [keep-out](../../explanation/safety.md#what-is-monitored).
 """
     devices = {
         "vmu": "`vmu`: vision unit. Its frames are disturbed on their way to the loop, whatever their source",
@@ -202,9 +202,9 @@ def _fault_value(term: ErrorTerm) -> str:
 
 
 def _fault_response(family: str, kind: str) -> str:
-    response = RESPONSES.get(f"{family}.{kind}")
-    if response is None:
-        return "none for sure | the keep-out at last | **open**"
+    response = RESPONSES[f"{family}.{kind}"]
+    if response.detected_by is None:
+        return f"not for sure: {response.detection} | {response.reaction} | `{response.test}`"
     by = {"navigation": "GNC", "monitor": "docking monitor", "guard": "bench guard", "device": "device"}
     return f"{by[response.detected_by]}: {response.detection} | {response.reaction} | `{response.test}`"
 

@@ -1,9 +1,9 @@
 """Bench guard: checks in each cycle of a run that hold for any GNC.
 
-The chaser's range and closing rate, the bench against the truth, setpoints that are limited, each axis against the
-demand through a model of its drive, and the vision unit's poses against the encoders. Two calls per cycle:
-``check_bench`` after the encoders were read, ``compare_pose`` for each pose that has arrived. A pose that deviates is
-reported by ``check_bench`` of the next cycle.
+The chaser's range and closing rate, the distance of its bodies from the target's, the bench against the truth,
+setpoints that are limited, each axis against the demand through a model of its drive, and the vision unit's poses
+against the encoders. Two calls per cycle: ``check_bench`` after the encoders were read, ``compare_pose`` for each pose
+that has arrived. A pose that deviates is reported by ``check_bench`` of the next cycle.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import math
 
 import numpy as np
 
-from hil.bench.guard import BREACH, NOTHING
+from hil.bench.guard import BREACH, NOTHING, bodies_meet
 from hil.bench.kinematics import pose_of_axes
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
+from hil.models.bodies import BODIES
 
-KEEP_OUT, POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE = range(8, 15)
+KEEP_OUT, POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(8, 16)
 """What was found; the numbers follow those of the compiled loop's other reasons to end."""
 
 SLOW_MPS = 0.5
@@ -31,6 +32,10 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("deceleration", "f8"),  # m/s^2, that all rails have
         ("reaction_s", "f8"),
         ("far", "f8"),  # m, least range at a closing rate of SLOW_MPS
+        ("chaser", BODIES),  # in c about the chaser's reference point
+        ("target", BODIES),  # in H about the target's
+        ("distance", "f8"),  # m, least one between bodies of both
+        ("turning_deceleration", "f8"),  # rad/s^2, that all gimbals have
         ("arm", "f8"),  # m, length of the lever arm
         ("position_max", "f8"),  # m, at rest
         ("attitude_max", "f8"),  # rad, at rest
@@ -98,6 +103,22 @@ def _is_too_near(params, truth, breach):
         return False
     breach.axis, breach.value, breach.low, breach.high = 0, distance, closing, least
     return True
+
+
+@kernel
+def _chaser_meets(params, truth, breach):
+    """Return whether the bodies of the chaser, braking now, would come too near to those of the target."""
+    if params.chaser.n == 0 or params.target.n == 0:
+        return False
+    own, of_H = 0.0, 0.0
+    for i in range(3):
+        own += truth.w_CI_C[i] ** 2
+        of_H += truth.w_HI_H[i] ** 2
+    rate = math.sqrt(own) + math.sqrt(of_H)
+    return bodies_meet(
+        params.chaser, truth.r_CT_H, truth.q_CH, truth.v_CT_H, rate, params.target,
+        params.distance, params.reaction_s, params.deceleration, params.turning_deceleration, breach,
+    )  # fmt: skip
 
 
 @kernel
@@ -194,6 +215,8 @@ def check_bench(
     """
     if params.keep_out > 0.0 and _is_too_near(params, truth, breach):
         return KEEP_OUT
+    if _chaser_meets(params, truth, breach):
+        return BODIES_MEET
     if memory.cycles > 0 and memory.checked_s == t_s:
         return NOTHING
     if memory.vision_frames >= params.vision_frames:

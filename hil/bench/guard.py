@@ -1,4 +1,4 @@
-"""Whether the axes stand where they should: following error that grows with speed, and soft limits.
+"""Whether the axes stand where they should: following error that grows with speed, soft limits, distance of bodies.
 
 Rails in m, gimbals in rad; axes 0..2 are the rails x y z, 3..5 the gimbals roll pitch yaw.
 """
@@ -10,6 +10,9 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths import euler, stack
+from hil.maths.arrays import fill
+from hil.models.bodies import BODIES, CLOSING, DISTANCE, STOPPING, WHICH, clearance
 
 GUARD = np.dtype(
     [
@@ -17,6 +20,14 @@ GUARD = np.dtype(
         ("following_per_speed", "f8", 6),  # s, added for each unit of commanded speed
         ("low", "f8", 6),
         ("high", "f8", 6),
+        ("order", "i8", 3),  # gimbals outer to inner, 0 roll, 1 pitch, 2 yaw
+        ("carriage", BODIES),  # that move with the rails, in L about the turntable's centre of rotation
+        ("turntable", BODIES),  # that rotate as well, in c about the same centre
+        ("lab", BODIES),  # that stand still, in L
+        ("distance", "f8"),  # m, least one between bodies
+        ("reaction_s", "f8"),
+        ("deceleration", "f8"),  # m/s^2, that all rails have
+        ("turning_deceleration", "f8"),  # rad/s^2, that all gimbals have
     ],
     align=True,
 )
@@ -24,6 +35,47 @@ GUARD = np.dtype(
 BREACH = np.dtype([("axis", "i8"), ("value", "f8"), ("low", "f8"), ("high", "f8")], align=True)
 
 NOTHING, FOLLOWING, TRAVEL, NOT_FINITE = range(4)
+COLLISION = 16
+"""Bodies of the bench too near to each other; the numbers between are those of ``bench_guard``."""
+
+
+@kernel
+def bodies_meet(moving, r, q, v, rate, fixed, least, reaction_s, deceleration, turning_deceleration, breach):
+    """Return whether braking would not keep two bodies apart by ``least``, m. Arguments as of ``clearance``.
+
+    ``breach`` (BREACH) then has the number of the pair, the distance as ``value``, the closing rate as ``low`` and
+    the least distance allowed at it as ``high``.
+    """
+    if moving.n == 0 or fixed.n == 0:
+        return False
+    found = stack.vector(4)
+    if clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_deceleration, least, found) >= least:
+        return False
+    breach.axis, breach.value, breach.low = int(found[WHICH]), found[DISTANCE], found[CLOSING]
+    breach.high = least + found[STOPPING]
+    return True
+
+
+@kernel
+def _bench_meets(guard, feedback, breach):
+    """Return whether the bodies of the bench come too near to each other; ``breach`` then has the pair."""
+    if guard.lab.n == 0:
+        return False
+    q, rate = stack.vector(4), 0.0
+    fill(q, 0.0)
+    q[3] = 1.0
+    if bodies_meet(
+        guard.carriage, feedback.rail_m, q, feedback.rail_mps, 0.0, guard.lab,
+        guard.distance, guard.reaction_s, guard.deceleration, guard.turning_deceleration, breach,
+    ):  # fmt: skip
+        return True
+    euler.to_quaternion_into(feedback.gimbal_rad, guard.order, q)
+    for i in range(3):
+        rate += abs(feedback.gimbal_radps[i])
+    return bodies_meet(
+        guard.turntable, feedback.rail_m, q, feedback.rail_mps, rate, guard.lab,
+        guard.distance, guard.reaction_s, guard.deceleration, guard.turning_deceleration, breach,
+    )  # fmt: skip
 
 
 @kernel
@@ -32,8 +84,11 @@ def first_breach(guard, setpoint, feedback, breach):
 
     setpoint, feedback: AXES of one moment. The following error may be ``following_max`` plus
     ``following_per_speed`` times the commanded speed; a position may lie beyond the travel by that
-    much, because a setpoint may lie at its end. Of several axes the first one counts.
+    much, because a setpoint may lie at its end. Of several axes the first one counts. Bodies of the bench that come too
+    near to each other count before the axes.
     """
+    if _bench_meets(guard, feedback, breach):
+        return COLLISION
     for axis in range(6):
         i = axis % 3
         if axis < 3:

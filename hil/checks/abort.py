@@ -88,14 +88,6 @@ def _why_not_isolated(scenario: Scenario) -> str:
     return ""
 
 
-def largest_approach_mps(scenario: Scenario) -> float:
-    """Return the largest closing rate that the plan and the correction of position errors need."""
-    guidance = scenario.gnc.guidance
-    phases = [guidance.phases[name] for name in guidance.sequence]
-    speeds = [phase.speed_mps or guidance.approach_speed_mps for phase in phases if phase.kind in ("approach", "final")]
-    return max(speeds, default=0.0) + scenario.gnc.control.correction_rate_mps
-
-
 def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     """Return why an abort with ``failed`` would not stay clear, "" if it would."""
     which = f"thruster.{failed.number} {failed.kind}"
@@ -106,9 +98,8 @@ def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     if failed.kind == STUCK_OPEN:
         found_s += scenario.gnc.integrity.thruster_open_s
     ready_m, start_m = math.hypot(*scenario.gnc.guidance.ready_point_m), math.hypot(*scenario.initial.position_m)
-    planned_mps = largest_approach_mps(scenario)
     for range_m in np.linspace(ready_m, max(ready_m, start_m), _RANGES):
-        closing_mps = min(planned_mps, float(closing_limit(monitor, float(range_m))))
+        closing_mps = float(closing_limit(monitor, float(range_m)))
         stops_m = float(range_m) - failed.stopping_m(closing_mps, found_s)
         if keep_out_m > 0.0 and stops_m < keep_out_m:
             return (

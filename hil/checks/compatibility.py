@@ -75,7 +75,9 @@ def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
     scale = max(1.0, distance / vmu.reference_range_m) * _NOISE_SIGMAS
     limits = np.empty(3)
     params = gnc_params.approach_monitor(value)
-    alert_limits(params, np.array(value.gnc.guidance.ready_point_m), np.zeros(3), limits)
+    alert_limits(
+        params, np.array(value.gnc.guidance.ready_point_m), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), limits
+    )
     problems = []
     for name, limit, noise, unit in (
         ("alert_axial_m", limits[ALONG], scale * vmu.sigma_position_m, "m"),

@@ -46,7 +46,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.rotation) for m in plan}}
     attitudes = [known[tuple(m.rotation)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
-    margin = _position_margin(scenario, np.array([m.far_m for m in plan]))
+    margin = position_margin(scenario, np.array([m.far_m for m in plan]))
     axes = reachability.envelope(bench, attitudes, r, v, margin, free)
     return Demands(plan, attitudes, margin, axes)
 
@@ -68,7 +68,7 @@ def check_reachability(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -
     return found.problems
 
 
-def _position_margin(scenario: Scenario, far_m: Array) -> Array:
+def position_margin(scenario: Scenario, far_m: Array) -> Array:
     """Return half the band of positions (n, 3), m: Table III at the ready point, and a fraction of the cone beyond."""
     wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
     at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from hil.config.bodies import SpacecraftBody, check_kinds
 from hil.config.model import ConfigModel, NotNegative, Positive
 
 Count = Annotated[int, Field(ge=1, le=10_000)]
 
 
 class KeepOut(ConfigModel):
-    """Volume about the target's reference point that the chaser's reference point must not enter."""
+    """Volume about the target's reference point that the chaser's must not enter, and bodies that must not meet."""
 
     radius_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.25
     """Radius; 0 for a scenario that docks."""
+    bodies: tuple[SpacecraftBody, ...] = ()
+    """`[[keep_out.bodies]]`: what stands forward of the interfaces of chaser and target, at most 8 of each."""
+    distance_m: Positive = 0.05
+    """Least distance between a body of the chaser and one of the target."""
+
+    @model_validator(mode="after")
+    def _bodies_can_meet(self) -> Self:
+        check_kinds(self.bodies, "target")
+        return self
 
 
 class GuardConfig(ConfigModel):

@@ -37,6 +37,8 @@ def motion_digest(rig: Rig) -> str:
                 del table[device][name][key]  # added later: a sign-off from before stays valid
     if rig.bench.axes_rate_hz is None:
         del table["bench"]["axes_rate_hz"]  # likewise
+    if not rig.bench.bodies:
+        del table["bench"]["bodies"], table["bench"]["bodies_distance_m"]  # likewise
     if rig.rails.map.functions == (23,):
         del table["rails"]["map"]["functions"]  # likewise
     if guard := rig.guard.model_dump(mode="json", exclude_defaults=True):

@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from hil.config.bodies import BenchBody, check_kinds
 from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire
@@ -55,6 +56,15 @@ class BenchGeometry(ConfigModel):
     """Move all axes to `park_m` and `park_deg` at the end of a complete run."""
     led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
     """Rows: axes of the LED ring in H."""
+    bodies: tuple[BenchBody, ...] = ()
+    """`[[bench.bodies]]`: carriage, arm, cameras, ring and what stands in the lab, at most 8 of each kind."""
+    bodies_distance_m: Positive = 0.05
+    """Least distance between a body that moves and one of the lab."""
+
+    @model_validator(mode="after")
+    def _bodies_can_meet(self) -> Self:
+        check_kinds(self.bodies, "lab")
+        return self
 
     @model_validator(mode="after")
     def _axes_are_right_handed(self) -> Self:

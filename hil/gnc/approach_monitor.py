@@ -21,6 +21,7 @@ from hil.core.jit import kernel
 from hil.gnc import guidance
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
+from hil.models.bodies import BODIES, clearance
 
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
@@ -46,6 +47,10 @@ APPROACH_MONITOR_PARAMS = np.dtype(
         ("alert_slope", "f8"),  # its increase with range
         ("keep_out", "f8"),  # m, range that the chaser must be able to stop before, whatever the error; 0 for none
         ("brake", "f8"),  # m/s^2, of an abort
+        ("chaser", BODIES),  # in c about the chaser's reference point
+        ("target", BODIES),  # in H about the target's
+        ("distance", "f8"),  # m, least one between bodies of both
+        ("alert_turn", "f8"),  # m, by which an attitude error within its alert limit moves a body of the chaser at most
         ("alert_corridor", "f8"),  # across the axis, fraction of the corridor's radius
         ("alert_angle", "f8"),  # rad
         # ready state: largest deviations (Table III)
@@ -128,10 +133,11 @@ def _length(values):
 
 
 @kernel
-def alert_limits(params, r_CT_H, v_CT_H, limits):
+def alert_limits(params, r_CT_H, v_CT_H, q_CH, limits):
     """Write the alert limits ``limits`` (3,): along the docking axis, across it, m, and of the attitude, rad.
 
-    Along: a base that grows with range, at most what is left to the keep-out after braking from the closing rate.
+    Along: a base that grows with range, at most what is left to the keep-out after braking from the closing rate. Along
+    and across, together, at most what is left between the bodies of chaser and target.
     """
     square, product = 0.0, 0.0
     for i in range(3):
@@ -144,6 +150,14 @@ def alert_limits(params, r_CT_H, v_CT_H, limits):
         along = max(0.0, min(along, distance - params.keep_out - closing * closing / (2.0 * params.brake)))
     limits[ALONG] = along
     limits[ACROSS] = params.alert_corridor * corridor_radius(params, distance)
+    if params.chaser.n > 0 and params.target.n > 0:
+        reserve, found = params.distance + params.alert_turn, stack.vector(4)
+        enough = math.sqrt(2.0) * max(limits[ALONG], limits[ACROSS]) + reserve
+        left = clearance(
+            params.chaser, r_CT_H, q_CH, v_CT_H, 0.0, params.target, 0.0, params.brake, 1.0, enough, found
+        )  # fmt: skip
+        each = max(0.0, left - reserve) / math.sqrt(2.0)
+        limits[ALONG], limits[ACROSS] = min(limits[ALONG], each), min(limits[ACROSS], each)
     limits[ATTITUDE] = params.alert_angle
 
 
@@ -164,7 +178,7 @@ def protection_levels(params, estimate, levels):
 def is_protected(params, estimate):
     """Return whether the protection levels of ``estimate`` are within the alert limits; true if it reports none."""
     limits, levels = stack.vector(3), stack.vector(3)
-    alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, limits)
+    alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, estimate.q_CH, limits)
     protection_levels(params, estimate, levels)
     return not (levels[ALONG] > limits[ALONG] or levels[ACROSS] > limits[ACROSS] or levels[ATTITUDE] > limits[ATTITUDE])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +15,16 @@ from hil.maths import chi_square
 WINDOWS = (64, 512)  # updates per mean: a fast and a sensitive one
 _TAIL = 1e-6  # false-alarm probability of a mean, on either side
 _CLEAR_TAIL = 0.1  # an alarm clears well inside the band: hysteresis against chatter
+
+
+@dataclass(frozen=True, slots=True)
+class FilterCondition:
+    """A check of the filters has begun (``active``) or ceased to fail: monitored quantity, its value and its limit."""
+
+    quantity: str
+    value: str
+    limit: str
+    active: bool
 
 
 def nis_band(updates: int, tail: float) -> tuple[float, float]:
@@ -32,6 +43,7 @@ class NisMonitor:
         self._values: deque[float] = deque(maxlen=window)
         self._sum = 0.0
         self.inconsistent = False
+        self._mean = math.nan
 
     def add(self, nis: float) -> str | None:
         """Add the NIS of an update; return a message if the result of the check changes."""
@@ -43,7 +55,7 @@ class NisMonitor:
         self._sum += nis
         if len(self._values) < window:
             return None
-        mean = self._sum / window
+        self._mean = mean = self._sum / window
         if self.inconsistent and self._clear[0] <= mean <= self._clear[1]:
             self.inconsistent = False
             return f"innovations are as large as expected again: mean NIS {mean:.2f} over {window} poses"
@@ -56,6 +68,13 @@ class NisMonitor:
             f"allowed {self.low:.2f} to {self.high:.2f}; Q or R is too {tuning}"
         )
 
+    def condition(self) -> FilterCondition:
+        """Return the result of the check."""
+        window, limit = self._values.maxlen, f"{self.low:.2f} to {self.high:.2f}"
+        return FilterCondition(
+            f"mean NIS of {self.name} over {window} poses", f"{self._mean:.2f}", limit, self.inconsistent
+        )
+
 
 class FilterMonitor:
     """NIS monitors and, if enabled, the shadow filter.
@@ -65,6 +84,8 @@ class FilterMonitor:
 
     def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None) -> None:
         self.events: ObservableList[Event] = ObservableList()
+        self.conditions: ObservableList[FilterCondition] = ObservableList()
+        """Checks as they begin and cease to fail: alarms of low priority."""
         self.largest_divergence = (0.0, 0.0)  # m, rad
         self._cycle_s = float(navigation.vision_only.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]
@@ -99,6 +120,7 @@ class FilterMonitor:
                 text = monitor.add(nis)
                 if text:
                     self.events.append(Event(float(round(cycle * self._cycle_s, 6)), monitor.name, text))
+                    self.conditions.append(monitor.condition())
 
     def _compare(self, cycle: int, samples: np.ndarray, poses: np.ndarray, memory: np.ndarray) -> None:
         assert self._shadow is not None
@@ -111,11 +133,12 @@ class FilterMonitor:
             max(self.largest_divergence[1], divergence.angle),
         )
         diverged = divergence.position > self._limits[0] or divergence.angle > self._limits[1]
-        if diverged and not self._diverged:
-            text = (
-                f"diverges from the filters by {divergence.position:.4f} m "
-                f"and {math.degrees(divergence.angle):.4f} deg, "
-                f"allowed {self._limits[0]:g} m and {math.degrees(self._limits[1]):g} deg"
-            )
-            self.events.append(Event(float(round(cycle * self._cycle_s, 6)), "shadow", text))
+        if diverged == self._diverged:
+            return
         self._diverged = diverged
+        value = f"{divergence.position:.4f} m and {math.degrees(divergence.angle):.4f} deg"
+        limit = f"{self._limits[0]:g} m and {math.degrees(self._limits[1]):g} deg"
+        self.conditions.append(FilterCondition("distance from the shadow filter", value, limit, diverged))
+        if diverged:
+            text = f"diverges from the filters by {value}, allowed {limit}"
+            self.events.append(Event(float(round(cycle * self._cycle_s, 6)), "shadow", text))

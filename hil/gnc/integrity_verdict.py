@@ -158,7 +158,7 @@ def update_integrity(params, state, now):
         copy_into(state.from_H, now.reference.from_H)
         copy_into(state.to_H, now.reference.to_H)
         return
-    alert_limits(params.approach, now.truth.r_CT_H, now.truth.v_CT_H, limits)
+    alert_limits(params.approach, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, limits)
     protection_levels(params.approach, now.navigation, levels)
     _errors(params.approach, now.truth, now.navigation, errors)
     beyond, misled, available = False, False, True
@@ -207,6 +207,7 @@ def update_integrity_all(params, state, rows):
 def stanford(params, rows, errors, levels, limits):
     """Write errors, protection levels and alert limits (n, 3) of each of ``rows`` (n,) of CYCLE."""
     for k in range(rows.shape[0]):
-        alert_limits(params.approach, rows[k].truth.r_CT_H, rows[k].truth.v_CT_H, limits[k])
+        truth = rows[k].truth
+        alert_limits(params.approach, truth.r_CT_H, truth.v_CT_H, truth.q_CH, limits[k])
         protection_levels(params.approach, rows[k].navigation, levels[k])
-        _errors(params.approach, rows[k].truth, rows[k].navigation, errors[k])
+        _errors(params.approach, truth, rows[k].navigation, errors[k])

@@ -10,6 +10,7 @@ from hil.core.gnc_records import GncMode
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
 from hil.gnc import guidance, step
+from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc.step import APPROACH_PROGRESS
 from hil.gnc_backends.approach_events import ApproachEventLog
 
@@ -36,6 +37,9 @@ class Approach:
         self.orders: ObservableList[tuple[int, str]] = ObservableList()
         """Each order of the operator with the number of the cycle from which on it acts."""
         self.request_hold: Callable[[str], None] = _no_hold
+
+    filter_monitor: FilterMonitor | None = None
+    """Monitor of the filters, if the GNC has such or reports their innovations."""
 
     @property
     def blocking_reason(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from hil.core.gnc_records import GncMode
 from hil.core.messages import Array, Event
 from hil.core.observable import ObservableList
+from hil.gnc.filter_monitor import FilterMonitor
 
 
 class Poses(Protocol):
@@ -48,6 +49,10 @@ class GncBackend(Protocol):
     @property
     def blocking_reason(self) -> str:
         """Reason why a run on hold cannot be resumed, "" if it can."""
+
+    @property
+    def filter_monitor(self) -> FilterMonitor | None:
+        """Monitor of the filters, if the GNC has such or reports their innovations."""
 
     @property
     def isolated_thrusters(self) -> np.ndarray | None:

@@ -24,7 +24,7 @@ class BuiltinGnc(Approach):
         self.params = params
         self.state = new(GNC_STATE)
         super().__init__(params.approach, self.state.approach, event_log)
-        self.filter_monitor = filter_monitor
+        self.filter_monitor: FilterMonitor = filter_monitor
         self.memory = new_memory(params.navigation.fusion)
         """Of the filters, (n,) of fusion.STEP."""
         self._nees = np.empty(2)

@@ -74,7 +74,7 @@ class UdpGnc(ExternalGnc):
         self.output = self._buffers.output
         self.link = link
         self.stats = LinkStats(link, "lock-step" if lock_step else "free-running")
-        self.filter_monitor = filter_monitor
+        self.filter_monitor: FilterMonitor = filter_monitor
         self._config = config
         self._lock_step = lock_step
         self._period_s = period_s

@@ -7,10 +7,12 @@ import math
 import numpy as np
 
 from hil.bench.bench_guard import BENCH_GUARD_PARAMS, SLOW_MPS
+from hil.bench.guard import GUARD
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
+from hil.params.bodies import bodies
 
 _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz
@@ -36,6 +38,21 @@ def bench(rig: Rig, step_s: float) -> np.record:
     return params
 
 
+def axis_guard(rig: Rig, step_s: float) -> np.record:
+    """Return GUARD: following errors, travel, and the bodies of the bench. step_s: period of the cycle."""
+    axes, guard = bench(rig, step_s), new(GUARD)
+    rails, turntable, geometry = rig.rails, rig.turntable, rig.bench
+    guard.following_max = [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3
+    guard.following_per_speed = [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3
+    guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
+    guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
+    guard.turntable = bodies(geometry.bodies, "turntable", geometry.lever_arm_m)
+    guard.distance, guard.reaction_s = geometry.bodies_distance_m, rig.guard.reaction_s
+    guard.deceleration = axes.acceleration_max[:3].min()
+    guard.turning_deceleration = axes.acceleration_max[3:].min()
+    return guard
+
+
 def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     """Return BENCH_GUARD_PARAMS."""
     config, step_s = rig.guard, scenario.step_s
@@ -47,6 +64,12 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     params.deceleration = deceleration
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
     params.far = scenario.keep_out.radius_m + SLOW_MPS * (config.reaction_s + SLOW_MPS / (2.0 * deceleration))
+    params.chaser, params.target = (
+        bodies(scenario.keep_out.bodies, "chaser"),
+        bodies(scenario.keep_out.bodies, "target"),
+    )
+    params.distance = scenario.keep_out.distance_m
+    params.turning_deceleration = axes.acceleration_max[3:].min()
     params.arm = np.linalg.norm(axes.lever_arm)
     params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles

@@ -30,6 +30,7 @@ from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
+from hil.params.bodies import bodies as bodies_on
 from hil.params.dynamics import mean_motion
 from hil.params.error_budget import error_budget
 
@@ -252,6 +253,10 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.axis = corridor.axis
     params.alert_distance, params.alert_slope = alert.alert_axial_m, alert.alert_axial_per_range_scale
     params.keep_out, params.brake = scenario.keep_out.radius_m, scenario.gnc.abort.brake_mps2
+    bodies = scenario.keep_out.bodies
+    params.chaser, params.target = bodies_on(bodies, "chaser"), bodies_on(bodies, "target")
+    params.distance = scenario.keep_out.distance_m
+    params.alert_turn = math.radians(alert.alert_attitude_deg) * float(params.chaser.arm.max())
     params.alert_corridor, params.alert_angle = alert.alert_corridor_fraction, math.radians(alert.alert_attitude_deg)
     at_s = scenario.gnc.abort.at_s
     params.abort_at_s = math.inf if at_s is None else at_s

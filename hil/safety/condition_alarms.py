@@ -1,4 +1,4 @@
-"""Consistency monitors as alarms: each bit of the navigation's health, whichever GNC reports it."""
+"""Consistency monitors as alarms: each bit of the navigation's health, and the monitors of the filters."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
+from hil.core.observable import ObservableList
+from hil.gnc.filter_monitor import FilterCondition
 from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog
 
 _COMPONENTS = ("to the right", "upwards", "along the line of sight", "pitch", "yaw", "roll")
@@ -15,7 +17,8 @@ _COMPONENTS = ("to the right", "upwards", "along the line of sight", "pitch", "y
 class HealthAlarms:
     """Alarms of the navigation's health: raised with a bit, returned to normal when the bit is cleared.
 
-    Those to which the scenario's reactions are none in any phase are of low priority, the others of medium.
+    So are the checks of the filters, of the built-in GNC or of a GNC server, which are of low priority. Those to which
+    the scenario's reactions are none in any phase are of low priority, the others of medium.
     disagreement: returns component, value and limit, m or rad, of the docking monitor's last disagreement.
     """
 
@@ -25,6 +28,7 @@ class HealthAlarms:
         self._alarms = alarms
         self._disagreement = disagreement
         self._health = 0
+        self._checks: list[FilterCondition] = []
         lost_s, rejected = scenario.gnc.integrity.lost_after_s, scenario.gnc.integrity.suspect_after
         self._texts = {
             GncHealth.VISION_LOST: ("vmu", "accepted poses", f"none for {lost_s:g} s", f"one within {lost_s:g} s"),
@@ -44,8 +48,14 @@ class HealthAlarms:
             for bit, row in zip((bit for bit in GncHealth if bit), reactions, strict=False)
         }
 
+    def watch(self, conditions: ObservableList[FilterCondition]) -> None:
+        """Raise the alarms of ``conditions`` with the next ``update``."""
+        conditions.subscribe(self._checks.append)
+
     def update(self, bench_s: float, health: int) -> None:
         """Take the health of a cycle at ``bench_s`` of bench time."""
+        if self._checks:
+            self._take_checks(bench_s)
         changed = health ^ self._health
         if not changed:
             return
@@ -59,6 +69,15 @@ class HealthAlarms:
                 self._alarms.raise_condition(Alarm(bench_s, device, quantity, value, limit, priority=priority))
             else:
                 self._alarms.return_to_normal(device, quantity)
+
+    def _take_checks(self, bench_s: float) -> None:
+        for check in self._checks:
+            if check.active:
+                alarm = Alarm(bench_s, "navigation", check.quantity, check.value, check.limit, priority=LOW)
+                self._alarms.raise_condition(alarm)
+            else:
+                self._alarms.return_to_normal("navigation", check.quantity)
+        self._checks.clear()
 
     def _of(self, bit: GncHealth) -> tuple[str, str, str, str]:
         """Return device, quantity, value and limit."""

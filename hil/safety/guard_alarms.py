@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
-from hil.bench import bench_guard
+from hil.bench import bench_guard, guard
+from hil.models.bodies import PAIR
 from hil.safety.alarms import Alarm
 
 _RANGE, _DISTANCE, _ROTATION = "range to the target", "distance from the truth", "rotation from the truth"
 _LIMITED, _DEMAND, _POSE = "limited setpoints", "distance from the demand", "pose against encoders"
-GUARD_QUANTITIES = (_RANGE, _DISTANCE, _ROTATION, _LIMITED, _DEMAND, _POSE)
+_BODIES: Final = "distance of chaser and target"
+BENCH_BODIES: Final = "distance of bodies"
+GUARD_QUANTITIES = (_RANGE, _BODIES, BENCH_BODIES, _DISTANCE, _ROTATION, _LIMITED, _DEMAND, _POSE)
 """Monitored quantities, those of the vision unit without the axis."""
 _LETTERS = "xyz"
 
@@ -24,6 +28,10 @@ def guard_alarm(now_s: float, axis_names: Sequence[str], code: int, found: np.re
         case bench_guard.KEEP_OUT:
             allowed = f"{limit:.4f} m and more at a closing rate of {found.low:.4f} m/s"
             return Alarm(now_s, "bench", _RANGE, _metres(value), allowed)
+        case bench_guard.BODIES_MEET:
+            return bodies_alarm(now_s, _BODIES, "keep_out.bodies", found)
+        case guard.COLLISION:
+            return bodies_alarm(now_s, BENCH_BODIES, "bench.bodies", found)
         case bench_guard.POSITION:
             return Alarm(now_s, "bench", _DISTANCE, _metres(value), _metres(limit))
         case bench_guard.ATTITUDE:
@@ -40,9 +48,16 @@ def guard_alarm(now_s: float, axis_names: Sequence[str], code: int, found: np.re
     return Alarm(now_s, "vmu", f"{_POSE}, about {about}", _degrees(value), _degrees(limit))
 
 
+def bodies_alarm(now_s: float, quantity: str, key: str, found: np.record) -> Alarm:
+    """Return the alarm of two bodies of the list ``key``. found: BREACH."""
+    moving, fixed = divmod(int(found.axis), PAIR)
+    limit = f"{_metres(found.high)} and more at a closing rate of {found.low:.4f} m/s"
+    return Alarm(now_s, "bench", quantity, f"{_metres(found.value)} ({key} {moving} and {fixed})", limit)
+
+
 def is_of_guard(code: int) -> bool:
     """Return whether the bench guard has ended the compiled loop. code: of ``run_loop``."""
-    return bench_guard.KEEP_OUT <= code <= bench_guard.VISION_ATTITUDE
+    return bench_guard.KEEP_OUT <= code <= bench_guard.BODIES_MEET or code == guard.COLLISION
 
 
 def _metres(metres: float) -> str:

@@ -20,6 +20,7 @@ from hil.core.modes import Mode, ModeMachine
 from hil.errors import SafetyTrip
 from hil.safety.alarms import Alarm, AlarmLog, speed_text
 from hil.safety.estop import EmergencyStop
+from hil.safety.guard_alarms import BENCH_BODIES, bodies_alarm
 from hil.safety.packet_loss import LinkWatch
 from hil.safety.speed_check import SpeedCheck
 
@@ -85,13 +86,9 @@ class SafetyLimits:
     """Of the speed limits."""
 
 
-def safety_limits(rig: Rig, params: np.record) -> SafetyLimits:
-    """Return the safety limits of ``rig``; params: its BENCH_PARAMS."""
-    guard = new(guards.GUARD)
+def safety_limits(rig: Rig, guard: np.record) -> SafetyLimits:
+    """Return the safety limits of ``rig``; guard: its GUARD."""
     rails, turntable = rig.rails, rig.turntable
-    guard.following_max = [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3
-    guard.following_per_speed = [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3
-    guard.low, guard.high = params.low, params.high
     return SafetyLimits(
         guard=guard,
         feedback_age_max_s=(rails.timeout_s, turntable.timeout_s),
@@ -300,6 +297,8 @@ def hold_trip(reason: str) -> SafetyTrip:
 def breach_alarm(now_s: float, axis_names: Sequence[str], what: int, found: np.record) -> Alarm:
     """Return the alarm of a breach. what: code returned by the guard kernels; found: BREACH."""
     axis = int(found.axis)
+    if what == guards.COLLISION:
+        return bodies_alarm(now_s, BENCH_BODIES, "bench.bodies", found)
     name = axis_names[axis]
     if what == guards.FOLLOWING:
         return Alarm(now_s, name, "following error", _shown(axis, found.value), _limit(axis, found.high))

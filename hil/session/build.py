@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from hil.checks.abort import check_abort
+from hil.checks.bodies import check_bodies
 from hil.checks.clock import check_clock
 from hil.checks.compatibility import (
     check_approach,
@@ -62,7 +63,7 @@ def check(job: Job) -> None:
     problems = [
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
         *(check_approach(job.scenario) or check_abort(job.scenario)),
-        *check_keep_out(job.scenario),
+        *(check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
         *check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
         *_rig_problems(job),

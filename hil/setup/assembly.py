@@ -165,7 +165,11 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     rails, turntable, source, io, target = devices
     bench = bench_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
-    safety = SafetyMonitor(safety_limits(rig, bench), axis_names, _links(rig, rails, turntable, source))
+    safety = SafetyMonitor(
+        safety_limits(rig, bench_params.axis_guard(rig, scenario.step_s)),
+        axis_names,
+        _links(rig, rails, turntable, source),
+    )
     stage = BenchStage(rails, turntable, bench, safety, ticks=job.ticks, cycle_s=scenario.step_s)
     monitor = _docking_monitor(job, stage)
     loop = Loop(
@@ -180,6 +184,8 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         monitor=monitor,
         now=CycleData(scenario.imu_samples),
     )
+    if loop.gnc.filter_monitor is not None:
+        loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
     if rig.guard.enabled:
         loop.guard = GuardStage(bench_params.bench_guard(rig, scenario), loop.bench)
     if any(fault.family == "vmu" for fault in job.truth.faults):

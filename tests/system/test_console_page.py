@@ -25,14 +25,14 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 class Screen:
     """A page in the browser and what it asked for outside of the console."""
 
-    def __init__(self, page: Any, address: str, pictures: Path) -> None:
+    def __init__(self, page: Any, address: str, pictures: Path, name: str = "ann") -> None:
         self.page = page
         self.outside: list[str] = []
         self.errors: list[str] = []
         self._pictures = pictures
         page.on("request", lambda request: self._note(request.url, address))
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.add_init_script("localStorage.setItem('hil.name', 'ann')")
+        page.add_init_script(f"localStorage.setItem('hil.name', '{name}')")
         page.goto(f"http://{address}/")
         self.until("window.hil && window.hil.page")
 
@@ -243,6 +243,45 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
     assert (entry["name"], entry["message"]) == ("ann", "gnc.control.deadband_m=0.0005")
     assert 0 < entry["cycle"] < len(recorded.cycles)
     assert replay(recorded, recorded.scenario).identical
+
+
+def test_arming_takes_a_second_person_and_alarms_are_acknowledged_and_shelved_one_by_one(
+    browser: Any, pictures: Path
+) -> None:
+    blind = "faults=[{device='vmu', kind='no_pose', at_s=3, until_s=20}, {device='imu', kind='stuck', at_s=6}]"
+    settings = typed(*NEAR, blind, "rig.console.second_person=['arm']", "rig.console.lease_s=30")
+    with console("--rig", "mock", *settings) as c:
+        screen = open_screen(browser, c, pictures)
+        other = Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures, "bob")
+        screen.press("t", "take")
+        screen.press("n", "open", confirm=True)
+        screen.until_mode("standby", 400.0)  # a first start compiles
+        screen.press("m", "order_arm", confirm=True)
+        screen.until("!document.getElementById('second').hidden")
+        assert screen.page.is_disabled("#second"), "the same person"
+        screen.picture("second-waits")
+        other.until("!document.getElementById('second').hidden && !document.getElementById('second').disabled")
+        other.picture("second")
+        other.page.click("#second")
+        screen.until_mode("armed")
+        screen.press("s", "order_start", confirm=True)
+        lost = "window.hil.page.alarms.find(alarm => alarm.quantity === 'accepted poses')"
+        screen.until(f"{lost} && {lost}.active")
+        screen.until("window.hil.page.alarms.length > 1")
+        screen.picture("conditions")
+        row = screen.page.locator("#alarmlist li", has_text="accepted poses")
+        assert "medium, active, NEW" in row.inner_text()
+        row.click()
+        screen.until(f"{lost}.acknowledged && {lost}.acknowledged_by === 'ann'")
+        assert screen.page.evaluate("window.hil.page.alarms.filter(alarm => !alarm.acknowledged).length") > 0
+        other_row = screen.page.locator("#alarmlist li", has_text="NEW").first
+        other_row.click(modifiers=["Shift"])
+        screen.until("window.hil.page.alarms.some(alarm => alarm.shelved_until_s > 0)")
+        screen.picture("shelved")
+        screen.until(f"!{lost}.latched", 60.0)  # poses are back, and it was acknowledged
+        screen.press("x", "stop")
+        screen.until("!window.hil.now.open", 300.0)
+        assert screen.errors == other.errors == []
 
 
 def test_reset_leads_out_of_an_alarm_before_the_run_into_standby(browser: Any, pictures: Path) -> None:

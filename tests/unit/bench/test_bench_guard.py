@@ -13,9 +13,11 @@ from hil.bench.bench_guard import BENCH_GUARD_MEMORY, check_bench, compare_pose
 from hil.bench.guard import BREACH, NOTHING
 from hil.bench.kinematics import axes_of_pose
 from hil.config.load import load_rig, load_scenario
+from hil.config.rig import BENCH_AXES
 from hil.core.messages import AXES, POSE, TRUTH, new
 from hil.maths import quat
 from hil.params import bench as bench_params
+from hil.safety.guard_alarms import guard_alarm
 
 STEP_S = 0.02
 
@@ -113,6 +115,34 @@ def test_chaser_that_leaves_may_be_as_near_as_the_radius() -> None:
 def test_scenario_that_docks_has_no_keep_out() -> None:
     motion = Motion((0.01, 0.0, 0.0), (-0.02, 0.0, 0.0), "keep_out.radius_m=0")
     motion.run(100)
+
+
+CAMERA = '{on = "chaser", vertices_m = [[-0.5, -0.1, -0.1], [-0.5, 0.1, -0.1], [-0.5, 0.0, 0.1]]}'
+MAST = '{on = "target", vertices_m = [[0.2, 0.0, -1.0], [0.2, 0.0, 1.0]], radius_m = 0.05}'
+BODIES = (f"keep_out.bodies=[{CAMERA}, {MAST}]", "keep_out.distance_m=0.04")
+
+
+@pytest.mark.parametrize("closing", [0.0, 0.04, 0.24])
+def test_bodies_leave_way_to_brake_and_to_react(closing: float) -> None:
+    motion = Motion((2.0, 0.0, 0.0), (-closing, 0.0, 0.0), *BODIES)
+    motion.truth.q_CH, motion.truth.w_HI_H = [0.0, 0.0, 0.0, 1.0], 0.0
+    least = 0.5 + 0.2 + 0.05 + 0.04 + closing * 0.1 + closing**2 / (2.0 * 0.6)
+    motion.truth.r_CT_H = [least + 1e-6, 0.0, 0.0]
+    assert motion.check() == NOTHING
+    motion.truth.r_CT_H = [least - 1e-6, 0.0, 0.0]
+    assert motion.check() == bench_guard.BODIES_MEET
+    alarm = guard_alarm(0.0, BENCH_AXES, bench_guard.BODIES_MEET, motion.breach)
+    assert alarm.quantity == "distance of chaser and target"
+    assert alarm.value.endswith("m (keep_out.bodies 1 and 2)")
+    assert alarm.limit.endswith(f"m and more at a closing rate of {closing:.4f} m/s")
+
+
+def test_body_that_turns_aside_may_pass() -> None:
+    motion = Motion((0.75, 0.0, 0.0), (0.0, 0.0, 0.0), *BODIES)
+    motion.truth.q_CH = quat.from_rotation_vector(np.array([0.0, 0.0, 1.0]))
+    assert motion.check() == NOTHING
+    motion.truth.w_CI_C = [0.0, 0.0, 4.0]  # which no gimbal can brake in time
+    assert motion.check() == bench_guard.BODIES_MEET
 
 
 @pytest.mark.parametrize("axis", range(6))

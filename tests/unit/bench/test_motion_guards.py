@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hil.bench.guard import (
     BREACH,
+    COLLISION,
     FOLLOWING,
     GUARD,
     NOT_FINITE,
@@ -22,7 +23,11 @@ from hil.bench.guard import (
 )
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.bench.stopping import brake_step, slower, stopping_distance
+from hil.config.load import load_rig
+from hil.config.rig import BENCH_AXES
 from hil.core.messages import AXES, new
+from hil.params import bench as bench_params
+from hil.safety.monitor import breach_alarm
 
 DT = 0.02
 
@@ -47,6 +52,30 @@ def test_following_error_trips_just_above_its_limit_and_names_the_axis(axis: int
     assert first_breach(guard(), axes(axis, 0.3), axes(axis, 0.2501), breach) == NOTHING
     assert first_breach(guard(), axes(axis, 0.3), axes(axis, 0.2499), breach) == FOLLOWING
     assert (breach.axis, breach.value, breach.high) == (axis, pytest.approx(0.0501), 0.05)
+
+
+ARM = '{on = "turntable", vertices_m = [[0.0, 0.0, 0.0], [-0.6, 0.0, 0.0]], radius_m = 0.05}'
+CARRIAGE = '{on = "carriage", vertices_m = [[0.0, 0.0, 0.0]], radius_m = 0.3}'
+RING = '{on = "lab", vertices_m = [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]], radius_m = 0.1}'
+
+
+@pytest.mark.parametrize(("bodies", "reach_m", "pair"), [((ARM, RING), 0.65, 102), ((RING, CARRIAGE), 0.3, 201)])
+@pytest.mark.parametrize("closing", [0.0, 0.2])
+def test_bodies_of_the_bench_leave_way_to_brake(
+    bodies: tuple[str, ...], reach_m: float, pair: int, closing: float
+) -> None:
+    settings = (f"rig.bench.bodies=[{', '.join(bodies)}]", "rig.bench.lever_arm_m=[0.0, 0.0, 0.0]")
+    rig, breach = load_rig("mock", settings).value, new(BREACH)
+    params = bench_params.axis_guard(rig, DT)
+    least = reach_m + 0.1 + 0.05 + closing * 0.1 + closing**2 / (2.0 * 0.6)
+    for inside in (-1e-6, 1e-6):
+        here = axes(0, least - inside, -closing)
+        assert first_breach(params, here, here, breach) == (COLLISION if inside > 0.0 else NOTHING)
+    alarm = breach_alarm(0.0, BENCH_AXES, COLLISION, breach)
+    assert (breach.axis, alarm.quantity) == (pair, "distance of bodies")
+    away = axes(3 + 2, 0.5)  # the yaw takes the arm aside, not the carriage
+    away.rail_m[0], away.rail_mps[0] = here.rail_m[0], here.rail_mps[0]
+    assert (first_breach(params, away, away, breach) == NOTHING) == (ARM in bodies)
 
 
 @pytest.mark.parametrize("axis", range(6))

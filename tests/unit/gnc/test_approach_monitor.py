@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import NAVIGATION, REFERENCE, SUPERVISION, new
 from hil.gnc.approach_monitor import (
@@ -14,6 +15,7 @@ from hil.gnc.approach_monitor import (
     CORRIDOR,
     NOT_ABORTED,
     ORDERED,
+    alert_limits,
     check,
     closing_limit,
     closing_margin,
@@ -131,6 +133,26 @@ def test_alert_limits_follow_range_and_corridor(
     navigation = seen(r)
     navigation.protection_level_m, navigation.protection_level_rad = levels, angle
     assert is_protected(params, navigation) == protected
+
+
+def test_alert_limits_leave_the_bodies_of_chaser_and_target_apart() -> None:
+    camera = '{on = "chaser", vertices_m = [[0.0, 0.0, 0.0], [-0.2, 0.0, 0.0]], radius_m = 0.05}'
+    mast = '{on = "target", vertices_m = [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], radius_m = 0.1}'
+    params = gnc_params.approach_monitor(load_scenario("scheme-1", (f"keep_out.bodies=[{camera}, {mast}]",)).value)
+    plain, limits = gnc_params.approach_monitor(load_scenario("scheme-1").value), np.empty((2, 3))
+    q, turn_m = np.array([0.0, 0.0, 0.0, 1.0]), math.radians(1.0) * 0.25  # the camera, by an error of the attitude
+    for closing in (0.0, 0.03):
+        v = np.array([-closing, 0.0, 0.0])
+        alert_limits(params, np.array([0.5, 0.0, 0.0]), v, q, limits[0])
+        left = 0.5 - 0.25 - 0.1 - 0.05 - turn_m - closing**2 / (2.0 * 0.018)
+        assert limits[0, :2] == pytest.approx(np.minimum([0.11, 0.05], left / math.sqrt(2.0)))
+    alert_limits(params, np.array([0.405, 0.0, 0.0]), np.zeros(3), q, limits[0])
+    assert limits[0, :2] == pytest.approx((0.005 - turn_m) / math.sqrt(2.0))
+    alert_limits(params, np.array([0.35, 0.0, 0.0]), np.zeros(3), q, limits[0])
+    assert not limits[0, :2].any()
+    for given, found in zip((plain, params), limits, strict=True):
+        alert_limits(given, np.array([3.0, 0.1, 0.0]), np.zeros(3), q, found)
+    assert np.array_equal(limits[0], limits[1])
 
 
 @pytest.mark.parametrize(("health", "level"), [(2, 0.01), (0, 0.2)])

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import Event
-from hil.gnc.filter_monitor import NisMonitor, nis_band
+from hil.gnc.filter_monitor import FilterMonitor, NisMonitor, nis_band
+from hil.params import gnc as gnc_params
+from hil.safety.alarms import LOW, AlarmLog
+from hil.safety.condition_alarms import HealthAlarms
 from hil.session import build
 from tests.support.run_settings import make_job
 
@@ -48,6 +53,27 @@ def test_end_of_an_alarm_is_told(rng: np.random.Generator) -> None:
     said = [text for nis in values if (text := monitor.add(float(nis)))]
     assert len(said) == 2
     assert "again" in said[1]
+
+
+def test_check_of_the_innovations_is_a_condition_that_ends(rng: np.random.Generator) -> None:
+    scenario = load_scenario("scheme-1").value
+    watch = FilterMonitor(gnc_params.gnc(scenario).navigation, None)
+    book = AlarmLog()
+    alarms = HealthAlarms(book, scenario)
+    alarms.watch(watch.conditions)
+    scale = np.where(np.arange(1500) < 200, 3.0, 1.0)
+    for cycle, nis in enumerate(scale * rng.chisquare(3, 1500)):
+        watch.add_innovations(cycle, float(nis), math.nan)
+        alarms.update(0.16 * cycle, 0)
+        if cycle == 199:
+            assert book.all()[0].active
+            assert book.acknowledge(1, "ann") == 1
+    fast, sensitive = book.all()
+    assert (fast.device, fast.quantity, fast.priority) == ("navigation", "mean NIS of pkf over 64 poses", LOW)
+    assert fast.text.endswith(f"allowed {watch._position[0].low:.2f} to {watch._position[0].high:.2f}")
+    assert not fast.active
+    assert not sensitive.active
+    assert (fast.latched, sensitive.latched) == (False, True)  # one was acknowledged
 
 
 def test_honest_run_has_no_alarm() -> None:

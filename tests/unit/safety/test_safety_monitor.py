@@ -48,7 +48,7 @@ def _axes_at_3_m() -> np.record:
 
 @pytest.fixture
 def scene(mock_rig: Rig) -> Scene:
-    return Scene(SafetyMonitor(safety_limits(mock_rig, bench_params.bench(mock_rig, 0.02)), NAMES))
+    return Scene(SafetyMonitor(safety_limits(mock_rig, bench_params.axis_guard(mock_rig, 0.02)), NAMES))
 
 
 def press(scene: Scene) -> None:
