@@ -6,6 +6,7 @@ Prints, by kind of fault: cases, how many were detected and how fast, by whom, c
 distance to the target, and how many cases came nearer than the keep-out. CASES: of each scheme, 1000 unless given.
 --monitor: with the docking monitor and its faults (sensor set A), otherwise without (B). --without-guard: without the
 bench guard, whose safe stops end a case before the navigation can mislead for long. --pairs: two faults at once.
+--picture FILE: draw the Stanford diagram of the cases.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from hil.monte_carlo.batch import Rows, Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed, drawn_fault
 from hil.monte_carlo.engines import LocalEngine
+from hil.monte_carlo.figure import stanford_figure
 from hil.monte_carlo.outcome import row_of
 
 THREATS: Final = Path(__file__).with_name("threats.toml")
@@ -157,11 +159,16 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     for name in ("--monitor", "--without-guard", "--pairs"):
         parser.add_argument(name, action="store_true")
+    parser.add_argument("--picture")
     given = parser.parse_args()
+    flown_cases: Rows = []
     for scheme in given.schemes:
         fly = flown_in_pairs if given.pairs else flown
         rows = fly(scheme, given.cases, given.workers, monitor=given.monitor, guard=not given.without_guard)
+        flown_cases += rows
         Console(width=150).print(table_of(scheme, rows, load_scenario(scheme).value.keep_out.radius_m))
+    if given.picture:
+        stanford_figure(lambda name: [row[name] for row in flown_cases]).savefig(given.picture, dpi=80)
 
 
 if __name__ == "__main__":
