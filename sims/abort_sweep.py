@@ -34,7 +34,7 @@ from sims.integrity_campaign import WITHOUT_GUARD
 KINDS: Final = ("stuck_open", "stuck_closed")
 EDGES: Final = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 _INTO_READY_S: Final = 40.0  # of the ready phase
-_STRING_ARMS_M: Final = (1.0, 0.4)  # by which the torque tells the strings apart; with 1.0 and 0.7 it does not always
+_STRING_ARMS_M: Final = (1.0, 0.4)  # far enough apart for the torque to identify the string; 1.0 and 0.7 are not
 
 
 @dataclass(frozen=True)

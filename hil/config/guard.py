@@ -18,7 +18,7 @@ class KeepOut(ConfigModel):
     radius_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.25
     """Radius; 0 for a scenario that docks."""
     bodies: tuple[SpacecraftBody, ...] = ()
-    """`[[keep_out.bodies]]`: what stands forward of the interfaces of chaser and target, at most 8 of each."""
+    """`[[keep_out.bodies]]`: parts forward of the interfaces of chaser and target, at most 8 of each."""
     distance_m: Positive = 0.05
     """Least distance between a body of the chaser and one of the target."""
 

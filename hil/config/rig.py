@@ -57,7 +57,7 @@ class BenchGeometry(ConfigModel):
     led_ring_axes: Matrix3 = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0))
     """Rows: axes of the LED ring in H."""
     bodies: tuple[BenchBody, ...] = ()
-    """`[[bench.bodies]]`: carriage, arm, cameras, ring and what stands in the lab, at most 8 of each kind."""
+    """`[[bench.bodies]]`: carriage, arm, cameras, ring and objects of the lab, at most 8 of each kind."""
     bodies_distance_m: Positive = 0.05
     """Least distance between a body that moves and one of the lab."""
 
