@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from hil.api.jobs import Overrides, Settings, named_as_argument, settings_of
 from hil.api.results import Run, RunData
@@ -12,9 +16,10 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Event
 from hil.errors import BadInput
 from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc
-from hil.recording.read import Recorded, load
+from hil.recording.read import Recorded, RowBatch, load, load_without_rows, row_batches
 from hil.recording.replay import Difference, Replayed, replay
-from hil.report.summary import navigation_errors, summary_of
+from hil.report.long_run import NavigationSums
+from hil.report.summary import summary_of
 from hil.safety.alarms import Alarm
 from hil.setup.gnc_setup import backend_setup
 
@@ -67,7 +72,7 @@ class Recording(Run):
         ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. Raises BadInput.
         """
         with named_as_argument():
-            return replay_with(self, gnc, settings_of(overrides))
+            return Replay(self, gnc, settings_of(overrides))
 
     def _source(self) -> str:
         return str(self.path)
@@ -82,15 +87,13 @@ class Replay:
     one than the recorded; result: cycles, differences and events of the replay.
     """
 
-    def __init__(self, recording: Recording, scenario: Scenario, changed: bool, found: Replayed) -> None:
-        self.recording = recording
-        self.scenario = scenario
-        self.changed = changed
-        self.result = found
-        recorded = recording.history[: len(found.rows)]
-        self.navigation = {"recorded": navigation_errors(recorded), "replayed": navigation_errors(found.rows)}
+    def __init__(self, recording: Recording, gnc: str | Path | PythonGnc | None, settings: Settings) -> None:
+        kept: list[np.ndarray] = []
+        found = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now))
+        self.recording, self.scenario, self.changed, self.result, self.navigation = recording, *found
+        recorded, rows = recording.recorded, np.concatenate(kept) if kept else recording.history[:0]
         numbers = recording.summary | {"navigation": self.navigation["replayed"]}
-        self.run = Recording(replace(recording.recorded, cycles=found.rows, scenario=scenario, summary=numbers))
+        self.run = Recording(replace(recorded, cycles=rows, scenario=self.scenario, summary=numbers))
 
     @property
     def identical(self) -> bool:
@@ -109,17 +112,39 @@ class Replay:
 
     def __repr__(self) -> str:
         if self.identical:
-            return f"<Replay identical, {len(self.result.rows)} cycles>"
-        return f"<Replay {len(self.differences)} fields differ, {len(self.result.rows)} cycles>"
+            return f"<Replay identical, {self.result.cycles} cycles>"
+        return f"<Replay {len(self.differences)} fields differ, {self.result.cycles} cycles>"
 
 
-def replay_with(recording: Recording, gnc: str | Path | PythonGnc | None, settings: Settings) -> Replay:
-    """Return the replay with another GNC and ``key=value`` settings. Raises BadInput.
+class FileReplay(NamedTuple):
+    """Result of ``replay_file``: as in ``Replay``; ``recorded`` is without rows."""
+
+    recorded: Recorded
+    scenario: Scenario
+    changed: bool
+    result: Replayed
+    navigation: dict[str, dict[str, Any]]
+
+
+def replay_file(path: Path, gnc: str | None, settings: Settings) -> FileReplay:
+    """Return the replay of the recording at ``path`` in the memory of a batch of rows. Raises BadInput."""
+    recorded = load_without_rows(path)
+    return FileReplay(recorded, *_replayed(recorded, gnc, settings, row_batches(path)))
+
+
+def _replayed(
+    recorded: Recorded,
+    gnc: str | Path | PythonGnc | None,
+    settings: Settings,
+    batches: Iterable[RowBatch] | None,
+    keep: Callable[[np.ndarray, np.ndarray], None] = lambda before, now: None,
+) -> tuple[Scenario, bool, Replayed, dict[str, dict[str, Any]]]:
+    """Return scenario, whether the GNC is another one, replay and errors of the estimate. Raises BadInput.
 
     gnc: a file or scenario; or an object, which a run of such an object needs.
     """
-    recorded, scenario = recording.recorded, recording.recorded.scenario
-    name = recording.summary.get("gnc", {}).get("python")
+    scenario = recorded.scenario
+    name = (recorded.summary or {}).get("gnc", {}).get("python")
     changed, backend = gnc is not None or bool(settings), None
     if isinstance(gnc, PythonGnc):
         changed, backend = bool(settings), PythonObjectGnc(gnc, backend_setup(scenario))
@@ -129,7 +154,15 @@ def replay_with(recording: Recording, gnc: str | Path | PythonGnc | None, settin
     if changed:
         file = str(gnc) if isinstance(gnc, str | Path) else None
         scenario = with_other_gnc(scenario, str(recorded.path), file, settings).value
-    return Replay(recording, scenario, changed, replay(recorded, scenario, backend))
+    errors = {"recorded": NavigationSums(), "replayed": NavigationSums()}
+
+    def add(before: np.ndarray, now: np.ndarray) -> None:
+        errors["recorded"].add(before)
+        errors["replayed"].add(now)
+        keep(before, now)
+
+    found = replay(recorded, scenario, backend, batches, add)
+    return scenario, changed, found, {which: sums.errors() for which, sums in errors.items()}
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:

@@ -114,11 +114,9 @@ def _play(recording: str, port: int) -> int:
 
 
 def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
-    from hil.api.recordings import open_recording, replay_with
+    from hil.api.recordings import replay_file
 
-    replay = replay_with(open_recording(recording), gnc, settings)
-    recorded, scenario, found = replay.recording.recorded, replay.scenario, replay.result
-    changed, errors = replay.changed, replay.navigation
+    recorded, scenario, changed, found, errors = replay_file(Path(recording), gnc, settings)
     if json_path is not None:
         write_json(_as_json(recorded, found, changed, errors), json_path)
     if json_path != "-":
@@ -133,8 +131,8 @@ def _as_json(recorded: Recorded, found: Replayed, changed: bool, errors: dict[st
         "intact": recorded.intact,
         "changed": changed,
         "identical": found.identical,
-        "cycles_recorded": len(recorded.cycles),
-        "cycles_replayed": len(found.rows),
+        "cycles_recorded": found.recorded,
+        "cycles_replayed": found.cycles,
         "ended": found.ended,
         "first_difference_cycle": min((d.first_cycle for d in found.differences), default=None),
         "first_difference_s": min((d.first_s for d in found.differences), default=None),
@@ -166,7 +164,7 @@ def _print(
             applied = follows(recorded, scenario, note["message"])
             suffix = "" if applied else "; not in this replay, which has another value"
             show(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{suffix}")
-    of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {len(found.rows)} cycles"
+    of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {found.cycles} cycles"
     if found.identical:
         show(f"identical, bit by bit: {of}")
         return

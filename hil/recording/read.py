@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import NoneType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 import zstandard
@@ -48,6 +48,9 @@ _RECORD_BYTES_MAX: Final = 64 * MIB
 _CHUNK_BYTES_MAX: Final = 8 * MIB  # unpacked; a block is closed after 1 MiB, images make it longer
 _UNPACKED_FREE: Final = 8 * MIB
 _UNPACKED_RATIO: Final = 50  # of a file's blocks together, beyond _UNPACKED_FREE; recorded cycles have 3 to 10
+_BATCH_ROWS: Final = 20_000
+_AHEAD_ROWS: Final = 6000  # read beyond a batch: rows of other topics may be written that much later, 5 s of the rings
+_REPLAYED: Final = ("/cycle", "/vmu/frames", "/imu")
 _NOTE_TEXTS: Final = ("message", "name", "kind")
 _NOTE_NUMBERS: Final = ("t_s", "bench_s", "cycle")
 
@@ -250,6 +253,14 @@ def _table(path: Path, what: str, text: str | bytes) -> dict[str, Any]:
     return found
 
 
+class RowBatch(NamedTuple):
+    """Rows of successive cycles, (n,) of CYCLE, with the arrivals and the samples of the IMU that these used."""
+
+    cycles: np.ndarray
+    arrivals: np.ndarray
+    imu_samples: np.ndarray
+
+
 @dataclass(frozen=True)
 class Recorded:
     """A recorded run.
@@ -277,6 +288,10 @@ class Recorded:
     absent: frozenset[str] = frozenset()
     """Dotted names of the fields of CYCLE that the recording lacks."""
 
+    def as_batch(self) -> RowBatch:
+        """Return all rows as one batch."""
+        return RowBatch(self.cycles, self.arrivals, self.imu_samples)
+
     def calibration(self, name: str, model: type[_Model]) -> _Model:
         """Return the attachment ``name``: cameras and target as assumed in the run. Raises BadInput."""
         return _model_of(self.path, self.run, self.files, name, model)
@@ -287,9 +302,12 @@ def load(path: Path) -> Recorded:
 
     Raises BadInput for a file that is not a recording, or of another version of the schemas or configuration.
     """
-    found = contents(path, frozenset({*schema.RECORDS, foxglove.LOG_TOPIC}))
+    return _recorded(contents(path, frozenset({*schema.RECORDS, foxglove.LOG_TOPIC})))
+
+
+def _recorded(found: Contents) -> Recorded:
     _check_version(found)
-    summary = found.files.get(writer.SUMMARY)
+    path, summary = found.path, found.files.get(writer.SUMMARY)
     return Recorded(
         path,
         found.run,
@@ -307,6 +325,64 @@ def load(path: Path) -> Recorded:
         _rows(found, "/axes"),
         _absent(found, "/cycle"),
     )
+
+
+def load_without_rows(path: Path) -> Recorded:
+    """Return the run recorded at ``path`` without its rows, which ``row_batches`` yields. Raises BadInput."""
+    return _recorded(contents(path, frozenset({foxglove.LOG_TOPIC})))
+
+
+def row_batches(path: Path, rows: int = _BATCH_ROWS) -> Iterator[RowBatch]:
+    """Yield the rows of the recording at ``path`` and its later parts in order, at most ``rows`` at once.
+
+    Memory is that of a batch, whatever the length of the recording. Raises BadInput as ``load``.
+    """
+    pending = {topic: np.zeros(0, record_dtype(schema.RECORDS[topic][1])) for topic in _REPLAYED}
+    first = 0  # cycle of the first pending row
+    for found in _pieces(path, rows):
+        for topic in _REPLAYED:
+            pending[topic] = np.concatenate([pending[topic], _rows(found, topic)])
+        while len(pending["/cycle"]) >= rows + _AHEAD_ROWS:
+            yield _take(pending, first, rows)
+            first += rows
+    while len(pending["/cycle"]):
+        n = min(rows, len(pending["/cycle"]))
+        yield _take(pending, first, n)
+        first += n
+
+
+def _take(pending: dict[str, np.ndarray], first: int, n: int) -> RowBatch:
+    """Take the first ``n`` rows out of ``pending``, of which ``first`` is the cycle, and what belongs to them."""
+    taken = [pending["/cycle"][:n]]
+    pending["/cycle"] = pending["/cycle"][n:].copy()
+    for topic in _REPLAYED[1:]:
+        is_due = pending[topic]["cycle"] < first + n
+        taken.append(pending[topic][is_due])
+        pending[topic] = pending[topic][~is_due]
+    return RowBatch(*taken)
+
+
+def _pieces(path: Path, rows: int) -> Iterator[Contents]:
+    """Yield the replayed topics of the recording, about ``rows`` of its cycles at once, in the order of writing."""
+    for part in (path, *parts.later_parts(path)):
+        found = Contents(part)
+        schemas, channels = directory(part)
+        for known in channels.values():
+            _add_channel(found, known, schemas)
+        for record in Scan(part).records():
+            match record:
+                case Message():
+                    channel = channels.get(record.channel_id)
+                    if channel and channel.topic in _REPLAYED:
+                        _add_message(found, channel, record)
+                case Metadata(name=writer.RUN):
+                    found.run = dict(record.metadata)
+                case _:
+                    pass
+            if len(found.records["/cycle"]) >= rows:
+                yield found
+                found.records = {topic: [] for topic in found.records}
+        yield found
 
 
 def _check_version(found: Contents) -> None:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +24,7 @@ from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.cycle import CycleData
 from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params
-from hil.recording.read import Recorded
+from hil.recording.read import Recorded, RowBatch
 from hil.recording.schema import flat_fields
 from hil.setup.assembly import make_backend
 from hil.setup.live_tuning import with_setting
@@ -52,10 +52,11 @@ class Difference:
 
 @dataclass
 class Replayed:
-    """Result of a replay. rows: (n,) of CYCLE, the recorded ones with the GNC's new results; ended: why fewer than
-    were recorded, "" if all. missing_events, new_events: (t_s, source, text) only in the recording or the replay."""
+    """Result of a replay. cycles: number of replayed ones, of ``recorded``; ended: why fewer than were recorded, "" if
+    all. missing_events, new_events: (t_s, source, text) only in the recording or the replay."""
 
-    rows: np.ndarray
+    cycles: int
+    recorded: int
     ended: str
     differences: list[Difference] = field(default_factory=list)
     missing_events: list[tuple[float, str, str]] = field(default_factory=list)
@@ -69,9 +70,12 @@ class Replayed:
 class _Poses:
     """Poses of one cycle, in order of arrival."""
 
-    def __init__(self, arrivals: np.ndarray) -> None:
+    def __init__(self) -> None:
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self.arrived = 0
+
+    def begin(self, arrivals: np.ndarray) -> None:
+        """Use ``arrivals`` (n,) of ARRIVAL for the next cycles."""
         self._by_cycle: dict[int, list[int]] = defaultdict(list)
         for i, cycle in enumerate(arrivals["cycle"].tolist()):
             self._by_cycle[cycle].append(i)
@@ -89,13 +93,15 @@ class _Poses:
 class _Samples:
     """Samples of the IMU of one cycle: those recorded, or the one in the row of the cycle."""
 
-    def __init__(self, recorded: Recorded) -> None:
-        self._samples = recorded.imu_samples
-        self._first = np.searchsorted(self._samples["cycle"], np.arange(len(recorded.cycles) + 1))
+    def begin(self, samples: np.ndarray, first: int, cycles: int) -> None:
+        """Use ``samples`` (n,) of IMU_SAMPLE for ``cycles`` cycles from ``first`` on."""
+        self._samples, self._begin = samples, first
+        self._first = np.searchsorted(samples["cycle"], np.arange(first, first + cycles + 1))
 
     def load(self, k: int, now: CycleData) -> str:
         """Write those of cycle ``k`` to ``now``; return why it cannot be replayed, "" if it can."""
-        n, found = len(now.samples), self._samples[self._first[k] : self._first[k + 1]]
+        i = k - self._begin
+        n, found = len(now.samples), self._samples[self._first[i] : self._first[i + 1]]
         if n == 1 or k == 0:  # the first cycle has none before it
             return ""
         if len(found) != n:
@@ -105,39 +111,78 @@ class _Samples:
         return ""
 
 
-def replay(recorded: Recorded, scenario: Scenario, backend: GncBackend | None = None) -> Replayed:
-    """Return the results of ``backend``, or of the GNC of ``scenario``, for the recorded inputs; and their differences.
+def replay(
+    recorded: Recorded,
+    scenario: Scenario,
+    backend: GncBackend | None = None,
+    batches: Iterable[RowBatch] | None = None,
+    keep: Callable[[np.ndarray, np.ndarray], None] = lambda before, now: None,
+) -> Replayed:
+    """Compare the results of ``backend``, or of the GNC of ``scenario``, for the recorded inputs with the recorded.
 
-    Changes of settings during the run are repeated at the same cycle, except for keys whose value in ``scenario``
-    differs from the recording. Raises BadInput if the scenario's step differs or no cycle was recorded.
+    batches: rows of the recording, unless ``recorded`` has them. keep: receives the recorded rows of each batch, (n,)
+    of CYCLE, as far as they are replayed, and the same with the GNC's new results. Changes of settings during the run
+    are repeated at the same cycle, except for keys whose value in ``scenario`` differs from the recording. Raises
+    BadInput if the scenario's step differs or no cycle was recorded.
     """
-    if not len(recorded.cycles):
-        raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
-    gnc, poses, orders = backend or make_backend(scenario), _Poses(recorded.arrivals), _orders(recorded)
-    settings = _Settings(recorded, scenario)
-    rows = recorded.cycles.copy()
-    now, samples = CycleData(scenario.imu_samples), _Samples(recorded)
-    done, ended = 0, ""
+    gnc = backend or make_backend(scenario)
+    loop, sums = _OpenLoop(recorded, scenario, gnc), _Differences(recorded.absent)
+    read, last_s = 0, 0.0
     with _opened(gnc):
-        for k, row in enumerate(recorded.cycles):
-            ended = _gap(row, k, scenario.step_s, poses.load(k)) or samples.load(k, now)
-            if not ended:
-                _send_orders(gnc, orders.get(k, ()))
-                settings.apply(gnc, k)
-                if k > 0:  # the IMU has measured what was commanded then, not what the replay would have commanded
-                    now.row["command"]["on"] = recorded.cycles[k - 1]["command"]["on"]
-                ended = _cycle(gnc, poses, row, now)
-            if ended:
-                break
-            for name in COMPARED:
-                rows[k][name] = now.row[name][0]
-            done = k + 1
-        if not ended and recorded.end is not None and _is_complete(recorded, scenario):
-            gnc.finish(float(rows["t_s"][-1]), now.supervision)
-    found = Replayed(rows[:done], ended)
-    found.differences = list(_differences(recorded.cycles[:done], rows[:done], recorded.absent))
-    found.missing_events, found.new_events = _events(recorded, gnc, done)
+        for batch in [recorded.as_batch()] if batches is None else batches:
+            read += len(batch.cycles)
+            rows = loop.run(batch)
+            before = batch.cycles[: len(rows)]
+            if len(rows):
+                last_s = float(rows["t_s"][-1])
+                sums.add(before, rows)
+                keep(before, rows)
+        if not read:
+            raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
+        if not loop.ended and recorded.end is not None and _is_complete(recorded, scenario, read):
+            gnc.finish(last_s, loop.now.supervision)
+    found = Replayed(loop.cycles, read, loop.ended, sums.found())
+    found.missing_events, found.new_events = _events(recorded, gnc, last_s)
     return found
+
+
+class _OpenLoop:
+    """The GNC on recorded inputs, batch by batch. ``ended``: why no further cycle is replayed, "" if one can be."""
+
+    def __init__(self, recorded: Recorded, scenario: Scenario, gnc: GncBackend) -> None:
+        self.cycles = 0
+        self.ended = ""
+        self.now = CycleData(scenario.imu_samples)
+        self._gnc, self._step_s = gnc, scenario.step_s
+        self._poses, self._samples = _Poses(), _Samples()
+        self._orders, self._settings = _orders(recorded), _Settings(recorded, scenario)
+        self._on: np.ndarray | None = None  # thrusters that were commanded in the cycle before
+
+    def run(self, batch: RowBatch) -> np.ndarray:
+        """Return the rows of the batch with the new results, as many as could be replayed."""
+        rows = batch.cycles.copy()
+        self._poses.begin(batch.arrivals)
+        self._samples.begin(batch.imu_samples, self.cycles, len(rows))
+        for i, row in enumerate(batch.cycles):
+            if self.ended or self._end(row):
+                return rows[:i]
+            for name in COMPARED:
+                rows[i][name] = self.now.row[name][0]
+            self._on = row["command"]["on"]
+            self.cycles += 1
+        return rows
+
+    def _end(self, row: np.void) -> str:
+        """Replay the next cycle, recorded as ``row``; return why it cannot be, "" if it could."""
+        k, now = self.cycles, self.now
+        self.ended = _gap(row, k, self._step_s, self._poses.load(k)) or self._samples.load(k, now)
+        if not self.ended:
+            _send_orders(self._gnc, self._orders.get(k, ()))
+            self._settings.apply(self._gnc, k)
+            if self._on is not None:  # the IMU has measured what was commanded then, not what the replay would command
+                now.row["command"]["on"] = self._on
+            self.ended = _cycle(self._gnc, self._poses, row, now)
+        return self.ended
 
 
 @contextmanager
@@ -214,22 +259,43 @@ class _Settings:
             gnc.adjust(gnc_params.gnc(self._scenario))
 
 
-def _is_complete(recorded: Recorded, scenario: Scenario) -> bool:
+def _is_complete(recorded: Recorded, scenario: Scenario, cycles: int) -> bool:
     if recorded.end is not None and recorded.end.get("stop") == COMPLETED:
         return True
-    return len(recorded.cycles) == round(float(recorded.run["duration_s"]) / scenario.step_s) + 1
+    return cycles == round(float(recorded.run["duration_s"]) / scenario.step_s) + 1
 
 
-def _differences(before: np.ndarray, now: np.ndarray, absent: frozenset[str]) -> Iterator[Difference]:
-    """Yield the fields that differ; those that the recording lacks are not compared."""
-    for place in flat_fields(CYCLE):
-        name = place["name"]
-        if name.partition(".")[0] not in COMPARED or name in absent:
-            continue
-        a, b = _field(before, name), _field(now, name)
-        differs = (_bits(a) != _bits(b)).any(axis=1)
-        if differs.any():
-            yield _difference(name, before["t_s"], a, b, np.flatnonzero(differs))
+class _Differences:
+    """Fields that differ, over all batches; those that the recording lacks are not compared."""
+
+    def __init__(self, absent: frozenset[str]) -> None:
+        names = [place["name"] for place in flat_fields(CYCLE)]
+        self._names = [name for name in names if name.partition(".")[0] in COMPARED and name not in absent]
+        self._found: dict[str, Difference] = {}
+        self._cycles = 0
+
+    def add(self, before: np.ndarray, now: np.ndarray) -> None:
+        """Compare the recorded rows (n,) of the next cycles with those of the replay."""
+        for name in self._names:
+            a, b = _field(before, name), _field(now, name)
+            differs = (_bits(a) != _bits(b)).any(axis=1)
+            if differs.any():
+                self._add(_difference(name, before["t_s"], a, b, np.flatnonzero(differs)))
+        self._cycles += len(before)
+
+    def _add(self, new: Difference) -> None:
+        new = replace(new, first_cycle=self._cycles + new.first_cycle)
+        known = self._found.setdefault(new.field, new)
+        if known is new:
+            return
+        is_larger = new.largest is not None and (known.largest is None or new.largest > known.largest)
+        largest = new if is_larger else known
+        cycles = known.cycles + new.cycles
+        self._found[new.field] = replace(known, cycles=cycles, largest=largest.largest, largest_s=largest.largest_s)
+
+    def found(self) -> list[Difference]:
+        """Return them in the order of the fields."""
+        return [self._found[name] for name in self._names if name in self._found]
 
 
 def _difference(name: str, t_s: np.ndarray, before: np.ndarray, now: np.ndarray, where: np.ndarray) -> Difference:
@@ -263,10 +329,9 @@ def _finite(value: float) -> float | None:
 
 
 def _events(
-    recorded: Recorded, gnc: GncBackend, done: int
+    recorded: Recorded, gnc: GncBackend, last_s: float
 ) -> tuple[list[tuple[float, str, str]], list[tuple[float, str, str]]]:
     """Return the events of approach and filters only in the recording, and those only in the replay."""
-    last_s = float(recorded.cycles["t_s"][done - 1]) if done else 0.0
     now = Counter((event.t_s, event.source, event.text) for event in gnc.events())
     before = Counter(
         (entry["t_s"], entry["name"], entry["message"])

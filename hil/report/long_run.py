@@ -41,6 +41,7 @@ from hil.setup.assembly import Job
 _SLICE: Final = 1024  # rows that are evaluated at once
 _PAUSE_WALL_S: Final = 0.02  # between two slices while the loop runs in real time
 _SAMPLE_MAX: Final = 100_000
+_NEES: Final = (("nees_pkf", "nees_position"), ("nees_akf", "nees_attitude"))
 
 
 class ThinnedSample:
@@ -88,6 +89,40 @@ class MeanSquares:
             return None
         found = np.sqrt(self._sums[name] / self._counts[name])
         return found.tolist() if found.ndim else float(found)
+
+
+class NavigationSums:
+    """Errors of the estimate over parts of a run: ``summary.navigation_errors`` of all rows, in bounded memory."""
+
+    def __init__(self) -> None:
+        self._squares = {name: MeanSquares() for name in ("known", "settled")}
+        self._nees: dict[tuple[str, str], tuple[float, int]] = {}
+        self._only: dict[str, Any] | None = None
+        self._parts = 0
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add the next ``rows`` (n,) of CYCLE."""
+        self._parts += 1
+        self._only = summary.navigation_errors(rows) if self._parts == 1 else None
+        known = rows[rows["navigation"]["valid"] == 1]
+        for span, chosen in (("known", known), ("settled", known[known["t_s"] >= summary.SETTLED_S])):
+            found = summary.navigation_errors(chosen)
+            for name in summary.RMS_KEYS:
+                self._squares[span].add(name, found[name], len(chosen))
+            for name, column in _NEES:
+                finite = chosen[column][np.isfinite(chosen[column])]
+                total, count = self._nees.get((span, name), (0.0, 0))
+                self._nees[span, name] = (total + float(finite.sum()), count + len(finite))
+
+    def errors(self) -> dict[str, Any]:
+        """Return them, by the keys of the JSON; of one part exactly those of its rows."""
+        if self._only is not None:
+            return self._only
+        is_settled = self._squares["settled"].rms(summary.RMS_KEYS[0]) is not None
+        span = "settled" if is_settled else "known"
+        sums = {name: self._nees.get((span, name), (0.0, 0)) for name, _ in _NEES}
+        nees = {name: total / count if count else None for name, (total, count) in sums.items()}
+        return {name: self._squares[span].rms(name) for name in summary.RMS_KEYS} | nees
 
 
 class LongRun:
@@ -178,7 +213,7 @@ class LongRun:
         estimate = summary.navigation_errors(settled)
         for name in summary.RMS_KEYS:
             squares.add(name, estimate[name], len(settled))
-        for name, column in (("nees_pkf", "nees_position"), ("nees_akf", "nees_attitude")):
+        for name, column in _NEES:
             known = settled[column][np.isfinite(settled[column])]
             total, count = self._nees.get(name, (0.0, 0))
             self._nees[name] = (total + float(known.sum()), count + len(known))

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.api import runs
+from hil.api import recordings, runs
 from hil.core.modes import Mode
 from hil.errors import BadInput
-from hil.recording import parts
+from hil.recording import parts, read
 from hil.recording.read import load
 from hil.recording.replay import replay
 from hil.session.warm_up import warm_up
@@ -71,6 +71,27 @@ def test_recording_in_parts_replays_as_one(monkeypatch: pytest.MonkeyPatch, tmp_
     assert recorded.intact
     assert recorded.summary is not None
     assert replay(recorded, recorded.scenario).identical
+    monkeypatch.setattr(read, "_AHEAD_ROWS", 300)
+    batches = list(read.row_batches(recorded.path, 700))
+    assert max(len(batch.cycles) for batch in batches) == 700
+    assert np.concatenate([batch.cycles for batch in batches]).tobytes() == recorded.cycles.tobytes()
+    for name in ("arrivals", "imu_samples"):
+        both = np.concatenate([getattr(batch, name) for batch in batches]), getattr(recorded, name)
+        used = [rows[(rows["cycle"] >= 0) & (rows["cycle"] < len(recorded.cycles))] for rows in both]
+        assert used[0].tobytes() == used[1].tobytes()
+
+
+def test_replay_in_batches_is_the_replay_of_all_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    summary_of(tmp_path, "imu.rate_hz=100.0")
+    (path,) = tmp_path.glob("*.mcap")
+    recorded = load(path)
+    monkeypatch.setattr(read, "_AHEAD_ROWS", 300)
+    for setting in ((), ("gnc.pkf.accelerometer_noise_mps2=0.002",)):
+        whole = recordings._replayed(recorded, None, setting, None)
+        parted = recordings._replayed(read.load_without_rows(path), None, setting, read.row_batches(path, 700))
+        assert parted[2] == whole[2]
+        assert whole[2].identical == (not setting)
+        assert_close(parted[3], whole[3], "navigation")
 
 
 def test_later_part_alone_is_rejected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
