@@ -230,7 +230,7 @@ class PlainLoop:
                 known = rate[i] + self.owed[i]
                 s = min(reach, max(-reach, error[i])) + lead * known + known * abs(known) / (2.0 * strong)
                 cycles = 0
-                if abs(s) > c.deadband[i] + c.caution[i] * sigma:
+                if abs(s) > c.deadband[i] + c.deadband_sigmas[i] * sigma:
                     cycles = -int(math.copysign(min(period, max(1, int(abs(s) / (lead * strong * dt)))), s))
                 fed = round((self.owed[i] + ahead[i] * period * dt) / (strong * dt))
                 fed = min(period - cycles, max(-period - cycles, fed))
