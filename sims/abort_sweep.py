@@ -83,7 +83,7 @@ def nearest_m(scheme: str, isolation: str, across: float, flight: Flight) -> flo
     stats, stop = runner.run(truth, 0)
     if stop != "completed":
         raise RuntimeError(f"{flight}: {stop}")
-    return float(stats.nearest)
+    return float(stats.integrity.nearest)
 
 
 def flights(scheme: str, step_s: float, isolation: str = "none") -> list[Flight]:
