@@ -11,10 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 from llvmlite import ir
-from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from hil.core.gnc_records import GNC_OUTPUT, GncMode
+from hil.core.jit import kernel
 from hil.fmi.binary import LOG_BYTES
 
 
@@ -191,7 +192,7 @@ def _do_step_3(_typing, function, component, t_s, step_s):
     return types.int32(types.int64, types.int64, types.float64, types.float64), generate
 
 
-@njit(error_model="numpy", forceinline=True)
+@kernel
 def _read(address, code):
     """Return the number of type ``code`` at ``address`` as a float."""
     if code == 0:
@@ -215,7 +216,7 @@ def _read(address, code):
     return float(_load_u8(address))
 
 
-@njit(error_model="numpy")
+@kernel
 def _write(address, code, value):
     """Write ``value`` as type ``code`` at ``address``; return False if the type cannot hold it."""
     if code == 0:
@@ -252,14 +253,14 @@ def _write(address, code, value):
     return whole >= 0
 
 
-@njit(error_model="numpy")
+@kernel
 def _write_text(output, text):
     """Write ``text`` (FIELD_TEXT,) as the text of the output record."""
     for i in range(FIELD_TEXT):
         _store_u1(output + _TEXT_OFFSET + i, text[i])
 
 
-@njit(error_model="numpy")
+@kernel
 def _fail(component, output, text):
     """Write the FMU's last message, or ``text`` without one, as the text of the output record."""
     log = carray(_pointer(component.log), (LOG_BYTES,), np.uint8)
@@ -269,7 +270,7 @@ def _fail(component, output, text):
         _write_text(output, text)
 
 
-@njit(error_model="numpy")
+@kernel
 def _set_group(component, group, record, output):
     """Copy and set the inputs of ``group``; return the status, 0 if all went well."""
     copies = carray(_pointer(group.copies), (group.n_copies,), COPY)
@@ -293,7 +294,7 @@ def _set_group(component, group, record, output):
     return 0
 
 
-@njit(error_model="numpy")
+@kernel
 def _get_group(component, group, output):
     """Get and copy the outputs of ``group``; return the status, 0 if all went well."""
     calls = carray(_pointer(group.calls), (group.n_calls,), CALL)

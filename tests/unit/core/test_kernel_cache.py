@@ -116,6 +116,18 @@ def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path, mon
     assert run_with_cache(look, tmp_path, PACKAGE.parent).stdout == "False\n"
 
 
+@pytest.mark.parametrize("module", ["hil.fmi.step", "hil.gnc_backends.isolated", "hil.session.build"])
+def test_every_start_compiles_for_the_same_processor(module: str) -> None:
+    code = f"""
+import {module}
+from numba.core import config, registry
+import hil.core.jit
+codegen = registry.cpu_target.target_context.codegen()
+print(codegen.magic_tuple()[1:] == (config.CPU_NAME, config.CPU_FEATURES))
+"""
+    assert run_in(PACKAGE.parent, code, dict(os.environ)).stdout == "True\n"
+
+
 def test_second_process_leaves_a_group_to_the_first(tmp_path: Path) -> None:
     code = "from hil.core.jit import only_one_process as one\nwith one('loop') as alone: print(alone)"
     nested = f"import subprocess, sys\n{code}; sys.stdout.flush(); subprocess.run([sys.executable, '-c', {code!r}])"
