@@ -21,12 +21,6 @@ ECCENTRICITIES: Final = (0.0, 0.001, 0.005, 0.01, 0.03, 0.09)
 TAIL: Final = 0.0005  # of the 99.9 % band, on either side
 
 
-def band(cases: int, states: int) -> tuple[float, float]:
-    """Return the 99.9 % band of the mean NEES of consistent filters, one independent value per case."""
-    n = cases * states
-    return chi_square.lower_quantile(TAIL, n) / cases, chi_square.upper_quantile(TAIL, n) / cases
-
-
 def main() -> None:
     """Fly the campaigns and print one row per eccentricity."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
@@ -44,7 +38,7 @@ def main() -> None:
         cells += [f"{100.0 * np.mean([row[name] for row in rows]):.2f} %" for name in ("passed", "passed_all_parts")]
         for name, states in (("nees_pkf", 9), ("nees_akf", 6)):
             values = [row[name] for row in rows if row[name] is not None]
-            low, high = band(len(values), states)
+            low, high = chi_square.band_of_mean(len(values), states, TAIL)
             cells += [f"{np.mean(values):.2f}", f"{low:.2f} .. {high:.2f}"]
         table.add_row(*cells)
         console.print(" ".join(cells))

@@ -29,8 +29,7 @@ class FilterCondition:
 
 def nis_band(updates: int, tail: float) -> tuple[float, float]:
     """Return the band of the mean of ``updates`` three-component NIS, ``tail`` outside on each side."""
-    dof = 3 * updates
-    return chi_square.lower_quantile(tail, dof) / updates, chi_square.upper_quantile(tail, dof) / updates
+    return chi_square.band_of_mean(updates, 3, tail)
 
 
 class NisMonitor:

@@ -24,6 +24,11 @@ def upper_quantile(probability: float, dof: int) -> float:
     return _solve(probability, dof, lower=False)
 
 
+def band_of_mean(n: int, dof: int, tail: float) -> tuple[float, float]:
+    """Return the band of the mean of ``n`` independent values with ``dof`` each, ``tail`` outside on each side."""
+    return lower_quantile(tail, n * dof) / n, upper_quantile(tail, n * dof) / n
+
+
 def two_sided_tail(sigma: float) -> float:
     """Return the probability that a normal variable is more than ``sigma`` standard deviations from its mean."""
     return math.erfc(sigma * math.sqrt(0.5))
