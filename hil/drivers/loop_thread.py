@@ -50,11 +50,15 @@ class LoopThread:
             raise LinkTimeout(self.name, f"not open after {bound_s:g} s") from error
 
     def _end(self) -> None:
-        """End the thread; wait for it, at most 0.1 s of wall time. Idempotent."""
+        """End the thread; wait for it, at most 0.1 s of wall time. Idempotent.
+
+        ``_live`` is cancelled once: a second cancellation would interrupt the last requests, which stop the device.
+        """
         if self._thread is None:
             return
-        self._closing = True
-        self._call(self._cancel)
+        if not self._closing:
+            self._closing = True
+            self._call(self._cancel)
         self._thread.join(_END_WAIT_WALL_S)
         if not self._thread.is_alive():
             self._thread = None

@@ -20,6 +20,7 @@ import pytest
 from hil.config.rail_map import RailMap
 from hil.config.rig import Rails
 from hil.core.clock import WallClock
+from hil.drivers import loop_thread
 from hil.drivers.base import AxisGroup
 from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, ControlFlags, State, Status
@@ -252,6 +253,20 @@ def test_close_without_stop_leaves_the_drives_stopped(bench: Bench) -> None:
     cycle(rails, bench.clock, 20, rate=0.5)
     rails.close()
     rails.close()
+    assert wait_for(lambda: all(bench.state(axis).status & Status.QUICK_STOP for axis in range(3)), 0.3)
+
+
+def test_closing_again_does_not_interrupt_the_last_requests(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop_thread, "_END_WAIT_WALL_S", 1e-4)  # as on a busy host
+    rails = ModbusRails(config(bench.addresses), bench.clock)
+    rails.open(bench.clock.now_s())
+    cycle(rails, bench.clock, 5, rate=0.5)
+    drives = rails._drives
+    thread = rails._thread
+    assert thread is not None
+    while thread.is_alive():
+        rails.close()
+    assert not any(drive._bus._client.connected for drive in drives)
     assert wait_for(lambda: all(bench.state(axis).status & Status.QUICK_STOP for axis in range(3)), 0.3)
 
 

@@ -180,9 +180,11 @@ class ModbusRails(LoopThread):
             opened.set_result(None)
             await self._serve()
         finally:
-            await asyncio.gather(*(drive.send(self._stop_control) for drive in self._drives))
-            for wire in wires:
-                wire.bus.close()
+            try:
+                await asyncio.gather(*(drive.send(self._stop_control) for drive in self._drives))
+            finally:  # close() may cancel this during the requests
+                for wire in wires:
+                    wire.bus.close()
 
     async def _serve(self) -> None:
         idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
