@@ -31,7 +31,7 @@ from hil.errors import BadInput
 
 _numba_config: Any = numba.config
 _PACKAGE = Path(__file__).parent.parent
-_COMPILED = (b"\n@kernel", b"\n@intrinsic")
+_COMPILED = (b"\n@kernel", b"\n@intrinsic", b"\n@cuda.jit")
 _IMPORT = re.compile(rb"^\s*from (hil[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 CYCLE, COMPILED_LOOP = "complete", "complete compiled loop"
 """Groups of kernels: of the cycle in Python, and the loop that is one kernel."""
@@ -203,7 +203,7 @@ def only_one_process(group: str) -> Iterator[bool]:
             yield True
 
 
-class _KernelCacheLocator(_CacheLocator):
+class KernelCacheLocator(_CacheLocator):
     """Place of a kernel in the cache: by its path inside the package, created when the first one is written."""
 
     def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
@@ -214,7 +214,7 @@ class _KernelCacheLocator(_CacheLocator):
         self._digest = _own_module_digests()[str(place)]
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _KernelCacheLocator | None:
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelCacheLocator | None:
         return cls(py_func, py_file) if py_file.startswith(f"{_PACKAGE}{os.sep}") else None
 
     def get_cache_path(self) -> str:
@@ -231,7 +231,7 @@ class _KernelCacheLocator(_CacheLocator):
         return f"{self._line}-{self._digest}"  # part of the names of the files, which ``_reuse_entries`` looks at
 
 
-CacheImpl._locator_classes.insert(0, _KernelCacheLocator)
+CacheImpl._locator_classes.insert(0, KernelCacheLocator)
 
 
 def kernel(function: _Function) -> _Function:

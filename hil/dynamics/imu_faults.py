@@ -9,6 +9,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import MAX_FAULTS
 from hil.dynamics.imu_errors import IMU_ERROR_MEMORY
+from hil.maths.limits import to_integer
 from hil.models.faults import KIND, OPTION, VALUE, is_active, normal
 
 BIAS_STEP, SCALE_FACTOR, DROPOUT, NOISE_SCALE, STUCK = range(5)
@@ -61,7 +62,7 @@ def distort(faults, memory, t_s, dt_s, sigma_gyro, sigma_accelerometer, imu):
 
     dt_s: period of the samples. sigma_gyro, sigma_accelerometer: noise of a sample, rad/s and m/s^2.
     """
-    number = round(t_s / dt_s)
+    number = to_integer(round(t_s / dt_s))
     for i in range(faults.n):
         row = faults.row[i]
         if not is_active(row, t_s):

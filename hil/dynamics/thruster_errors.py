@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
+from hil.maths.limits import to_integer
 from hil.models.faults import normal
 
 THRUSTER_ERRORS = np.dtype(
@@ -91,7 +92,7 @@ def thrust_of_valve(errors, memory, j, dt_s):
 
     The valve follows late: the step has the end of one kept step and the beginning of the next.
     """
-    steps = math.floor(errors.delay_s / dt_s)
+    steps = to_integer(math.floor(errors.delay_s / dt_s))
     late = errors.delay_s / dt_s - steps
     newest = memory.next + 2 * STEPS_KEPT - 1
     level, impulse = memory.level[j], 0.0

@@ -18,6 +18,7 @@ from hil.dynamics.thruster_errors import (
 from hil.dynamics.thrusters import step_valves
 from hil.maths import stack
 from hil.maths.arrays import copy_into
+from hil.maths.limits import to_integer
 from hil.models.faults import KIND, NUMBER, VALUE, is_active
 
 STUCK_OPEN, STUCK_CLOSED, LEAK, FORCE_SCALE, DELAY, MINIMUM_ON = range(6)
@@ -45,7 +46,7 @@ def _minimum_on(faults, t_s, thruster, nominal_s):
 @kernel
 def _delayed(memory, thruster, delay_s, dt_s):
     """Return the open fraction of this step of a valve that follows ``delay_s`` later: of two steps, in proportion."""
-    steps = math.floor(delay_s / dt_s)
+    steps = to_integer(math.floor(delay_s / dt_s))
     share = delay_s / dt_s - steps
     newest = memory.next + 2 * STEPS_KEPT - 1
     late = memory.fraction[(newest - steps) % STEPS_KEPT, thruster]

@@ -28,6 +28,7 @@ from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.limits import to_integer
 
 POSES_PER_STEP = 2
 
@@ -414,7 +415,7 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
 @kernel
 def _place(params, state, memory, pose):
     """Put a pose into the step nearest to its exposure; return that step's number, or -1 if there is none."""
-    cycle = math.floor(pose.t_s / params.pkf.dt_s + 0.5)
+    cycle = to_integer(math.floor(pose.t_s / params.pkf.dt_s + 0.5))
     if cycle > state.cycle + params.ahead:  # the unit's clock runs ahead: the moment of exposure is unknown
         state.too_late += 1
         return -1

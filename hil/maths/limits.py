@@ -1,4 +1,4 @@
-"""Limits of numbers, and dwell times of conditions."""
+"""Limits of numbers, whole numbers, and dwell times of conditions."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ def cut_to_range(values, low, high, out):
             bad = i
         out[i] = min(high[i], max(low[i], values[i]))
     return bad
+
+
+@kernel
+def to_integer(value):
+    """Return ``value``, a whole number, as an integer: rounding gives an integer on the CPU and a float on a GPU."""
+    return int(value)
 
 
 @kernel

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths.limits import to_integer
 
 TIME_SLACK_S = 1e-9  # sums of cycle times are off by a few 1e-16 of themselves
 TRAVEL_DRAWS = 4  # uniform numbers in [0, 1) per frame: loss, duplication, first delay, second delay
@@ -25,7 +26,7 @@ TRAVEL = np.dtype(
 @kernel
 def first_exposure(now_s, rate_hz):
     """Return the number k of the first exposure, at ``k / rate_hz``, at or after ``now_s``."""
-    return math.ceil((now_s - TIME_SLACK_S) * rate_hz)
+    return to_integer(math.ceil((now_s - TIME_SLACK_S) * rate_hz))
 
 
 @kernel
