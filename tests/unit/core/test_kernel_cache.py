@@ -76,6 +76,23 @@ def test_second_checkout_of_the_same_sources_compiles_nothing(copy: Path, tmp_pa
     assert (first.stdout, second.stdout) == ("0\n", "1\n"), first.stderr + second.stderr
 
 
+def test_cached_kernel_is_parsed_only_when_another_is_linked_with_it(tmp_path: Path) -> None:
+    parsed = f"""{CALL_ONE_KERNEL}
+from numba import njit
+library, = (result.library for result in cut_to_range.overloads.values())
+print(library._shared_module is not None)
+@njit
+def doubled(x):
+    cut_to_range(x, x - 1.0, x + 1.0, x)
+    return 2.0 * x[0]
+print(doubled(np.full(3, 4.0)))
+print(library._shared_module is not None)
+"""
+    run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent)
+    again = run_with_cache(parsed, tmp_path, PACKAGE.parent)
+    assert again.stdout.split() == ["1", "False", "8.0", "True"], again.stderr
+
+
 def test_kernel_is_compiled_again_only_if_a_source_of_its_own_has_changed(copy: Path, tmp_path: Path) -> None:
     prepare_and_call = f"from hil.core.jit import prepare_kernel_cache as prepare; prepare(){CALL_ONE_KERNEL}"
 
