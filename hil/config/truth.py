@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import ConfigModel, Positive, Triple
+from hil.config.model import ConfigModel, NotNegative, Positive, Triple
 from hil.config.model_fmu import ModelFmu
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
@@ -41,7 +41,7 @@ class Orbit(ConfigModel):
 
 
 class Ephemeris(ConfigModel):
-    """Errors of the target's orbit in the GNC: its value minus the true one."""
+    """Target's orbit in the GNC: errors, its value minus the true one, and the accuracy of what follows from it."""
 
     semi_major_axis_error_m: float = 0.0
     """Error of the semi-major axis."""
@@ -49,6 +49,8 @@ class Ephemeris(ConfigModel):
     """Error of the eccentricity."""
     true_anomaly_error_deg: Degrees = 0.0
     """Error of the true anomaly at the start."""
+    rate_sigma_degps: NotNegative = 0.0
+    """Standard deviation, per axis, of the rate of H beyond that of the orbit; harmonics of the Moon: 5e-6."""
 
 
 class SolarArray(ConfigModel):

@@ -86,10 +86,14 @@ def navigation(scenario: Scenario) -> np.record:
     akf = fusion.akf
     akf.dt_s = scenario.sample_s
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
-    akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
+    # an error of the rate of H is a drift to the filter: a first-order Gauss-Markov process over the orbit
+    rate_noise = gnc.ephemeris.rate_sigma_degps * math.sqrt(2.0 * fusion.orbit.mean_motion / scenario.sample_s)
+    akf.sigma_drift = math.radians(math.hypot(gnc.akf.gyro_drift_noise_degps2, rate_noise))
     akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
     akf.gate = _gate(gnc.navigation.gate_sigma)
-    akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
+    akf.initial_drift_sigma = math.radians(
+        math.hypot(gnc.akf.initial_drift_sigma_degps, gnc.ephemeris.rate_sigma_degps)
+    )
     pkf = fusion.pkf
     pkf.dt_s = scenario.sample_s
     pkf.hill_transition = transition(fusion.orbit.mean_motion, scenario.sample_s)

@@ -178,7 +178,7 @@ def test_start_has_the_covariance_of_the_first_pose_and_of_the_drift(
     state = started(params, q, root @ root.T)
     np.testing.assert_array_equal(state.x[:4], q)
     np.testing.assert_array_equal(state.p[:3, :3], root @ root.T)
-    np.testing.assert_allclose(state.p[3:, 3:], math.radians(1e-5) ** 2 * np.eye(3))
+    np.testing.assert_allclose(state.p[3:, 3:], math.radians(math.hypot(1e-5, 5e-6)) ** 2 * np.eye(3))
     np.testing.assert_array_equal(state.p[:3, 3:], 0.0)
     np.testing.assert_allclose(np.degrees(state.x[4:]), 2.78e-6)
 
