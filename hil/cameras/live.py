@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.config.rig import Vmu
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.clock import WallClock
+from hil.core.clock import Clock, WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.cameras.pairing import FramePair, Pairing, TimedFrame
 from hil.drivers.cameras.processes import CameraProcesses
@@ -20,6 +20,7 @@ from hil.vmu.sources import Pair
 from hil.vmu.unit import VisionUnit
 
 _LATENCIES: Final = 2048  # frames; 5 min at 6.25 Hz
+_STAGES: Final = ("exposure_to_image", "image_to_solver", "solver", "exposure_to_pose")
 _WAIT_WALL_S: Final = 0.02
 _FUTURE_S: Final = 1e-3
 _OLDEST_S: Final = 2.0  # no image takes longer from exposure to arrival
@@ -42,8 +43,8 @@ class LiveVision:
         self._solved = self._counter = 0
         self._counts = dict.fromkeys(("no_pose", "incomplete", "lost", "clock_jumps"), 0)
         self._skew_max_s = 0.0
-        self._transfer_s: deque[float] = deque(maxlen=_LATENCIES)
-        self._total_s: deque[float] = deque(maxlen=_LATENCIES)
+        self._started_s = math.nan  # solving of the newest pair
+        self._latencies_s: deque[tuple[float, ...]] = deque(maxlen=_LATENCIES)  # by stage
 
     def put(self, side: int, frame: TimedFrame) -> None:
         """Add a frame of the left (0) or right (1) camera."""
@@ -57,12 +58,13 @@ class LiveVision:
             return
         self._pairing.put(side, frame)
 
-    def poses(self, now_s: float) -> Iterator[PoseFrame]:
-        """Yield the poses of the pairs that are complete at ``now_s``; their time of reception is left to the caller.
+    def poses(self, clock: Clock) -> Iterator[PoseFrame]:
+        """Yield the poses of the pairs that are complete; their time of reception is left to the caller.
 
-        ``solved`` is called by the caller after each, with the time then.
+        The caller calls ``sent`` after each, with the time then.
         """
-        for pair in self._pairing.pairs(now_s):
+        for pair in self._pairing.pairs(clock.now_s()):
+            self._started_s = clock.now_s()
             images = [None if frame is None else frame.image for frame in (pair.left, pair.right)]
             t_s = pair.exposed_s
             if self._last is not None:
@@ -84,17 +86,18 @@ class LiveVision:
 
     def sent(self, now_s: float) -> None:
         """Note that the pose of the newest pair was sent at ``now_s``."""
-        assert self._last is not None
-        self._transfer_s.append(self._last.arrived_s - self._last.exposed_s)
-        self._total_s.append(now_s - self._last.exposed_s)
+        pair = self._last
+        assert pair is not None
+        stages = (pair.exposed_s, pair.arrived_s), (pair.arrived_s, self._started_s), (self._started_s, now_s)
+        self._latencies_s.append((*(after - before for before, after in stages), now_s - pair.exposed_s))
 
     def counters(self) -> dict[str, int]:
         """Return the counters, times in microseconds."""
         found = {"frames": self._solved, **self._counts, **self._pairing.counters}
         found["pair_skew_max_us"] = round(1e6 * self._skew_max_s)
-        for name, times in (("exposure_to_image", self._transfer_s), ("exposure_to_pose", self._total_s)):
-            if times:
-                p50, p99 = np.percentile(times, [50, 99])
+        if self._latencies_s:
+            percentiles = np.percentile(self._latencies_s, [50, 99], axis=0)
+            for name, (p50, p99) in zip(_STAGES, percentiles.T, strict=True):
                 found |= {f"{name}_p50_us": round(1e6 * p50), f"{name}_p99_us": round(1e6 * p99)}
         return found
 

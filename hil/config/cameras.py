@@ -8,13 +8,14 @@ from pydantic import Field
 
 from hil.config.model import ConfigModel, NotNegative, Positive
 
+CameraInterface = Literal["genicam", "v4l2"]
 PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
 
 
 class VisionCameras(ConfigModel):
     """Two cameras, left and right, whose images the vision unit of this host solves."""
 
-    interface: Literal["genicam", "v4l2"] = "genicam"
+    interface: CameraInterface = "genicam"
     """GenICam cameras (GigE Vision, USB3 Vision) by Aravis, or V4L2 devices by OpenCV."""
     left: str | None = None
     """Left camera: IP address, serial number or identifier (`hil cameras list`); of V4L2 the device, `/dev/video0`."""

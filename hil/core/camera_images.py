@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import queue
 import threading
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 
+from hil.core.realtime import drop_priority
 from hil.errors import BadInput
 
 Encoding = Literal["jpeg", "png"]
@@ -291,9 +291,3 @@ class ThreadedImageSink:
         drop_priority()
         while (images := self._queue.get()) is not None:
             self._encoder.put(*images)
-
-
-def drop_priority() -> None:
-    """Take this thread out of real-time scheduling, which it inherits; its niceness stays."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -11,6 +11,7 @@ import gc
 import os
 import platform
 import resource
+import signal
 import struct
 import sys
 from collections.abc import Callable, Iterator
@@ -197,6 +198,23 @@ def take_fifo(priority: int) -> None:
     """
     with suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def limit_fifo(cpu_s: float) -> None:
+    """Take this thread, the main one, out of SCHED_FIFO when it has used ``cpu_s`` without waiting.
+
+    ``take_fifo`` puts it back. The kernel withholds 50 ms of each second from all real-time processes if they fill a
+    core; a thread whose work is short but for exceptions has a real-time priority for the short part only.
+    """
+    signal.signal(signal.SIGXCPU, lambda *_: drop_priority())
+    hard = resource.getrlimit(resource.RLIMIT_RTTIME)[1]
+    resource.setrlimit(resource.RLIMIT_RTTIME, (round(1e6 * cpu_s), hard))
+
+
+def drop_priority() -> None:
+    """Take this thread out of real-time scheduling, which it inherits; its niceness stays."""
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 @contextmanager

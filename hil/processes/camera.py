@@ -15,11 +15,10 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import Vmu
-from hil.core.camera_images import drop_priority
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
-from hil.core.realtime import take_fifo
-from hil.drivers.cameras.base import Camera, CameraFrame, open_camera
+from hil.core.realtime import drop_priority, take_fifo
+from hil.drivers.cameras.base import Camera, CameraFrame, camera_type, open_camera
 from hil.drivers.cameras.camera_clock import CameraClock
 from hil.drivers.cameras.frame_memory import frame_ring, frame_type
 from hil.drivers.remote.server import FIFO_PRIORITY
@@ -110,8 +109,9 @@ def main() -> None:
     parent = Parent()
     drop_priority()
     try:
+        camera_type(Vmu.model_validate(parent.configuration["vmu"], strict=False).settings.interface)
+        take_fifo(FIFO_PRIORITY - 5)  # after the imports, which fill a core; before the library starts its threads
         server = CameraServer(parent.configuration)
-        take_fifo(FIFO_PRIORITY - 5)  # not before: imports fill a core
         parent.send(ready=True)
         server.run(parent)
     except DeviceError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -242,11 +243,15 @@ class VisionUnit:
     def _detect(
         self, images: tuple[np.ndarray | None, np.ndarray | None], regions: tuple[Array | None, Array | None]
     ) -> tuple[np.ndarray, np.ndarray]:
-        left, right = (
-            _NO_SPOTS if image is None else detector.spots(image, region)
-            for image, detector, region in zip(images, self._detectors, regions, strict=True)
-        )
-        return left, right
+        (left, right), (of_left, of_right) = images, regions
+        if left is None or right is None or of_left is not None or of_right is not None:
+            return self._spots(0, left, of_left), self._spots(1, right, of_right)
+        with ThreadPoolExecutor(1) as beside:  # whole images take milliseconds, and the kernel leaves the interpreter
+            of_right_image = beside.submit(self._spots, 1, right, None)
+            return self._spots(0, left, None), of_right_image.result()
+
+    def _spots(self, camera: int, image: np.ndarray | None, region: Array | None) -> np.ndarray:
+        return _NO_SPOTS if image is None else self._detectors[camera].spots(image, region)
 
     def _recheck(self) -> bool:
         every = self.track.settings.recheck

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from hil.config.cameras import PixelFormat, VisionCameras
+from hil.config.cameras import CameraInterface, PixelFormat, VisionCameras
 from hil.errors import DeviceError
 
 SIDES: Final = ("left", "right")
+_DRIVERS: Final[dict[CameraInterface, str]] = {"genicam": "genicam:GenicamCamera", "v4l2": "v4l2:V4l2Camera"}
 BITS: Final[dict[PixelFormat, int]] = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 
 
@@ -55,18 +57,27 @@ class Camera(Protocol):
         """Stop and release the camera. Idempotent, never raises."""
 
 
+class CameraType(Protocol):
+    """Driver of an interface: opens a camera as ``open_camera`` does."""
+
+    def __call__(
+        self, name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float
+    ) -> Camera: ...
+
+
+def camera_type(interface: CameraInterface) -> CameraType:
+    """Return the driver of ``interface``; the first call imports it."""
+    module, _, name = _DRIVERS[interface].partition(":")
+    found: CameraType = getattr(importlib.import_module(f"hil.drivers.cameras.{module}"), name)
+    return found
+
+
 def open_camera(name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float) -> Camera:
     """Return the camera ``identifier``, set up for images of ``size`` (width, height), px. Raises DeviceError.
 
     name: of the device in errors.
     """
-    if settings.interface == "v4l2":
-        from hil.drivers.cameras.v4l2 import V4l2Camera
-
-        return V4l2Camera(name, identifier, settings, size, rate_hz)
-    from hil.drivers.cameras.genicam import GenicamCamera
-
-    return GenicamCamera(name, identifier, settings, size, rate_hz)
+    return camera_type(settings.interface)(name, identifier, settings, size, rate_hz)
 
 
 def list_cameras() -> list[CameraInfo]:

@@ -35,7 +35,6 @@ class CameraProcesses:
         self.skipped = 0
         """Frames that were overwritten before they were read."""
         self._rings = [frame_ring(size) for size in sizes]
-        self._readers = [ring.reader() for ring in self._rings]
         try:
             for side, size, ring in zip(SIDES, sizes, self._rings, strict=True):
                 name, identifier = f"vmu.{side}", getattr(vmu.settings, side)
@@ -60,6 +59,7 @@ class CameraProcesses:
         except BaseException:
             self.close()
             raise
+        self._readers = [ring.reader(from_now=True) for ring in self._rings]  # not of one camera without the other
         self._arrived_s = [clock.now_s()] * len(SIDES)
 
     @property
