@@ -30,7 +30,8 @@ def motion_digest(rig: Rig) -> str:
     ):
         if table[device] is None:
             continue
-        del table[device]["mechanics"]  # of emulators only
+        for of_emulators in [key for key in table[device] if key == "mechanics" or key.startswith("drive_following")]:
+            del table[device][of_emulators]
         for name in names:
             del table[device][name]["lead_s"]
             if table[device][name][key] is None:
@@ -41,6 +42,9 @@ def motion_digest(rig: Rig) -> str:
         del table["bench"]["bodies"], table["bench"]["bodies_distance_m"]  # likewise
     if rig.rails.map.functions == (23,):
         del table["rails"]["map"]["functions"]  # likewise
+    for rails in (table["rails"], table["target_manipulator"]):
+        if rails is not None:
+            del rails["map"]["following_error"]  # name of a fault
     if guard := rig.guard.model_dump(mode="json", exclude_defaults=True):
         table["guard"] = guard  # likewise: with its defaults it does not count
     if rig.turntable.ascii is not None:
@@ -48,6 +52,7 @@ def motion_digest(rig: Rig) -> str:
         dump = with_first_names("Protocol", protocol.model_dump(mode="json"))
         if dump["emulator"]["torque_off"] is None:
             dump["emulator"]["torque_off"] = 2  # its first default
+        del dump["faults"]["following_error"]  # likewise
         table["turntable"]["ascii"]["protocol"] = dump
     _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)

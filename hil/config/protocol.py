@@ -191,6 +191,8 @@ class FaultNames(ConfigModel):
     torque_off: Annotated[int, Field(ge=1, le=0xFFFF_FFFF)] | None = None
     """Number of safe torque off: the bench then waits for the cause, such as the emergency stop. Unless set, the
     controller has no such fault."""
+    following_error: Annotated[int, Field(ge=1, le=0xFFFF_FFFF)] | None = None
+    """Number of a following error, after which the axis has no torque. Unless set, the controller has no such fault."""
     names: Names = Field(default_factory=dict)
     """Names of the numbers, free text."""
 
@@ -247,11 +249,11 @@ class Protocol(ConfigModel):
             raise ValueError(f"counts_per_turn: is missing: fields are in {' and '.join(units)}")
         for key, names in (("faults.names", self.faults.names), ("errors.names", self.error_names)):
             numbers(key, names)
-        torque_off, names = self.faults.torque_off, self.faults.names
-        if torque_off is not None and torque_off not in numbers("faults.names", names):
-            raise ValueError(
-                f"faults.torque_off: {torque_off}: allowed are the numbers in [faults.names]: {_listed(names)}"
-            )
+        names = self.faults.names
+        for key in ("torque_off", "following_error"):
+            number = getattr(self.faults, key)
+            if number is not None and number not in numbers("faults.names", names):
+                raise ValueError(f"faults.{key}: {number}: allowed are the numbers in [faults.names]: {_listed(names)}")
         for name, text in self.replies.items():
             _check_template(f"replies.{name}", text, [*_axis_fields(True), *OF_DEVICE])
         if self.errors is not None:

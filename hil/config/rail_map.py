@@ -163,7 +163,8 @@ class RailStatusBits(ConfigModel):
     """Upper limit switch."""
 
 
-TORQUE_OFF_CODE: Final = 7  # unless set; a list of faults without it has no such fault
+TORQUE_OFF_CODE: Final = 7  # these unless set; a list of faults without them has no such fault
+FOLLOWING_ERROR_CODE: Final = 1
 
 FAULT_TEXTS: Final = {
     "1": "following error too large",
@@ -205,6 +206,8 @@ class RailMap(ConfigModel):
     torque_off: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = TORQUE_OFF_CODE
     """Code of safe torque off; -1 if the drive has none. After it the bench waits for the cause, such as the emergency
     stop, and reports that first."""
+    following_error: Annotated[int, Field(ge=-1, le=0xFFFF_FFFF)] = FOLLOWING_ERROR_CODE
+    """Code of a following error, after which the drive has no torque; -1 if the drive has none."""
 
     @property
     def homes(self) -> bool:
@@ -259,11 +262,15 @@ class RailMap(ConfigModel):
         return self
 
     @model_validator(mode="after")
-    def _torque_off_is_a_fault(self) -> Self:
+    def _codes_of_a_kind_are_faults(self) -> Self:
         codes = {int(code, 0) for code in self.faults}
-        if self.torque_off not in {-1, TORQUE_OFF_CODE, *codes}:
-            allowed = ", ".join([*self.faults, "-1"])
-            raise ValueError(f"torque_off {self.torque_off}: no such code in faults, allowed: {allowed}")
+        for key, code, default in (
+            ("torque_off", self.torque_off, TORQUE_OFF_CODE),
+            ("following_error", self.following_error, FOLLOWING_ERROR_CODE),
+        ):
+            if code not in {-1, default, *codes}:
+                allowed = ", ".join([*self.faults, "-1"])
+                raise ValueError(f"{key} {code}: no such code in faults, allowed: {allowed}")
         return self
 
 

@@ -314,6 +314,8 @@ class AxisGroupTable(DeviceTable):
     """Longest silence of the device, and oldest accepted feedback."""
     servo: Servo
     """Dynamics of mock and emulated axes."""
+    drive_following_error_s: NotNegative = 0.05
+    """Emulated drives: time beyond their following error window after which they switch their torque off."""
 
     @property
     def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:
@@ -328,6 +330,11 @@ class AxisGroupTable(DeviceTable):
     @property
     def encoder_sigma(self) -> float:
         """Noise of the emulated encoders, in the unit of the file."""
+        raise NotImplementedError
+
+    @property
+    def drive_following_error_max(self) -> float:
+        """Following error window of the emulated drives, in the unit of the file."""
         raise NotImplementedError
 
     @property
@@ -353,6 +360,8 @@ class Rails(AxisGroupTable):
     """Level of the leaky bucket of lost packets that trips."""
     lost_packets_window_s: Positive = 1.0
     """Time in which the bucket drains by one packet."""
+    drive_following_error_max_m: Positive = 0.1
+    """Following error window of the emulated drives, by their own encoders."""
     encoder_sigma_m: NotNegative = 0.0
     """Noise of the emulated encoders."""
     mechanics: RailMechanics | None = None
@@ -367,6 +376,10 @@ class Rails(AxisGroupTable):
     @property
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_m
+
+    @property
+    def drive_following_error_max(self) -> float:
+        return self.drive_following_error_max_m
 
     @property
     def emulated_mechanics(self) -> DriveMechanics | None:
@@ -409,6 +422,8 @@ class Turntable(AxisGroupTable):
     """Level of the leaky bucket of lost packets that trips."""
     lost_packets_window_s: Positive = 1.0
     """Time in which the bucket drains by one packet."""
+    drive_following_error_max_deg: Positive = 5.0
+    """Following error window of the emulated drives, by their own encoders (object 0x6065)."""
     encoder_sigma_deg: NotNegative = 0.0
     """Noise of the emulated encoders."""
     mechanics: GimbalMechanics | None = None
@@ -422,6 +437,10 @@ class Turntable(AxisGroupTable):
     @property
     def encoder_sigma(self) -> float:
         return self.encoder_sigma_deg
+
+    @property
+    def drive_following_error_max(self) -> float:
+        return self.drive_following_error_max_deg
 
     @property
     def emulated_mechanics(self) -> DriveMechanics | None:

@@ -22,6 +22,8 @@ from hil.maths.random_streams import stream
 STEP_S: Final = 0.004  # longest bench time between two updates of the axes; the shared state is due every 5 ms
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
+_SAMPLING_S: Final = 1e-4  # of a drive's encoder: what is asked more often is answered with the last sample
+_PUBLISHED_S: Final = 0.001  # least time between two writes of the shared state
 _TIME_SLACK_S: Final = 1e-9
 _STANDSTILL: Final = 2e-3  # of m/s or rad/s
 _HOMING_TIME_MAX_S: Final = 120.0
@@ -35,10 +37,13 @@ ReadChain = Callable[[], ChainState]
 class EmulatedAxes:
     """Axes 0, 1, 2 of ``device``; m and m/s (rails x, y, z) or rad and rad/s (turntable roll, pitch, yaw).
 
-    An axis follows setpoints, or brakes at its acceleration limit and then holds. Without torque, because the safety
+    An axis follows setpoints, or brakes at its acceleration limit and then holds; with a reversed encoder its drive
+    does the opposite of both. Without torque, because the safety
     chain is open or its drive is disabled, it coasts against friction; one that is gravity-loaded falls to its low end
     until its brake has closed. ``position`` and ``rate`` are the encoder's values, which a drive reports; they differ
     from the true ones when an encoder fails. overdue: axes that braked because setpoints ceased; cleared by the owner.
+    astray: axes that lost their torque because the following error, by the encoder, was beyond ``window`` (m or rad)
+    for ``window_s``; nothing moves them until the owner has cleared it.
     chain: state of the safety chain; unless given, that in ``shared``.
     """
 
@@ -56,8 +61,12 @@ class EmulatedAxes:
         self.names = config.axis_names
         self.faults = faults or Faults(device, kinds(WIRE, AXIS), self.names)
         self.overdue = [False, False, False]
+        self.astray = [False, False, False]
         self.torque_off = False
         scale, axes = config.si_per_unit, config.axes
+        self.window = [scale * config.drive_following_error_max] * 3
+        self.window_s = [config.drive_following_error_s] * 3
+        self._within_s = [-math.inf, -math.inf, -math.inf]  # bench time at which it was last within the window
         self._unit = scale
         self._axes = axes_of(config)
         mechanics = config.emulated_mechanics
@@ -86,6 +95,7 @@ class EmulatedAxes:
         self._clears = 0
         self._gear = np.ones(3)  # displacement assumed by the drive per displacement of the axis
         self._count = np.ones(3)  # displacement counted by the encoder, negative when reversed
+        self._altered = False  # one of them is not 1
         self._setpoint = np.zeros(3)  # in the encoder's zero and scale
         self._braking = [True, True, True]
         self._deadline_s = [math.inf, math.inf, math.inf]
@@ -121,7 +131,7 @@ class EmulatedAxes:
 
     def follow(self, axis: int, position: float, rate: float, now_s: float, watchdog_s: float = WATCHDOG_S) -> None:
         """Set the setpoint of one axis in the encoder's zero; without another within ``watchdog_s`` the axis brakes."""
-        if not self._chain.closed or self.homing[axis] is Homing.UNDER_WAY:
+        if not self._chain.closed or self.astray[axis] or self.homing[axis] is Homing.UNDER_WAY:
             return
         self._enabled[axis] = True
         self._deadline_s[axis] = now_s + watchdog_s
@@ -133,7 +143,8 @@ class EmulatedAxes:
     def _act_on(self, axis: int, position: float, rate: float) -> None:
         self._setpoint[axis] = position
         self._axes.feedforward[axis] = rate / self._gear[axis]
-        self._braking[axis] = False
+        if self._braking[axis]:
+            self._braking[axis], self._within_s[axis] = False, self._t_s
 
     def brake(self, axis: int) -> None:
         """Quick stop of one axis: brake at the acceleration limit, then hold. Aborts its homing."""
@@ -142,11 +153,12 @@ class EmulatedAxes:
         self._coming[axis].clear()
         self._axes.feedforward[axis] = 0.0
         self._braking[axis] = True
+        self._within_s[axis] = math.inf
         self._deadline_s[axis] = math.inf
 
     def enable(self, axis: int) -> None:
         """Switch the torque of one axis on and release its brake."""
-        self._enabled[axis] = True
+        self._enabled[axis] = not self.astray[axis]
 
     def disable(self, axis: int) -> None:
         """Switch the torque of one axis off; a drive with a holding brake waits until that has closed."""
@@ -159,7 +171,7 @@ class EmulatedAxes:
 
     def home(self, axis: int) -> None:
         """Start homing at ``homing_rate``; no effect with an absolute encoder."""
-        if self._absolute[axis] or not self._chain.closed:
+        if self._absolute[axis] or self.astray[axis] or not self._chain.closed:
             return
         self._enabled[axis] = True
         self._coming[axis].clear()
@@ -178,7 +190,7 @@ class EmulatedAxes:
 
     def advance(self, now_s: float) -> None:
         """Advance to bench time ``now_s`` and publish the axes."""
-        if now_s <= self._t_s:
+        if now_s < self._t_s + _SAMPLING_S:
             return
         self._apply_safety_chain()
         while self._t_s < now_s:
@@ -194,7 +206,8 @@ class EmulatedAxes:
                 self._apply_missing_torque(axis, before[0][axis], before[1][axis], step_s)
             self._hold_stuck_axes()
         self._update_encoders()
-        self._publish()
+        if self._t_s >= self._published_s + _PUBLISHED_S:
+            self._publish()
 
     def _apply_safety_chain(self) -> None:
         self._chain = self._read_chain()
@@ -252,15 +265,30 @@ class EmulatedAxes:
         if self.homing[axis] is Homing.UNDER_WAY:
             self._step_homing(axis)
         elif not self._braking[axis]:
-            self._regulate(axis)
-        if self._braking[axis] and abs(self._axes.counted_rate[axis]) > self._still:
+            self._check_window(axis, self._regulate(axis))
+        rate = self._axes.counted_rate[axis]
+        if self._braking[axis] and abs(rate) > self._still:
             self._axes.setpoint[axis] = self._axes.counted[axis]  # does not return to where braking began
+            runs_away = self._count[axis] * self._gear[axis] < 0.0 and abs(rate) > _STANDSTILL
+            self._axes.feedforward[axis] = math.copysign(self._axes.rate_max[axis], rate) if runs_away else 0.0
 
-    def _regulate(self, axis: int) -> None:
-        """Close the drive's position loop on its encoder; a reversed encoder makes the axis run away."""
+    def _regulate(self, axis: int) -> float:
+        """Close the drive's position loop on its encoder; return the following error.
+
+        A reversed encoder makes the axis run away.
+        """
         place = self._axes.counted[axis]
         error = self._setpoint[axis] - (self._count[axis] * place + self._offset[axis])
         self._axes.setpoint[axis] = place + error / self._gear[axis]
+        return float(error)
+
+    def _check_window(self, axis: int, error: float) -> None:
+        """Switch the torque off after ``window_s`` beyond the window; a runaway drive does not look."""
+        if abs(error) <= self.window[axis] or self._runaway[axis] is not None:
+            self._within_s[axis] = self._t_s
+        elif self._t_s - self._within_s[axis] > self.window_s[axis]:
+            self.astray[axis] = True
+            self.disable(axis)
 
     def _step_homing(self, axis: int) -> None:
         """Advance homing by one step."""
@@ -280,13 +308,23 @@ class EmulatedAxes:
             self._axes.feedforward[axis] = math.copysign(self._homing_rate[axis], way)
 
     def _hold_stuck_axes(self) -> None:
-        for axis, name in enumerate(self.names):
-            if self.faults.value("stuck", name) is not None:
-                self._axes.displace(axis, float(self._stood[axis]), 0.0)
+        if self.faults.active:
+            for axis, name in enumerate(self.names):
+                if self.faults.value("stuck", name) is not None:
+                    self._axes.displace(axis, float(self._stood[axis]), 0.0)
         self._stood[:] = self._axes.position
 
     def _update_encoders(self) -> None:
         """Update the encoders' values."""
+        axes = self._axes
+        if self.faults.active or self.faults.clears != self._clears or self._altered:
+            self._apply_encoder_faults()
+        if self.faults.value("freeze") is None:
+            noise = self._sigma * self._noise.standard_normal(3) if self._sigma > 0.0 else 0.0
+            self.position = self._count * axes.counted + self._offset + noise
+            self.rate = self._count * axes.counted_rate
+
+    def _apply_encoder_faults(self) -> None:
         axes = self._axes
         for axis, name in enumerate(self.names):
             jump = self.faults.pop("jump", name)
@@ -301,10 +339,7 @@ class EmulatedAxes:
             self._clears = self.faults.clears
             self._offset -= self._damage
             self._damage[:] = 0.0
-        if self.faults.value("freeze") is None:
-            noise = self._sigma * self._noise.standard_normal(3) if self._sigma > 0.0 else 0.0
-            self.position = self._count * axes.counted + self._offset + noise
-            self.rate = self._count * axes.counted_rate
+        self._altered = bool((self._gear != 1.0).any() or (self._count != 1.0).any())
 
     def _signs_and_scales(self, name: str) -> tuple[float, float]:
         """Return the scales of drive and encoder under the active faults."""
@@ -314,4 +349,5 @@ class EmulatedAxes:
         return gear, -gear if self.faults.value("reversed", name) is not None else gear
 
     def _publish(self) -> None:
+        self._published_s = self._t_s
         self._shared.write(self.device, self._t_s, self._axes.position, self._axes.rate)

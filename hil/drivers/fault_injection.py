@@ -100,6 +100,11 @@ class Faults:
             self._on.clear()
             self.clears += 1
 
+    @property
+    def active(self) -> bool:
+        """Whether any fault is on."""
+        return bool(self._on)
+
     def value(self, kind: str, axis: str = "") -> float | None:
         """Return the number that belongs to a fault that is on, None for one that is off."""
         return self._on.get((kind, axis))

@@ -8,6 +8,7 @@ from typing import Final
 _FIRST_PERIOD_S: Final = 0.02
 _GAP: Final = 1.5  # of the usual time between two setpoints; a drive bridges that by its feed-forward rate
 _UNANSWERED: Final = 2.5  # of the same time, without feedback: setpoints may have been lost on the way
+_BRIDGED_S: Final = 0.01  # a drive bridges this anyway, however fast setpoints usually come
 _SMOOTHING: Final = 0.1  # weight of the newest time between two setpoints
 _MISMATCH: Final = 0.05  # of the path of one period, by which an axis may miss its setpoint when it has caught up
 
@@ -43,8 +44,9 @@ class SetpointLimiter:
         measured: bench time, s, position and rate of the axis; old if the drive has not answered.
         """
         elapsed_s = max(0.0, set_s - self._set_s)
-        unanswered = now_s - measured[0] > _UNANSWERED * self._period_s
-        self._missed = self._missed or unanswered or elapsed_s > _GAP * self._period_s
+        bridged_s = max(_GAP * self._period_s, _BRIDGED_S)
+        unanswered = now_s - measured[0] > max(_UNANSWERED * self._period_s, _BRIDGED_S)
+        self._missed = self._missed or unanswered or elapsed_s > bridged_s
         if self._missed and not unanswered:
             self._missed = False
             if self._rate != 0.0 and not self._behind:  # the drive has moved further, or has braked
@@ -53,7 +55,7 @@ class SetpointLimiter:
         if elapsed_s > 0.0:
             self._period_s += _SMOOTHING * (min(elapsed_s, 2.0 * self._period_s) - self._period_s)
         if self._behind:
-            self._catch_up(position, rate, min(now_s - self._delivered_s, _GAP * self._period_s))
+            self._catch_up(position, rate, min(now_s - self._delivered_s, bridged_s))
         else:
             self._position, self._rate = position, rate
         self._set_s, self._delivered_s = max(set_s, self._set_s), now_s

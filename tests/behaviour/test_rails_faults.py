@@ -243,6 +243,38 @@ def test_a_fault_of_a_drive_is_told_by_its_name(bench: Bench, chosen: bool) -> N
     assert str(error).endswith(text)
 
 
+def test_a_reversed_encoder_is_a_following_error_of_the_drive_which_has_no_torque_then(bench: Bench) -> None:
+    bench.open()
+    begun_s, start = bench.clock.now_s(), bench.read().position
+    bench.emulator.faults.on("reversed", "y")
+    found: list[DeviceError] = []
+
+    def failed() -> bool:
+        now_s = bench.clock.now_s()
+        way = np.array([0.0, 0.2 * (now_s - begun_s), 0.0])
+        try:
+            bench.rails.send(start + way, np.array([0.0, 0.2, 0.0]), now_s)
+            bench.read()
+        except DeviceError as error:
+            found.append(error)
+        return bool(found)
+
+    assert bench.wait(failed)
+    assert isinstance(found[0], DriveFault)
+    assert str(found[0]).startswith("rails.y: fault ")
+    assert str(found[0]).endswith("following error too large")
+    axes = bench.emulator.drives[1]._axes
+    assert axes.astray == [False, True, False]
+    assert axes.limit == (0, 0, 0)
+    bench.emulator.faults.clear()
+    assert bench.wait(lambda: not axes.moving(1))
+    stood = float(axes.position[1])
+    bench.rails.close()
+    bench.open()  # resets the fault; the axis holds where it has come to a stand
+    assert axes.astray == [False, False, False]
+    assert bench.read().position[1] == pytest.approx(stood, abs=1e-3)
+
+
 def test_an_open_safety_chain_is_a_fault_by_name_until_it_is_closed(bench: Bench) -> None:
     bench.chain[0] = False
     error = bench.failure()

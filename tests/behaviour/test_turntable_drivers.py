@@ -237,6 +237,30 @@ def test_drive_fault_is_named_and_stops_the_other_axes(driver, code, text):
         device.read(clock.now_s())
 
 
+def test_a_reversed_encoder_is_a_following_error_of_the_drive_which_has_no_torque_then(driver):
+    with served(driver, timeout_s=1.2) as (emulator, device, clock):
+        emulator.faults.on("reversed", "pitch")
+        begun_s, start = clock.now_s(), device.read(clock.now_s()).position
+        rate = np.radians((0.0, 10.0, 0.0))
+
+        def move() -> bool:
+            now_s = clock.now_s()
+            device.send(start + rate * (now_s - begun_s), rate, now_s)
+            device.read(now_s)
+            return False
+
+        with pytest.raises(DriveFault, match=r"turntable\.pitch: .*following error"):
+            eventually(move)
+        assert emulator.gimbals.astray == [False, True, False]
+        assert emulator.gimbals.limit == (0, 0, 0)
+        emulator.faults.clear()
+        eventually(lambda: not emulator.gimbals.moving(1))
+        stood = float(emulator.gimbals.position[1])
+        device.open(clock.now_s())  # resets the fault; the axis holds where it has come to a stand
+        assert emulator.gimbals.astray == [False, False, False]
+        assert device.read(clock.now_s()).position[1] == pytest.approx(stood, abs=1e-3)
+
+
 def test_stop_and_close_before_open_do_nothing(driver):
     device = DRIVERS[driver](turntable(driver, "/nowhere"), WallClock())
     device.stop(0.0)

@@ -116,6 +116,24 @@ def test_a_drive_that_does_not_obey_a_safe_stop_loses_its_torque(axis: str, atte
         assert made.runner.safety.alarms.latched()
 
 
+WIDE_WINDOW = ("rig.rails.drive_following_error_max_m=100", "rig.turntable.drive_following_error_max_deg=1000")
+"""Drives that do not watch their following error."""
+
+
+@pytest.mark.parametrize("axis", ["rails.y", pytest.param("turntable.pitch", marks=pytest.mark.slow)])
+def test_an_axis_with_a_reversed_encoder_loses_its_torque_by_the_guard_alone(axis: str) -> None:
+    device, name = axis.split(".")
+    with session(False, *WIDE_WINDOW) as made:
+        made.fault(device, f"on reversed {name}")
+        made.wait(lambda: made.mode is Mode.SAFE_STOP or not made.torque())
+        made.wait(lambda: not made.torque())
+        opened_s = made.bench.clock.now_s()
+        took_s = opened_s - min(alarm.t_s for alarm in made.runner.safety.alarms.all())
+        print(f"{axis}: torque off {took_s:.3f} s after the alarm")  # noqa: T201
+        assert took_s < REACTION_S + DETECTED_S + BUSY_S
+        made.wait(lambda: made.speed(device) < 2e-3, 2.0)
+
+
 FIRST_CAUSES = ("rails on drive_fault y", "turntable on drive_fault yaw", "vmu on link_down", LOCAL_ENABLE_OFF, "stop")
 
 

@@ -43,8 +43,8 @@ class EmulatedRails:
         self._axes = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self._axes.faults
         self.wire_noise = stream(seed, "wire")
-        torque_off = self._map.code_of(FaultKind.TORQUE_OFF)
-        self.drives = [EmulatedRailDrive(self._axes, index, torque_off) for index in range(len(RAIL_NAMES))]
+        codes = self._map.code_of(FaultKind.TORQUE_OFF), max(1, config.map.following_error)
+        self.drives = [EmulatedRailDrive(self._axes, index, *codes) for index in range(len(RAIL_NAMES))]
 
     def server(self, device_ids: dict[int, int], tcp: bool) -> ModbusServer:
         """Return the server of the drives behind one wire. device_ids: device id of each index."""

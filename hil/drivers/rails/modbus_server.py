@@ -27,13 +27,15 @@ logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # a client that discon
 class EmulatedRailDrive:
     """Firmware of the drive of one axis. No I/O; time is an argument.
 
-    torque_off_code: fault code reported while the safety chain is open.
+    torque_off_code, following_error_code: fault codes reported while the safety chain is open, and once the axis has
+    lost its torque because of its following error.
     """
 
-    def __init__(self, axes: EmulatedAxes, index: int, torque_off_code: int = 7) -> None:
+    def __init__(self, axes: EmulatedAxes, index: int, torque_off_code: int = 7, following_error_code: int = 1) -> None:
         self._axes = axes
         self._index = index
         self._torque_off_code = torque_off_code
+        self._following_error_code = following_error_code
         self._enabled = False
         self._quick_stop = False
         self._fault = 0
@@ -63,6 +65,7 @@ class EmulatedRailDrive:
             self._quick_stop = False
             if command.control & ControlFlags.FAULT_RESET:
                 self._fault = 0
+                self._axes.astray[self._index] = False
         if command.control & ControlFlags.QUICK_STOP:
             self._quick_stop = True
         self._supervise_chain()
@@ -112,6 +115,8 @@ class EmulatedRailDrive:
     def _supervise_chain(self) -> None:
         if self._axes.torque_off and self._fault == 0:
             self.trip(self._torque_off_code)
+        if self._axes.astray[self._index] and self._fault == 0:
+            self.trip(self._following_error_code)
 
 
 class DriveAccess:

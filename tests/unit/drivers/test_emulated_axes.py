@@ -65,12 +65,51 @@ def test_an_axis_that_fails_no_longer_follows(make: Make, fault: str) -> None:
     assert travel(axes, 1, 0.05, 1.0, 3.0) > 0.05
 
 
+WIDE = "rig.rails.drive_following_error_max_m=100"
+
+
 def test_a_reversed_encoder_makes_the_axis_run_away(make: Make, board: SharedAxisState) -> None:
-    axes = make()
+    axes = make(WIDE)
     axes.faults.on("reversed", "y")
     travel(axes, 1, 0.02, 0.0, 4.0)
     assert axes.limit[1] == 1  # ran into the end of its travel, not 40 mm on
     assert board.read("rails", 4.0)[0][1] == pytest.approx(axes.high[1])
+
+
+def test_an_axis_with_a_reversed_encoder_loses_its_torque_soon_and_for_as_long_as_the_fault_stays(make: Make) -> None:
+    axes = make()
+    axes.faults.on("reversed", "y")
+    travel(axes, 1, 0.1, 0.0, 0.6)
+    assert axes.astray == [False, True, False]
+    assert abs(axes.position[1]) < 0.15  # 100 mm of window, and the way of 50 ms
+    axes.faults.clear()
+    travel(axes, 1, 0.1, 0.6, 2.6)
+    assert abs(axes.position[1]) < 0.4  # friction has brought it to a stand; setpoints do not move it
+    assert not axes.moving(1)
+    axes.astray[1] = False
+    assert travel(axes, 1, 0.1, 2.6, 3.6) < 0.01
+
+
+def test_a_short_following_error_is_within_the_time_of_the_window(make: Make) -> None:
+    def jumped(window_s: float) -> list[bool]:
+        axes = make(f"rig.rails.drive_following_error_s={window_s}")
+        axes.follow(1, 0.11, 0.0, 0.0)  # 0.01 m beyond the window, which takes the axis 0.2 s
+        axes.advance(0.4)
+        return axes.astray
+
+    assert jumped(0.3) == [False, False, False]
+    assert jumped(0.1) == [False, True, False]
+
+
+def test_a_drive_with_a_reversed_encoder_cannot_brake(make: Make) -> None:
+    axes = make(WIDE)
+    travel(axes, 1, 0.1, 0.0, 1.0)
+    axes.faults.on("reversed", "y")
+    axes.advance(1.004)
+    axes.brake(1)
+    before = abs(axes.rate[1])
+    axes.advance(1.304)
+    assert abs(axes.rate[1]) > before + 0.1
 
 
 def test_a_jump_of_the_encoder_is_seen_at_once_and_happens_once(make: Make) -> None:

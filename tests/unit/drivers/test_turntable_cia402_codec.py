@@ -27,6 +27,8 @@ class Axis:
         self.switch = 0
         self.in_motion = False
         self.without_torque = False
+        self.lost = False
+        self.windows: list[tuple[float, int]] = []
 
     def feedback(self) -> tuple[int, int]:
         return 123456, -789
@@ -58,6 +60,18 @@ class Axis:
 
     def torque_off(self) -> bool:
         return self.without_torque
+
+    def astray(self) -> bool:
+        return self.lost
+
+    def clear_astray(self) -> None:
+        self.lost = False
+
+    def window(self) -> tuple[int, int]:
+        return 1000, 50
+
+    def set_window(self, counts: float, time_out_ms: int) -> None:
+        self.windows.append((counts, time_out_ms))
 
 
 def test_setpoint_is_target_and_velocity_offset_little_endian():
@@ -224,6 +238,27 @@ def test_torque_that_the_safety_chain_takes_is_a_fault_by_name():
     assert codec.fault_text(codec.decode_emergency(frame[1])) == "fault 0x5441 (safe torque off)"
     assert codec.fault_kind(codec.decode_emergency(frame[1])) is FaultKind.TORQUE_OFF
     assert codec.fault_kind(0x5442) is FaultKind.OTHER
+
+
+def test_following_error_is_a_fault_by_name_and_its_reset_allows_torque_again():
+    drive, axis = homing_drive()
+    axis.lost = True
+    (frame,) = drive.advance(0.0)
+    assert codec.fault_text(codec.decode_emergency(frame[1])) == "fault 0x8611 (following error)"
+    drive.on_frame(0x601, bytes.fromhex("2b 40 60 00 00 00 00 00"), 0.0)
+    drive.on_frame(0x601, bytes.fromhex("2b 40 60 00 80 00 00 00"), 0.0)
+    assert (axis.lost, drive.state) == (False, DriveState.SWITCH_ON_DISABLED)
+
+
+def test_window_and_time_out_of_the_following_error_are_objects():
+    axis = Axis()
+    drive = EmulatedCia402Drive(1, axis, 0.5)
+    window = drive.on_frame(0x601, bytes.fromhex("40 65 60 00 00 00 00 00"), 0.0)
+    assert window == [(0x581, bytes.fromhex("43 65 60 00 e8 03 00 00"))]  # 1000 counts
+    drive.on_frame(0x601, bytes.fromhex("23 65 60 00 10 27 00 00"), 0.0)
+    drive.on_frame(0x601, bytes.fromhex("2b 66 60 00 14 00 00 00"), 0.0)
+    drive.on_frame(0x601, bytes.fromhex("23 65 60 00 ff ff ff ff"), 0.0)  # switches the supervision off
+    assert axis.windows == [(10_000, 50), (10_000, 20), (math.inf, 20)]
 
 
 def test_string_longer_than_a_frame_comes_in_segments():

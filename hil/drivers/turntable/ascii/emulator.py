@@ -45,6 +45,7 @@ class AsciiTurntableEmulator:
         self._bits = protocol.status
         self._words = protocol.emulator
         self._torque_off = protocol.faults.torque_off or self._words.drive_fault
+        self._following_error = protocol.faults.following_error or self._words.drive_fault
         self._has_flags = protocol.faults.kind == "flags"
         self.protocol = AsciiProtocol(protocol)
         self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
@@ -123,6 +124,7 @@ class AsciiTurntableEmulator:
                 self._disable(i)
             elif line.action == "clear_faults":
                 self.fault[i] = 0
+                self.gimbals.astray[i] = False
             elif line.action == "home" and self.gimbals.homing[i] is not Homing.DONE:
                 self._homing[i] = True
                 self.gimbals.home(i)
@@ -153,6 +155,8 @@ class AsciiTurntableEmulator:
                 self._fail(axis, self._words.command_timeout)
             if self.gimbals.torque_off and self._enabled[axis]:
                 self._fail(axis, self._torque_off)
+            if self.gimbals.astray[axis] and not self.fault[axis]:
+                self._fail(axis, self._following_error)
 
     def _fail(self, axis: int, number: int) -> None:
         self.fault[axis] = self.fault[axis] | number if self._has_flags else self.fault[axis] or number

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import can
 
-from hil.drivers.turntable.cia402.serial_can import SerialCan
+from hil.drivers.turntable.cia402.serial_can import Frame, SerialCan
 from hil.errors import LinkLost, ProtocolError
 
 
@@ -57,13 +57,14 @@ class CanPort:
         """Bytes of a serial wire that were part of no frame."""
         return self._serial.skipped_bytes if self._serial else 0
 
-    def send(self, identifier: int, data: bytes) -> None:
-        """Put one frame on the bus."""
+    def send(self, *frames: Frame) -> None:
+        """Put frames, identifier and data, on the bus, one after the other."""
         try:
             if self._serial is not None:
-                self._serial.send(identifier, data)
+                self._serial.send(*frames)
             elif self._bus is not None:
-                self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+                for identifier, data in frames:
+                    self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
         except (can.CanError, OSError) as error:
             raise LinkLost(self.device, f"CAN send failed: {error}") from error
 

@@ -56,6 +56,9 @@ MODE_NAMES: Final = {
     CYCLIC_SYNCHRONOUS_POSITION: "cyclic synchronous position",
 }
 POSITION_ACTUAL: Final = 0x6064
+FOLLOWING_ERROR_WINDOW: Final = 0x6065  # counts; UNLIMITED_WINDOW: no supervision
+FOLLOWING_ERROR_TIME_OUT: Final = 0x6066  # ms
+UNLIMITED_WINDOW: Final = 0xFFFF_FFFF
 VELOCITY_ACTUAL: Final = 0x606C
 TARGET_POSITION: Final = 0x607A
 PROFILE_VELOCITY: Final = 0x6081
@@ -70,6 +73,7 @@ DIGITAL_INPUTS: Final = 0x60FD
 RPDO_TIMEOUT: Final = 0x8250
 TORQUE_OFF: Final = 0x5441
 OVER_CURRENT: Final = 0x2310
+FOLLOWING_ERROR: Final = 0x8611
 
 BOOT_UP: Final = 0x00  # NMT states in a heartbeat
 STOPPED: Final = 0x04
@@ -250,7 +254,7 @@ FAULT_NAMES: Final = {
     0x8130: "heartbeat or guarding lost",
     0x8140: "recovered from bus off",
     RPDO_TIMEOUT: "setpoint time-out",
-    0x8611: "following error",
+    FOLLOWING_ERROR: "following error",
     0x8612: "reference limit",
 }
 

@@ -66,6 +66,8 @@ class EmulatedCia402Drive:
         self.operational = False
         self.objects = ObjectDictionary(round(watchdog_s * 1000.0))
         self._axis = axis
+        window = self.objects[codec.FOLLOWING_ERROR_WINDOW], self.objects[codec.FOLLOWING_ERROR_TIME_OUT]
+        window[0].value, window[1].value = axis.window()
         self._motion = DriveMotion(axis, self.objects)
         self._nmt_state = codec.PRE_OPERATIONAL
         self._beat_due_s = 0.0
@@ -102,6 +104,8 @@ class EmulatedCia402Drive:
         frames: list[Frame] = []
         if self._axis.torque_off() and self.state in _POWERED:
             frames += self.fail(codec.TORQUE_OFF)
+        if self._axis.astray() and self.state is not DriveState.FAULT:
+            frames += self.fail(codec.FOLLOWING_ERROR)
         if self.state is DriveState.ENABLED:
             self._motion.advance(now_s)
         period_ms = self.objects.value(codec.HEARTBEAT_PRODUCER) & 0xFFFF
@@ -151,6 +155,7 @@ class EmulatedCia402Drive:
         elif rising & codec.FAULT_RESET:
             self.objects[codec.ERROR_CODE].value = 0
             self.objects[codec.ERROR_REGISTER].value = 0
+            self._axis.clear_astray()
             self._enter(DriveState.SWITCH_ON_DISABLED)
 
     def _enter(self, state: DriveState) -> None:
@@ -213,4 +218,8 @@ class EmulatedCia402Drive:
             self._control(now_s)
         elif written == codec.MODE and self.state is DriveState.ENABLED:
             self._motion.begin()
+        elif written in (codec.FOLLOWING_ERROR_WINDOW, codec.FOLLOWING_ERROR_TIME_OUT):
+            counts = self.objects.value(codec.FOLLOWING_ERROR_WINDOW) & codec.UNLIMITED_WINDOW
+            time_out_ms = self.objects.value(codec.FOLLOWING_ERROR_TIME_OUT) & 0xFFFF
+            self._axis.set_window(math.inf if counts == codec.UNLIMITED_WINDOW else counts, time_out_ms)
         return [(codec.SDO_REPLY_ID + self.node_id, reply)]

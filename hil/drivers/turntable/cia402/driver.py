@@ -85,12 +85,12 @@ class Cia402Link:
 
     def _set_up(self, port: CanPort) -> AxisFeedback:
         network = PortNetwork(port)
-        port.send(codec.NMT_ID, bytes((codec.NMT_PRE_OPERATIONAL, 0)))
+        port.send((codec.NMT_ID, bytes((codec.NMT_PRE_OPERATIONAL, 0))))
         for node in self._nodes:
             setup = DriveSetup(port, network, node.node_id, node.name, self._eds, self._on_other)
             node.set_up(setup, self._timeout_s, _WATCHDOG_S)
             node.protocol_errors = node.surplus = 0
-        port.send(codec.NMT_ID, bytes((codec.NMT_START, 0)))
+        port.send((codec.NMT_ID, bytes((codec.NMT_START, 0))))
         counts = [node.enable() for node in self._nodes]
         end_s = time.monotonic() + _OLD_FRAMES_WALL_S
         while (left_s := end_s - time.monotonic()) > 0.0:  # statuswords from before all were enabled
@@ -105,17 +105,16 @@ class Cia402Link:
         port = self._open_port()
         self._take_pending(port)
         self._run_slow_step(port)
-        if self._exchanges % _CONTROL_EVERY == 0:
-            self._send_controlwords(port)
+        controls = [node.control() for node in self._nodes] if self._exchanges % _CONTROL_EVERY == 0 else []
         self._exchanges += 1
         if self._passes_setpoints():
             for node, angle, speed in zip(self._nodes, position, rate, strict=True):
                 node.target = codec.counts_from_rad(angle, self._scale)
                 node.offset = codec.counts_from_rad(speed, self._scale)
+        setpoints = [node.setpoint() for node in self._nodes]
         for node in self._nodes:
-            port.send(*node.setpoint())
             node.answered = False
-        port.send(codec.SYNC_ID, b"")
+        port.send(*controls, *setpoints, (codec.SYNC_ID, b""))
         return self._collect(port, self._clock.now_s())
 
     def home(self) -> None:
@@ -164,7 +163,7 @@ class Cia402Link:
         if port is None:
             return
         with contextlib.suppress(DeviceError):  # the bus may be gone
-            port.send(codec.NMT_ID, bytes((codec.NMT_STOP, 0)))
+            port.send((codec.NMT_ID, bytes((codec.NMT_STOP, 0))))
         port.close()
 
     def counters(self) -> dict[str, int]:
@@ -191,8 +190,7 @@ class Cia402Link:
         return self.jogging or all(node.homing is Homing.DONE for node in self._nodes)
 
     def _send_controlwords(self, port: CanPort) -> None:
-        for node in self._nodes:
-            port.send(*node.control())
+        port.send(*(node.control() for node in self._nodes))
 
     def _take_pending(self, port: CanPort) -> None:
         while (frame := port.receive(0.0)) is not None:

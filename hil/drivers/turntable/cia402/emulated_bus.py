@@ -89,7 +89,7 @@ class BusStation:
             self._channel.put(packet + crc16_ccitt(packet).to_bytes(2, "big"), now_s)
         for packet in self._channel.due(now_s):
             if crc16_ccitt(packet[:-2]).to_bytes(2, "big") == packet[-2:]:
-                self._port.send(*SerialFrames().feed(packet[:-2])[0])
+                self._port.send(*SerialFrames().feed(packet[:-2]))
 
     def close(self) -> None:
         self._port.close()

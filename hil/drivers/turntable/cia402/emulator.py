@@ -62,6 +62,20 @@ class _Axis:
     def torque_off(self) -> bool:
         return self._gimbals.torque_off
 
+    def astray(self) -> bool:
+        return self._gimbals.astray[self._axis]
+
+    def clear_astray(self) -> None:
+        self._gimbals.astray[self._axis] = False
+
+    def window(self) -> tuple[int, int]:
+        window, time_s = self._gimbals.window[self._axis], self._gimbals.window_s[self._axis]
+        return codec.counts_from_rad(window, self._scale), round(1e3 * time_s)
+
+    def set_window(self, counts: float, time_out_ms: int) -> None:
+        self._gimbals.window[self._axis] = counts * codec.rad_from_counts(1, self._scale)
+        self._gimbals.window_s[self._axis] = 1e-3 * time_out_ms
+
 
 class Cia402Emulator:
     """Drives of roll, pitch, yaw on ``config.cia402.node_ids``."""

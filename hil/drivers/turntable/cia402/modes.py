@@ -56,6 +56,18 @@ class AxisPort(Protocol):
     def torque_off(self) -> bool:
         """Return whether the safety chain is open."""
 
+    def astray(self) -> bool:
+        """Return whether the axis has lost its torque because of its following error."""
+
+    def clear_astray(self) -> None:
+        """Allow torque again."""
+
+    def window(self) -> tuple[int, int]:
+        """Return the following error window, counts, and its time-out, ms."""
+
+    def set_window(self, counts: float, time_out_ms: int) -> None:
+        """Set them; inf: no supervision."""
+
 
 class DriveMotion:
     """Motion of the enabled drive: setpoints, homing or profile, selected by object 0x6060."""

@@ -173,6 +173,8 @@ def _drive_objects() -> dict[tuple[int, int], Object]:
         (codec.MODE, 0): Object(1, 0, True, _MODES),
         (codec.MODE_DISPLAY, 0): Object(1),
         (codec.POSITION_ACTUAL, 0): Object(4, mappable=True),
+        (codec.FOLLOWING_ERROR_WINDOW, 0): Object(4, codec.UNLIMITED_WINDOW, True),
+        (codec.FOLLOWING_ERROR_TIME_OUT, 0): Object(2, 0, True),
         (codec.VELOCITY_ACTUAL, 0): Object(4, mappable=True),
         (codec.TARGET_POSITION, 0): Object(4, 0, True, mappable=True),
         (codec.PROFILE_VELOCITY, 0): Object(4, 0, True),

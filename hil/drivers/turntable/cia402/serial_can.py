@@ -74,9 +74,9 @@ class SerialCan:
     def skipped_bytes(self) -> int:
         return self._cutter.skipped_bytes
 
-    def send(self, identifier: int, data: bytes) -> None:
-        """Write one frame."""
-        self._port.write(encode_serial((identifier, data)))
+    def send(self, *frames: Frame) -> None:
+        """Write frames, at once: each write wakes the other end of the line."""
+        self._port.write(b"".join(map(encode_serial, frames)))
 
     def receive(self, wall_s: float) -> Frame | None:
         """Return the next frame, None if no bytes complete one within ``wall_s``."""

@@ -46,7 +46,7 @@ class PortNetwork(canopen.Network):
         self._port = port
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        self._port.send(can_id, bytes(data))
+        self._port.send((can_id, bytes(data)))
 
 
 class _PumpedClient(SdoClient):
