@@ -18,10 +18,11 @@ from hil.errors import Problem
 
 if TYPE_CHECKING:
     from hil.monte_carlo.campaign import CampaignJob, Progress, Sweep
-    from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
+    from hil.monte_carlo.engines import Engine
     from hil.monte_carlo.store import Store
 
 _DONE, _NOT_SHOWN = 0, 1
+_ENGINES: Final = ("cpu", "cuda")
 _LEAST_ROWS: Final = 10
 _LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of --rare by --method
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
@@ -35,21 +36,39 @@ class EngineOptions:
     """Number of processes on this computer; 0: one per core."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://host:8786, whose workers are used instead."""
+    engine: str = "cpu"
+    """cpu, or cuda: a GPU of NVIDIA; --workers is then the number of threads that draw the noise."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
         found = at_least(workers=(self.workers, 0))
         if self.scheduler is not None and self.workers:
             found.append(Problem("--workers", "", "not together with --scheduler, which has its own workers"))
+        if self.engine not in _ENGINES:
+            found.append(Problem("--engine", "", f"{self.engine}: must be one of {', '.join(_ENGINES)}"))
+        elif self.on_gpu and self.scheduler is not None:
+            found.append(Problem("--engine", "", "cuda: not together with --scheduler"))
         return found
 
-    def engine(self) -> DaskEngine | LocalEngine:
-        """Return the engine that runs the cases."""
+    @property
+    def on_gpu(self) -> bool:
+        """Whether a GPU runs the cases."""
+        return self.engine == "cuda"
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """Part of the identity of a campaign: results of a GPU are not mixed with those of a CPU."""
+        return {"engine": self.engine} if self.on_gpu else {}
+
+    def start(self, campaigns: Sequence[CampaignJob]) -> Engine:
+        """Return the engine that runs the cases of ``campaigns``. Raises BadInput."""
         from hil.monte_carlo.engines import DaskEngine, LocalEngine
 
-        if self.scheduler:
-            return DaskEngine(self.scheduler)
-        return LocalEngine(self.workers)
+        if self.on_gpu:
+            from hil.monte_carlo.cuda_engine import CudaEngine
+
+            return CudaEngine(self.workers, [each.scenario for each in campaigns])
+        return DaskEngine(self.scheduler) if self.scheduler else LocalEngine(self.workers)
 
 
 @dataclass(frozen=True)
@@ -158,6 +177,8 @@ def campaign(
     """
     assert out is not None
     problems = cases.problems() + study.problems(cases, variation) + workers.problems() + variation.problems()
+    if workers.on_gpu and study.rare is not None and study.method == "importance":
+        problems.append(Problem("--engine", "", "cuda: not together with --method importance"))
     refuse(problems + check_json_path("--json", json))
 
     from hil.monte_carlo.campaign import Sweep, campaigns_of
@@ -177,7 +198,7 @@ def campaign(
         if variation.against is not None:
             campaigns += campaigns_of(variation.against, settings, cases.seed, cases.duration, None)
     folders = variation.folders(Path(out), len(campaigns))
-    engine = workers.engine()
+    engine = workers.start(campaigns)
     with ExitStack() as held:
         held.callback(engine.close)
 
@@ -185,7 +206,7 @@ def campaign(
             console.print(line, style="yellow", highlight=False, soft_wrap=True, markup=False)
 
         pairs = zip(campaigns, folders, strict=True)
-        stores = [held.enter_context(each.store(folder, warn)) for each, folder in pairs]
+        stores = [held.enter_context(each.store(folder, warn, workers.identity)) for each, folder in pairs]
         with console.status("compiling the loop if it is not cached, up to two minutes"):
             campaigns[0].warm_up()
         summaries = _run_all(campaigns, stores, cases.runs, engine, console)
@@ -225,14 +246,15 @@ def _run_study(
     run: Callable[[CampaignJob, Store, Engine, ProgressBar], dict[str, Any]],
 ) -> dict[str, Any]:
     """Return what ``run`` returns for the store of ``folder`` and the engine of ``workers``."""
-    console, engine = Console(stderr=True), workers.engine()
+    console, engine = Console(stderr=True), workers.start([job])
 
     def warn(line: str) -> None:
         console.print(line, style="yellow", highlight=False, soft_wrap=True, markup=False)
 
     with ExitStack() as held:
         held.callback(engine.close)
-        store = held.enter_context(job.store(folder.path, warn, folder.identity, folder.columns))
+        identity = folder.identity | workers.identity
+        store = held.enter_context(job.store(folder.path, warn, identity, folder.columns))
         with console.status("compiling the loop if it is not cached, up to two minutes"):
             job.warm_up()
         return run(job, store, engine, held.enter_context(ProgressBar(console, "campaign")))

@@ -83,8 +83,8 @@ def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples,
         copy_into(w_before, truth.w_CI_C)
         truth_kernels.step(dss, field, memory, truth, on)
         sample_with_errors(params, truth, w_before, noise[k], imu_memory, imu)
+        copy_sample(imu, samples[k])
         if n > 1:
-            copy_sample(imu, samples[k])
             for i in range(3):
                 means[0, i] += imu.rate_C[i] / n
                 means[1, i] += imu.force_C[i] / n

@@ -6,7 +6,9 @@ import json
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from hil.config.load import Loaded, check_table
 from hil.config.rig import Rig
@@ -46,6 +48,15 @@ class Spec:
         return cls(scenario.model_dump_json(), rig.model_dump_json(), seed, duration_s)
 
 
+class DrawnCase(NamedTuple):
+    """A case: number, seed, scenario of vehicle, sensors and start, and that of the GNC."""
+
+    case: int
+    seed: int
+    truth: Scenario
+    gnc: Scenario
+
+
 class Case:
     """Runs the cases of one ``Spec``; created once per worker, or thread of it."""
 
@@ -55,19 +66,36 @@ class Case:
         self._spec = spec
         self.mixed: Mapping[int, MixedSeed] = spec.mixed
         self._design = Design(scenario, spec.seed)
-        self._runner = CaseRunner(scenario.value, self._rig, spec.duration_s)
+        self.runner = CaseRunner(scenario.value, self._rig, spec.duration_s)
         self._density = ImportanceDensity.parse(spec.density) if spec.density else None
 
     def row(self, case: int) -> dict[str, Any]:
         """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
         seed = self._point(case)[1]
         try:
-            outcome = self._outcome(case, seed)
+            drawn = self.load(case)
+            outcome = self.outcome(drawn, *self.runner.run(drawn.truth, seed))
         except Exception as error:  # one case must not end the campaign: its row has the reason
-            kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
-            outcome = failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
-        found = {"case": case, "seed": int(seed), **self.drawn(case), **outcome}
+            outcome = not_flown(error)
+        found = self.complete(case, outcome)
         return found if self._density is None else found | {LOG_WEIGHT: self._log_weight(seed)}
+
+    def load(self, case: int) -> DrawnCase:
+        """Return the scenarios of ``case``; the runner has the one of the GNC."""
+        values, seed = self._point(case)
+        truth, gnc = self._design.apply(values, self._design.fault(case))
+        if self._design.touches_gnc:
+            self.runner.set_gnc_scenario(gnc)
+        return DrawnCase(case, seed, truth, gnc)
+
+    def outcome(self, drawn: DrawnCase, stats: np.record, stop: str) -> dict[str, Any]:
+        """Return the outcome of a case from its RUN_STATS and why it ended."""
+        return row_of(stats, stop, drawn.gnc, drawn.truth)
+
+    def complete(self, case: int, outcome: dict[str, Any]) -> dict[str, Any]:
+        """Return the row of ``case``: its seed, its dispersions and ``outcome``."""
+        values, seed = self._point(case)
+        return {"case": case, "seed": int(seed), **self._named(values), **outcome}
 
     def _log_weight(self, seed: int) -> float:
         """Return the logarithm of the weight of the case that was run last."""
@@ -75,13 +103,16 @@ class Case:
         assert density is not None
         normals = {
             name: block_normals(rows, rate_hz, density.block_s, density.blocks)
-            for name, (rows, rate_hz) in self._runner.noise().items()
+            for name, (rows, rate_hz) in self.runner.noise().items()
         }
         return density.log_weight(normals, self._design.normals(seed))
 
     def drawn(self, case: int) -> dict[str, float]:
         """Return the dispersions of ``case`` by their names."""
-        return dict(zip(self._design.names, map(float, self._point(case)[0]), strict=True))
+        return self._named(self._point(case)[0])
+
+    def _named(self, values: Array) -> dict[str, float]:
+        return dict(zip(self._design.names, map(float, values), strict=True))
 
     def _point(self, case: int) -> tuple[Array, int]:
         """Return the dispersed numbers of ``case``, and its seed."""
@@ -92,12 +123,11 @@ class Case:
         mixed = self.mixed.get(case) if self._density is None else self._density.seed(campaign_seed, case)
         return design.values(case, mixed), case_seed(campaign_seed, case) if mixed is None else mixed
 
-    def _outcome(self, case: int, seed: int) -> dict[str, Any]:
-        truth, gnc = self._design.apply(self._point(case)[0], self._design.fault(case))
-        if self._design.touches_gnc:
-            self._runner.set_gnc_scenario(gnc)
-        stats, stop = self._runner.run(truth, seed)
-        return row_of(stats, stop, gnc, truth)
+
+def not_flown(error: Exception) -> dict[str, Any]:
+    """Return the outcome of a case that cannot be run because of ``error``."""
+    kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
+    return failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
 
 
 def run_batch(spec: Spec, first: int, count: int) -> Rows:

@@ -133,7 +133,7 @@ class CampaignJob:
                 watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
         store.finish(runs)
         more = {"seed": self.seed, "dispersions": self.scenario.value.dispersions.name}
-        summary = summarise(store, self.scenario.value.name, self.design.names) | more
+        summary = summarise(store, self.scenario.value.name, self.design.names) | more | engine.summary()
         requirements = judge_requirements(store, self.scenario.value)
         summary |= {"tolerance": tolerance_bounds(store), "requirements": requirements}
         write_summary(store.folder / "summary.json", summary)

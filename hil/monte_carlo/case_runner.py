@@ -54,6 +54,7 @@ from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_lim
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
 
+_NO_HISTORY = np.zeros(0, CYCLE)
 _NO_AXES_SAMPLES = np.zeros(0, AXES_SAMPLE)
 _NO_IMU_SAMPLES = np.zeros(0, IMU_SAMPLE)
 
@@ -86,6 +87,12 @@ class CaseRunner:
         self._leds = vision_params.camera(rig)[1]
         self._library = open_library(scenario.gnc, "campaign")
 
+    @property
+    def stats(self) -> np.record:
+        """RUN_STATS of the last case."""
+        stats: np.record = self._stats
+        return stats
+
     def _fixed_params(self) -> np.record:
         """Return LOOP_PARAMS with all parameters of the GNC and the rig."""
         scenario, rig = self.scenario, self.rig
@@ -114,15 +121,25 @@ class CaseRunner:
         truth: the scenario of vehicle, sensors and start. history: (n,) of CYCLE, filled for the first n cycles.
         """
         stats = self._stats
-        self._clear()
-        self._set_truth(truth, seed)
-        interlock = self._interlock()
+        interlock = self.load(truth, seed)
         if interlock:
             return stats, interlock
         with self._library_instance():
             code = self._run_loop(truth, seed, history)
         stats.ended = code
         return stats, self._reason(int(code))
+
+    def load(self, truth: Scenario, seed: int) -> str:
+        """Set the records of a case before its first cycle; return why the bench could not be armed, "" if it could."""
+        self._clear()
+        self._set_truth(truth, seed)
+        return self._interlock()
+
+    def outcome(self, code: int, stats: np.record, state: np.record) -> tuple[np.record, str]:
+        """Return what ``run`` returns for a case that ended with ``code`` of ``run_loop`` in other memory."""
+        self._stats_block[0], self._state_block[0] = stats, state
+        self._stats.ended = code
+        return self._stats, self._reason(code)
 
     @contextmanager
     def _library_instance(self) -> Iterator[None]:
@@ -136,16 +153,19 @@ class CaseRunner:
             yield
 
     def _run_loop(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
-        code: int = run_loop(*self._arguments(truth, seed, np.zeros(0, CYCLE) if history is None else history))
+        imu_noise = noise_source(seed, "imu").standard_normal(out=self._imu_noise)
+        code: int = run_loop(*self.arguments(truth, seed, imu_noise, _NO_HISTORY if history is None else history))
         return code
 
-    def _arguments(self, truth: Scenario, seed: int, history: np.ndarray) -> tuple[Any, ...]:
-        """Return the arguments of ``run_loop``."""
+    def arguments(
+        self, truth: Scenario, seed: int, imu_noise: np.ndarray, history: np.ndarray = _NO_HISTORY
+    ) -> tuple[Any, ...]:
+        """Return the arguments of ``run_loop`` for the case that was loaded last, valid until the next one."""
         return (
             self._params,
             dynamics_params.field(truth),
             self._leds,
-            noise_source(seed, "imu").standard_normal(out=self._imu_noise),
+            imu_noise,
             noise_source(seed, "vision").standard_normal(out=self._vision_noise),
             noise_source(seed, "transport").random(out=self._travel_draws),
             self._drawn_monitor_noise(seed),
@@ -181,12 +201,10 @@ class CaseRunner:
 
         Raises BadInput if the bench could not be armed at the start pose.
         """
-        self._clear()
-        self._set_truth(truth, seed)
-        if interlock := self._interlock():
+        if interlock := self.load(truth, seed):
             raise BadInput.single(truth.name, "initial", interlock)
         self._params.counts = 0
-        return self._arguments(truth, seed, np.zeros(0, CYCLE))
+        return self.arguments(truth, seed, noise_source(seed, "imu").standard_normal(out=self._imu_noise))
 
     def _clear(self) -> None:
         for block in (self._state_block, self._stats_block, self._memory, self._samples):

@@ -51,6 +51,9 @@ class Engine(Protocol):
     def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Yield first case and rows of each of the ``batches``; closing it ends the work. Raises CampaignStopped."""
 
+    def summary(self) -> dict[str, Any]:
+        """Return what the summary of a campaign has of the engine."""
+
     def close(self) -> None:
         """Release the workers."""
 
@@ -114,6 +117,10 @@ class LocalEngine:
                 self._pool = None
                 pool.shutdown(wait=False, cancel_futures=True)
         return []
+
+    def summary(self) -> dict[str, Any]:
+        """Return nothing: the rows do not depend on this engine."""
+        return {}
 
     def close(self) -> None:
         """End the worker processes, which are idle."""
@@ -289,6 +296,10 @@ class DaskEngine:
                 return done.get(timeout=_ASK_EVERY_S)
             self._client.sync(scheduler.identity, callback_timeout=_SILENT_S)
         raise ConnectionError
+
+    def summary(self) -> dict[str, Any]:
+        """Return nothing: the rows do not depend on this engine."""
+        return {}
 
     def close(self) -> None:
         """Disconnect from the scheduler."""

@@ -1,0 +1,48 @@
+"""Compiled loop on a CUDA GPU, one case per thread.
+
+Each argument of ``run_loop`` that differs between cases is an array with a leading axis of cases. A launch runs all
+cases that have not ended to the same cycle, so that the IMU's noise is in memory for the cycles of one launch only.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from hil.core.jit import KernelCacheLocator
+from hil.loop.compiled.loop_kernel import COMPLETED, run_loop
+
+cuda: Any = importlib.import_module("numba.cuda")
+if not cuda.config.ENABLE_CUDASIM:  # the simulator compiles nothing
+    caching: Any = importlib.import_module("numba.cuda.core.caching")
+    caching.CacheImpl._locator_classes.insert(0, KernelCacheLocator)
+
+
+@cuda.jit(cache=True)
+def clear_words(words):
+    """Set ``words`` (n, m) to zero, one row per block."""
+    words[cuda.blockIdx.x, cuda.threadIdx.x :: cuda.blockDim.x] = 0
+
+
+@cuda.jit(cache=True)
+def run_cases(
+    cases, end, params, field, leds, imu_noise, vision_noise, travel_draws, monitor_noise, state, samples, memory,
+    poses, frames, delayed, stats, history, arrivals, axes_log, samples_log, codes,
+):  # fmt: skip
+    """Run the first ``cases`` cases to cycle ``end``; write why each ended, COMPLETED if at ``end``, into ``codes``.
+
+    imu_noise: (n, rows, IMU_NOISE), of the cycles of this launch. vision_noise, travel_draws, monitor_noise: of the
+    whole run. leds, history, arrivals, axes_log, samples_log: as for ``run_loop``, shared. codes: (n,), COMPLETED at
+    the start. The others: (n, ...) of what ``run_loop`` takes.
+    """
+    i = cuda.grid(1)
+    if i >= cases or codes[i] != COMPLETED:
+        return
+    case = state[i]
+    exposed, measured = case.next_exposure - case.first_exposure, case.monitor.next
+    case.end = end
+    codes[i] = run_loop(
+        params[i], field[i], leds, imu_noise[i], vision_noise[i][exposed:], travel_draws[i][exposed:],
+        monitor_noise[i][measured:], case, samples[i], memory[i], poses[i], frames[i], delayed[i], stats[i],
+        history, arrivals, axes_log, samples_log,
+    )  # fmt: skip
