@@ -49,10 +49,15 @@ _NOT_FLOWN: Final = -1
 _NO_NOISE: Final = np.zeros((0, IMU_NOISE))
 
 
+def _is_installed() -> bool:
+    """Return whether numba-cuda is installed, or its simulator chosen, which numba has as well."""
+    settings: Any = numba_config
+    return bool(settings.ENABLE_CUDASIM) or importlib.util.find_spec("numba_cuda") is not None
+
+
 def cuda_of_numba() -> Any:
     """Return numba.cuda. Raises BadInput without a GPU that it can use."""
-    settings: Any = numba_config
-    if not settings.ENABLE_CUDASIM and importlib.util.find_spec("numba_cuda") is None:
+    if not _is_installed():
         text = "cuda: needs numba-cuda, which is not installed: pip install 'hil-bench[cuda]'"
         raise BadInput.single("--engine", "", text)
     cuda = importlib.import_module("numba.cuda")

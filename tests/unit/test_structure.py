@@ -18,6 +18,7 @@ ROOT = PACKAGE.parent
 LOOSE = {"__init__.py", "__main__.py", "errors.py"}
 LAYERS_MOST = 12
 PARAMETERS_MOST = 8
+KERNELS = {"kernel", "cuda.jit(cache=True)"}
 
 
 def layers() -> list[set[str]]:
@@ -37,7 +38,7 @@ def functions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionD
     """Yield the functions and methods of a module that are not kernels."""
     for node in ast.walk(tree):
         is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        if is_function and "kernel" not in [ast.unparse(decorator) for decorator in node.decorator_list]:
+        if is_function and KERNELS.isdisjoint(ast.unparse(decorator) for decorator in node.decorator_list):
             yield node
 
 
