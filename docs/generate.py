@@ -33,6 +33,7 @@ from hil.config.vmu_geometry import VmuGeometry
 FOLDER: Final = "reference/generated"
 
 UNITS: Final = {
+    "db": "dB",
     "m": "m",
     "mm": "mm",
     "m2": "m²",

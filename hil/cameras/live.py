@@ -15,7 +15,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.clock import Clock, WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.cameras.pairing import FramePair, Pairing, TimedFrame
-from hil.drivers.cameras.processes import CameraProcesses
+from hil.drivers.cameras.processes import vision_cameras
 from hil.vmu.sources import Pair
 from hil.vmu.unit import VisionUnit
 
@@ -114,7 +114,7 @@ class CameraPairs:
         settings = vmu.settings
         self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
         self._rate_hz = vmu.rate_hz
-        self._cameras = CameraProcesses(vmu, sizes, self._clock)
+        self._cameras = vision_cameras(vmu, sizes, self._clock)
 
     def __iter__(self) -> Iterator[Pair]:
         first: int | None = None

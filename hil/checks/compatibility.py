@@ -15,6 +15,7 @@ from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
+from hil.config.scene import Scene
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
 from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits
@@ -267,9 +268,22 @@ def check_monitor(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         scene = load_scene(monitor.scene).value
     except BadInput as error:
         return list(error.problems)
+    if monitor.source == "camera" and (problems := _monitor_camera_problems(scenario, rig, scene)):
+        return problems
     if monitor.target == "backup" and scene.backup is None:
         text = f'"backup": scene {monitor.scene} has the basic target alone'
         return [Problem(scenario.where("monitor.target"), "monitor.target", text)]
+    return []
+
+
+def _monitor_camera_problems(scenario: Loaded[Scenario], rig: Loaded[Rig], scene: Scene) -> list[Problem]:
+    key, where = "monitor.source", scenario.where("monitor.source")
+    if rig.value.kind == "mock":
+        return [Problem(where, key, f'"camera": rig "{rig.value.name}" is in memory, use one on wires, as emulated')]
+    if rig.value.kind == "hardware" and rig.value.monitor_camera.camera is None:
+        return [Problem(rig.where("monitor_camera.camera"), "rig.monitor_camera.camera", "is missing")]
+    if scene.fields != "whole":
+        return [Problem(where, key, f'"camera": scene {scenario.value.monitor.scene} has half frames, use whole ones')]
     return []
 
 

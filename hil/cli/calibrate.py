@@ -226,7 +226,7 @@ def _drive(
     from hil.commission.view_plan import Clearance, PlanRequest, plan_views
     from hil.config.load import load_geometry, load_rig, load_scenario
     from hil.drivers.cameras.pairing import Pairing
-    from hil.drivers.cameras.processes import CameraProcesses
+    from hil.drivers.cameras.processes import vision_cameras
     from hil.params import bench as bench_params
     from hil.session import build
     from hil.vmu.calibration.model import Setup
@@ -258,7 +258,7 @@ def _drive(
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
     with ProgressBar(console, "opening the axes") as bar, build.wired_bench(job, announce) as bench:
-        runner, cameras = bench.runner(), CameraProcesses(bench.rig.vmu, sizes, bench.clock)
+        runner, cameras = bench.runner(), vision_cameras(bench.rig.vmu, sizes, bench.clock)
         chosen = rig.vmu.settings
         with closing(cameras), runner.axes_only() as sequencer:
             pairing = Pairing(chosen.pair_within_s, chosen.pair_wait_s)

@@ -49,9 +49,9 @@ def _geometry(recorded: Recorded, path: str | None) -> VmuGeometry:
 
 
 def _scene(recorded: Recorded, name: str | None) -> Scene:
-    source = recorded.scenario.monitor.source
-    if source != "rendered":
-        text = f'holds no images of a docking monitor: monitor.source was "{source}"'
+    monitor = recorded.scenario.monitor
+    if not monitor.has_images:
+        text = f'holds no images of a docking monitor: monitor.source was "{monitor.source}"'
         raise BadInput.single(str(recorded.path), "", text)
     return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
 

@@ -1,4 +1,4 @@
-"""Cameras of a vision unit that is computed on this host: table ``[vmu.cameras]`` of a rig file."""
+"""Cameras of this host: tables ``[vmu.cameras]`` and ``[monitor_camera]`` of a rig file."""
 
 from __future__ import annotations
 
@@ -12,15 +12,11 @@ CameraInterface = Literal["genicam", "v4l2"]
 PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
 
 
-class VisionCameras(ConfigModel):
-    """Two cameras, left and right, whose images the vision unit of this host solves."""
+class CameraSettings(ConfigModel):
+    """Interface, trigger and exposure of a camera."""
 
     interface: CameraInterface = "genicam"
     """GenICam cameras (GigE Vision, USB3 Vision) by Aravis, or V4L2 devices by OpenCV."""
-    left: str | None = None
-    """Left camera: IP address, serial number or identifier (`hil cameras list`); of V4L2 the device, `/dev/video0`."""
-    right: str | None = None
-    """Right camera."""
     trigger: Literal["software", "hardware", "none"] = "software"
     """Exposures by commands of this host, by a signal at `trigger_source`, or by the cameras' own rate."""
     trigger_source: str = "Line1"
@@ -29,10 +25,6 @@ class VisionCameras(ConfigModel):
     """Clock of the cameras' time stamps: their own, or this host's system time (PTP)."""
     latency_s: NotNegative = 0.0
     """Least time from software trigger to exposure; without one, from exposure to arrival. For `clock = "own"`."""
-    pair_within_s: Positive = 0.005
-    """Largest difference of the times of exposure of a pair."""
-    pair_wait_s: Positive = 0.05
-    """Longest wait for the image of the other camera; then one is used alone."""
     pixel_format: PixelFormat = "Mono8"
     """Pixel format; 10 to 16 bits, unpacked, are reduced to 8."""
     exposure_s: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
@@ -41,3 +33,31 @@ class VisionCameras(ConfigModel):
     """Gain; unless set, as the camera has it."""
     packet_bytes: Annotated[int, Field(ge=576, le=65000)] | None = None
     """Packet size of GigE cameras; unless set, as the camera has it."""
+    brightness_levels: Annotated[float, Field(ge=20.0, le=250.0)] | None = None
+    """Grey level of the brightest hundredth of the image, to which the exposure time is controlled; unless set, not."""
+    exposure_max_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+    """Longest exposure time of that control."""
+
+
+class VisionCameras(CameraSettings):
+    """Two cameras, left and right, whose images the vision unit of this host solves."""
+
+    left: str | None = None
+    """Left camera: IP address, serial number or identifier (`hil cameras list`); of V4L2 the device, `/dev/video0`."""
+    right: str | None = None
+    """Right camera."""
+    pair_within_s: Positive = 0.005
+    """Largest difference of the times of exposure of a pair."""
+    pair_wait_s: Positive = 0.05
+    """Longest wait for the image of the other camera; then one is used alone."""
+
+
+class MonitorCamera(CameraSettings):
+    """Television camera of the docking monitor, for `monitor.source = "camera"`; it has the rate of the scene."""
+
+    camera: str | None = None
+    """As `left` of the vision unit's cameras."""
+    trigger: Literal["software", "hardware", "none"] = "none"
+    """Exposures by the camera's own rate, by commands of this host, or by a signal at `trigger_source`."""
+    timeout_s: Positive = 1.0
+    """Longest time without an image; then the monitor ends, and the run continues without it."""

@@ -16,9 +16,9 @@ class DockingMonitorConfig(ConfigModel):
     y3 = x_H.
     """
 
-    source: Literal["none", "model", "rendered"] = "none"
+    source: Literal["none", "model", "rendered", "camera"] = "none"
     """"model": the bench's pose with the noise below; "rendered": measured on images that are rendered at the encoder
-    positions."""
+    positions; "camera": on those of `[monitor_camera]` of the rig."""
     scene: str = "atv"
     """Shipped scene (`atv`, `bright-cross`) or path of a scene file."""
     target: Literal["basic", "backup"] = "basic"
@@ -55,3 +55,8 @@ class DockingMonitorConfig(ConfigModel):
     """Up to this range pitch and yaw are measured as well."""
     range_max_m: Positive = 40.0
     """Farther than this the target is not measured."""
+
+    @property
+    def has_images(self) -> bool:
+        """Whether the run measures on images."""
+        return self.source in ("rendered", "camera")

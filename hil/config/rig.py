@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.bodies import BenchBody, check_kinds
+from hil.config.cameras import MonitorCamera
 from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire
@@ -546,6 +547,7 @@ class Rig(ConfigModel):
     telemetry: TelemetryTable = TelemetryTable()
     gnc_link: GncLink = GncLink()
     flight_computer: FlightComputer = FlightComputer()
+    monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     sign_off: SignOff | None = None

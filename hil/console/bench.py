@@ -53,7 +53,9 @@ def opened(
         assert sinks.run_time is not None
         if job.rig.value.kind != "mock":
             bench = stack.enter_context(build.wired_bench(job, announce, sinks))
-            watched = stack.enter_context(with_docking_monitor.beside(job, bench.telemetry, announce, sinks))
+            watched = stack.enter_context(
+                with_docking_monitor.beside(job, bench.telemetry, bench.clock, announce, sinks)
+            )
             runner = bench.runner(operator.on_progress, operator)
             watched.attach(runner)
             yield ConsoleBench(
@@ -67,10 +69,10 @@ def opened(
                 rings,
             )
             return
-        watched = stack.enter_context(with_docking_monitor.beside(job, sinks.cycles, announce, sinks))
+        clock = WallClock(speed=job.speed)
+        watched = stack.enter_context(with_docking_monitor.beside(job, sinks.cycles, clock, announce, sinks))
         host = job.rig.value.host
         realtime = stack.enter_context(RealTime(host.fifo, host.cpu))
-        clock = WallClock(speed=job.speed)
         rate = WallClockRate(clock, job.scenario.value.step_s)
         maker = sinks.image_encoder(job.rig.value) if job.scenario.value.vmu.source == "rendered" else None
         pictures = ThreadedImageSink(maker) if maker else None

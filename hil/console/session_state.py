@@ -173,7 +173,7 @@ def _number(value: float) -> float | None:
 
 def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
     """Return the display format of the docking monitor's numbers; empty without a monitor."""
-    if scenario.monitor.source != "rendered":
+    if not scenario.monitor.has_images:
         return []
     return [
         {"at": QUANTITIES.index(name), "name": label, "unit": unit, "scale": scale, "decimals": decimals}

@@ -36,7 +36,7 @@ class EmulatedDevices:
         self._processes: dict[str, ChildProcess] = {}
         self._sends_images = "vmu" if images else ""
         try:
-            for device in _devices(rig):
+            for device in _devices(scenario, rig):
                 memory = images if device == "vmu" else None
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",
@@ -87,11 +87,12 @@ class EmulatedDevices:
         self.close()
 
 
-def _devices(rig: Rig) -> tuple[str, ...]:
+def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     """Return what is emulated in a process each: devices, and parts of devices as ``DEVICE.PART``."""
     parts = rig.vmu.entry.emulated_parts
     vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"]
-    return ("rails", "turntable", *vision, *(("io",) if rig.has_io else ()), *(("target",) if rig.moved_target else ()))
+    more = {"io": rig.has_io, "target": rig.moved_target is not None, "monitor": scenario.monitor.source == "camera"}
+    return ("rails", "turntable", *vision, *(device for device, is_there in more.items() if is_there))
 
 
 def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:

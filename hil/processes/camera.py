@@ -1,4 +1,4 @@
-"""Camera process: one camera of the vision unit; triggers it, and hands its frames on with their times of exposure.
+"""Camera process: triggers a camera, controls its exposure, and hands its frames on with their times of exposure.
 
 ``python -m hil.processes.camera`` is started by ``CameraProcesses``, once per camera.
 """
@@ -14,11 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.rig import Vmu
+from hil.config.cameras import CameraSettings
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
 from hil.core.realtime import drop_priority, take_fifo
 from hil.drivers.cameras.base import Camera, CameraFrame, camera_type, open_camera
+from hil.drivers.cameras.brightness import BrightnessControl
 from hil.drivers.cameras.camera_clock import CameraClock
 from hil.drivers.cameras.frame_memory import frame_ring, frame_type
 from hil.drivers.remote.server import FIFO_PRIORITY
@@ -26,6 +27,7 @@ from hil.errors import DeviceError
 
 _RECEIVE_WALL_S: Final = 0.05
 _TRIGGERS_KEPT: Final = 16
+_EXPOSURE_S: Final = 0.01  # with which the control of the brightness starts
 
 
 class CameraServer:
@@ -35,14 +37,14 @@ class CameraServer:
     """
 
     def __init__(self, configuration: Message) -> None:
-        vmu = Vmu.model_validate(configuration["vmu"], strict=False)
-        self._settings = vmu.settings
-        self._rate_hz = vmu.rate_hz
+        self._settings = settings_of(configuration)
+        self._rate_hz = configuration["rate_hz"]
         self._clock = WallClock(configuration["epoch_ns"], configuration["speed"])
         size = (configuration["size"][0], configuration["size"][1])
         name = configuration["name"]
-        wall_rate_hz = vmu.rate_hz * self._clock.speed
+        wall_rate_hz = self._rate_hz * self._clock.speed
         self._camera: Camera = open_camera(name, configuration["identifier"], self._settings, size, wall_rate_hz)
+        self._brightness = _brightness_control(self._settings)
         self._ring = frame_ring(size, configuration["ring"])
         self._wake = configuration["wake"]
         self._record = np.zeros(1, frame_type(size))
@@ -54,6 +56,8 @@ class CameraServer:
 
     def run(self, parent: Parent) -> None:
         """Serve until the parent ends. Raises DeviceError."""
+        if self._brightness is not None:
+            self._camera.set_exposure(self._brightness.exposure_s)
         self._camera.start()
         if self._triggered:
             threading.Thread(target=self._trigger, name="trigger", daemon=True).start()
@@ -91,6 +95,9 @@ class CameraServer:
             record["image"] = frame.image
         self._ring.put(record)
         os.eventfd_write(self._wake, 1)
+        control = self._brightness
+        if control is not None and frame.image is not None and control.update(frame.image):
+            self._camera.set_exposure(control.exposure_s)
 
     def _exposed_s(self, frame: CameraFrame, arrived_s: float) -> float:
         speed = self._clock.speed
@@ -104,12 +111,24 @@ class CameraServer:
         return self._camera_clock.exposed_s(stamp_s)
 
 
+def settings_of(configuration: Message) -> CameraSettings:
+    """Return the settings in a configuration of ``CameraProcesses``."""
+    return CameraSettings.model_validate(configuration["settings"], strict=False)
+
+
+def _brightness_control(settings: CameraSettings) -> BrightnessControl | None:
+    if settings.brightness_levels is None:
+        return None
+    start_s = settings.exposure_s or _EXPOSURE_S
+    return BrightnessControl(settings.brightness_levels, start_s, settings.exposure_max_s)
+
+
 def main() -> None:
     """Serve the camera; an error is reported to the parent as a message with ``failure``."""
     parent = Parent()
     drop_priority()
     try:
-        camera_type(Vmu.model_validate(parent.configuration["vmu"], strict=False).settings.interface)
+        camera_type(settings_of(parent.configuration).interface)
         take_fifo(FIFO_PRIORITY - 5)  # after the imports, which fill a core; before the library starts its threads
         server = CameraServer(parent.configuration)
         parent.send(ready=True)

@@ -59,6 +59,10 @@ def make_emulator(configuration: Message) -> Emulator:
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     board = SharedAxisState(configuration["board"])
+    if device == "monitor":
+        from hil.setup.emulated_cameras import emulated_television
+
+        return emulated_television(scenario, rig, seed, board, clock)
     table: DeviceTable | None = getattr(rig, "target_manipulator" if device == "target" else device)
     assert table is not None
     emulator: Emulator

@@ -18,7 +18,7 @@ from hil.core.child_process import Parent
 from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME
 from hil.core.realtime import drop_priority, limit_fifo, take_fifo
-from hil.drivers.cameras.processes import CameraProcesses
+from hil.drivers.cameras.processes import vision_cameras
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.server import FIFO_PRIORITY
 from hil.drivers.vmu import NAME
@@ -41,7 +41,7 @@ def main() -> None:
     sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
     try:
         vision = LiveVision(geometry, vmu)
-        cameras = CameraProcesses(vmu, sizes, clock)
+        cameras = vision_cameras(vmu, sizes, clock)
     except DeviceError as error:
         parent.send(failure=[type(error).__name__, error.device, error.what])
         return

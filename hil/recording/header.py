@@ -55,7 +55,7 @@ def _calibrations(job: Job) -> dict[str, str]:
     files = {}
     if scenario.vmu.source == "rendered":
         files[GEOMETRY_FILE] = calibrated_geometry(rig).model_dump_json()
-    if scenario.monitor.source == "rendered":
+    if scenario.monitor.has_images:
         files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
     return files
 

@@ -160,7 +160,7 @@ def required_sinks(job: Job) -> set[str]:
         required.add("axes_samples")
     if scenario.vmu.source == "rendered" and wanted:
         required.add("images")
-    if scenario.monitor.source == "rendered":
+    if scenario.monitor.has_images:
         required |= {"portions", "monitor_images"} if wanted else {"portions"}
     return required
 

@@ -7,8 +7,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from hil.config.load import load_scene
+from hil.core.clock import WallClock
 from hil.core.operator_commands import Operator
 from hil.errors import DeviceError
+from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
 from hil.loop.monitor_stage import PortionSource
 from hil.loop.motion_sequences import ProgressCallback
@@ -26,44 +28,64 @@ _PORTIONS = 64  # in the ring that the loop reads
 class MonitorResults:
     """Results of the monitor: of_run returns those of the run that has ended, source those that arrive during it."""
 
-    def __init__(self, of_run: Callable[[Outcome], MonitorOutcome | None], source: PortionSource | None = None) -> None:
+    def __init__(
+        self,
+        of_run: Callable[[Outcome], MonitorOutcome | None],
+        source: PortionSource | None = None,
+        run_time: RunTime | None = None,
+    ) -> None:
         self._of_run = of_run
         self._source = source
+        self._run_time = run_time
 
     def __call__(self, outcome: Outcome) -> MonitorOutcome | None:
-        """Return the results for the run that has ended; None if no images were rendered."""
+        """Return the results for the run that has ended; None without images."""
         return self._of_run(outcome)
 
     def attach(self, runner: Runner) -> None:
-        """Connect the interlock of the runner's loop, if it has one."""
+        """Connect the interlock of the runner's loop, if it has one, and the run's time for a live camera."""
+        if self._run_time is not None:
+            runner.loop.vision.on_run_zero = self._run_time.set_zero
         if runner.loop.monitor is not None:
             runner.loop.monitor.source = self._source
 
 
 @contextmanager
 def beside(
-    job: build.Job, telemetry: Ring, announce: Callable[[str], None], sinks: RecordingSinks | None = None
+    job: build.Job,
+    telemetry: Ring,
+    clock: WallClock,
+    announce: Callable[[str], None],
+    sinks: RecordingSinks | None = None,
 ) -> Iterator[MonitorResults]:
     """Run the scenario's docking monitor, if it has one, on the cycles in ``telemetry`` in a process of its own.
 
-    Raises DeviceError if that process does not start.
+    clock: bench time. Raises DeviceError if that process, or the camera, does not start.
     """
     scenario = job.scenario.value
-    if scenario.monitor.source != "rendered":
+    if not scenario.monitor.has_images:
         yield MonitorResults(lambda _: None)
         return
-    from hil.setup.docking_monitor import MonitorProcess, RingPortions
+    from hil.setup.docking_monitor import LiveClock, MonitorProcess, MonitorRings, RingPortions
 
     scene = load_scene(scenario.monitor.scene).value
     images, recorded = _rings(sinks)
     portions = recorded or Ring.create(PORTION, _PORTIONS, "portions")
+    recorded_time = sinks.run_time if sinks else None
+    run_time = recorded_time or RunTime.create()
+    live = scenario.monitor.source == "camera"
+    rings = MonitorRings(telemetry, images, portions)
+    times = LiveClock(clock.epoch_ns, clock.speed, run_time.descriptor) if live else None
     try:
-        with MonitorProcess(scenario, scene, job.rig.value, job.seed, telemetry, images, portions) as process:
+        with MonitorProcess(scenario, scene, job.rig.value, job.seed, rings, times) as process:
             announce("starting the docking monitor; its first start compiles its kernels")
             process.wait_ready()
             announce(f"docking monitor process {process.pid}")
-            yield MonitorResults(lambda _: _results(process, scenario.monitor.scene), RingPortions(portions))
+            zero = run_time if recorded_time is None else None
+            yield MonitorResults(lambda _: _results(process, scenario.monitor.scene), RingPortions(portions), zero)
     finally:
+        if recorded_time is None:
+            run_time.close()
         if recorded is None:
             portions.close()
 
@@ -81,7 +103,7 @@ def runner(
     Raises DeviceError if a process does not start.
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
-    if scenario.monitor.source != "rendered":
+    if not scenario.monitor.has_images:
         with build.runner(job, on_progress, announce, operator, sinks) as plain:
             yield plain, MonitorResults(lambda _: None)
         return
@@ -107,7 +129,7 @@ def runner(
         return
     with (
         build.wired_bench(job, announce, sinks) as bench,
-        beside(job, bench.telemetry, announce, sinks) as results,
+        beside(job, bench.telemetry, bench.clock, announce, sinks) as results,
     ):
         made = bench.runner(on_progress, operator)
         results.attach(made)

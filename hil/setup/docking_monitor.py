@@ -1,7 +1,7 @@
-"""Docking monitor of a run: rendered camera and monitor, in this process or in a child process.
+"""Docking monitor of a run: rendered or live camera and monitor, in this process or in a child process.
 
-Its only input is the measured axis positions in the rows of CYCLE. The loop does not wait for it; results that arrive
-while it runs are compared with the navigation (``loop/monitor_stage.py``).
+Its only input is the measured axis positions in the rows of CYCLE, or the camera. The loop does not wait for it;
+results that arrive while it runs are compared with the navigation (``loop/monitor_stage.py``).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -20,8 +20,11 @@ from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.core.camera_images import IMAGE, MONITOR, CameraImage, ImageEncoder, ImageSink
 from hil.core.child_process import ChildProcess, Message, Parent
+from hil.core.clock import WallClock
 from hil.core.messages import CYCLE
-from hil.frmn.image_memory import image_policy
+from hil.drivers.cameras.processes import CameraProcesses, raise_failure
+from hil.errors import DeviceError
+from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import PORTION, Portion, portion_of, portion_row
@@ -30,6 +33,8 @@ from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import WHOLE, VideoFrame
 
 NAME: Final = "docking monitor"
+MONITOR_ADDRESS: Final = "127.0.0.4"
+"""Address of the emulated television camera unless the rig file sets another."""
 _NO_ROWS: Final = np.zeros(0, CYCLE)
 _NICE: Final = 10  # lower priority than the processes that move the bench
 _POLL_S: Final = 0.02
@@ -55,53 +60,40 @@ class MonitorOutcome:
     failure: str = ""
 
 
-class CameraMonitor:
-    """Rendered camera and docking monitor. images: sink of the camera's images; portions: of rows of PORTION."""
+class MonitorOfFrames:
+    """Docking monitor with its results. images: sink of the camera's images; portions: of rows of PORTION."""
 
     def __init__(
         self,
         scenario: Scenario,
         scene: Scene,
-        rig: Rig,
-        seed: int,
         images: ImageSink | None = None,
         portions: Telemetry | None = None,
     ) -> None:
-        config = scenario.monitor
-        self.outcome = MonitorOutcome(config.scene)
-        self._camera = RenderedCamera(scene, config, rig, scenario.step_s, seed)
+        self.outcome = MonitorOutcome(scenario.monitor.scene)
         self._monitor = DockingMonitor(scene, settings_of(scenario))
         self._images = images
         self._portions = portions or NoTelemetry()
         self._spent_s = 0.0
-        self._newest_s = 0.0
 
-    def update(self, read: Callable[[], np.ndarray]) -> None:
-        """Process every frame up to the newest row; ``read`` returns the new rows, (n,) of CYCLE."""
-        self._add(read())
+    def process(self, frame: VideoFrame, now_s: float) -> None:
+        """Measure on a frame; now_s: time of the run."""
+        start = time.perf_counter()
+        portions = self._monitor.feed(frame)
+        spent_s = time.perf_counter() - start
+        self._keep(portions)
+        self._put_image(frame)
+        self._spent_s += spent_s
         outcome = self.outcome
-        for frame in self._camera.frames():
-            start = time.perf_counter()
-            portions = self._monitor.feed(frame)
-            spent_s = time.perf_counter() - start
-            self._keep(portions)
-            self._put_image(frame)
-            self._spent_s += spent_s
-            outcome.frames += 1
-            outcome.frame_max_s = max(outcome.frame_max_s, spent_s)
-            outcome.frame_mean_s = self._spent_s / outcome.frames
-            outcome.lag_s = max(outcome.lag_s, self._newest_s - frame.t_s)
-            self._add(read())  # before the ring overwrites them, however long a frame takes
+        outcome.frames += 1
+        outcome.frame_max_s = max(outcome.frame_max_s, spent_s)
+        outcome.frame_mean_s = self._spent_s / outcome.frames
+        outcome.lag_s = max(outcome.lag_s, now_s - frame.t_s)
 
     def finish(self) -> MonitorOutcome:
         """Return the results, with the frames of an unfinished portion."""
         self._keep(self._monitor.finish())
         return self.outcome
-
-    def _add(self, rows: np.ndarray) -> None:
-        if len(rows):
-            self._camera.track.add(rows)
-            self._newest_s = float(rows["t_s"][-1])
 
     def _keep(self, portions: Sequence[Portion]) -> None:
         for portion in portions:
@@ -119,6 +111,74 @@ class CameraMonitor:
         self._images.put(
             CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
         )
+
+
+class CameraMonitor(MonitorOfFrames):
+    """Rendered camera and docking monitor. images, portions: as of ``MonitorOfFrames``."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        rig: Rig,
+        seed: int,
+        images: ImageSink | None = None,
+        portions: Telemetry | None = None,
+    ) -> None:
+        super().__init__(scenario, scene, images, portions)
+        self._camera = RenderedCamera(scene, scenario.monitor, rig, scenario.step_s, seed)
+        self._newest_s = 0.0
+
+    def update(self, read: Callable[[], np.ndarray]) -> None:
+        """Process every frame up to the newest row; ``read`` returns the new rows, (n,) of CYCLE."""
+        self._add(read())
+        for frame in self._camera.frames():
+            self.process(frame, self._newest_s)
+            self._add(read())  # before the ring overwrites them, however long a frame takes
+
+    def _add(self, rows: np.ndarray) -> None:
+        if len(rows):
+            self._camera.track.add(rows)
+            self._newest_s = float(rows["t_s"][-1])
+
+
+class LiveClock(NamedTuple):
+    """Bench time and time of the run in another process. run_time: descriptor of ``RunTime``."""
+
+    epoch_ns: int
+    speed: float
+    run_time: int
+
+
+class LiveMonitor:
+    """Live camera and docking monitor; frames without a time of the run are not used. Raises DeviceError."""
+
+    def __init__(self, monitor: MonitorOfFrames, scene: Scene, rig: Rig, times: LiveClock) -> None:
+        self._monitor = monitor
+        self._fps = scene.fps
+        self._clock = WallClock(times.epoch_ns, times.speed)
+        self._run_time = RunTime(times.run_time)
+        self._last = -1
+        table, size = rig.monitor_camera, (scene.camera.width, scene.camera.height)
+        identifier = table.camera or (MONITOR_ADDRESS if rig.kind == "emulated" else None)
+        self._cameras = CameraProcesses({MONITOR: identifier}, table, scene.fps, table.timeout_s, [size], self._clock)
+
+    def update(self, timeout_s: float) -> None:
+        """Process the new frames; waits up to ``timeout_s`` for one. Raises DeviceError for a camera that fails."""
+        before_s = self._clock.now_s()
+        for _, frame in self._cameras.frames(timeout_s):
+            t_s = self._run_time.at(frame.exposed_s)
+            if frame.image is None or not t_s >= 0.0:
+                continue
+            number = round(t_s * self._fps)  # a lost frame leaves a gap
+            if number > self._last:
+                self._last = number
+                self._monitor.process(VideoFrame(number, t_s, frame.image), self._run_time.at(self._clock.now_s()))
+        self._cameras.check(before_s)
+
+    def close(self) -> None:
+        """End the camera process. Idempotent."""
+        self._cameras.close()
 
 
 class InLoopMonitor:
@@ -193,10 +253,18 @@ def monitor_recorded(
     return outcome
 
 
+class MonitorRings(NamedTuple):
+    """Rings of the monitor's process: of CYCLE that it reads, of ``IMAGE`` and ``PORTION`` that it fills."""
+
+    telemetry: Ring
+    images: Ring | None = None
+    portions: Ring | None = None
+
+
 class MonitorProcess:
     """The docking monitor in a child process; start it from a thread that lives as long as the bench.
 
-    telemetry: ring of CYCLE that it reads. images, portions: rings of ``IMAGE`` and ``PORTION`` that it fills.
+    times: of a live camera, which it starts.
     """
 
     def __init__(
@@ -205,23 +273,19 @@ class MonitorProcess:
         scene: Scene,
         rig: Rig,
         seed: int,
-        telemetry: Ring,
-        images: Ring | None = None,
-        portions: Ring | None = None,
+        rings: MonitorRings,
+        times: LiveClock | None = None,
     ) -> None:
-        rings = {
-            name: (ring.descriptor, ring.slots)
-            for name, ring in (("telemetry", telemetry), ("images", images), ("portions", portions))
-            if ring is not None
-        }
+        slots = {name: (ring.descriptor, ring.slots) for name, ring in rings._asdict().items() if ring is not None}
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
             "scene": scene.model_dump(mode="json"),
             "rig": rig.model_dump(mode="json"),
             "seed": seed,
-            "rings": rings,
+            "rings": slots,
+            "times": times,
         }
-        descriptors = [descriptor for descriptor, _ in rings.values()]
+        descriptors = [descriptor for descriptor, _ in slots.values()] + ([times.run_time] if times else [])
         self._child = ChildProcess(NAME, "hil.processes.docking_monitor", configuration, descriptors)
 
     @property
@@ -230,7 +294,7 @@ class MonitorProcess:
 
     def wait_ready(self) -> None:
         """Return once every kernel is compiled. Raises DeviceError."""
-        self._child.wait_ready(_READY_WALL_S)
+        raise_failure(self._child.wait_ready(_READY_WALL_S))
 
     def finish(self) -> MonitorOutcome:
         """End the monitor; return its results. Raises DeviceError."""
@@ -269,6 +333,9 @@ def run_child(parent: Parent) -> None:
         images = ImageEncoder(Ring(rings["images"][0], IMAGE, rings["images"][1], "pictures"), policy)
     if "portions" in rings:
         portions = Ring(rings["portions"][0], PORTION, rings["portions"][1], "portions")
+    if configuration["times"] is not None:
+        _run_live(parent, MonitorOfFrames(scenario, scene, images, portions), scene, rig)
+        return
     monitor = CameraMonitor(scenario, scene, rig, configuration["seed"], images, portions)
     parent.send()
     while not parent.wait_end(_POLL_S):
@@ -277,6 +344,26 @@ def run_child(parent: Parent) -> None:
     outcome = monitor.finish()
     outcome.missed_rows = reader.lost
     parent.send(**_as_json(outcome))
+
+
+def _run_live(parent: Parent, monitor: MonitorOfFrames, scene: Scene, rig: Rig) -> None:
+    """Monitor the images of a live camera until the parent ends or the camera fails; send the results."""
+    try:
+        live = LiveMonitor(monitor, scene, rig, LiveClock(*parent.configuration["times"]))
+    except DeviceError as error:
+        parent.send(failure=[type(error).__name__, error.device, error.what])
+        return
+    parent.send()
+    try:
+        while not parent.wait_end(0.0):
+            live.update(_POLL_S)
+    except DeviceError as error:
+        monitor.outcome.failure = str(error)
+        while not parent.wait_end(_READY_WALL_S):
+            pass
+    finally:
+        live.close()
+    parent.send(**_as_json(monitor.finish()))
 
 
 def _as_json(outcome: MonitorOutcome) -> Message:

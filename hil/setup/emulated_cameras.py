@@ -1,25 +1,37 @@
-"""Emulated cameras of a vision unit: images of the emulated axes."""
+"""Emulated cameras of vision unit and docking monitor: images of the emulated axes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
+from hil.bench.kinematics import pose_of_axes
+from hil.cameras.docking import view
 from hil.cameras.rendered import RenderedCameras
+from hil.config.load import load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.camera_images import MONITOR
+from hil.core.clock import WallClock
+from hil.core.messages import Array
 from hil.drivers.cameras.base import SIDES
+from hil.drivers.cameras.emulator import CameraEmulator
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
+from hil.monitor.render import Conditions, TargetRenderer
 from hil.params import bench as bench_params
+from hil.params import monitor as monitor_params
 from hil.params import vision as vision_params
 from hil.setup.assembly import start_axes
+from hil.setup.docking_monitor import MONITOR_ADDRESS
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.sources import ImageFolder
 
+_EXPOSURE_S: Final = 0.01
 Images = Callable[[float], np.ndarray]
 """Image, (height, width), uint8, of an exposure at a bench time, s."""
 
@@ -44,6 +56,37 @@ def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras
     """Return the renderer of the vision unit of ``rig``."""
     bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
     return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, stream(seed, "pictures"))
+
+
+def emulated_television(
+    scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, clock: WallClock
+) -> CameraEmulator:
+    """Return the television camera of the docking monitor, which observes the axes of ``board``.
+
+    Its images are as bright as the scene at an exposure of 10 ms, and in proportion at others.
+    """
+    config = scenario.monitor
+    scene = load_scene(config.scene).value
+    renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
+    bench, mounting, noise = (
+        bench_params.bench(rig, scenario.step_s),
+        monitor_params.mounting(config),
+        stream(seed, "monitor"),
+    )
+    r, q = np.empty(3), np.empty(4)
+
+    def image_of(rail_m: Array, gimbal_rad: Array) -> np.ndarray:
+        pose_of_axes(bench, rail_m, gimbal_rad, r, q)
+        d, phi = view(mounting, r, q)
+        return renderer.frame(0, lambda _: (d, phi), noise).image
+
+    def image_at(t_s: float) -> np.ndarray:
+        return image_of(board.read("rails", t_s)[0], board.read("turntable", t_s)[0])
+
+    start = start_axes(scenario, rig)
+    image_of(start.rail_m, start.gimbal_rad)  # compiles
+    size, address = (scene.camera.width, scene.camera.height), rig.monitor_camera.camera or MONITOR_ADDRESS
+    return CameraEmulator(MONITOR, address, clock, image_at, size, _EXPOSURE_S)
 
 
 def images_at_start(scenario: Scenario, rig: Rig) -> tuple[Images, Images]:

@@ -21,7 +21,7 @@ from hil.frmn.ring import Ring
 from hil.monitor.results import PORTION
 from hil.report.docking_monitor import judge_monitor, monitor_lines
 from hil.session import build, with_docking_monitor
-from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, monitor_recorded
+from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, MonitorRings, monitor_recorded
 from tests.support.run_settings import UNHURRIED, make_job, typed
 
 pytestmark = pytest.mark.xdist_group("docking monitor")
@@ -58,7 +58,9 @@ def test_the_process_sees_what_a_watch_of_the_recording_sees(
 ) -> None:
     ring, pictures, portions = Ring.create(CYCLE, 2048), Ring.create(IMAGE, 16), Ring.create(PORTION, 16)
     try:
-        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring, pictures, portions) as process:
+        with MonitorProcess(
+            scenario, load_scene("atv").value, rig, 0, MonitorRings(ring, pictures, portions)
+        ) as process:
             process.wait_ready()
             for row in history[:, None]:
                 ring.put(row)
@@ -82,7 +84,7 @@ def test_the_process_sees_what_a_watch_of_the_recording_sees(
 def test_a_monitor_that_dies_is_told_by_name(scenario: Scenario, rig: Rig) -> None:
     ring = Ring.create(CYCLE, 64)
     try:
-        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, ring) as process:
+        with MonitorProcess(scenario, load_scene("atv").value, rig, 0, MonitorRings(ring)) as process:
             process.wait_ready()
             process.close()
             with pytest.raises(LinkLost, match=r"^docking monitor: was ended by SIGKILL without a result$"):

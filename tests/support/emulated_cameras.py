@@ -27,11 +27,15 @@ def require_libaravis() -> None:
 
 @contextmanager
 def emulated(
-    address: str, image_at: Callable[[float], np.ndarray], sensor: tuple[int, int] = (2048, 2048)
+    address: str,
+    image_at: Callable[[float], np.ndarray],
+    sensor: tuple[int, int] = (2048, 2048),
+    exposure_s: float | None = None,
 ) -> Iterator[CameraEmulator]:
     """Serve a camera; skip the test where none can be served."""
     require_libaravis()
-    camera, stop = CameraEmulator(f"camera.{address[-1]}", address, WallClock(), image_at, sensor), threading.Event()
+    camera = CameraEmulator(f"camera.{address[-1]}", address, WallClock(), image_at, sensor, exposure_s)
+    stop = threading.Event()
     try:
         camera.start()
     except LinkLost as error:

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from hil.config.cameras import CameraInterface, PixelFormat, VisionCameras
+from hil.config.cameras import CameraInterface, CameraSettings, PixelFormat
 from hil.errors import DeviceError
 
 SIDES: Final = ("left", "right")
@@ -53,6 +53,9 @@ class Camera(Protocol):
     def receive(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame, None if there is none within ``timeout_s`` of wall time. Raises DeviceError."""
 
+    def set_exposure(self, exposure_s: float) -> None:
+        """Set the exposure time, wall time. Raises DeviceError."""
+
     def close(self) -> None:
         """Stop and release the camera. Idempotent, never raises."""
 
@@ -61,7 +64,7 @@ class CameraType(Protocol):
     """Driver of an interface: opens a camera as ``open_camera`` does."""
 
     def __call__(
-        self, name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float
+        self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
     ) -> Camera: ...
 
 
@@ -72,7 +75,7 @@ def camera_type(interface: CameraInterface) -> CameraType:
     return found
 
 
-def open_camera(name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float) -> Camera:
+def open_camera(name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float) -> Camera:
     """Return the camera ``identifier``, set up for images of ``size`` (width, height), px. Raises DeviceError.
 
     name: of the device in errors.

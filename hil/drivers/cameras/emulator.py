@@ -37,7 +37,7 @@ class CameraEmulator:
     """A GigE Vision camera at ``address``, on port 3956, which GigE Vision prescribes.
 
     image_at: returns the image, (height, width), uint8, of an exposure at a bench time, s. sensor: (width, height) of
-    the sensor, px. at_end: called when the camera is closed.
+    the sensor, px. exposure_s: exposure time of the images of ``image_at``; None: they are those of any exposure time.
     """
 
     def __init__(
@@ -47,6 +47,7 @@ class CameraEmulator:
         clock: WallClock,
         image_at: Callable[[float], np.ndarray],
         sensor: tuple[int, int] = (2048, 2048),
+        exposure_s: float | None = None,
     ) -> None:
         self.faults = Faults(name, FAULTS)
         self._name = name
@@ -54,6 +55,7 @@ class CameraEmulator:
         self._clock = clock
         self._image_at = image_at
         self._sensor = sensor
+        self._exposure_s = exposure_s
         self._camera: int | None = None
         self._fill = FILL(self._fill_buffer)
         self._last: np.ndarray | None = None
@@ -97,6 +99,9 @@ class CameraEmulator:
         width, height = library.buffer_get_image_width(buffer), library.buffer_get_image_height(buffer)
         age_s = (time.time_ns() - library.buffer_get_timestamp(buffer)) * 1e-9
         image = self._image(self._clock.now_s() - age_s * self._clock.speed)
+        if self._exposure_s is not None:
+            brighter = image * (1e-6 * exposure_us / self._exposure_s)
+            image = np.minimum(np.rint(brighter), 255.0).astype(np.uint8)
         pixel_bytes = pixel_format >> 19 & 0x1F  # bits 16 to 23: bits per pixel
         pixels = np.zeros((height, width), f"<u{pixel_bytes}")
         rows, columns = min(height, image.shape[0]), min(width, image.shape[1])

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.cameras import VisionCameras
+from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
 from hil.drivers.cameras.libaravis import AravisError, aravis
 from hil.errors import DeviceError, LinkLost
@@ -25,7 +25,7 @@ class GenicamCamera:
     """A camera, set up and ready to start; see ``open_camera``."""
 
     def __init__(
-        self, name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float
+        self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
     ) -> None:
         self._name = name
         self._library = aravis(name)
@@ -43,7 +43,7 @@ class GenicamCamera:
             self.close()
             raise
 
-    def _set_up(self, settings: VisionCameras, rate_hz: float) -> None:
+    def _set_up(self, settings: CameraSettings, rate_hz: float) -> None:
         library, camera, (width, height) = self._library, self._camera, self._size
         self._check_offered(
             "pixel format", settings.pixel_format, library.camera_dup_available_pixel_formats_as_strings
@@ -61,7 +61,7 @@ class GenicamCamera:
         if settings.packet_bytes is not None and library.camera_is_gv_device(camera):
             self._do("packet size", library.camera_gv_set_packet_size, camera, settings.packet_bytes)
         if settings.exposure_s is not None:
-            self._do("exposure time", library.camera_set_exposure_time, camera, 1e6 * settings.exposure_s)
+            self.set_exposure(settings.exposure_s)
         if settings.gain_db is not None:
             self._do("gain", library.camera_set_gain, camera, settings.gain_db)
         self._set_trigger(settings, rate_hz)
@@ -75,7 +75,7 @@ class GenicamCamera:
         for _ in range(_BUFFERS):
             library.stream_push_buffer(self._stream, library.buffer_new_allocate(payload))
 
-    def _set_trigger(self, settings: VisionCameras, rate_hz: float) -> None:
+    def _set_trigger(self, settings: CameraSettings, rate_hz: float) -> None:
         library, camera = self._library, self._camera
         if settings.trigger == "none":
             self._do("trigger", library.camera_clear_triggers, camera)
@@ -120,6 +120,10 @@ class GenicamCamera:
             return CameraFrame(image, number, stamp_s)
         finally:
             library.stream_push_buffer(self._stream, buffer)
+
+    def set_exposure(self, exposure_s: float) -> None:
+        """Set the exposure time. Raises DeviceError."""
+        self._do("exposure time", self._library.camera_set_exposure_time, self._camera, 1e6 * exposure_s)
 
     def _image(self, buffer: int) -> np.ndarray:
         library = self._library

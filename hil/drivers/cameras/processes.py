@@ -1,12 +1,13 @@
-"""The processes of a pair of cameras, for the process that solves their images."""
+"""The processes of cameras, for the process that measures on their images."""
 
 from __future__ import annotations
 
 import os
 import select
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
+from hil.config.cameras import CameraSettings
 from hil.config.rig import Vmu
 from hil.core.child_process import ChildProcess, Message
 from hil.core.clock import WallClock
@@ -20,30 +21,40 @@ _KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (
 
 
 class CameraProcesses:
-    """Starts a process per camera of ``[vmu.cameras]``; ``close`` ends them.
+    """Starts a process per camera; ``close`` ends them.
 
-    sizes: (width, height) of the images, px, left and right. Raises DeviceError that names the camera.
+    cameras: identifiers by name. rate_hz: of the exposures. timeout_s: longest time without an image. sizes: (width,
+    height) of the images of each, px. Raises DeviceError that names the camera.
     """
 
-    def __init__(self, vmu: Vmu, sizes: Sequence[tuple[int, int]], clock: WallClock) -> None:
+    def __init__(
+        self,
+        cameras: Mapping[str, str | None],
+        settings: CameraSettings,
+        rate_hz: float,
+        timeout_s: float,
+        sizes: Sequence[tuple[int, int]],
+        clock: WallClock,
+    ) -> None:
+        self._names = tuple(cameras)
         self._clock = clock
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._children: list[ChildProcess] = []
-        self._timeout_s = vmu.timeout_s
-        self.jumps = [0, 0]
+        self._timeout_s = timeout_s
+        self.jumps = [0] * len(cameras)
         """Jumps of the cameras' clocks."""
         self.skipped = 0
         """Frames that were overwritten before they were read."""
         self._rings = [frame_ring(size) for size in sizes]
         try:
-            for side, size, ring in zip(SIDES, sizes, self._rings, strict=True):
-                name, identifier = f"vmu.{side}", getattr(vmu.settings, side)
+            for (name, identifier), size, ring in zip(cameras.items(), sizes, self._rings, strict=True):
                 if identifier is None:
-                    raise LinkLost(name, f"cameras.{side} is not set")
+                    raise LinkLost(name, "no camera is set in the rig file")
                 configuration = {
                     "name": name,
                     "identifier": identifier,
-                    "vmu": vmu.model_dump(mode="json"),
+                    "settings": settings.model_dump(mode="json", include=set(CameraSettings.model_fields)),
+                    "rate_hz": rate_hz,
                     "size": size,
                     "epoch_ns": clock.epoch_ns,
                     "speed": clock.speed,
@@ -60,15 +71,15 @@ class CameraProcesses:
             self.close()
             raise
         self._readers = [ring.reader(from_now=True) for ring in self._rings]  # not of one camera without the other
-        self._arrived_s = [clock.now_s()] * len(SIDES)
+        self._arrived_s = [clock.now_s()] * len(cameras)
 
     @property
     def pids(self) -> dict[str, int]:
-        """Processes of the cameras, ``vmu.left`` and ``vmu.right``."""
-        return {f"vmu.{side}": child.pid for side, child in zip(SIDES, self._children, strict=True)}
+        """Processes of the cameras by their names."""
+        return {name: child.pid for name, child in zip(self._names, self._children, strict=True)}
 
     def frames(self, timeout_s: float) -> Iterator[tuple[int, TimedFrame]]:
-        """Yield the new frames, each with its side, 0 or 1; waits up to ``timeout_s`` of wall time for one."""
+        """Yield the new frames, each with the index of its camera; waits up to ``timeout_s`` of wall time for one."""
         if select.select([self._wake], [], [], timeout_s)[0]:
             os.eventfd_read(self._wake)
         for side, reader in enumerate(self._readers):
@@ -79,20 +90,20 @@ class CameraProcesses:
         self.skipped = sum(reader.lost for reader in self._readers)
 
     def check(self, now_s: float) -> None:
-        """Raise DeviceError for a camera whose process has ended, or that has sent nothing for ``vmu.timeout_s``."""
-        for side, child in zip(SIDES, self._children, strict=True):
+        """Raise DeviceError for a camera whose process has ended, or that has sent nothing for ``timeout_s``."""
+        for name, arrived_s, child in zip(self._names, self._arrived_s, self._children, strict=True):
             if ended := child.exit_status():
                 try:
                     raise_failure(child.receive(0.0))
                 except (LinkTimeout, ProtocolError):
                     pass
                 except LinkLost as lost:
-                    if lost.device == f"vmu.{side}":
+                    if lost.device == name:
                         raise
-                raise LinkLost(f"vmu.{side}", f"camera process {ended}")
-            age_s = now_s - self._arrived_s[SIDES.index(side)]
+                raise LinkLost(name, f"camera process {ended}")
+            age_s = now_s - arrived_s
             if age_s > self._timeout_s:
-                raise LinkTimeout(f"vmu.{side}", f"no image for {age_s:.3f} s, allowed {self._timeout_s:g} s")
+                raise LinkTimeout(name, f"no image for {age_s:.3f} s, allowed {self._timeout_s:g} s")
 
     def close(self) -> None:
         """End the processes. Idempotent."""
@@ -107,6 +118,12 @@ class CameraProcesses:
         if self._wake >= 0:
             os.close(self._wake)
             self._wake = -1
+
+
+def vision_cameras(vmu: Vmu, sizes: Sequence[tuple[int, int]], clock: WallClock) -> CameraProcesses:
+    """Return the cameras of ``[vmu.cameras]``, ``vmu.left`` and ``vmu.right``; raises as ``CameraProcesses`` does."""
+    cameras = {f"vmu.{side}": getattr(vmu.settings, side) for side in SIDES}
+    return CameraProcesses(cameras, vmu.settings, vmu.rate_hz, vmu.timeout_s, sizes, clock)
 
 
 def raise_failure(message: Message) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.config.cameras import VisionCameras
+from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import CameraFrame, CameraInfo, check_size
 from hil.errors import DeviceError, LinkLost
 
@@ -15,7 +15,7 @@ class V4l2Camera:
     """A V4L2 device; see ``open_camera``. Its frames have numbers of this host and the time of their arrival."""
 
     def __init__(
-        self, name: str, identifier: str, settings: VisionCameras, size: tuple[int, int], rate_hz: float
+        self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
     ) -> None:
         import cv2  # slow to import
 
@@ -37,7 +37,7 @@ class V4l2Camera:
         ):
             self._capture.set(key, value)
         if settings.exposure_s is not None:
-            self._capture.set(cv2.CAP_PROP_EXPOSURE, 1e4 * settings.exposure_s)  # V4L2: units of 100 us
+            self.set_exposure(settings.exposure_s)
 
     def start(self) -> None:
         """Do nothing: the device runs when it is read."""
@@ -57,6 +57,12 @@ class V4l2Camera:
         check_size(self._name, (grey.shape[1], grey.shape[0]), self._size)
         self._frames += 1
         return CameraFrame(grey, self._frames)
+
+    def set_exposure(self, exposure_s: float) -> None:
+        """Set the exposure time."""
+        import cv2
+
+        self._capture.set(cv2.CAP_PROP_EXPOSURE, 1e4 * exposure_s)  # V4L2: units of 100 us
 
     def close(self) -> None:
         """Release the device. Idempotent."""
