@@ -19,7 +19,7 @@ import numpy as np
 from hil.config.load import load_scenario
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS, new
-from hil.dynamics import moon_gravity
+from hil.dynamics import central_gravity
 from hil.dynamics import truth as kernels
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import quat
@@ -46,7 +46,7 @@ def pulls(params, field, r, n):
     """Evaluate the harmonics ``n`` times at positions 1 m apart; return a sum, so that nothing is optimised away."""
     total = 0.0
     for i in range(n):
-        x, _, _ = moon_gravity.harmonics(params, field, r[0] + i, r[1], r[2])
+        x, _, _ = central_gravity.harmonics(params, field, r[0] + i, r[1], r[2])
         total += x
     return total
 

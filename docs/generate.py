@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from hil.cli.main import app
+from hil.config.body import Body
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
 from hil.config.faults import RESPONSES, TERMS, ErrorTerm
@@ -50,6 +51,12 @@ UNITS: Final = {
     "hz": "Hz",
     "kg": "kg",
     "kg_m2": "kg m²",
+    "kgpm2": "kg/m²",
+    "kgpm3": "kg/m³",
+    "km": "km",
+    "km3ps2": "km³/s²",
+    "au": "au",
+    "d": "d",
     "n": "N",
     "n_per_mps": "N s/m",
     "nm": "Nm",
@@ -64,7 +71,7 @@ UNITS: Final = {
 """Last words of a key -> unit."""
 NO_UNIT: Final = re.compile(
     r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
-    r"|direction|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk)$"
+    r"|direction|pole|zonal|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk)$"
 )
 """Numbers without unit. New keys need a unit in their name, or one of these words."""
 NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
@@ -221,10 +228,11 @@ def other_files() -> str:
     parts = {
         "Geometry file of the vision unit": VmuGeometry,
         "Scene file of the docking monitor": Scene,
+        "Body file of a central body": Body,
         "Protocol file of a serial turntable": Protocol,
         "Frame file of a vision unit": VmuFrame,
     }
-    text = "# Keys of geometry, scene, protocol and frame files\n\nJSON or TOML; protocol and frame files are TOML.\n"
+    text = "# Keys of geometry, scene, body, protocol and frame files\n\nJSON or TOML; the last three are TOML.\n"
     return text + "".join(f"\n## {title}\n\n{_sections(model, level=3)}" for title, model in parts.items())
 
 

@@ -4,29 +4,38 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.config.body import Body
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
-from hil.dynamics import gravity_file
-from hil.dynamics.gravity_file import MOON_RADIUS_M, GravityFileError
-from hil.errors import Problem
+from hil.dynamics.gravity_file import GravityFileError
+from hil.errors import BadInput, Problem
 from hil.params import dynamics as dynamics_params
 
 
 def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return the problems of orbit, gravity field and solar array."""
-    return [*_check_orbit(scenario), *_check_gravity(scenario), *_check_solar_array(scenario)]
+    """Return the problems of orbit, central body, gravity field and solar array."""
+    try:
+        body = dynamics_params.central_body(scenario.value.orbit)
+    except BadInput as error:
+        return error.problems
+    return [
+        *_check_orbit(scenario, body),
+        *_check_gravity(scenario, body),
+        *_check_perturbations(scenario, body),
+        *_check_solar_array(scenario),
+    ]
 
 
-def _check_orbit(scenario: Loaded[Scenario]) -> list[Problem]:
+def _check_orbit(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
     orbit = scenario.value.orbit
     problems = []
-    axis_m = dynamics_params.semi_major_axis_m(scenario.value)
-    lowest_m = axis_m * (1.0 - orbit.eccentricity) - MOON_RADIUS_M
+    axis_m = dynamics_params.semi_major_axis_m(orbit)
+    lowest_m = axis_m * (1.0 - orbit.eccentricity) - body.radius_m
     if lowest_m <= 0.0:
         key = "orbit.eccentricity"
-        allowed = 1.0 - MOON_RADIUS_M / axis_m
+        allowed = 1.0 - body.radius_m / axis_m
         text = (
-            f"{orbit.eccentricity:g}: the periapsis lies {-lowest_m / 1e3:.1f} km inside the Moon, "
+            f"{orbit.eccentricity:g}: the periapsis lies {-lowest_m / 1e3:.1f} km inside {body.name}, "
             f"at altitude_m {orbit.altitude_m:g} allowed below {allowed:.4f}"
         )
         problems.append(Problem(scenario.where(key), key, text))
@@ -34,10 +43,10 @@ def _check_orbit(scenario: Loaded[Scenario]) -> list[Problem]:
         key = "truth.relative_motion"
         text = f'"hill": requires a circular orbit, orbit.eccentricity is {orbit.eccentricity:g}; allowed "nonlinear"'
         problems.append(Problem(scenario.where(key), key, text))
-    return [*problems, *_check_ephemeris(scenario)]
+    return [*problems, *_check_ephemeris(scenario, body)]
 
 
-def _check_ephemeris(scenario: Loaded[Scenario]) -> list[Problem]:
+def _check_ephemeris(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
     known, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
     if not 0.0 <= known.eccentricity < 0.1:
@@ -46,24 +55,43 @@ def _check_ephemeris(scenario: Loaded[Scenario]) -> list[Problem]:
         problems.append(Problem(scenario.where(key), key, text))
     if known.altitude_m <= 0.0:
         key = "gnc.ephemeris.semi_major_axis_error_m"
-        text = f"{errors.semi_major_axis_error_m:g}: the GNC would have an orbit inside the Moon"
+        text = f"{errors.semi_major_axis_error_m:g}: the GNC would have an orbit inside {body.name}"
         problems.append(Problem(scenario.where(key), key, text))
     return problems
 
 
-def _check_gravity(scenario: Loaded[Scenario]) -> list[Problem]:
+def _check_gravity(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
     truth = scenario.value.truth
     try:
-        field = gravity_file.read(dynamics_params.gravity_path(scenario.value))
+        field = dynamics_params.whole_field(scenario.value)
     except GravityFileError as error:
+        if truth.gravity_file is None:
+            where = dynamics_params.body_file(scenario.value.orbit)
+            return [Problem(where, "gravity_file", f"{body.gravity_file}: {error}")]
         key = "truth.gravity_file"
         return [Problem(scenario.where(key), key, f"{truth.gravity_file}: {error}")]
     if truth.gravity_degree <= field.degree:
         return []
     key = "truth.gravity_degree"
-    name = truth.gravity_file or "the shipped field"
+    name = truth.gravity_file or f"the field of {body.name}"
     text = f"{truth.gravity_degree}: too high for {name}, allowed 0 to {field.degree}"
     return [Problem(scenario.where(key), key, text)]
+
+
+def _check_perturbations(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
+    truth = scenario.value.truth
+    has = {"drag": ("atmosphere", body.atmosphere), "third_bodies": ("third_bodies", body.third_bodies)}
+    problems = []
+    for name, (table, given) in has.items():
+        if not getattr(truth, name):
+            continue
+        key = f"truth.{name}"
+        if not given:
+            problems.append(Problem(scenario.where(key), key, f"true: the file of {body.name} has no {table}"))
+        elif truth.relative_motion == "hill":
+            text = 'true: does not act on truth.relative_motion = "hill", allowed "nonlinear"'
+            problems.append(Problem(scenario.where(key), key, text))
+    return problems
 
 
 def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:

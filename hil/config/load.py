@@ -9,11 +9,13 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from hil.config.body import Body
 from hil.config.dispersions import Dispersions
 from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.fmu_mapping import FmuMapping
@@ -32,7 +34,7 @@ Model = TypeVar("Model", bound=ConfigModel)
 Table = dict[str, Any]
 
 _SUFFIXES = {"targets": (".json", ".toml")}  # scenes of other programs are JSON
-_WORDS = {"targets": "scene", "geometries": "geometry", "dispersions": "dispersion set"}
+_WORDS = {"targets": "scene", "geometries": "geometry", "dispersions": "dispersion set", "bodies": "body"}
 _FILES_OF_KEYS = {
     "protocol": (".toml",),
     "frames": (".toml",),
@@ -41,12 +43,15 @@ _FILES_OF_KEYS = {
     "fmu": (".fmu",),
     "fmu_mapping": (".toml",),
     "dispersions": (".toml",),
+    "body": (".toml",),
 }  # values that are names, or paths with these endings
 _NEVER = ("\0",)
 
 _PROBLEMS_MAX = 20
 
-_UNIT = re.compile(r"_(m|mm|cm|km|s|ms|us|kg|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|degps3|kg_m2)$")
+_UNIT = re.compile(
+    r"_(m|mm|cm|km|au|s|ms|us|d|kg|kgpm2|kgpm3|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|degps3|km3ps2|kg_m2)$"
+)
 
 
 def configs_folder() -> Path:
@@ -58,7 +63,7 @@ def configs_folder() -> Path:
 
 def shipped(kind: str) -> list[str]:
     """Return the names of the shipped files of ``kind``: "scenarios", "dispersions", "rigs", "protocols", "frames",
-    "targets"."""
+    "targets", "bodies"."""
     return sorted(path.stem for path in (configs_folder() / kind).glob("*.toml"))
 
 
@@ -121,6 +126,18 @@ def load_fmu_mapping(path: str) -> FmuMapping:
     origin: dict[str, str] = {}
     table = read_with_bases(Path(path), "mappings", FmuMapping, origin)
     return check_table(table, FmuMapping, path, origin).value
+
+
+def load_body(name: str) -> Loaded[Body]:
+    """Return the central body ``name`` (shipped, or a path); raise BadInput. An unchanged file is not read again."""
+    path = _find(name, "bodies")
+    stamp = path.stat()
+    return _load_body(str(path), stamp.st_mtime_ns, stamp.st_size)
+
+
+@lru_cache(maxsize=8)
+def _load_body(path: str, _changed_ns: int, _size: int) -> Loaded[Body]:
+    return _load(path, "bodies", Body, (), prefix="")
 
 
 def load_scene(name: str) -> Loaded[Scene]:

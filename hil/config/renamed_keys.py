@@ -31,6 +31,7 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
         "reach": "reachability",
         "monitor.camera_station_m": "monitor.camera_position_m",
         "monitor.target_station_m": "monitor.target_position_m",
+        "orbit.moon_rotation_deg": "orbit.body_rotation_deg",
     },
     "Rig": {
         "bench.camera_station_m": "bench.camera_position_m",
@@ -52,6 +53,7 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "Scene": {"reserve": "backup"},
     "FmuMapping": {},
+    "Body": {},
     "Protocol": {"emulator.torque_off": "faults.torque_off"},
     "VmuGeometry": {
         "calibration.camera_station_m": "calibration.camera_position_m",
@@ -93,6 +95,14 @@ _NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
     "fmu_parameters": {},
     "fmu_process": False,
     "fmu_timeout_s": 0.5,
+    "body": "moon",
+    "eclipse": False,
+    "drag": False,
+    "density_scale": 1.0,
+    "target_ballistic_kgpm2": 100.0,
+    "chaser_ballistic_kgpm2": 100.0,
+    "third_bodies": False,
+    "along_track_error_m": 0.0,
 }
 """Last names of keys that have been added since digests are written -> value with which nothing changes."""
 

@@ -16,27 +16,30 @@ Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-def _check_direction(name: str, vector: Triple) -> None:
+def check_direction(name: str, vector: Triple) -> None:
+    """Raise ValueError if ``vector`` is no unit vector."""
     if abs(math.hypot(*vector) - 1.0) > 1e-6:
         raise ValueError(f"{name} = {list(vector)} must be a unit vector")
 
 
 class Orbit(ConfigModel):
-    """The target's orbit about the Moon, inertial axes along the Moon's equator."""
+    """The target's orbit, inertial axes along the equator of the central body."""
 
+    body: Annotated[str, Field(min_length=1)] = "moon"
+    """Central body: `moon`, `earth`, `mars`, `bennu` or a file, see [Orbits](../../explanation/orbits.md)."""
     altitude_m: Positive
-    """Of the semi-major axis above 1738 km."""
+    """Of the semi-major axis above the equatorial radius of the body."""
     eccentricity: Annotated[float, Field(ge=0.0, lt=0.1)] = 0.0
     """Eccentricity."""
     inclination_deg: Annotated[float, Field(ge=0.0, le=180.0)] = 0.0
-    """Against the Moon's equator."""
+    """Against the body's equator."""
     raan_deg: Degrees = 0.0
     """Right ascension of the ascending node."""
     argument_of_periapsis_deg: Degrees = 0.0
     """Argument of periapsis."""
     true_anomaly_deg: Degrees = 0.0
     """True anomaly at the start."""
-    moon_rotation_deg: Degrees = 0.0
+    body_rotation_deg: Degrees = 0.0
     """From inertial x to the prime meridian at the start."""
 
 
@@ -51,6 +54,8 @@ class Ephemeris(ConfigModel):
     """Error of the true anomaly at the start."""
     rate_sigma_degps: NotNegative = 0.0
     """Standard deviation, per axis, of the rate of H beyond that of the orbit; harmonics of the Moon: 5e-6."""
+    along_track_error_m: float = 0.0
+    """Error of the position along the orbit at the start, in addition."""
 
 
 class SolarArray(ConfigModel):
@@ -75,7 +80,7 @@ class SolarArray(ConfigModel):
 
     @model_validator(mode="after")
     def _plate_is_possible(self) -> Self:
-        _check_direction("normal", self.normal)
+        check_direction("normal", self.normal)
         if self.specular + self.diffuse > 1.0:
             raise ValueError(f"specular {self.specular:g} and diffuse {self.diffuse:g} must not exceed 1 together")
         return self
@@ -87,15 +92,27 @@ class Truth(ModelFmu):
     relative_motion: Literal["hill", "nonlinear"] = "nonlinear"
     """Exact differential gravity, or the linear motion of a circular orbit."""
     gravity_degree: Annotated[int, Field(ge=0, le=HIGHEST_DEGREE)] = 8
-    """Highest degree of the lunar field; 0: point mass."""
+    """Highest degree of the body's field; 0: point mass."""
     gravity_file: str | None = None
-    """Field to use instead of LP165P to degree 8: GMAT .cof or PDS SHADR .tab."""
+    """Field to use instead of the body's own, for the Moon LP165P to degree 8: GMAT .cof or PDS SHADR .tab."""
     gravity_gradient: bool = True
     """Torque of the gravity gradient."""
     solar_pressure: bool = False
     """Force and torque of sunlight on the solar array."""
     sun_direction: Triple = (1.0, 0.0, 0.0)
     """Inertial unit vector to the Sun."""
+    eclipse: bool = False
+    """Shadow of the body, umbra and penumbra, on the pressure of sunlight."""
+    drag: bool = False
+    """Drag of the body's atmosphere on target and chaser."""
+    density_scale: Positive = 1.0
+    """Factor of the density: activity of the Sun."""
+    target_ballistic_kgpm2: Positive = 100.0
+    """Ballistic coefficient of the target: mass over drag coefficient and area."""
+    chaser_ballistic_kgpm2: Positive = 100.0
+    """Ballistic coefficient of the chaser."""
+    third_bodies: bool = False
+    """Pull of the other bodies in the body file."""
     flexible_array: bool = False
     """Bending mode of the solar array."""
     mass_loss: bool = True
@@ -109,5 +126,5 @@ class Truth(ModelFmu):
 
     @model_validator(mode="after")
     def _sun_is_a_direction(self) -> Self:
-        _check_direction("sun_direction", self.sun_direction)
+        check_direction("sun_direction", self.sun_direction)
         return self

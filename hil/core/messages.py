@@ -25,6 +25,8 @@ MAX_THRUSTERS = 24
 MAX_PHASES = 16
 MAX_POSES = 4  # that can arrive in one cycle
 MAX_FAULTS = 8  # of one kind of device in a run
+MAX_AIR_LAYERS = 32  # of an atmosphere
+MAX_THIRD_BODIES = 4
 
 TRUTH_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "time of the truth"),
@@ -32,7 +34,7 @@ TRUTH_FIELDS: Final = (
     Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity as seen in H"),
     Field("q_CH", "f8", 4, "1", "H to c", "attitude quaternion, scalar last"),
     Field("w_CI_C", "f8", 3, "rad/s", "c", "chaser against inertial space"),
-    Field("r_T_I", "f8", 3, "m", "I", "target from the Moon's centre"),
+    Field("r_T_I", "f8", 3, "m", "I", "target from the centre of the central body"),
     Field("v_T_I", "f8", 3, "m/s", "I", "target's velocity"),
     Field("q_HI", "f8", 4, "1", "I to H", "attitude of H, scalar last"),
     Field("w_HI_H", "f8", 3, "rad/s", "H", "H against inertial space"),
@@ -43,6 +45,7 @@ TRUTH_FIELDS: Final = (
     Field("mean_rate_C", "f8", 3, "rad/s", "c", "mean of w_CI_C over the last step: what a gyro integrates"),
     Field("mean_force_C", "f8", 3, "m/s^2", "c", "specific force, mean over the last step"),
     Field("thrust_fraction", "f8", MAX_THRUSTERS, "1", "", "open part of the last step, by thruster, 0 to 1"),
+    Field("sunlight", "f8", (), "1", "", "visible fraction of the Sun's disc; 1 without eclipses", 1.0),
 )
 TRUTH = record_dtype(TRUTH_FIELDS)
 

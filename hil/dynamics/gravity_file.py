@@ -1,4 +1,4 @@
-"""Reader of lunar gravity fields: GMAT's ``.cof`` and SHADR tables of the Planetary Data System (``.tab``, ``.sha``).
+"""Reader of gravity fields: GMAT's ``.cof`` and SHADR tables of the Planetary Data System (``.tab``, ``.sha``).
 
 A file must hold every coefficient from degree 2 to the degree of its header: an incomplete field would go unnoticed
 in a run.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -18,13 +19,11 @@ from hil.core.files import MIB, read_text
 from hil.core.messages import Array
 from hil.errors import BadInput
 
-SHIPPED = Path(__file__).resolve().parent / "data" / "lp165p_8.tab"
-MOON_GM_M3PS2 = 4902.801056e9  # LP165P, Konopliv et al. 2001 (Icarus 150)
-MOON_RADIUS_M = 1738.0e3  # reference radius of LP165P
 _BYTES_MAX = 128 * MIB  # a field of degree 1200 has 80 MiB
 _DEGREE_MAX = 2000
 _GM_TOLERANCE = 0.01  # published lunar fields differ by 1e-6
-_KINDS = "a GMAT .cof or a PDS SHADR .tab or .sha file of the Moon"
+_RADIUS_TOLERANCE = 0.02
+_KINDS = "a GMAT .cof or a PDS SHADR .tab or .sha file"
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][-+]?\d+)?"
 _POTFIELD = re.compile(
@@ -50,6 +49,13 @@ class GravityField:
     def degree(self) -> int:
         return len(self.c) - 1
 
+    def of_body(self, gm: float, radius: float, name: str) -> GravityField:
+        """Return the field; raise GravityFileError if it is not of the body of ``gm``, m^3/s^2, and ``radius``, m."""
+        if abs(self.gm / gm - 1.0) > _GM_TOLERANCE or abs(self.radius / radius - 1.0) > _RADIUS_TOLERANCE:
+            found = f"GM {self.gm / 1e9:g} km^3/s^2, radius {self.radius / 1e3:g} km"
+            raise GravityFileError(f"is not of {name} ({found}): give {_KINDS} of {name}")
+        return self
+
     def up_to(self, degree: int) -> GravityField:
         """Return the field cut off after ``degree``; raise GravityFileError if its degree is lower."""
         if degree > self.degree:
@@ -57,6 +63,14 @@ class GravityField:
         return GravityField(
             self.gm, self.radius, self.c[: degree + 1, : degree + 1], self.s[: degree + 1, : degree + 1]
         )
+
+
+def of_zonal(gm: float, radius: float, zonal: Sequence[float]) -> GravityField:
+    """Return the field of a point mass with the zonal harmonics J2, J3, ..., not normalised; gm: m^3/s^2, radius: m."""
+    c = np.zeros((len(zonal) + 2, len(zonal) + 2))
+    for n, j in enumerate(zonal, start=2):
+        c[n, 0] = -j / math.sqrt(2 * n + 1)
+    return GravityField(gm, radius, c, np.zeros_like(c))
 
 
 def read(path: Path) -> GravityField:
@@ -80,9 +94,6 @@ def _read(path: Path, _changed_ns: int, _size: int) -> GravityField:
     except BadInput as error:
         raise GravityFileError(f"{error.problems[0].message}: give {_KINDS}") from error
     field = _READERS[path.suffix.lower()](text)
-    if abs(field.gm / MOON_GM_M3PS2 - 1.0) > _GM_TOLERANCE or not 1.7e6 < field.radius < 1.8e6:
-        found = f"GM {field.gm / 1e9:g} km^3/s^2, radius {field.radius / 1e3:g} km"
-        raise GravityFileError(f"is not of the Moon ({found}): give {_KINDS}")
     field.c.flags.writeable = field.s.flags.writeable = False  # shared by all callers
     return field
 

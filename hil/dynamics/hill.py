@@ -1,6 +1,6 @@
 """Relative motion in the target's orbital frame H, linear in range over orbit radius.
 
-H: x along velocity, y = minus orbit normal, z to the Moon; ``omega_H = [0, -w0, 0]`` in H.
+H: x along velocity, y = minus orbit normal, z to the central body; ``omega_H = [0, -w0, 0]`` in H.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def state_of_elements(
 
 @kernel
 def hill_frame(r, v, a):
-    """Write A(q_HI) (3, 3): rows are the axes of H in inertial axes, z to the Moon, y against the orbit normal.
+    """Write A(q_HI) (3, 3): rows are the axes of H in inertial axes, z to the central body, y against the orbit normal.
 
     r: (3,), m, and v: (3,), m/s, of the target, inertial; they must not be parallel. x = y x z is along v in a
     circular orbit, otherwise along its horizontal part.

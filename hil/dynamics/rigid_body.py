@@ -25,9 +25,9 @@ def angular_acceleration(inertia, inertia_inverse, w, torque, out):
 def add_gravity_gradient(inertia, nadir_C, rate_squared, torque):
     """Add ``3 GM/r^3 n x J n`` to ``torque`` (3,), N m, in c, about the centre of mass.
 
-    inertia: (3, 3), kg m^2. nadir_C: (3,), from the vehicle towards the Moon's centre, of length d, in c. rate_squared:
+    inertia: (3, 3), kg m^2. nadir_C: (3,), from the vehicle towards the body's centre, of length d, in c. rate_squared:
     GM/(r^3 d^2), which is w0^2 for a unit vector on a circle. Source: Hughes, Spacecraft Attitude Dynamics (1986),
-    section 8.1; first order in body size over orbit radius, point-mass Moon.
+    section 8.1; first order in body size over orbit radius, point-mass body.
     """
     n0, n1, n2 = nadir_C[0], nadir_C[1], nadir_C[2]
     j0 = inertia[0, 0] * n0 + inertia[0, 1] * n1 + inertia[0, 2] * n2

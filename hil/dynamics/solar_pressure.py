@@ -1,7 +1,7 @@
 """Radiation pressure of sunlight on the solar array, a flat plate fixed to the hub.
 
-The target has no array in this model, so the force acts on the chaser only. Shadows, of the Moon and of the
-vehicles on each other, are not modelled.
+The target has no array in this model, so the force acts on the chaser only. Shadow of the central body: ``eclipse``;
+those of the vehicles on each other are not modelled.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ SOLAR_PRESSURE_PA = 4.56e-6  # at 1 au: Montenbruck and Gill, Satellite Orbits (
 PLATE_PARAMS = np.dtype(
     [
         ("area", "f8"),  # m^2
+        ("pressure", "f8"),  # Pa, of sunlight outside shadows
         ("normal", "f8", 3),  # unit vector, in c
         ("arm", "f8", 3),  # m, from the centre of mass to the plate's centre, in c
         ("specular", "f8"),  # fraction of the light that is reflected specularly
@@ -27,17 +28,17 @@ PLATE_PARAMS = np.dtype(
 
 
 @kernel
-def pressure_force(plate, sun_C, out):
+def pressure_force(plate, pressure, sun_C, out):
     """Write the force (3,), N, in c: ``-P A cos(a) [(1 - rho_s) s + 2 (rho_s cos(a) + rho_d / 3) n]``.
 
-    plate: PLATE_PARAMS. sun_C: (3,), unit vector to the Sun, in c. n is the normal of the lit side, a its angle from
-    the Sun. Source: Wertz, Spacecraft Attitude Determination and Control (1978), section 17.2.2; one plate, both
-    sides equal.
+    plate: PLATE_PARAMS. pressure: Pa, of the light that arrives. sun_C: (3,), unit vector to the Sun, in c. n is the
+    normal of the lit side, a its angle from the Sun. Source: Wertz, Spacecraft Attitude Determination and Control
+    (1978), section 17.2.2; one plate, both sides equal.
     """
     cosine = plate.normal[0] * sun_C[0] + plate.normal[1] * sun_C[1] + plate.normal[2] * sun_C[2]
     side = math.copysign(1.0, cosine)
     cosine = abs(cosine)
-    along_sun = -SOLAR_PRESSURE_PA * plate.area * cosine * (1.0 - plate.specular)
-    along_normal = -2.0 * SOLAR_PRESSURE_PA * plate.area * cosine * (plate.specular * cosine + plate.diffuse / 3.0)
+    along_sun = -pressure * plate.area * cosine * (1.0 - plate.specular)
+    along_normal = -2.0 * pressure * plate.area * cosine * (plate.specular * cosine + plate.diffuse / 3.0)
     for i in range(3):
         out[i] = along_sun * sun_C[i] + along_normal * side * plate.normal[i]

@@ -19,11 +19,13 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import cached_gravity, orbit
 from hil.dynamics.cached_gravity import CACHED_GRAVITY
+from hil.dynamics.central_gravity import GRAVITY_PARAMS
+from hil.dynamics.eclipse import visible_sun
 from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
 from hil.dynamics.hill import hill_acceleration
 from hil.dynamics.isolation import ISOLATION, close_isolated
 from hil.dynamics.mass_centre import add_lever_terms, shift
-from hil.dynamics.moon_gravity import GRAVITY_PARAMS
+from hil.dynamics.orbit_forces import ORBIT_FORCES
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.target_faults import TARGET_MEMORY, move_target
@@ -53,11 +55,15 @@ DSS_PARAMS = np.dtype(
         ("mass_loss", "i8"),  # switches: 0 or 1
         ("gravity_gradient", "i8"),
         ("solar_pressure", "i8"),
+        ("eclipse", "i8"),
         ("flexible_array", "i8"),
         ("gravity", GRAVITY_PARAMS),
+        ("forces", ORBIT_FORCES),
         ("plate", PLATE_PARAMS),
         ("mode", MODE_PARAMS),
         ("sun_I", "f8", 3),  # unit vector to the Sun, inertial
+        ("sun_angle", "f8"),  # rad, its apparent radius
+        ("shadow_radius", "f8"),  # m, of the central body
         ("thruster_errors", THRUSTER_ERRORS),
         ("thruster_faults", FAULTS),
         ("isolation_closing_s", "f8"),
@@ -80,7 +86,7 @@ _SCRATCH = 4  # scratch vectors of a derivative
 
 @kernel
 def _translate(params, gravity, y, dy, nadir_F):
-    """Write the free motion into ``dy`` and the vector to the Moon, of length d, into ``nadir_F``; return GM/(r^3 d^2).
+    """Write the free motion into ``dy`` and the vector to the body, of length d, into ``nadir_F``; return GM/(r^3 d^2).
 
     gravity: (10,), a row of ``cached_gravity.gravity_over_step``.
     """
@@ -105,7 +111,7 @@ def _derivative(params, gravity, y, load, sun_F, scratch, dy):
     """Write dy/dt.
 
     gravity: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
-    and one over the mass, 1/kg. sun_F: (3,), unit. scratch: (_SCRATCH, 3).
+    one over the mass, 1/kg, and the pressure of sunlight, Pa. sun_F: (3,), unit. scratch: (_SCRATCH, 3).
     """
     force, torque, direction, transformed = scratch[0], scratch[1], scratch[2], scratch[3]
     for i in range(3):
@@ -118,7 +124,7 @@ def _derivative(params, gravity, y, load, sun_F, scratch, dy):
         add_gravity_gradient(params.inertia, transformed, rate_squared, torque)
     if params.solar_pressure != 0:
         quat.transform_into(q, sun_F, transformed)
-        pressure_force(params.plate, transformed, direction)
+        pressure_force(params.plate, load[7], transformed, direction)
         arm = params.plate.arm
         torque[0] += arm[1] * direction[2] - arm[2] * direction[1]
         torque[1] += arm[2] * direction[0] - arm[0] * direction[2]
@@ -258,7 +264,7 @@ def _leave(params, y, truth):
 def step(params, field, memory, truth, on):
     """Move ``truth`` (TRUTH) on by one step, in place, with the thruster commands ``on`` (n,), 0 or 1.
 
-    field: the harmonics, (N + 1, N + 1, 6), as ``moon_gravity.field_table`` gives them. memory: TRUTH_MEMORY.
+    field: the harmonics, (N + 1, N + 1, 6), as ``central_gravity.field_table`` gives them. memory: TRUTH_MEMORY.
     """
     dt = params.dt_s
     n = params.n_thrusters
@@ -274,8 +280,8 @@ def step(params, field, memory, truth, on):
         close_isolated(memory.isolation, params.isolation_closing_s, dt, fraction[:n])
     if params.target_faults.n != 0:
         move_target(params.target_faults, memory.target, truth)
-    load, y, sun_f, w_before = stack.vector(7), stack.vector(_N), stack.vector(3), stack.vector(3)
-    held, gravity = stack.matrix(4, 3), stack.matrix(3, 10)
+    load, y, sun_f, w_before = stack.vector(8), stack.vector(_N), stack.vector(3), stack.vector(3)
+    held, gravity, drag = stack.matrix(4, 3), stack.matrix(3, 10), stack.vector(3)
     wrench(
         fraction,
         params.thruster_position,
@@ -286,6 +292,7 @@ def step(params, field, memory, truth, on):
         load[3:6],
     )
     load[6] = 1.0 / truth.mass_kg
+    load[7] = params.plate.pressure * truth.sunlight
     for i in range(3):
         load[i] /= truth.mass_kg
     _enter(params, truth, y)
@@ -293,11 +300,15 @@ def step(params, field, memory, truth, on):
     if params.relative_motion == HILL:
         quat.transform_into(truth.q_HI, sun_f, sun_f)
     fill_matrix(held, 0.0)
+    fill(drag, 0.0)
     if params.relative_motion != HILL:
-        if params.gravity.degree >= 2:
+        if params.gravity.degree >= 2 or params.forces.acts != 0:
             cached_gravity.interpolate_perturbation(
-                params.gravity, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt, memory.gravity, held
+                params.gravity, params.forces, field, truth.t_s, y[21:24], y[24:27], y[0:3], y[3:6], dt,
+                memory.gravity, held,
             )  # fmt: skip
+        if params.forces.acts != 0:
+            quat.transform_into(y[6:10], memory.gravity.drag, drag)
         cached_gravity.gravity_over_step(params.gravity.gm, held, y, load, dt, gravity)
     _integrate(params, gravity, y, load, sun_f, dt)
     truth.t_s += dt
@@ -307,6 +318,11 @@ def step(params, field, memory, truth, on):
     for i in range(3):
         truth.mean_rate_C[i] = y[13 + i] / dt
         truth.mean_force_C[i] = load[i] + y[16 + i] / dt
+    if params.forces.acts != 0:
+        for i in range(3):
+            truth.mean_force_C[i] += drag[i]
+    if params.eclipse != 0:
+        truth.sunlight = visible_sun(params.shadow_radius, params.sun_angle, truth.r_T_I, params.sun_I)
     add_lever_terms(params.mass_centre, w_before, truth.w_CI_C, truth.mean_rate_C, dt, truth.mean_force_C)
     if params.mass_loss != 0:
         truth.mass_kg -= dt * propellant_flow(fraction, params.thruster_force, params.exhaust_speed, n)

@@ -7,46 +7,69 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.config.body import Body
+from hil.config.load import load_body
 from hil.config.scenario import Scenario
 from hil.config.truth import Orbit, SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
-from hil.dynamics.gravity_file import MOON_GM_M3PS2, MOON_RADIUS_M, GravityField
+from hil.dynamics.central_gravity import acceleration, field_table
+from hil.dynamics.eclipse import visible_sun
+from hil.dynamics.gravity_file import GravityField
 from hil.dynamics.imu import IMU_PARAMS
-from hil.dynamics.moon_gravity import acceleration, field_table
+from hil.dynamics.solar_pressure import SOLAR_PRESSURE_PA
 from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
+from hil.errors import BadInput, Problem
 from hil.maths import euler, quat
 from hil.params.errors import imu_errors, thruster_errors
 from hil.params.faults import fault_rows
 
-MOON_SIDEREAL_RATE_RADPS = 2.0 * math.pi / (27.321661 * 86400.0)  # Seidelmann, Explanatory Supplement (1992)
+ASTRONOMICAL_UNIT_M = 149_597_870_700.0  # IAU 2012, resolution B2
+SUN_RADIUS_M = 695_700e3  # IAU 2015, resolution B3
 
 
-def semi_major_axis_m(scenario: Scenario) -> float:
-    """Return the semi-major axis of the target's orbit, m."""
-    return MOON_RADIUS_M + scenario.orbit.altitude_m
+def central_body(target: Orbit) -> Body:
+    """Return the central body of an orbit. Raises BadInput if there is none of its name, or its file cannot be used."""
+    try:
+        return load_body(target.body).value
+    except BadInput as error:
+        named = [Problem(each.source, each.key or "orbit.body", each.message) for each in error.problems]
+        raise BadInput(named) from error
+
+
+def body_file(target: Orbit) -> str:
+    """Return the path of the file of the central body."""
+    return load_body(target.body).source
+
+
+def semi_major_axis_m(target: Orbit) -> float:
+    """Return the semi-major axis of ``target``, m."""
+    return central_body(target).radius_m + target.altitude_m
 
 
 def orbit_rate(scenario: Scenario) -> float:
-    """Return the mean orbital rate about a point-mass Moon, rad/s."""
+    """Return the mean orbital rate about a point mass, rad/s."""
     return mean_motion(scenario.orbit)
 
 
 def mean_motion(target: Orbit) -> float:
-    """Return the mean orbital rate of ``target`` about a point-mass Moon, rad/s."""
-    return math.sqrt(MOON_GM_M3PS2 / (MOON_RADIUS_M + target.altitude_m) ** 3)
+    """Return the mean orbital rate of ``target`` about a point mass, rad/s."""
+    return math.sqrt(central_body(target).gm_m3ps2 / semi_major_axis_m(target) ** 3)
 
 
 def gravity(scenario: Scenario) -> GravityField:
     """Return the gravity field of the scenario. Raises GravityFileError."""
-    return gravity_file.read(gravity_path(scenario)).up_to(scenario.truth.gravity_degree)
+    return whole_field(scenario).up_to(scenario.truth.gravity_degree)
 
 
-def gravity_path(scenario: Scenario) -> Path:
-    """Return the file of the field: the user's, relative to the working directory, or the shipped one."""
-    given = scenario.truth.gravity_file
-    return gravity_file.SHIPPED if given is None else Path(given)
+def whole_field(scenario: Scenario) -> GravityField:
+    """Return the field to its highest degree: of the scenario's file, or of the body. Raises GravityFileError."""
+    body = central_body(scenario.orbit)
+    given = scenario.truth.gravity_file or body.gravity_file
+    if given is None:
+        return gravity_file.of_zonal(body.gm_m3ps2, body.radius_m, body.zonal)
+    return gravity_file.read(Path(given)).of_body(body.gm_m3ps2, body.radius_m, body.name)
 
 
 def field(scenario: Scenario) -> Array:
@@ -71,12 +94,14 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params.mass_centre = scenario.truth.centre_of_mass_offset_m
     params.mass_loss = scenario.truth.mass_loss
     params.gravity_gradient = scenario.truth.gravity_gradient
-    params.solar_pressure = scenario.truth.solar_pressure
+    params.solar_pressure, params.eclipse = scenario.truth.solar_pressure, scenario.truth.eclipse
     params.flexible_array = scenario.truth.flexible_array
     params.thruster_errors = thruster_errors(scenario, seed)
     params.thruster_faults, params.target_faults = fault_rows(scenario, "thruster"), fault_rows(scenario, "target")
     _set_thrusters(params, scenario, thruster_draws)
     _set_gravity(params, scenario)
+    _set_sun(params, scenario)
+    _set_orbit_forces(params.forces, scenario)
     if scenario.chaser.solar_array is not None:
         _set_array(params, scenario, scenario.chaser.solar_array)
     return params
@@ -119,14 +144,43 @@ def _set_gravity(params: np.record, scenario: Scenario) -> None:
     params.gravity.gm = found.gm
     params.gravity.radius = found.radius
     params.gravity.degree = scenario.truth.gravity_degree
-    params.gravity.rotation = math.radians(scenario.orbit.moon_rotation_deg)
-    params.gravity.rate = MOON_SIDEREAL_RATE_RADPS
+    params.gravity.rotation = math.radians(scenario.orbit.body_rotation_deg)
+    params.gravity.rate = central_body(scenario.orbit).spin_radps
+
+
+def _set_sun(params: np.record, scenario: Scenario) -> None:
+    body, sun = central_body(scenario.orbit), np.array(scenario.truth.sun_direction)
+    params.sun_I = sun / np.linalg.norm(sun)
+    params.sun_angle = math.asin(SUN_RADIUS_M / (body.sun_distance_au * ASTRONOMICAL_UNIT_M))
+    params.shadow_radius = body.radius_m
+
+
+def _set_orbit_forces(params: np.record, scenario: Scenario) -> None:
+    """Write ORBIT_FORCES: drag and third bodies as far as they are switched on."""
+    body, truth = central_body(scenario.orbit), scenario.truth
+    params.radius, params.spin = body.radius_m, body.spin_radps
+    if truth.drag and body.atmosphere is not None:
+        air = body.atmosphere
+        n = params.layers = len(air.altitude_km)
+        params.altitude[:n] = 1e3 * np.array(air.altitude_km)
+        params.density[:n] = truth.density_scale * np.array(air.density_kgpm3)
+        params.scale_height[:n] = 1e3 * np.array(air.scale_height_km)
+        params.target_drag = 1.0 / truth.target_ballistic_kgpm2
+        params.chaser_drag = 1.0 / truth.chaser_ballistic_kgpm2
+    if truth.third_bodies:
+        params.bodies = len(body.third_bodies)
+        for k, other in enumerate(body.third_bodies):
+            direction = np.array(truth.sun_direction if other.direction is None else other.direction)
+            params.body_gm[k] = other.gm_km3ps2 * 1e9
+            params.body_position[k] = other.distance_km * 1e3 * direction / np.linalg.norm(direction)
+            params.body_pole[k] = np.array(other.pole) / np.linalg.norm(other.pole)
+            params.body_rate[k] = 2.0 * math.pi / (other.period_d * 86400.0)
+    params.acts = params.layers > 0 or params.bodies > 0
 
 
 def _set_array(params: np.record, scenario: Scenario, array: SolarArray) -> None:
-    sun = np.array(scenario.truth.sun_direction)
-    params.sun_I = sun / np.linalg.norm(sun)
     params.plate.area = array.area_m2
+    params.plate.pressure = SOLAR_PRESSURE_PA / central_body(scenario.orbit).sun_distance_au ** 2
     params.plate.normal = np.array(array.normal) / np.linalg.norm(array.normal)
     params.plate.arm = np.array(array.centre_m) - params.mass_centre
     params.plate.specular = array.specular
@@ -149,8 +203,17 @@ def initial_truth(scenario: Scenario) -> np.record:
     # w_CI = w_CH + A(q_CH) w_HI
     truth.w_CI_C = np.radians(initial.rate_degps) + quat.transform(truth.q_CH, truth.w_HI_H)
     truth.mean_rate_C = truth.w_CI_C
+    truth.sunlight = _sunlight(scenario, truth.r_T_I)
     truth.mass_kg = scenario.chaser.mass_kg
     return truth
+
+
+def _sunlight(scenario: Scenario, r_T_I: Array) -> float:
+    params = new(DSS_PARAMS)
+    _set_sun(params, scenario)
+    if not scenario.truth.eclipse:
+        return 1.0
+    return float(visible_sun(params.shadow_radius, params.sun_angle, r_T_I, params.sun_I))
 
 
 def _set_target(truth: np.record, scenario: Scenario) -> None:
@@ -160,7 +223,7 @@ def _set_target(truth: np.record, scenario: Scenario) -> None:
     elements = scenario.orbit
     r, v = orbit.state_of_elements(
         params.gravity.gm,
-        semi_major_axis_m(scenario),
+        semi_major_axis_m(elements),
         elements.eccentricity,
         math.radians(elements.inclination_deg),
         math.radians(elements.raan_deg),

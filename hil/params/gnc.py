@@ -31,7 +31,7 @@ from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
-from hil.params.dynamics import mean_motion
+from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_budget import error_budget
 
 _NIS_TAIL = 1e-10  # false-alarm probability of a mean
@@ -196,7 +196,8 @@ def target_orbit(scenario: Scenario) -> np.record:
     known, params = scenario.gnc_orbit, new(TARGET_ORBIT)
     params.mean_motion = mean_motion(known)
     params.eccentricity = known.eccentricity
-    params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg))
+    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(known)
+    params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg) + ahead)
     return params
 
 

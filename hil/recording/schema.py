@@ -19,10 +19,10 @@ from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, 
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Version of all schemas together, incremented when a record is extended. 2: joint covariance and status of a pose.
-3: protection levels, health and reaction."""
-READABLE: Final = ("1", "2", "3")
+3: protection levels, health and reaction. 4: visible fraction of the Sun."""
+READABLE: Final = ("1", "2", "3", "4")
 """Versions of recordings that can be loaded: records are only appended to; fields that a recording lacks have
 ``Field.absent``."""
 

@@ -138,6 +138,7 @@ class LongRun:
         self._integrity = IntegrityJudge(scenario)
         self._last: np.ndarray | None = None
         self._sums: dict[str, Any] = {}
+        self._eclipse_s = 0.0
         self._security: dict[str, Any] = {}
         self._view: dict[str, Any] = {}
         self._squares = MeanSquares()
@@ -167,6 +168,7 @@ class LongRun:
         self._add_sums(joined)
         self._add_security(joined)
         self._add_view(rows)
+        self._eclipse_s += summary.eclipse_s(rows, self._scenario.step_s)
         self._add_errors(rows, joined)
         self._add_times(rows, joined)
         self._last = rows[-1:].copy()
@@ -286,6 +288,7 @@ class LongRun:
             "integrity": summary.integrity_of(self._integrity.state, self._scenario),
             "navigation": {name: rms(name) for name in summary.RMS_KEYS} | nees,
             "thrusters": thrusters,
+            "orbit": {"eclipse_s": self._eclipse_s},
             "bench": {
                 "rail_error_rms_m": rms("rail_error_rms_m"),
                 "rail_error_max_m": np.asarray(self._largest["rail_error_max_m"]).tolist(),

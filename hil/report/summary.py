@@ -77,6 +77,7 @@ def summarise(
         "docking_go_s": docking_go_s(outcome.events),
         "navigation": found["navigation"],
         "thrusters": found["thrusters"],
+        "orbit": {"body": scenario.orbit.body} | found["orbit"],
         "gnc": gnc_summary(scenario),
         "vision": outcome.vision_counters,
         "bench": found["bench"]
@@ -122,6 +123,7 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
         "integrity": integrity_of(judge_integrity(history, scenario), scenario),
         "navigation": navigation_errors(history),
         "thrusters": thrusters,
+        "orbit": {"eclipse_s": eclipse_s(history, scenario.step_s)},
         "bench": axis_errors(history)
         | judge_bench_error(history, rig, scenario.step_s, SETTLED_S)
         | {"energy": judge_energy_added(history, scenario, rig)},
@@ -186,6 +188,11 @@ def injected(fault: TimedFault, found: dict[str, Any]) -> dict[str, Any]:
         "value": list(fault.values),
         **found,
     }
+
+
+def eclipse_s(history: np.ndarray, step_s: float) -> float:
+    """Return the time in the shadow of the central body, s; penumbra counts by the covered fraction of the Sun."""
+    return step_s * float(np.sum(1.0 - history["truth"]["sunlight"]))
 
 
 def gnc_summary(scenario: Scenario) -> dict[str, Any]:

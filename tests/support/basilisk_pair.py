@@ -31,10 +31,14 @@ def write_field(scenario: Scenario, path: Path) -> Path:
     return path
 
 
+def _degree(field_file: Path) -> int:
+    return int(field_file.read_text(encoding="ascii").split(",")[3])
+
+
 def gravity_model(field_file: Path) -> Any:
     """Return Basilisk's field, ready for ``computeField``; keep the body it belongs to."""
     body = gravityEffector.GravBodyData()
-    body.useSphericalHarmonicsGravityModel(str(field_file), 8)
+    body.useSphericalHarmonicsGravityModel(str(field_file), _degree(field_file))
     body.gravityModel.initializeParameters()
     return body
 
@@ -68,7 +72,7 @@ class TurningMoon(sysModel.SysModel):
 
 
 class Pair:
-    """Target and chaser in Basilisk about the Moon, classical Runge-Kutta.
+    """Target and chaser in Basilisk about the Moon or a body that does not turn, classical Runge-Kutta.
 
     params: DSS_PARAMS. states: position, m, and velocity, m/s, of both, inertial. turning: whether the Moon turns;
     its attitude then comes from Python, which costs time.
@@ -103,7 +107,7 @@ class Pair:
         body = gravityEffector.GravBodyData()
         body.planetName = "moon"
         body.isCentralBody = True
-        body.useSphericalHarmonicsGravityModel(str(field_file), 8)
+        body.useSphericalHarmonicsGravityModel(str(field_file), _degree(field_file))
         body.mu, body.radEquator = self._gm, self._radius
         if self._moon is not None:
             body.planetBodyInMsg.subscribeTo(self._moon.message)

@@ -11,7 +11,7 @@ from scipy.special import lpmv
 
 GM, RADIUS_M = 4902.801056e9, 1738.0e3
 DEGREE = 8
-SHIPPED = Path(__file__).resolve().parents[2] / "hil" / "dynamics" / "data" / "lp165p_8.tab"
+SHIPPED = Path(__file__).resolve().parents[2] / "configs" / "bodies" / "lp165p_8.tab"
 
 
 def coefficients() -> tuple[np.ndarray, np.ndarray]:

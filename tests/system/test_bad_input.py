@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from hil.cli.main import execute
-from hil.dynamics import gravity_file
+from hil.config.load import configs_folder
+from tests.support import moon_reference as reference
 
 HARDWARE = """
 extends = "emulated"
@@ -67,6 +68,9 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
         ("truth.gravity_degree=-1", ("truth.gravity_degree", "-1", "0")),
         ("truth.gravity_file=nowhere.tab", ("truth.gravity_file", "nowhere.tab", "cannot be read")),
         ("truth.gravity_file=moon.gfc", ("truth.gravity_file", "moon.gfc", ".cof", ".tab")),
+        ("orbit.body=pluto", ("orbit.body", "pluto", "unknown body", "earth")),
+        ("orbit.body=earth", ("truth.gravity_degree", "8", "the Earth", "allowed 0 to 6")),
+        ("truth.drag=true", ("truth.drag", "the Moon has no atmosphere")),
         ("truth.sun_direction=[1.0, 1.0, 0.0]", ("truth", "sun_direction", "unit vector")),
         ("truth.force_scatter_sigma=0.5", ("truth.force_scatter_sigma", "0.5", "0.2")),
         ("chaser.solar_array.mode_coupling=[40.0, 0.0, 0.0]", ("chaser.solar_array.mode_coupling", "40", "inertia")),
@@ -102,6 +106,23 @@ def test_orbit_that_dips_into_the_moon_is_refused_with_what_is_allowed(capsys: p
         assert word in line, line
 
 
+def test_body_file_that_is_cut_is_refused_by_file_and_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (configs_folder() / "bodies" / "earth.toml").read_text(encoding="utf-8")
+    path = tmp_path / "cut.toml"
+    path.write_text(text[: text.index("rotation_period_d")], encoding="utf-8")
+    line = _refused(capsys, "leo-vbar", "--set", f"orbit.body={path}")
+    assert line.startswith(f"{path}: rotation_period_d: is missing"), line
+    path.write_text(text[: text.index("8.382")], encoding="utf-8")
+    line = _refused(capsys, "leo-vbar", "--set", f"orbit.body={path}")
+    assert all(word in line for word in ("orbit.body", str(path), "not TOML")), line
+
+
+def test_orbit_below_the_surface_of_the_earth_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    line = _refused(capsys, "leo-vbar", "--set", "orbit.eccentricity=0.09")
+    for word in ("orbit.eccentricity", "0.09", "inside the Earth", "allowed below 0.0618"):
+        assert word in line, line
+
+
 def test_linear_motion_on_an_ellipse_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     line = _refused(capsys, "scheme-1", "--set", "orbit.eccentricity=0.01", "--set", "truth.relative_motion=hill")
     assert "truth.relative_motion" in line
@@ -111,7 +132,7 @@ def test_linear_motion_on_an_ellipse_is_refused(capsys: pytest.CaptureFixture[st
 def test_gravity_file_that_is_cut_is_refused_by_file_and_key(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = gravity_file.SHIPPED.read_text(encoding="ascii").splitlines(keepends=True)
+    rows = reference.SHIPPED.read_text(encoding="ascii").splitlines(keepends=True)
     path = tmp_path / "cut.tab"
     path.write_text("".join(rows[:30]), encoding="ascii")
     line = _refused(capsys, "scheme-1", "--set", f"truth.gravity_file={path}")

@@ -16,6 +16,7 @@ from hil.dynamics import gravity_file
 from hil.errors import BadInput
 from hil.recording import read
 from hil.vmu.calibration.views import read_views
+from tests.support import moon_reference as reference
 from tests.support.hostile_files import NUMBERS, attachment, channel, mcap, message, metadata, readers
 
 _HOSTILE = (
@@ -58,7 +59,7 @@ def _cases(folder: Path) -> dict[str, tuple[str, bytes, Callable[[Path], object]
         "protocol": (".toml", kinds["protocol"].sound, lambda path: load_protocol(str(path))),
         "geometry": (".json", kinds["geometry"].sound, lambda path: load_geometry(str(path))),
         "eds": (".eds", EDS.read_bytes(), Eds),
-        "gravity": (".tab", gravity_file.SHIPPED.read_bytes(), gravity_file.read),
+        "gravity": (".tab", reference.SHIPPED.read_bytes(), gravity_file.read),
         "views": (".csv", views, read_views),
         "recording": (".mcap", _recording(folder), read.load),
     }

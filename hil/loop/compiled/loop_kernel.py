@@ -491,7 +491,7 @@ def run_loop(
     The bench guard, FOLLOWING, TRAVEL_LEFT and VISION_SILENT end a cycle before the GNC, GNC_FAILED in it, NOT_FINITE
     when the setpoints are to be sent, after its row was written.
 
-    params: LOOP_PARAMS. field: harmonics, measure ``moon_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
+    params: LOOP_PARAMS. field: harmonics, ``central_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
     IMU_NOISE), one row per sample, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
     travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. monitor_noise: (n, MONITOR_NOISE), one row per
     measurement of a modelled docking monitor, (0, MONITOR_NOISE) without one. state: LOOP_STATE; if not ``opened``,

@@ -7,7 +7,7 @@ import pytest
 
 from hil.config.scenario import Scenario
 from hil.core.messages import new
-from hil.dynamics import moon_gravity
+from hil.dynamics import central_gravity
 from hil.dynamics.cached_gravity import CACHED_GRAVITY, interpolate_perturbation
 from hil.params import dynamics as dynamics_params
 from tests.support import moon_reference as reference
@@ -18,10 +18,10 @@ def test_each_of_four_places_has_its_own_pull(scheme_2: Scenario, rng: np.random
     places = rng.normal(size=(4, 3))
     places *= (rng.uniform(1.75e6, 2.5e6, 4) / np.linalg.norm(places, axis=1))[:, None]
     out = np.empty((4, 3))
-    moon_gravity.harmonics_of_four(params, field, places, out)
+    central_gravity.harmonics_of_four(params, field, places, out)
     for place, pull in zip(places, out, strict=True):
         np.testing.assert_allclose(pull, reference.harmonics(place), rtol=0.0, atol=1e-14)
-        np.testing.assert_array_equal(pull, moon_gravity.harmonics(params, field, *place))
+        np.testing.assert_array_equal(pull, central_gravity.harmonics(params, field, *place))
 
 
 @pytest.mark.parametrize("t_s", [0.0, 5000.0])
@@ -34,8 +34,8 @@ def test_held_pull_is_that_of_the_step(scheme_2: Scenario, t_s: float) -> None:
     r, v, dt = truth.r_T_I, truth.v_T_I, dss.dt_s
     rho, rate = np.array([7.0, -5.0, 4.0]), np.array([0.02, 0.03, -0.01])
     held, near = np.empty((4, 3)), np.empty(3)
-    moon_gravity.sample_perturbation(dss.gravity, field, t_s, r, v, rho, rate, dt, held)
-    moon_gravity.acceleration(dss.gravity, field, t_s, r, near)
+    central_gravity.sample_perturbation(dss.gravity, field, t_s, r, v, rho, rate, dt, held)
+    central_gravity.acceleration(dss.gravity, field, t_s, r, near)
     for row, share in enumerate((0.0, 0.5, 1.0)):
         t = share * dt
         there = r + t * v + 0.5 * t * t * near
@@ -59,7 +59,7 @@ def test_point_mass_alone_holds_nothing(scheme_2: Scenario) -> None:
     dss, truth = dynamics_params.dss(scheme_2), dynamics_params.initial_truth(scheme_2)
     dss.gravity.degree = 0
     held = np.full((4, 3), np.nan)
-    moon_gravity.sample_perturbation(
+    central_gravity.sample_perturbation(
         dss.gravity, np.zeros((1, 1, 6)), 0.0, truth.r_T_I, truth.v_T_I, np.ones(3), np.ones(3), 0.02, held
     )
     np.testing.assert_array_equal(held, 0.0)
@@ -75,14 +75,14 @@ def test_pull_between_two_evaluations_is_that_of_the_place(scheme_2: Scenario, d
     r, v, near = truth.r_T_I.copy(), truth.v_T_I.copy(), np.empty(3)
     rho, rate = np.array([7.0, -5.0, 4.0]), np.array([0.02, 0.03, -0.01])
     span, step, evaluated = new(CACHED_GRAVITY), np.empty((4, 3)), 0
-    moon_gravity.acceleration(dss.gravity, field, 0.0, r, near)
+    central_gravity.acceleration(dss.gravity, field, 0.0, r, near)
     for k in range(60):
         t = k * dt
         if t > 1.0:
             break
         there, then = r + t * v + 0.5 * t * t * near, v + t * near
         before = span.pull.copy()
-        interpolate_perturbation(dss.gravity, field, t, there, then, rho + t * rate, rate, dt, span, step)
+        interpolate_perturbation(dss.gravity, dss.forces, field, t, there, then, rho + t * rate, rate, dt, span, step)
         evaluated += not np.array_equal(before, span.pull)
         for row, share in enumerate((0.0, 0.5, 1.0)):
             at = there + share * dt * then + 0.5 * (share * dt) ** 2 * near

@@ -84,7 +84,7 @@ def plate() -> np.record:
 
 def pressure(plate: np.record, sun: Any) -> np.ndarray:
     out = np.empty(3)
-    pressure_force(plate, np.array(sun, dtype=float), out)
+    pressure_force(plate, SOLAR_PRESSURE_PA, np.array(sun, dtype=float), out)
     return out
 
 

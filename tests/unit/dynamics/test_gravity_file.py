@@ -29,7 +29,7 @@ def write(path: Path, lines: list[str]) -> Path:
 
 
 def test_shipped_field_has_the_published_numbers() -> None:
-    field = read(gravity_file.SHIPPED)
+    field = read(reference.SHIPPED)
     assert (field.gm, field.radius, field.degree) == (4902.801056e9, 1738.0e3, 8)
     assert field.c[2, 0] == -9.08901807506e-05
     assert field.c[2, 2] == 3.46354993722e-05
@@ -40,7 +40,7 @@ def test_shipped_field_has_the_published_numbers() -> None:
 
 
 def test_both_kinds_give_the_same_field(tmp_path: Path) -> None:
-    shipped, cof = read(gravity_file.SHIPPED), read(write(tmp_path / "moon.cof", cof_lines()))
+    shipped, cof = read(reference.SHIPPED), read(write(tmp_path / "moon.cof", cof_lines()))
     np.testing.assert_array_equal(cof.c, shipped.c)
     np.testing.assert_array_equal(cof.s, shipped.s)
     assert (cof.gm, cof.radius) == (shipped.gm, shipped.radius)
@@ -54,11 +54,20 @@ def test_columns_of_a_high_degree_may_touch(tmp_path: Path) -> None:
     assert (field.c[120, 115], field.s[120, 115]) == (1e-9, -120e-9)
 
 
+def test_zonal_harmonics_are_those_of_the_field() -> None:
+    shipped = read(reference.SHIPPED).up_to(3)
+    zonal = [-shipped.c[n, 0] * np.sqrt(2 * n + 1) for n in (2, 3)]
+    field = gravity_file.of_zonal(reference.GM, reference.RADIUS_M, zonal)
+    np.testing.assert_allclose(field.c[:, 0], shipped.c[:, 0], rtol=1e-15)
+    assert np.count_nonzero(field.s) == 0
+    assert gravity_file.of_zonal(1.0, 1.0, ()).degree == 1
+
+
 def test_field_is_cut_off_at_the_degree_asked_for() -> None:
-    field = read(gravity_file.SHIPPED).up_to(4)
+    field = read(reference.SHIPPED).up_to(4)
     assert field.c.shape == (5, 5)
     with pytest.raises(GravityFileError, match="goes to degree 8, too low for degree 9"):
-        read(gravity_file.SHIPPED).up_to(9)
+        read(reference.SHIPPED).up_to(9)
 
 
 def test_gmat_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
@@ -71,7 +80,7 @@ def test_gmat_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 
 
 def test_shadr_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    text = gravity_file.SHIPPED.read_text(encoding="ascii")
+    text = reference.SHIPPED.read_text(encoding="ascii")
     path = tmp_path / "cut.tab"
     for length in range(0, len(text) - 2, 7):
         path.write_text(text[:length], encoding="ascii")
@@ -97,7 +106,7 @@ def test_shadr_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
 )
 def test_wrong_file_is_refused_with_its_reason(tmp_path: Path, name: str, lines: list[str], words: str) -> None:
     with pytest.raises(GravityFileError, match=words):
-        read(write(tmp_path / name, lines))
+        read(write(tmp_path / name, lines)).of_body(reference.GM, reference.RADIUS_M, "the Moon")
 
 
 def test_file_that_is_no_text_or_not_there_is_refused(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from hil.dynamics.gravity_file import MOON_GM_M3PS2, MOON_RADIUS_M
 from hil.dynamics.hill import hill_acceleration, input_response, transition
+from tests.support.moon_reference import GM as MOON_GM_M3PS2
+from tests.support.moon_reference import RADIUS_M as MOON_RADIUS_M
 
 RADIUS_M = MOON_RADIUS_M + 200e3
 W0 = math.sqrt(MOON_GM_M3PS2 / RADIUS_M**3)

@@ -32,7 +32,7 @@ def drift() -> Scenario:
             "truth.centre_of_mass_offset_m=[0.0, 0.0, 0.0]",
             "orbit.eccentricity=0.03",
             "orbit.true_anomaly_deg=40.0",
-            "orbit.moon_rotation_deg=70.0",
+            "orbit.body_rotation_deg=70.0",
             "initial.velocity_mps=[0.004, -0.006, 0.003]",
         ),
     ).value

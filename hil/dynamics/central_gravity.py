@@ -1,9 +1,9 @@
-"""Gravity of the Moon: a point mass and fully normalised spherical harmonics.
+"""Gravity of the central body: a point mass and fully normalised spherical harmonics.
 
 The harmonics follow Pines (AIAA Journal 11, 1973) in the normalised form of Lundberg and Schutz (Journal
 of Guidance 11, 1988): no angle appears, so there is no singularity at the poles. Order by order, from
 the diagonal up, only two earlier Legendre functions are held. The field holds outside the sphere that
-encloses the Moon.
+encloses the body.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ GRAVITY_PARAMS = np.dtype(
     [
         ("gm", "f8"),  # m^3/s^2
         ("radius", "f8"),  # m, reference radius of the coefficients
-        ("degree", "i8"),  # highest degree in use; below 2 the Moon is a point mass
-        ("rotation", "f8"),  # rad, from inertial x to the Moon's prime meridian at t = 0
-        ("rate", "f8"),  # rad/s, of the Moon-fixed axes about inertial z
+        ("degree", "i8"),  # highest degree in use; below 2 the body is a point mass
+        ("rotation", "f8"),  # rad, from inertial x to the body's prime meridian at t = 0
+        ("rate", "f8"),  # rad/s, of the body-fixed axes about inertial z
     ],
     align=True,
 )
@@ -58,10 +58,10 @@ def field_table(c, s):
 
 @kernel
 def harmonics_of_four(params, field, place, out):
-    """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in Moon-fixed axes.
+    """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in body-fixed axes.
 
     params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. place: (4, 3), m,
-    Moon-fixed. out: (4, 3). The recursion is a chain of dependent operations; four of them side by side, in the
+    body-fixed. out: (4, 3). The recursion is a chain of dependent operations; four of them side by side, in the
     lanes of a register, take hardly longer than one.
     """
     s, t, u, step = stack.vector(LANES), stack.vector(LANES), stack.vector(LANES), stack.vector(LANES)
@@ -131,7 +131,7 @@ def harmonics(params, field, x, y, z):
 def perturbation(params, field, t_s, x, y, z):
     """Return the harmonics' acceleration, m/s^2, in inertial axes, as three floats, for x, y, z in m, inertial.
 
-    The Moon rotates about inertial z, at ``params.rate``; ``t_s`` counts from the start of the run.
+    The body rotates about inertial z, at ``params.rate``; ``t_s`` counts from the start of the run.
     """
     if params.degree < 2:
         return 0.0, 0.0, 0.0
@@ -152,7 +152,7 @@ def central_pull(gm, r, out):
 
 @kernel
 def acceleration(params, field, t_s, r, out):
-    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the Moon's centre."""
+    """Write the gravity (3,), m/s^2, at ``r`` (3,), m, both in inertial axes with the origin at the body's centre."""
     px, py, pz = perturbation(params, field, t_s, r[0], r[1], r[2])
     central_pull(params.gm, r, out)
     out[0] += px
