@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from hil.cli.main import app
-from hil.config.body import Body
+from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
 from hil.config.faults import RESPONSES, TERMS, ErrorTerm
@@ -228,7 +228,7 @@ def other_files() -> str:
     parts = {
         "Geometry file of the vision unit": VmuGeometry,
         "Scene file of the docking monitor": Scene,
-        "Body file of a central body": Body,
+        "Body file of a central body": CentralBody,
         "Protocol file of a serial turntable": Protocol,
         "Frame file of a vision unit": VmuFrame,
     }

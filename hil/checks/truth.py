@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.body import Body
+from hil.config.body import CentralBody
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.dynamics.gravity_file import GravityFileError
@@ -17,7 +17,7 @@ def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
     try:
         body = dynamics_params.central_body(scenario.value.orbit)
     except BadInput as error:
-        return error.problems
+        return list(error.problems)
     return [
         *_check_orbit(scenario, body),
         *_check_gravity(scenario, body),
@@ -26,7 +26,7 @@ def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
     ]
 
 
-def _check_orbit(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
+def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
     orbit = scenario.value.orbit
     problems = []
     axis_m = dynamics_params.semi_major_axis_m(orbit)
@@ -46,7 +46,7 @@ def _check_orbit(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
     return [*problems, *_check_ephemeris(scenario, body)]
 
 
-def _check_ephemeris(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
+def _check_ephemeris(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
     known, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
     if not 0.0 <= known.eccentricity < 0.1:
@@ -60,7 +60,7 @@ def _check_ephemeris(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
     return problems
 
 
-def _check_gravity(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
+def _check_gravity(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
     truth = scenario.value.truth
     try:
         field = dynamics_params.whole_field(scenario.value)
@@ -78,7 +78,7 @@ def _check_gravity(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
     return [Problem(scenario.where(key), key, text)]
 
 
-def _check_perturbations(scenario: Loaded[Scenario], body: Body) -> list[Problem]:
+def _check_perturbations(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
     truth = scenario.value.truth
     has = {"drag": ("atmosphere", body.atmosphere), "third_bodies": ("third_bodies", body.third_bodies)}
     problems = []

@@ -75,7 +75,7 @@ class ThirdBody(_AstronomicalModel):
         return self
 
 
-class Body(_AstronomicalModel):
+class CentralBody(_AstronomicalModel):
     """Central body; inertial axes along its equator, z along its axis of rotation."""
 
     name: Name

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from hil.config.body import Body
+from hil.config.body import CentralBody
 from hil.config.dispersions import Dispersions
 from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.fmu_mapping import FmuMapping
@@ -128,7 +128,7 @@ def load_fmu_mapping(path: str) -> FmuMapping:
     return check_table(table, FmuMapping, path, origin).value
 
 
-def load_body(name: str) -> Loaded[Body]:
+def load_body(name: str) -> Loaded[CentralBody]:
     """Return the central body ``name`` (shipped, or a path); raise BadInput. An unchanged file is not read again."""
     path = _find(name, "bodies")
     stamp = path.stat()
@@ -136,8 +136,8 @@ def load_body(name: str) -> Loaded[Body]:
 
 
 @lru_cache(maxsize=8)
-def _load_body(path: str, _changed_ns: int, _size: int) -> Loaded[Body]:
-    return _load(path, "bodies", Body, (), prefix="")
+def _load_body(path: str, _changed_ns: int, _size: int) -> Loaded[CentralBody]:
+    return _load(path, "bodies", CentralBody, (), prefix="")
 
 
 def load_scene(name: str) -> Loaded[Scene]:

@@ -53,7 +53,7 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
     },
     "Scene": {"reserve": "backup"},
     "FmuMapping": {},
-    "Body": {},
+    "CentralBody": {},
     "Protocol": {"emulator.torque_off": "faults.torque_off"},
     "VmuGeometry": {
         "calibration.camera_station_m": "calibration.camera_position_m",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.config.body import Body
+from hil.config.body import CentralBody
 from hil.config.load import load_body
 from hil.config.scenario import Scenario
 from hil.config.truth import Orbit, SolarArray
@@ -29,7 +29,7 @@ ASTRONOMICAL_UNIT_M = 149_597_870_700.0  # IAU 2012, resolution B2
 SUN_RADIUS_M = 695_700e3  # IAU 2015, resolution B3
 
 
-def central_body(target: Orbit) -> Body:
+def central_body(target: Orbit) -> CentralBody:
     """Return the central body of an orbit. Raises BadInput if there is none of its name, or its file cannot be used."""
     try:
         return load_body(target.body).value

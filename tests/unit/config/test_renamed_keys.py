@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
-from hil.config.body import Body
+from hil.config.body import CentralBody
 from hil.config.fmu_mapping import FmuMapping
 from hil.config.gnc_override import with_other_gnc
 from hil.config.load import Loaded, load_geometry, load_protocol, load_rig, load_scenario, load_scene, shipped
@@ -33,7 +33,7 @@ from hil.setup.live_tuning import with_setting
 from hil.vmu.geometry import geometry_of_rig
 
 MODELS: dict[str, type[ConfigModel]] = {
-    m.__name__: m for m in (Scenario, Rig, Scene, FmuMapping, Protocol, VmuGeometry, Body)
+    m.__name__: m for m in (Scenario, Rig, Scene, FmuMapping, Protocol, VmuGeometry, CentralBody)
 }
 
 
