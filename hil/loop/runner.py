@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from hil.core.observable import ObservableList
 from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
-from hil.errors import BenchError, DeviceError, SafetyTrip
+from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
 from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop
 from hil.loop.cycle import Cycles, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
@@ -334,10 +334,12 @@ class Runner:
             def report_cause(now_s: float) -> None:
                 if self._modes.mode is Mode.SAFE_STOP or (cause := search.poll(now_s, stop.cut)) is None:
                     return
-                self.safety.alarms.latch(alarm_from_error(cause, begun_s))
+                pause = self._host_pause(cause)
+                alarm = alarm_from_error(cause, begun_s)
+                self.safety.alarms.latch(replace(alarm, text=alarm.text + pause))
                 if cause is not fault:
                     self.safety.alarms.latch(alarm_from_error(fault, begun_s))
-                self._faults.append(str(cause))
+                self._faults.append(f"{cause}{pause}")
                 self._modes.go(Mode.SAFE_STOP)
                 self.operator.cancel_auto_sequence()
 
@@ -350,6 +352,11 @@ class Runner:
                 stop.remove_torque()
             self._powered = False
             return bool(signals)
+
+    def _host_pause(self, cause: BenchError) -> str:
+        """Return the recent pause of the loop, as an addition to the text of a lost or silent link; "" without one."""
+        pause_s = self.rate.pause_s if isinstance(cause, LinkLost | LinkTimeout) else 0.0
+        return f" (the host paused the loop for {1e3 * pause_s:.0f} ms)" if pause_s > 0.0 else ""
 
     def _controlled_stop(self, signals: list[int]) -> ControlledStop:
         """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds.

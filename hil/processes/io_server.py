@@ -125,7 +125,8 @@ class IoServer(DeviceServer):
         for name, device in self._axes.items():
             self.stop_in_thread(device.stop, now_s)
             if name in self.served:
-                self.fail(name, LinkLost(name, f"stopped: the loop has been silent for {silent_s:.3f} s"), now_s)
+                text = f"stopped: the loop has been silent for {silent_s:.3f} s{self.own_pause()}"
+                self.fail(name, LinkLost(name, text), now_s)
 
 
 def make(configuration: Message) -> IoServer:

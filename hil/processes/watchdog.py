@@ -78,7 +78,7 @@ class Watchdog(DeviceServer):
         for cell, name in _WATCHED.items():
             silent_s = self.silence_s(cell, now_s)
             if silent_s > LOOP_SILENCE_MAX_S:
-                return f"safety chain opened: {name} has been silent for {silent_s:.3f} s"
+                return f"safety chain opened: {name} has been silent for {silent_s:.3f} s{self.own_pause()}"
         return ""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -22,6 +23,7 @@ from hil.core.clock import WallClock
 from hil.core.messages import AxisFeedback, Homing, PoseFrame
 from hil.drivers.axes import ServoAxes
 from hil.drivers.mock_axes import MockAxes
+from hil.drivers.remote import server
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import IO, SETPOINT, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.processes import IoProcesses
@@ -225,6 +227,27 @@ def test_axes_are_stopped_when_the_loop_falls_silent(sides: Sides) -> None:
     assert sides.wait_until(lambda: all(device.stops for device in sides.axes.values()), alive=False)
     with pytest.raises(LinkLost, match="rails: stopped: the loop has been silent for"):
         sides.rails.read(sides.clock.now_s())
+
+
+def test_a_process_that_was_paused_itself_says_so_for_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, there = socket.socketpair()
+    stop, woken = threading.Event(), []
+    host = IoServer({}, ScriptedVmu(), IoSharedMemory.create(), there, WallClock())
+
+    def select_after_a_pause(*_: object) -> tuple[list[int], list[int], list[int]]:
+        time.sleep(0.03 if not woken else 0.0)
+        woken.append(None)
+        stop.set()
+        return [], [], []
+
+    monkeypatch.setattr(server.select, "select", select_after_a_pause)
+    assert host.own_pause() == ""
+    host.run(stop)
+    assert re.fullmatch(r" \(the host paused this process for \d+ ms\)", host.own_pause())
+    monkeypatch.setattr(server.time, "monotonic", lambda: time.perf_counter() + 1e6)
+    assert host.own_pause() == ""
+    here.close()
+    there.close()
 
 
 def test_silence_before_the_first_cycle_and_without_torque_is_no_fault(sides: Sides) -> None:

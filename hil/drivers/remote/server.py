@@ -9,6 +9,7 @@ import select
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
@@ -25,6 +26,8 @@ LOOP_SILENCE_MAX_S: Final = 0.05
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: the loop's commands must be sent."""
 _COUNTERS_EVERY: Final = 50  # periods
+_PAUSE_WALL_S: Final = 0.005  # shorter ones are no cause of a silence
+_PAUSE_KEPT_WALL_S: Final = 1.0
 
 
 def raise_priority() -> None:
@@ -74,6 +77,7 @@ class DeviceServer:
         self._peer_heartbeat = np.zeros(1, io_layout.HEARTBEAT)
         self._stop = np.zeros(1, io_layout.STOP)
         self._stops: dict[str, int] = {}
+        self._pause_s, self._paused_at_s = 0.0, 0.0
 
     def start(self) -> dict[str, str]:
         """Accept requests; no device is opened before the loop requests it."""
@@ -84,14 +88,19 @@ class DeviceServer:
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set."""
         periods = 0
+        stepped_s = time.monotonic()
         while not stop.is_set():
             ready, _, _ = select.select([self._wake], [], [], self._period_wall_s)
             if ready:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._wake)
+            wall_s = time.monotonic()
+            if (pause_s := wall_s - stepped_s - self._period_wall_s) > _PAUSE_WALL_S:
+                self._pause_s, self._paused_at_s = pause_s, wall_s
             now_s = self.clock.now_s()
             self._beat.write(self._heartbeat, now_s)
             self.step(now_s)
+            stepped_s = time.monotonic()
             periods += 1
             if periods % _COUNTERS_EVERY == 0:
                 for name in tuple(self.served):
@@ -108,6 +117,12 @@ class DeviceServer:
 
     def on_opened(self, name: str) -> None:
         """Act on the opening of a device, before the request is answered."""
+
+    def own_pause(self) -> str:
+        """Return the recent pause of this process, as an addition to the text of an alarm; "" without one."""
+        if self._pause_s == 0.0 or time.monotonic() - self._paused_at_s > _PAUSE_KEPT_WALL_S:
+            return ""
+        return f" (the host paused this process for {1e3 * self._pause_s:.0f} ms)"
 
     def silence_s(self, sender: str, now_s: float) -> float:
         """Return the time, s of wall time, since the last heartbeat of ``sender``; 0 while none is due."""

@@ -15,6 +15,7 @@ from hil.loop.rate_keeper import SimulatedRate, WallClockRate
 
 STEP_S = 0.02
 MS = 1_000_000
+STEP_MS = 20 * MS
 
 
 class FakeTime:
@@ -64,6 +65,20 @@ def test_cycles_come_at_absolute_deadlines_that_do_not_drift(fake: FakeTime) -> 
         assert tick.now_s - first.now_s == pytest.approx(k * STEP_S, abs=5e-6)
         assert 0.0 <= tick.lateness_s < 5e-6
     assert rate.overruns == rate.skipped_periods == 0
+
+
+def test_a_late_wake_up_is_a_pause_of_the_host_for_a_second(fake: FakeTime) -> None:
+    rate = wall_rate(fake)
+    fake.ns += 5 * STEP_MS  # a long cycle is none
+    rate.wait()
+    assert rate.pause_s == 0.0
+    fake.oversleeps_ns = 31 * MS
+    rate.wait()
+    fake.oversleeps_ns = 7 * MS
+    rate.wait()
+    assert rate.pause_s == pytest.approx(0.031, abs=0.001)
+    fake.ns += 1000 * MS
+    assert rate.pause_s == 0.0
 
 
 def test_first_cycle_is_one_period_after_the_restart_and_is_the_runs_zero(fake: FakeTime) -> None:
