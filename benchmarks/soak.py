@@ -23,7 +23,7 @@ from typing import Any
 
 PERIOD_S = 30.0
 SETTLED_S = 60.0
-"""After the start: the processes have allocated what they need."""
+"""After the start, at most a tenth of the run: the processes have allocated what they need."""
 
 
 def processes_of(parent: int) -> dict[int, str]:
@@ -63,11 +63,12 @@ def use_of(number: int) -> dict[str, float] | None:
     return None if resident is None else {"memory_mb": int(resident) / 1024.0, "handles": handles}
 
 
-def soak(command: list[str], duration_s: float) -> dict[str, dict[str, Any]]:
-    """Run ``command`` for ``duration_s``, then interrupt it; return the use of its processes, by name."""
+def soak(command: list[str], duration_s: float, log: Path) -> dict[str, dict[str, Any]]:
+    """Run ``command`` for ``duration_s``, its output in ``log``, then interrupt it; return the use of its processes."""
     uses: dict[str, dict[str, Any]] = {}
     begun_s = time.monotonic()
-    with subprocess.Popen(command) as run:
+    settled_s = min(SETTLED_S, 0.1 * duration_s)
+    with log.open("w") as lines, subprocess.Popen(command, stdout=lines, stderr=lines) as run:
         while run.poll() is None:
             elapsed_s = time.monotonic() - begun_s
             if elapsed_s >= duration_s:
@@ -75,11 +76,11 @@ def soak(command: list[str], duration_s: float) -> dict[str, dict[str, Any]]:
                 run.wait()
                 break
             for number, name in processes_of(run.pid).items():
-                if elapsed_s < SETTLED_S or (use := use_of(number)) is None:
+                if elapsed_s < settled_s or (use := use_of(number)) is None:
                     continue
                 entry = uses.setdefault(name, {"begin": use, "largest_mb": 0.0})
                 entry["end"], entry["largest_mb"] = use, max(entry["largest_mb"], use["memory_mb"])
-            time.sleep(min(PERIOD_S, max(0.1, duration_s - elapsed_s)))
+            time.sleep(min(PERIOD_S, settled_s, max(0.1, duration_s - elapsed_s)))
     return uses
 
 
@@ -98,7 +99,7 @@ def main() -> int:
     command += ["--record", str(folder), "--json", str(result)]
     command += [word for setting in options.set for word in ("--set", setting)]
     load = os.getloadavg()[0]
-    uses = soak(command, 60.0 * options.minutes)
+    uses = soak(command, 60.0 * options.minutes, options.out / "run.txt")
     run = json.loads(result.read_text()) if result.exists() else {}
     timing = run.get("timing", {})
     kept = ("cycles", "overruns", "skipped_periods", "lateness_us", "devices")

@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -281,16 +281,21 @@ class Runner:
         self.rate.restart()
         step_s, cycles = self._plan.step_s, self._plan.cycles
         held_s = 0.0
-        while (first := self.loop.done) < cycles:
-            tick = self.cycles.advance(held_s)
-            last = self.loop.done - 1
-            if _has_multiple(first, last, PROGRESS_CYCLES):
-                self._on_progress(Mode.RUNNING, last / cycles)
-            if _has_multiple(first, last, self._sequencer.link_check_cycles):
-                self._sequencer.check_links(tick.now_s)
-            self.operator.poll(tick.now_s)
-            if self.operator.pending or self.safety.hold_reason:
-                held_s += self._execute_while_running(last * step_s)
+        # a signal is the regular end of such a run: between two cycles, so that each recorded one is counted
+        regular_end = self._plan.until_stopped and not self.operator.attended
+        with _signals_counted() if regular_end else nullcontext(list[int]()) as signals:
+            while (first := self.loop.done) < cycles:
+                if signals:
+                    raise StopCommanded
+                tick = self.cycles.advance(held_s)
+                last = self.loop.done - 1
+                if _has_multiple(first, last, PROGRESS_CYCLES):
+                    self._on_progress(Mode.RUNNING, last / cycles)
+                if _has_multiple(first, last, self._sequencer.link_check_cycles):
+                    self._sequencer.check_links(tick.now_s)
+                self.operator.poll(tick.now_s)
+                if self.operator.pending or self.safety.hold_reason:
+                    held_s += self._execute_while_running(last * step_s)
         self._finish()
         self._on_progress(Mode.RUNNING, 1.0)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,15 @@ import numpy as np
 import pytest
 
 from hil.api import recordings, runs
+from hil.core.clock import SimulatedClock
 from hil.core.modes import Mode
 from hil.errors import BadInput
+from hil.frmn.ring import NoTelemetry
+from hil.loop.rate_keeper import SimulatedRate
 from hil.recording import parts, read
 from hil.recording.read import load
 from hil.recording.replay import replay
+from hil.session.build import in_memory
 from hil.session.warm_up import warm_up
 from hil.setup import assembly
 from tests.support.run_settings import make_job
@@ -117,6 +122,22 @@ def test_ctrl_c_ends_a_run_until_stopped_normally(compiled: bool) -> None:
     assert found.summary["faults"] == []
     assert found.summary["timing"]["cycles"] > 100
     assert np.all(np.diff(found.history["t_s"]) > 0.0)
+
+
+def test_ctrl_c_ends_a_run_between_two_cycles_so_that_each_recorded_one_counts() -> None:
+    job = replace(make_job(1.0), until_stopped=True, compiled=False)
+    runner = in_memory(job, SimulatedRate(SimulatedClock(), job.scenario.value.step_s))
+    recorded: list[int] = []
+
+    class PressedInTheCycle(NoTelemetry):
+        def put(self, row: np.ndarray) -> None:
+            recorded.append(len(recorded))
+            if len(recorded) == 51:
+                signal.raise_signal(signal.SIGINT)
+
+    runner.loop.telemetry = PressedInTheCycle()
+    assert runner.run().stop == "completed"
+    assert runner.loop.done == len(recorded) == 51
 
 
 def test_parts_of_a_run_in_real_time_are_evaluated_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
