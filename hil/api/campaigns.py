@@ -19,7 +19,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
-from hil.monte_carlo.campaign import RIG, CampaignJob, scenario_digest
+from hil.monte_carlo.campaign import RIG, CampaignJob, campaign_digest
 from hil.monte_carlo.dispersions import Design, case_seed
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.sobol_indices import sobol_point
@@ -168,6 +168,6 @@ def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str
     if stored.is_sobol:
         unit, mixed = sobol_point(stored.seed, case, len(Design(job.scenario, job.seed).names))
     note = ""
-    if stored.digest != scenario_digest(job.scenario.value, job.rig.value):
+    if stored.digest != campaign_digest(job.scenario.value, job.rig.value):
         note = f"{folder}: its campaign has another scenario, rig or settings: the run differs from its case {case}"
     return job_of_case(job, case, mixed, unit), stored.seed, note

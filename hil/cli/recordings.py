@@ -210,12 +210,12 @@ def verify_recordings(
     refuse(check_json_path("--json", json))
 
     from hil.api.recordings import open_recording
-    from hil.monte_carlo.campaign import write_evidence
-    from hil.monte_carlo.placement import evidence_of_runs
+    from hil.monte_carlo.campaign import scenario_digest, write_evidence
+    from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
     from hil.report.requirements_page import OPEN, VERIFIED, with_open_steps
 
     opened = {Path(name).name: open_recording(name) for name in recordings}
-    runs = {name: (run.rig.kind, run.summary) for name, run in opened.items()}
+    runs = {name: RecordedRun(run.rig.kind, run.summary, scenario_digest(run.scenario)) for name, run in opened.items()}
     scenario, sources, rows = evidence_of_runs(runs, Path(campaign))
     folder = Path(campaign if out is None else out)
     folder.mkdir(parents=True, exist_ok=True)

@@ -107,7 +107,8 @@ class CampaignJob:
         """Return what distinguishes the campaign from others."""
         return {
             "scenario": self.scenario.value.name,
-            "digest": scenario_digest(self.scenario.value, self._rig.value),
+            "digest": campaign_digest(self.scenario.value, self._rig.value),
+            "scenario_digest": scenario_digest(self.scenario.value),
             "seed": self.seed,
             "duration_s": self.duration_s,
             "kernels": kernels_digest(),
@@ -154,9 +155,17 @@ def write_evidence(folder: Path, scenario: str, sources: dict[str, Any], rows: S
             partial.write_text(text, encoding="utf-8")
 
 
-def scenario_digest(scenario: Scenario, rig: Rig) -> str:
+def campaign_digest(scenario: Scenario, rig: Rig) -> str:
     """Return a digest of scenario, rig and GNC binary."""
-    texts = (first_names_json(scenario), first_names_json(rig), binary_digest(scenario.gnc))
+    return _digest(first_names_json(scenario), first_names_json(rig), binary_digest(scenario.gnc))
+
+
+def scenario_digest(scenario: Scenario) -> str:
+    """Return a digest of the scenario alone, which runs on any rig have in common."""
+    return _digest(first_names_json(scenario))
+
+
+def _digest(*texts: str) -> str:
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
 
 

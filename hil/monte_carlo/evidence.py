@@ -63,7 +63,7 @@ def judge_requirement(requirement: ProbabilisticRequirement, values: Array) -> d
         "cases_needed": cases_needed(failures, probability, risk),
         "risk": acceptance_risk(n, failures, probability),
         "bound": bound,
-        "margin": None if bound is None else requirement.sign * (requirement.limit - bound),
+        "margin": None if bound is None else requirement.sign * (requirement.limit - bound) + 0.0,  # never -0
         "verdict": verdict,
     }
 

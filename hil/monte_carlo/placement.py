@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -96,12 +96,18 @@ def place_run(summary: Mapping[str, Any], folder: Path) -> dict[str, dict[str, A
         raise BadInput.single("--campaign", "", f"{folder}: {one_line(str(error), 200)}") from error
 
 
-def evidence_of_runs(
-    runs: Mapping[str, tuple[str, Mapping[str, Any]]], folder: Path
-) -> tuple[str, dict[str, Any], list[EvidenceRow]]:
+class RecordedRun(NamedTuple):
+    """Evidence of a recording: kind of the rig, summary, and digest of the scenario."""
+
+    kind: str
+    summary: Mapping[str, Any]
+    scenario_digest: str
+
+
+def evidence_of_runs(runs: Mapping[str, RecordedRun], folder: Path) -> tuple[str, dict[str, Any], list[EvidenceRow]]:
     """Return scenario, sources and evidence of a campaign with requirements in ``folder`` and of recorded runs.
 
-    runs: kind of the rig and summary of each recording, by its name. Raises BadInput.
+    runs: by the names of the recordings. Raises BadInput, also for a run of another scenario than the campaign's.
     """
     campaign, path = StoredCampaign(folder), folder / "summary.json"
     try:
@@ -113,10 +119,14 @@ def evidence_of_runs(
         raise BadInput.single("--campaign", "", f"{folder}: its scenario has no [[requirements]]")
     sources: dict[str, Any] = {"campaign": folder.name, "seed": campaign.seed, "digest": campaign.digest}
     rows = campaign_rows(requirements, sources)
-    for name, (kind, run) in runs.items():
-        if run.get("scenario") != campaign.scenario:
-            text = f"{name}: is a run of {run.get('scenario')}, the campaign one of {campaign.scenario}"
-            raise BadInput.single("--campaign", "", text)
+    for name, (kind, run, digest) in runs.items():
+        for what, own, expected in (
+            ("scenario", run.get("scenario"), campaign.scenario),
+            ("scenario digest", digest, campaign.scenario_digest or "of an earlier version"),
+        ):
+            if own != expected:
+                text = f"{name}: {what} {own}, that of the campaign is {expected}"
+                raise BadInput.single("--campaign", "", text)
         outcomes = outcomes_of(run)
         evidence = f"{name}, rig {run.get('rig', '-')}, seed {run.get('seed', '-')}"
         sources[name] = f"rig {run.get('rig', '-')}, seed {run.get('seed', '-')}, {run.get('stop', '-')}"

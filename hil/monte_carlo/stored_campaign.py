@@ -26,6 +26,7 @@ class StoredCampaign:
         try:
             identity: Any = parse_json(read_text(path, CONFIG_BYTES))
             self.scenario, self.digest = str(identity["scenario"]), str(identity["digest"])
+            self.scenario_digest = str(identity.get("scenario_digest", ""))
             self.seed, self.duration_s = int(identity["seed"]), float(identity["duration_s"])
             self.is_rare, self.is_sobol = "rare" in identity, "sobol" in identity
             self.is_importance = "importance" in identity

@@ -12,6 +12,7 @@ h3 { font-size: 1.05em; }
 table { border-collapse: collapse; margin: .6em 0 1em; } caption { text-align: left; font-weight: 600; }
 th, td { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right; vertical-align: top; }
 th:first-child, td:first-child, .words td, .words th { text-align: left; }
+.words td:first-child { white-space: nowrap; }
 img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px; background: #f5f5f5; padding: .7em; }
 .verdict { font-size: 1.3em; font-weight: 700; padding: .4em .8em; display: inline-block; border: 3px solid; }
 .pass { color: #00543b; border-color: #009e73; } .fail { color: #7c2d00; border-color: #d55e00; }

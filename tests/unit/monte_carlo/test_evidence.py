@@ -17,7 +17,7 @@ from hil.errors import BadInput
 from hil.maths.order_statistics import cases_needed
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.evidence import judge_requirement, tolerance_bound
-from hil.monte_carlo.placement import evidence_of_runs
+from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
 from hil.report.requirements_page import (
     campaign_rows,
     evidence_files,
@@ -27,7 +27,9 @@ from hil.report.requirements_page import (
     with_open_steps,
 )
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "run-a-campaign.md"
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "how-to" / "run-a-campaign.md"
+EXAMPLE = ROOT / "examples" / "requirements.toml"
 REQUIREMENT = ProbabilisticRequirement(id="R-1", text="x is small", column="position_m_x", at_most=0.006)
 
 
@@ -108,13 +110,13 @@ def test_recorded_run_is_evidence_of_its_step_with_its_margin() -> None:
 
 
 def test_evidence_of_runs_stands_beside_that_of_the_campaign(tmp_path: Path) -> None:
-    identity = {"scenario": "scheme-1", "digest": "abc", "seed": 3, "duration_s": 400.0}
+    identity = {"scenario": "scheme-1", "digest": "abc", "scenario_digest": "def", "seed": 3, "duration_s": 400.0}
     (tmp_path / "campaign.json").write_text(json.dumps(identity))
     requirements = [judged(np.full(852, 0.005)), judged(np.full(852, 0.005), id="R-2", column="limited_cycles")]
     (tmp_path / "summary.json").write_text(json.dumps({"requirements": requirements}))
     run = {"scenario": "scheme-1", "rig": "emulated", "seed": 1, "stop": "completed"}
     run |= {"ready_phase": {"position_m": [0.003, 0.0, 0.0]}}
-    scenario, sources, rows = evidence_of_runs({"a.mcap": ("emulated", run)}, tmp_path)
+    scenario, sources, rows = evidence_of_runs({"a.mcap": RecordedRun("emulated", run, "def")}, tmp_path)
     assert scenario == "scheme-1"
     assert "emulated, seed 1, completed" in sources["a.mcap"]
     assert [(row.id, row.step, row.margin) for row in rows] == [
@@ -123,8 +125,10 @@ def test_evidence_of_runs_stands_beside_that_of_the_campaign(tmp_path: Path) -> 
     ]  # fmt: skip
     files = evidence_files(scenario, sources, rows)
     assert [each["step"] for each in json.loads(files["requirements.json"])["evidence"]].count("hardware") == 2
-    with pytest.raises(BadInput, match="run of scheme-2"):
-        evidence_of_runs({"b.mcap": ("mock", run | {"scenario": "scheme-2"})}, tmp_path)
+    with pytest.raises(BadInput, match=r"b\.mcap: scenario scheme-2, that of the campaign is scheme-1"):
+        evidence_of_runs({"b.mcap": RecordedRun("mock", run | {"scenario": "scheme-2"}, "def")}, tmp_path)
+    with pytest.raises(BadInput, match=r"c\.mcap: scenario digest 123, that of the campaign is def"):
+        evidence_of_runs({"c.mcap": RecordedRun("mock", run, "123")}, tmp_path)
     (tmp_path / "summary.json").write_text("{}")
     with pytest.raises(BadInput, match="no requirements"):
         evidence_of_runs({}, tmp_path)
@@ -153,3 +157,9 @@ def test_table_of_the_page_is_the_binomial_one() -> None:
     assert len(others) == 2
     for percent, cases in others:
         assert cases == [cases_needed(k, float(percent) / 100.0, 0.1) for k in failures[1]]
+
+
+def test_200_cases_are_enough_for_the_requirements_of_the_example() -> None:
+    found = load_scenario(str(EXAMPLE)).value.requirements.probabilistic
+    assert [each.id for each in found] == ["RVD-010", "RVD-020", "RVD-030", "RVD-040"]
+    assert all(cases_needed(0, each.probability, each.consumer_risk) <= 200 for each in found)
