@@ -34,7 +34,7 @@ def test_tolerances_of_a_camera_are_zero_unless_stated() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("row", MONITOR_ROWS, ids=lambda row: row.name)
 def test_no_disturbance_gives_a_gross_error(row: MonitorRow) -> None:
-    """The table of ``python sims/monitor_disturbances.py``."""
+    """The table of ``python sims/disturbances.py monitor``."""
     for seed in range(3):
         tally = row.run(10, seed)
         assert tally.gross == 0, tally.line()

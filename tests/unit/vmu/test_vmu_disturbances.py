@@ -157,7 +157,7 @@ def check(row: Row, tallies: list[Tally], least: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("row", SOLVED, ids=lambda row: row.name)
 def test_every_row_of_disturbances_is_solved_with_honest_errors(row: Row) -> None:
-    """The table of ``python sims/vmu_disturbances.py``."""
+    """The table of ``python sims/disturbances.py vmu``."""
     least = 36 / 40 if row.stated in (USUAL, None) else 38 / 40
     check(row, [row.run(40, seed) for seed in range(3)], least)
 
@@ -165,7 +165,7 @@ def test_every_row_of_disturbances_is_solved_with_honest_errors(row: Row) -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*APART, UNSTATED, "glint on a tracked ring"])
 def test_no_disturbance_gives_a_gross_error(name: str) -> None:
-    """The table of ``python sims/vmu_disturbances.py``."""
+    """The table of ``python sims/disturbances.py vmu``."""
     for seed in range(3):
         tally = BY_NAME[name].run(40, seed)
         assert tally.gross == 0, tally.line()
