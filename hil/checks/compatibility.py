@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
 from hil.checks.reachability import check_reachability
+from hil.checks.target_motion import check_target_motion
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
@@ -41,13 +42,13 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
 
 
 def check_plan(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return the problems of ``check_reachability``, or one if the thrusters cannot move an axis of the chaser."""
+    """Return the problems of the plan: of the target's motion, of the rig's reach, and of the thruster layout."""
     try:
         gnc_params.allocation(scenario.value.chaser)
     except ValueError as error:
         key = "chaser.thrusters.position_m"
         return [Problem(scenario.where(key), key, str(error))]
-    return check_reachability(scenario, rig)
+    return [*check_target_motion(scenario, rig), *check_reachability(scenario, rig)]
 
 
 def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:

@@ -7,7 +7,7 @@ settings.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, Array, new
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
@@ -30,7 +31,8 @@ class PlanSample:
     """One moment of the plan: pose and velocity of the chaser, and the keys of the scenario that determine them.
 
     abort_s: begin of the abort that it belongs to, None on the approach. r_CT_H: m, v_CT_H: m/s, rotation: vector of
-    the attitude against H, rad, each (3,). far_m: largest range, m, at which the chaser may have left its line.
+    the attitude against H, rad, each (3,). far_m: largest range, m, at which the chaser may have left its line. q_CH:
+    attitude of the reference.
     """
 
     t_s: float
@@ -42,6 +44,7 @@ class PlanSample:
     point_key: str
     speed_key: str
     rotation_key: str = "initial.attitude_deg"
+    q_CH: Array = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
 
 
 def control_bounds(scenario: Scenario) -> ControlBounds:
@@ -54,6 +57,7 @@ def control_bounds(scenario: Scenario) -> ControlBounds:
     control = gnc_params.gnc(scenario).control
     burn = control.acceleration * control.period * control.dt_s
     slew = np.maximum(control.correction_rate[3:], np.abs(np.radians(scenario.initial.rate_degps)))
+    slew = np.maximum(slew, _planned_rate(scenario))
     dss = dynamics_params.dss(scenario)
     n = dss.n_thrusters
     force = dss.thruster_direction[:n] * dss.thruster_force[:n, None]
@@ -66,6 +70,20 @@ def control_bounds(scenario: Scenario) -> ControlBounds:
         acceleration=most[:3] / scenario.chaser.mass_kg,
         slewing=np.abs(inverse) @ most[3:],
     )
+
+
+def _planned_rate(scenario: Scenario) -> float:
+    """Return the largest rate of rotation of a phase, rad/s: that of a slew, or of the shortest radius of an arc."""
+    settings, rates = scenario.gnc.guidance, [0.0]
+    radii = [math.hypot(*scenario.initial.position_m), math.hypot(*settings.ready_point_m)]
+    radii += [math.hypot(*phase.point_m) for phase in settings.phases.values() if phase.point_m is not None]
+    for name in settings.sequence:
+        phase = settings.phases[name]
+        if phase.kind == "slew":
+            rates.append(math.radians(phase.rate_degps or scenario.gnc.control.slew_rate_degps))
+        elif phase.kind == "fly_around":
+            rates.append((phase.speed_mps or settings.approach_speed_mps) / min(radii))
+    return max(rates)
 
 
 def moments(scenario: Scenario) -> list[PlanSample]:
@@ -132,7 +150,9 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
             guidance.reference(params, state, t_s, reference)
             r, v = reference.r_CT_H.copy(), reference.v_CT_H.copy()
             key = from_key if _distance(r, state.from_H) < _distance(r, state.to_H) else to_key
-            found.append(PlanSample(t_s, None, r, v, slew.at(t_s), float(np.linalg.norm(r)), key, speed_key))
+            q = reference.q_CH.copy()
+            rotation = turned(slew.at(t_s), q)
+            found.append(PlanSample(t_s, None, r, v, rotation, float(np.linalg.norm(r)), key, speed_key, q_CH=q))
         if last:
             return found
         from_key = to_key
@@ -157,6 +177,7 @@ def _times(begin: float, end: float, last: bool, moves: bool, slew: _Slew) -> li
 def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample]:
     """Return the end of the brake, and middle and end of the retreat, of an abort at ``start``."""
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
+    guidance.start(params, state)
     guidance.start_abort(params, state, start.t_s, start.r_CT_H, start.v_CT_H)
     braked_s = float(guidance.nominal_end(params, state))
     found = [(braked_s, state.to_H.copy(), np.zeros(3), "gnc.abort.brake_mps2")]
@@ -169,10 +190,25 @@ def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample
             found.append((t_s, reference.r_CT_H.copy(), reference.v_CT_H.copy(), "gnc.abort.hold_distance_m"))
     return [
         PlanSample(
-            t, start.t_s, r, v, slew.at(t), max(start.far_m, float(np.linalg.norm(r))), key, "gnc.abort.speed_mps"
+            t,
+            start.t_s,
+            r,
+            v,
+            turned(slew.at(t), start.q_CH),
+            max(start.far_m, float(np.linalg.norm(r))),
+            key,
+            "gnc.abort.speed_mps",
         )
         for t, r, v, key in found
     ]
+
+
+def turned(rotation: Array, q_CH: Array) -> Array:
+    """Return ``rotation`` (3,), rad, after the attitude ``q_CH`` (4,), as a rotation vector against H."""
+    if not q_CH[:3].any():
+        return rotation
+    found: Array = quat.to_rotation_vector(quat.multiply(quat.from_rotation_vector(rotation), q_CH))
+    return found
 
 
 def _distance(a: Array, b: Array) -> float:

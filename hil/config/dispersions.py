@@ -130,6 +130,8 @@ class Dispersions(ConfigModel):
     """Cases per block of a Latin hypercube."""
     orbit: Table = Field(default_factory=dict)
     """Distributions of keys in `[orbit]`."""
+    target: Table = Field(default_factory=dict)
+    """Distributions of keys in `[target]`: the GNC keeps the nominal ones."""
     truth: Table = Field(default_factory=dict)
     """Distributions of keys in `[truth]`."""
     initial: Table = Field(default_factory=dict)
@@ -145,4 +147,4 @@ class Dispersions(ConfigModel):
     """Distributions of keys in `[gnc]`: of the parameters of the GNC itself, and of injected events."""
 
 
-TABLES = ("orbit", "truth", "initial", "chaser", "imu", "vmu", "gnc")
+TABLES = ("orbit", "target", "truth", "initial", "chaser", "imu", "vmu", "gnc")

@@ -28,6 +28,11 @@ Name = Annotated[str, StringConstraints(max_length=100), AfterValidator(_printab
 """Text for a page, a terminal and the name of a file."""
 Triple = tuple[float, float, float]
 Matrix3 = tuple[Triple, Triple, Triple]
+AngleTriple = tuple[
+    Annotated[float, Field(gt=-180.0, le=180.0)],
+    Annotated[float, Field(gt=-90.0, lt=90.0)],
+    Annotated[float, Field(gt=-180.0, le=180.0)],
+]
 
 
 class ConfigModel(BaseModel):

@@ -15,17 +15,11 @@ from hil.config.faults import TimedFault
 from hil.config.guard import KeepOut
 from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
-from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
+from hil.config.model import AngleTriple, ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.model_fmu import ModelFmu, ThrusterModel
+from hil.config.target import KnownTarget, MovingTarget
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
-
-AngleTriple = tuple[
-    Annotated[float, Field(gt=-180.0, le=180.0)],
-    Annotated[float, Field(gt=-90.0, lt=90.0)],
-    Annotated[float, Field(gt=-180.0, le=180.0)],
-]
-
 
 DURATION_MAX_S = 1e6
 CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
@@ -251,33 +245,52 @@ class Shadow(ConfigModel):
 class Phase(ConfigModel):
     """One phase of the approach; defaults come from the guidance table."""
 
-    kind: Literal["approach", "hold", "wait", "final", "retreat"]
+    kind: Literal["approach", "hold", "wait", "final", "retreat", "fly_around", "slew"]
     """See [the approach](../../explanation/approach.md)."""
     point_m: Triple | None = None
-    """End point in H of a moving phase; unless set, the ready point."""
+    """End point in H of a moving phase; unless set, the ready point. Of a fly-around: the end of its arc."""
     speed_mps: Positive | None = None
     """Largest speed; unless set, `approach_speed_mps`."""
     acceleration_mps2: Positive | None = None
     """Unless set, that of `[gnc.guidance]`."""
     deceleration_mps2: Positive | None = None
     """Unless set, that of `[gnc.guidance]`."""
+    attitude_deg: AngleTriple | None = None
+    """Of a slew: 3-2-1 angles from H to c at its end."""
+    rate_degps: Positive | None = None
+    """Of a slew: largest rate; unless set, `gnc.control.slew_rate_degps`."""
+    acceleration_degps2: Positive | None = None
+    """Of a slew: angular acceleration; unless set, the rate within 2 s."""
     duration_s: NotNegative | None = None
     """Of a hold."""
     end_time_s: NotNegative | None = None
     """Of a wait, time of the run; unless set, it waits for the operator's go."""
 
+    @property
+    def reacts_as(self) -> str:
+        """Kind of phase whose reactions it has."""
+        return "approach" if self.kind in ("fly_around", "slew") else self.kind
+
     @model_validator(mode="after")
     def _keys_suit_the_kind(self) -> Self:
         moving = ("point_m", "speed_mps", "acceleration_mps2", "deceleration_mps2")
-        allowed = {"hold": ("duration_s",), "wait": ("end_time_s",)}.get(self.kind, moving)
-        given = [name for name in (*moving, "duration_s", "end_time_s") if getattr(self, name) is not None]
+        own = {
+            "hold": ("duration_s",),
+            "wait": ("end_time_s",),
+            "slew": ("attitude_deg", "rate_degps", "acceleration_degps2"),
+        }
+        allowed = own.get(self.kind, moving)
+        names = (*moving, *(name for each in own.values() for name in each))
+        given = [name for name in names if getattr(self, name) is not None]
         foreign = [name for name in given if name not in allowed]
         if foreign:
             raise ValueError(f'{foreign[0]} does not go with kind = "{self.kind}", which takes: {", ".join(allowed)}')
         if self.kind == "hold" and self.duration_s is None:
             raise ValueError('kind = "hold" needs duration_s')
-        if self.kind == "retreat" and self.point_m is None:
-            raise ValueError('kind = "retreat" needs point_m')
+        if self.kind in ("retreat", "fly_around") and self.point_m is None:
+            raise ValueError(f'kind = "{self.kind}" needs point_m')
+        if self.kind == "slew" and self.attitude_deg is None:
+            raise ValueError('kind = "slew" needs attitude_deg')
         return self
 
 
@@ -390,7 +403,7 @@ class PhaseReactions(ConfigModel):
     """Reaction to one condition, by kind of phase."""
 
     approach: ReactionName = "abort"
-    """In a phase of kind approach."""
+    """In a phase of kind approach, fly_around or slew."""
     hold: ReactionName = "abort"
     """Of kind hold."""
     wait: ReactionName = "abort"
@@ -479,6 +492,7 @@ class GncConfig(ConfigModel):
     """Longest time of a step in a process of its own, real time."""
     navigation: Navigation
     ephemeris: Ephemeris = Ephemeris()
+    target: KnownTarget = KnownTarget()
     akf: AttitudeFilter
     pkf: PositionFilter
     vision_only: VisionOnly
@@ -493,7 +507,7 @@ class GncConfig(ConfigModel):
     @model_validator(mode="after")
     def _every_phase_can_be_aborted(self) -> Self:
         for name in self.guidance.sequence:
-            kind = self.guidance.phases[name].kind
+            kind = self.guidance.phases[name].reacts_as
             if all(getattr(condition, kind) != "abort" for condition in self.reactions.conditions()):
                 raise ValueError(
                     f'reactions: phase "{name}", of kind {kind}, is left without an abort: allowed is at least one'
@@ -617,6 +631,7 @@ class Scenario(ConfigModel):
     step_s: Annotated[float, Field(ge=1e-4, le=1.0)]
     """Period of the cycle: of guidance, navigation and control, and of the recorded rows."""
     orbit: Orbit
+    target: MovingTarget = MovingTarget()
     truth: Truth = Truth()
     chaser: Chaser
     initial: Initial
@@ -642,6 +657,21 @@ class Scenario(ConfigModel):
                 raise ValueError(
                     f"{name}.fmu: faults of family {family} are of the built-in model: put them into the FMU"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _models_know_the_target(self) -> Self:
+        if self.target.motion == "aligned":
+            return self
+        motion = f'target.motion = "{self.target.motion}"'
+        if self.truth.relative_motion != "nonlinear":
+            raise ValueError(f'{motion} requires truth.relative_motion = "nonlinear"')
+        if self.truth.fmu is not None:
+            raise ValueError(f"{motion} does not go with truth.fmu: put the motion into the FMU")
+        if self.gnc.akf.form != "multiplicative":
+            raise ValueError(f'{motion} requires gnc.akf.form = "multiplicative"')
+        if self.gnc.shadow.enabled:
+            raise ValueError(f"{motion} does not go with gnc.shadow.enabled, whose filters are those of the Hill frame")
         return self
 
     @property

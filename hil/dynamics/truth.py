@@ -4,7 +4,8 @@ Two models of relative motion. NONLINEAR: target and relative vector in inertial
 gravity field, its difference free of cancellation. HILL: the linear motion in the Hill frame H of a
 circular orbit (bench paper eq. (11)). The axes in which a step is integrated are called F: I or H, and
 the attitude during the step is that of c against F. H is the instantaneous frame of the target's own
-position and velocity; the relative state is transformed back into it at the end of each step.
+position and velocity, or the body frame of a target that rotates against it; the relative state is transformed back
+into it at the end of each step.
 
 Thrust is constant over the step; everything else is integrated with the classical fourth-order
 Runge-Kutta method, gravity evaluated beforehand (docs/explanation/truth.md).
@@ -28,6 +29,7 @@ from hil.dynamics.mass_centre import add_lever_terms, shift
 from hil.dynamics.orbit_forces import ORBIT_FORCES
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
+from hil.dynamics.target_attitude import ALIGNED, TARGET_ATTITUDE, move_target_axes
 from hil.dynamics.target_faults import TARGET_MEMORY, move_target
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
 from hil.dynamics.thruster_faults import THRUST_MEMORY, step_real_valves
@@ -68,6 +70,7 @@ DSS_PARAMS = np.dtype(
         ("thruster_faults", FAULTS),
         ("isolation_closing_s", "f8"),
         ("target_faults", FAULTS),
+        ("target_attitude", TARGET_ATTITUDE),
     ],
     align=True,
 )
@@ -223,6 +226,8 @@ def _move_frame(params, acceleration, y, truth):
         orbit.hill_frame(r, v, a)
         orbit.hill_rate(r, v, acceleration, a, rate)
     orbit.quaternion_near(a, truth.q_HI, q_hi)
+    if params.target_attitude.motion != ALIGNED:
+        move_target_axes(params.target_attitude, params.dt_s, truth.t_s, truth, q_hi, rate)
     copy_into(truth.r_T_I, r)
     copy_into(truth.v_T_I, v)
     copy_into(truth.q_HI, q_hi)

@@ -15,10 +15,10 @@ An axis decides once per period. Outside the dead band it fires against s for as
 the filters converge, s is mostly noise, and propellant spent on noise is spent twice. The brake of an
 abort has the set dead band only.
 
-The reference's acceleration is fed forward: the change of rate that it requires over the coming period is
-fired in one burn. The part required and not yet fired, or fired ahead, is the pending delta-v (``owed`` in
-COMMAND); the rate error is taken against the reference's rate without it, so feedback never fires the same
-change again.
+The reference's acceleration is fed forward, with what axes of H that rotate ask beyond it (``hil.gnc.body_frame``):
+the change of rate that it requires over the coming period is fired in one burn. The part required and not yet fired,
+or fired ahead, is the pending delta-v (``owed`` in COMMAND); the rate error is taken against the reference's rate
+without it, so feedback never fires the same change again.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ CONTROL_PARAMS = np.dtype(
         ("period", "i8", 6),  # cycles
         ("acceleration", "f8", 6),  # m/s^2, rad/s^2 of a demand
         ("high_thrust_acceleration", "f8", 3),  # m/s^2 of a force demand with the full-thrust sets
+        ("inertia", "f8", (3, 3)),  # kg m^2, in c
     ],
     align=True,
 )
@@ -102,11 +103,22 @@ def clear_demands(command):
     fill(command.owed, 0.0)
 
 
+FEED_FORWARD = np.dtype(
+    [
+        ("acceleration", "f8", 6),  # m/s^2, in H, beyond the reference's own; rad/s^2, about the axes of c
+        ("rate_C", "f8", 3),  # rad/s, of the reference against H
+        ("q_CH", "f8", 4),  # the reference's attitude of the cycle before
+    ],
+    align=True,
+)
+"""What a reference that turns, or axes of H that rotate, ask of control; zero without either."""
+
+
 @kernel
-def control(params, navigation, reference, command):
+def control(params, navigation, reference, feed, command):
     """Write the six demands of ``command`` (COMMAND), which holds the state of the axes as well.
 
-    navigation: NAVIGATION; while it is not valid there are no demands. reference: REFERENCE. With
+    navigation: NAVIGATION; while it is not valid there are no demands. reference: REFERENCE. feed: FEED_FORWARD. With
     ``reference.boost`` a force demand has the acceleration of the full-thrust sets; when that begins or
     ends, the axes drop their burns and decide at once. The sigmas of navigation are taken axis by axis as
     if c were parallel to H: they only widen dead bands.
@@ -123,7 +135,9 @@ def control(params, navigation, reference, command):
         rate_c[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]
     quat.transform_into(navigation.q_CH, error_c, error_c)
     quat.transform_into(navigation.q_CH, rate_c, rate_c)
-    quat.transform_into(navigation.q_CH, reference.a_CT_H, acceleration_c)
+    for i in range(3):
+        acceleration_c[i] = reference.a_CT_H[i] + feed.acceleration[i]
+    quat.transform_into(navigation.q_CH, acceleration_c, acceleration_c)
     quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
     for i in range(3):
         acceleration = params.high_thrust_acceleration[i] if command.boost != 0 else params.acceleration[i]
@@ -135,9 +149,9 @@ def control(params, navigation, reference, command):
             params,
             3 + i,
             rotation[i],
-            navigation.w_CH_C[i],
+            navigation.w_CH_C[i] - feed.rate_C[i],
             navigation.sigma_attitude_rad[i],
-            0.0,
+            feed.acceleration[3 + i],
             params.acceleration[3 + i],
             command,
         )

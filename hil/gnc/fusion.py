@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import POSE
-from hil.gnc import akf, akf_additive, error_budget, pkf
+from hil.gnc import akf, akf_additive, body_frame, error_budget, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
 from hil.gnc.error_budget import BUDGET_STATE, ERROR_BUDGET, INNOVATION, NOISE_FACTOR
@@ -175,6 +175,19 @@ def _start(params, state, pose, filters, budget):
 
 @kernel
 def _predict(params, state, step):
+    """Carry both filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
+    if step.hill.rotates == 0:
+        _predict_filters(params, state, step)
+        return
+    filters, axes = state.filters, stack.matrix(3, 3)
+    body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
+    body_frame.enter_middle(axes, filters.pkf, state.budget.p, params.budget.n)
+    _predict_filters(params, state, step)
+    body_frame.leave_middle(axes, filters.pkf, state.budget.p, params.budget.n)
+
+
+@kernel
+def _predict_filters(params, state, step):
     """Carry both filters over ``step`` (STEP)."""
     filters, middle = state.filters, stack.vector(4)
     copy_into(middle, filters.akf.x[0:4])

@@ -1,9 +1,10 @@
-"""Guidance: the reference as a list of phases, each a straight line from rest to rest and a stay at its end.
+"""Guidance: the reference as a list of phases, each a path from rest to rest and a stay at its end.
 
-A phase starts where the one before ended. Moving phases (approach, final, retreat) are over when
-their line is completed, a hold after its duration, a wait at its time or at the order to continue; the last
-phase of the list never ends. An abort leaves the list: brake from the present velocity, retreat along the
-docking axis, hold. The reference's attitude is that of H throughout.
+A phase starts where the one before ended. Moving phases are over when their path is completed, a hold after its
+duration, a wait at its time or at the order to continue; the last phase of the list never ends. The path is a straight
+line (approach, final, retreat), an arc about the target on which the chaser rotates with it (fly-around), or a rotation
+at rest (slew). The attitude is that of H at first. An abort leaves the list: brake from the present velocity, retreat
+along the docking axis, hold, all at the attitude of the moment.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
-from hil.maths import stack
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.profile import along_line, duration
 
 APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
+LINE, ARC, SLEW = range(3)  # paths of a moving phase
 STAYED, MOVED, REFUSED = range(3)  # results of advance
 _ABORT_PHASES = 3  # brake, retreat, hold: numbered after the phases of the list
 
@@ -38,6 +40,8 @@ GUIDANCE_PARAMS = np.dtype(
         ("abort_speed", "f8"),  # m/s
         ("abort_acceleration", "f8"),  # m/s^2, of the retreat
         ("brake", "f8"),  # m/s^2, of the brake before it
+        ("path", "i8", MAX_PHASES),  # of a moving phase
+        ("attitude", "f8", (MAX_PHASES, 4)),  # at the end of a slew, whose speeds are in rad/s
     ],
     align=True,
 )
@@ -50,6 +54,9 @@ GUIDANCE_STATE = np.dtype(
         ("to_H", "f8", 3),  # m, where it ends
         ("brake_H", "f8", 3),  # m/s, velocity at the start of a brake
         ("abort_range", "f8"),  # m, from the target, to which the abort retreats
+        ("q_from", "f8", 4),  # attitude at the start of the phase
+        ("turn_C", "f8", 3),  # rad, rotation of c over the phase, in c
+        ("axis", "f8", 3),  # unit vector in H, of the rotation of an arc
     ],
     align=True,
 )
@@ -67,7 +74,24 @@ def kind_of(params, phase):
 
 
 @kernel
-def _length(state):
+def _path(params, phase):
+    """Return the path of a phase; those after the list are straight."""
+    return params.path[phase] if phase < params.n_phases else LINE
+
+
+@kernel
+def _norm(v):
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+@kernel
+def _length(params, state):
+    """Return the length of the phase's path: m, of a slew rad."""
+    path = _path(params, state.phase)
+    if path == SLEW:
+        return _norm(state.turn_C)
+    if path == ARC:
+        return _norm(state.turn_C) * max(_norm(state.from_H), _norm(state.to_H))
     square = 0.0
     for i in range(3):
         square += (state.to_H[i] - state.from_H[i]) ** 2
@@ -87,7 +111,51 @@ def _aim(params, state):
     elif kind == RETREAT and phase >= params.n_phases:
         _aim_outwards(params, state)
     elif kind != HOLD and kind != WAIT:
-        copy_into(state.to_H, params.point[phase])
+        if params.path[phase] == SLEW:
+            quat.rotation_between(params.attitude[phase], state.q_from, state.turn_C)
+        else:
+            copy_into(state.to_H, params.point[phase])
+        if params.path[phase] == ARC:
+            _aim_arc(state)
+
+
+@kernel
+def _aim_arc(state):
+    """Write axis and rotation of the arc about the target, the shorter way from ``state.from_H`` to ``state.to_H``."""
+    a, b, axis = state.from_H, state.to_H, state.axis
+    axis[0], axis[1], axis[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = _norm(axis)
+    angle = math.atan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    for i in range(3):
+        axis[i] = axis[i] / size if size > 0.0 else 0.0
+    quat.transform_into(state.q_from, axis, state.turn_C)
+    for i in range(3):
+        state.turn_C[i] *= angle
+
+
+@kernel
+def _turned(state, fraction, q):
+    """Write the attitude ``q`` (4,) at ``fraction`` of the phase's rotation."""
+    copy_into(q, state.q_from)
+    turn = state.turn_C
+    if turn[0] == 0.0 and turn[1] == 0.0 and turn[2] == 0.0:
+        return
+    part, rotation, turned = stack.vector(3), stack.vector(4), stack.vector(4)
+    for i in range(3):
+        part[i] = fraction * turn[i]
+    quat.from_rotation_vector_into(part, rotation)
+    quat.multiply_into(rotation, state.q_from, turned)
+    quat.normalise(turned)
+    copy_into(q, turned)
+
+
+@kernel
+def _keep_attitude(state, fraction):
+    """Begin the next phase at the attitude of ``fraction`` of this one's rotation."""
+    q = stack.vector(4)
+    _turned(state, fraction, q)
+    copy_into(state.q_from, q)
+    fill(state.turn_C, 0.0)
 
 
 @kernel
@@ -117,6 +185,9 @@ def start(params, state):
     """Begin the first phase at t = 0."""
     state.phase = 0
     state.since_s = 0.0
+    state.q_from[0] = state.q_from[1] = state.q_from[2] = 0.0
+    state.q_from[3] = 1.0
+    fill(state.turn_C, 0.0)
     copy_into(state.from_H, params.start)
     _aim(params, state)
 
@@ -129,6 +200,7 @@ def start_abort(params, state, t_s, r_CT_H, v_CT_H):
     """
     distance = math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)
     state.abort_range = max(params.abort_distance, distance)
+    _keep_attitude(state, _fraction(params, state, t_s))
     state.phase = params.n_phases
     state.since_s = t_s
     copy_into(state.from_H, r_CT_H)
@@ -150,6 +222,7 @@ def resume(params, state, t_s, phase):
     state.phase = phase
     state.since_s = t_s
     copy_into(state.from_H, state.to_H)
+    _keep_attitude(state, 1.0)
     _aim(params, state)
 
 
@@ -159,6 +232,17 @@ def _limits(params, phase):
     if phase >= params.n_phases:
         return params.abort_speed, params.abort_acceleration, params.abort_acceleration
     return params.speed[phase], params.acceleration[phase], params.deceleration[phase]
+
+
+@kernel
+def _fraction(params, state, t_s):
+    """Return the fraction of the phase's rotation at ``t_s``."""
+    if _norm(state.turn_C) == 0.0:
+        return 0.0
+    length, along = _length(params, state), stack.vector(3)
+    speed, acceleration, deceleration = _limits(params, state.phase)
+    along_line(length, speed, acceleration, deceleration, t_s - state.since_s, along)
+    return along[0] / length
 
 
 @kernel
@@ -177,7 +261,7 @@ def nominal_end(params, state):
     if kind == WAIT:
         return params.until_s[phase]
     speed, acceleration, deceleration = _limits(params, phase)
-    return state.since_s + duration(_length(state), speed, acceleration, deceleration)
+    return state.since_s + duration(_length(params, state), speed, acceleration, deceleration)
 
 
 @kernel
@@ -210,6 +294,7 @@ def advance(params, state, t_s, go, held):
         else:
             state.since_s = ends
         copy_into(state.from_H, state.to_H)
+        _keep_attitude(state, 1.0)
         state.phase += 1
         _aim(params, state)
         found = MOVED
@@ -226,9 +311,7 @@ def reference(params, state, t_s, out):
     copy_into(out.to_H, state.to_H)
     out.phase = state.phase
     out.boost = 1 if kind == BRAKE else 0
-    for i in range(3):
-        out.q_CH[i] = 0.0
-    out.q_CH[3] = 1.0
+    _turned(state, _fraction(params, state, t_s), out.q_CH)
     if kind == BRAKE:
         speed = math.sqrt(state.brake_H[0] ** 2 + state.brake_H[1] ** 2 + state.brake_H[2] ** 2)
         takes = speed / params.brake
@@ -239,14 +322,41 @@ def reference(params, state, t_s, out):
             out.v_CT_H[i] = loss * (takes - t)
             out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
-    length = 0.0 if kind in (HOLD, WAIT) else _length(state)
+    length = 0.0 if kind in (HOLD, WAIT) else _length(params, state)
     along = stack.vector(3)
     fill(along, 0.0)
     if length > 0.0:
         speed, acceleration, deceleration = _limits(params, state.phase)
         along_line(length, speed, acceleration, deceleration, since, along)
+    path = LINE if length == 0.0 else _path(params, state.phase)
+    if path == ARC:
+        _on_arc(state, length, along, out)
+        return
     for i in range(3):
         unit = (state.to_H[i] - state.from_H[i]) / length if length > 0.0 else 0.0
         out.r_CT_H[i] = state.from_H[i] + along[0] * unit
         out.v_CT_H[i] = along[1] * unit
         out.a_CT_H[i] = along[2] * unit
+
+
+@kernel
+def _on_arc(state, length, along, out):
+    """Write position, velocity and acceleration on an arc about the target, whose radius changes evenly along it.
+
+    along: path length, m, and its first and second rate (3,). The corridor is about the reference itself.
+    """
+    angle, before, after = _norm(state.turn_C), _norm(state.from_H), _norm(state.to_H)
+    theta, rate, change = angle * along[0] / length, angle * along[1] / length, angle * along[2] / length
+    step = (after - before) / length
+    radius, radius_rate, radius_change = before + step * along[0], step * along[1], step * along[2]
+    n, u, s, c = state.axis, state.from_H, math.sin(theta), math.cos(theta)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        side = (n[j] * u[k] - n[k] * u[j]) / before
+        outwards, forwards = u[i] / before * c + side * s, side * c - u[i] / before * s
+        out.r_CT_H[i] = radius * outwards
+        out.v_CT_H[i] = radius_rate * outwards + radius * rate * forwards
+        out.a_CT_H[i] = (radius_change - radius * rate * rate) * outwards
+        out.a_CT_H[i] += (2.0 * radius_rate * rate + radius * change) * forwards
+    copy_into(out.from_H, out.r_CT_H)
+    copy_into(out.to_H, out.r_CT_H)

@@ -12,16 +12,26 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.gnc import allocation, approach_monitor, control, guidance, navigation, pkf, reactions, thruster_monitor
+from hil.gnc import (
+    allocation,
+    approach_monitor,
+    body_frame,
+    control,
+    guidance,
+    navigation,
+    pkf,
+    reactions,
+    thruster_monitor,
+)
 from hil.gnc.allocation import ROWS
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
-from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.reactions import REACTION_PARAMS, REACTION_STATE
 from hil.gnc.thruster_monitor import DEAD, NO_FAULT, THRUSTER_MONITOR_PARAMS, THRUSTER_MONITOR_STATE
-from hil.maths import stack
-from hil.maths.arrays import fill
+from hil.maths import quat, stack
+from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import has_held
 
 MONITOR_DISAGREES = GncHealth.MONITOR_DISAGREES.value
@@ -89,6 +99,7 @@ GNC_STATE = np.dtype(
         ("fused", "i8"),  # 1: the filters took a pose in this cycle
         ("thrusters", THRUSTER_MONITOR_STATE),
         ("isolated_cycles", "i8"),  # since the isolation valves were commanded, 0 before
+        ("feed", FEED_FORWARD),
     ],
     align=True,
 )
@@ -213,12 +224,47 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
 
 
 @kernel
+def _rotates(rate):
+    return rate[0] != 0.0 or rate[1] != 0.0 or rate[2] != 0.0
+
+
+@kernel
+def _feed_forward(params, state, reference):
+    """Write ``state.feed`` for the reference of this cycle, whose rate is that of its change since the one before."""
+    feed, dt = state.feed, params.control.dt_s
+    known, turned = False, False
+    for i in range(4):
+        known = known or feed.q_CH[i] != 0.0
+        turned = turned or feed.q_CH[i] != reference.q_CH[i]
+    turned = turned and known
+    tumble = params.navigation.fusion.orbit.tumble
+    if not turned and tumble.rotates == 0 and not _rotates(feed.rate_C):
+        copy_into(feed.q_CH, reference.q_CH)
+        fill(feed.acceleration, 0.0)
+        return
+    rate, change = stack.vector(3), stack.vector(3)
+    fill(rate, 0.0)
+    if turned:
+        quat.rotation_between(reference.q_CH, feed.q_CH, rate)
+    for i in range(3):
+        rate[i] /= dt
+        change[i] = (rate[i] - feed.rate_C[i]) / dt
+        feed.rate_C[i] = rate[i]
+    copy_into(feed.q_CH, reference.q_CH)
+    t_s = state.navigation.t_s - params.navigation.vision_only.dt_s
+    body_frame.feed_forward(
+        tumble, t_s, params.control.inertia, reference.q_CH, rate, change, reference, feed.acceleration
+    )  # fmt: skip
+
+
+@kernel
 def actuate(params, state, estimate, reference, command):
     """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE.
 
     A thruster stuck open is cancelled by those against it until its isolation valve, if it has one, is closed.
     """
-    control.control(params.control, estimate, reference, command)
+    _feed_forward(params, state, reference)
+    control.control(params.control, estimate, reference, state.feed, command)
     fault, thruster = state.thrusters.fault, state.thrusters.thruster
     if fault == NO_FAULT:
         allocation.select(params.sets, params.n_thrusters, command)

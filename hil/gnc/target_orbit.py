@@ -8,7 +8,8 @@ On an ellipse the frame's rate ``w = d(nu)/dt`` and ``k = GM / r^3`` vary with t
     z'' = -2 w x' - w' x + (w^2 + 2 k) z
 
 (Yamanaka and Ankersen 2002, eq. (9), in the axes of H). The filters apply the exact transition of Hill's equations at
-the mean motion n, and add the difference of the two accelerations.
+the mean motion n, and add the difference of the two accelerations. H of a target that tumbles is its body frame: see
+``hil.gnc.body_frame``.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths import stack
 from hil.maths.kepler import true_anomaly
+from hil.models.rotating_frame import TUMBLE, tumble_rate
 
 TARGET_ORBIT = np.dtype(
     [
         ("mean_motion", "f8"),  # rad/s
         ("eccentricity", "f8"),
         ("mean_anomaly", "f8"),  # rad, at the start of the run
+        ("tumble", TUMBLE),  # of a target whose axes are not those of the Hill frame
     ],
     align=True,
 )
@@ -40,6 +44,11 @@ HILL_STEP = np.dtype(
         ("along", "f8"),  # 1/s^2, w^2 - k
         ("across", "f8"),  # 1/s^2, -k
         ("down", "f8"),  # 1/s^2, w^2 + 2 k
+        # of a target that tumbles, in its axes
+        ("rotates", "i8"),
+        ("rotation", "f8", 3),  # rad, over the step
+        ("rate_before", "f8", 3),  # rad/s, at its start
+        ("rate_after", "f8", 3),  # at its end
     ],
     align=True,
 )
@@ -58,6 +67,10 @@ def _rate(orbit, nu):
 def move_hill_frame(orbit, start_s, dt, out):
     """Write the motion of H (HILL_STEP) over the step of ``dt`` that starts at ``start_s`` of the run."""
     n = orbit.mean_motion
+    out.rotates = orbit.tumble.rotates
+    if out.rotates != 0:
+        _tumble(orbit.tumble, start_s, dt, out)
+        return
     if orbit.eccentricity == 0.0:
         out.turn, out.rate, out.is_elliptic = n * dt, n, 0
         return
@@ -71,6 +84,18 @@ def move_hill_frame(orbit, start_s, dt, out):
     out.coriolis = 2.0 * (w - n)
     out.euler = -2.0 * e * math.sin(nu) * w * w / rho
     out.along, out.across, out.down = w * w - k, n * n - k, w * w + 2.0 * k - 3.0 * n * n
+
+
+@kernel
+def _tumble(tumble, start_s, dt, out):
+    """Write the motion of a body that tumbles; its rotation is that at the rate in mid-step."""
+    aside = stack.vector(3)
+    tumble_rate(tumble, start_s, out.rate_before, aside)
+    tumble_rate(tumble, start_s + dt, out.rate_after, aside)
+    tumble_rate(tumble, start_s + 0.5 * dt, out.rotation, aside)
+    for i in range(3):
+        out.rotation[i] *= dt
+    out.turn, out.rate, out.is_elliptic = 0.0, 0.0, 0
 
 
 @kernel

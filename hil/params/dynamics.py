@@ -24,6 +24,7 @@ from hil.errors import BadInput, Problem
 from hil.maths import euler, quat
 from hil.params.errors import imu_errors, thruster_errors
 from hil.params.faults import fault_rows
+from hil.params.target import start_attitude, target_attitude
 
 ASTRONOMICAL_UNIT_M = 149_597_870_700.0  # IAU 2012, resolution B2
 SUN_RADIUS_M = 695_700e3  # IAU 2015, resolution B3
@@ -98,6 +99,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params.flexible_array = scenario.truth.flexible_array
     params.thruster_errors = thruster_errors(scenario, seed)
     params.thruster_faults, params.target_faults = fault_rows(scenario, "thruster"), fault_rows(scenario, "target")
+    params.target_attitude = target_attitude(scenario)
     _set_thrusters(params, scenario, thruster_draws)
     _set_gravity(params, scenario)
     _set_sun(params, scenario)
@@ -217,7 +219,7 @@ def _sunlight(scenario: Scenario, r_T_I: Array) -> float:
 
 
 def _set_target(truth: np.record, scenario: Scenario) -> None:
-    """Write the target's state and its Hill frame."""
+    """Write the target's state, and the Hill frame or the axes of a target that rotates against it."""
     params = new(DSS_PARAMS)
     _set_gravity(params, scenario)
     elements = scenario.orbit
@@ -238,4 +240,5 @@ def _set_target(truth: np.record, scenario: Scenario) -> None:
         pull = np.empty(3)
         acceleration(params.gravity, field(scenario), 0.0, r, pull)
         orbit.hill_rate(r, v, pull, a, rate)
-    truth.r_T_I, truth.v_T_I, truth.q_HI, truth.w_HI_H = r, v, quat.from_matrix(a), rate
+    truth.r_T_I, truth.v_T_I = r, v
+    truth.q_HI, truth.w_HI_H = start_attitude(scenario, quat.from_matrix(a), rate)

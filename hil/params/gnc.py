@@ -21,7 +21,7 @@ from hil.gnc.allocation import (
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
 from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
-from hil.gnc.guidance import APPROACH, FINAL, GUIDANCE_PARAMS, HOLD, RETREAT, WAIT
+from hil.gnc.guidance import APPROACH, ARC, FINAL, GUIDANCE_PARAMS, HOLD, LINE, RETREAT, SLEW, WAIT
 from hil.gnc.integrity import INTEGRITY_PARAMS
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.reactions import REACTION_PARAMS
@@ -33,6 +33,7 @@ from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
 from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_budget import error_budget
+from hil.params.target import known_tumble
 
 _NIS_TAIL = 1e-10  # false-alarm probability of a mean
 _CORRELATION_S = 10.0  # of the filters' errors
@@ -40,6 +41,7 @@ _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
 _DEAD_CYCLES = 6  # with a command, of which each counts in two
 _IMU_S = 1.0  # for which an IMU must repeat its readings, or read what no thruster explains
 _CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
+_AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no gradient of gravity
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
 
@@ -96,8 +98,9 @@ def navigation(scenario: Scenario) -> np.record:
     )
     pkf = fusion.pkf
     pkf.dt_s = scenario.sample_s
-    pkf.hill_transition = transition(fusion.orbit.mean_motion, scenario.sample_s)
-    pkf.hill_response = input_response(fusion.orbit.mean_motion, scenario.sample_s)
+    rate = _AT_REST_RADPS if fusion.orbit.tumble.rotates else fusion.orbit.mean_motion
+    pkf.hill_transition = transition(rate, scenario.sample_s)
+    pkf.hill_response = input_response(rate, scenario.sample_s)
     pkf.sigma_accelerometer = gnc.pkf.accelerometer_noise_mps2
     pkf.sigma_bias = gnc.pkf.accelerometer_bias_noise_mps3
     pkf.gate = akf.gate
@@ -198,6 +201,7 @@ def target_orbit(scenario: Scenario) -> np.record:
     params.eccentricity = known.eccentricity
     ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(known)
     params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg) + ahead)
+    params.tumble = known_tumble(scenario, params.mean_motion)
     return params
 
 
@@ -207,6 +211,9 @@ def _gate(sigma: float) -> float:
 
 
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
+PATHS = {"fly_around": ARC, "slew": SLEW}
+"""Kinds of phases that move on another path than a line, otherwise as an approach."""
+_SLEW_UP_S = 2.0
 _BRAKE_FRACTION = 0.9  # of the available thrust: the rest is for control
 
 
@@ -225,11 +232,17 @@ def guidance(scenario: Scenario) -> np.record:
     params.n_phases = len(settings.sequence)
     for k, name in enumerate(settings.sequence):
         phase = settings.phases[name]
-        params.kind[k] = PHASE_KINDS[phase.kind]
+        params.kind[k] = PHASE_KINDS.get(phase.kind, APPROACH)
+        params.path[k] = PATHS.get(phase.kind, LINE)
         params.point[k] = phase.point_m or settings.ready_point_m
         params.speed[k] = phase.speed_mps or settings.approach_speed_mps
         params.acceleration[k] = phase.acceleration_mps2 or settings.acceleration_mps2
         params.deceleration[k] = phase.deceleration_mps2 or settings.deceleration_mps2
+        if phase.attitude_deg is not None:
+            params.attitude[k] = euler.to_quaternion(np.radians(phase.attitude_deg), euler.YAW_PITCH_ROLL)
+            params.speed[k] = math.radians(phase.rate_degps or scenario.gnc.control.slew_rate_degps)
+            acceleration = math.radians(phase.acceleration_degps2 or 0.0) or params.speed[k] / _SLEW_UP_S
+            params.acceleration[k] = params.deceleration[k] = acceleration
         params.duration_s[k] = phase.duration_s or 0.0
         params.until_s[k] = math.inf if phase.end_time_s is None else phase.end_time_s
     params.axis = scenario.gnc.corridor.axis
@@ -353,4 +366,5 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
     params.acceleration = np.concatenate([strength[:3] / scenario.chaser.mass_kg, strength[3:6] / inertia])
     params.high_thrust_acceleration = strength[6:] / scenario.chaser.mass_kg
+    params.inertia = np.array(scenario.chaser.inertia_kg_m2)
     return params

@@ -31,6 +31,7 @@ from hil.report.latency import measured, percentiles, pose_to_command_s
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, ready_params, verdict_of
 from hil.report.verdict_parts import (
     energy_part,
+    frame_delta_v,
     impulsive_delta_v,
     judge_field_of_view,
     judge_security,
@@ -179,7 +180,7 @@ class LongRun:
             if rows is None:
                 continue
             sums = summary.thrusters_of(rows, self._scenario)
-            sums["line_mps"] = impulsive_delta_v(rows["reference"]["v_CT_H"])
+            sums["line_mps"] = impulsive_delta_v(rows["reference"]["v_CT_H"]) + frame_delta_v(rows, self._scenario)
             for name, value in sums.items():
                 self._sums[name] = self._sums.get(name, 0.0) + sign * np.asarray(value)
 

@@ -26,7 +26,7 @@ from hil.report.device_times import count_beyond, execution_times_s, judge_times
 from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
-from hil.report.verdict_parts import judge_energy, judge_field_of_view, judge_security
+from hil.report.verdict_parts import frame_delta_v, judge_energy, judge_field_of_view, judge_security
 from hil.safety.guard_alarms import GUARD_QUANTITIES
 
 if TYPE_CHECKING:
@@ -117,7 +117,13 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
         "verdict": {
             "control_precision": control_precision(verdict, scenario),
             "security": judge_security(history, scenario),
-            "energy": judge_energy(history["reference"]["v_CT_H"], scenario, thrusters["propellant_kg"], firings),
+            "energy": judge_energy(
+                history["reference"]["v_CT_H"],
+                scenario,
+                thrusters["propellant_kg"],
+                firings,
+                frame_delta_v(history, scenario),
+            ),
             "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
         },
         "integrity": integrity_of(judge_integrity(history, scenario), scenario),

@@ -5,9 +5,10 @@ every LED of the ring in both images throughout, at the pose that the bench real
 
 Energy: the propellant spent against the least that the reference as run and the slews cost. The least is impulsive:
 the reference's changes of velocity at once, summed over its path (a line from rest to rest at speed v costs 2 v,
-whatever its ramps), and for each axis the slew of the initial attitude error at a steady rate over ``slew_s``,
-``J theta / slew_s`` of torque impulse to start and the same to stop. Forces and torques are counted with the cleanest
-thruster set of their axis. The orbital motion that a straight line requires is not in the least.
+whatever its ramps), what rotating axes of H ask beyond them, and for each axis the slew of the initial attitude error
+at a steady rate over ``slew_s``, ``J theta / slew_s`` of torque impulse to start and the same to stop. Forces and
+torques are counted with the cleanest thruster set of their axis. The orbital motion that a straight line requires is
+not in the least.
 """
 
 from __future__ import annotations
@@ -28,10 +29,12 @@ from hil.gnc.allocation import AXES_OF_A_BODY
 from hil.gnc.approach_monitor import margins
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.maths.kepler import mean_anomaly, true_anomaly
+from hil.models.rotating_frame import frame_acceleration, tumble_rate
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
 from hil.params.dynamics import mean_motion
+from hil.params.target import known_tumble
 
 _DRIFT_SAMPLES = 720  # over one orbit
 
@@ -132,6 +135,19 @@ def impulsive_delta_v(v_CT_H: Array) -> float:
     return float(np.linalg.norm(changes, axis=1).sum())
 
 
+def frame_delta_v(history: np.ndarray, scenario: Scenario) -> float:
+    """Return what the reference needs, m/s, because the axes of a target that tumbles rotate; ``history``: of CYCLE."""
+    tumble = known_tumble(scenario, mean_motion(scenario.gnc_orbit))
+    if not tumble.rotates:
+        return 0.0
+    total, w, dw, a = 0.0, np.empty(3), np.empty(3), np.empty(3)
+    for t_s, reference in zip(history["t_s"], history["reference"], strict=True):
+        tumble_rate(tumble, t_s, w, dw)
+        frame_acceleration(w, dw, reference["r_CT_H"], reference["v_CT_H"], a)
+        total += scenario.step_s * float(np.linalg.norm(a))
+    return total
+
+
 def slew_impulse(scenario: Scenario) -> float:
     """Return the least thrust impulse of the slews, N s: thrust of the set over its torque, times torque impulse."""
     sets, strength = gnc_params.allocation(scenario.chaser)
@@ -142,9 +158,14 @@ def slew_impulse(scenario: Scenario) -> float:
     return float((torque_impulse * thrust / strength[3:AXES_OF_A_BODY]).sum())
 
 
-def judge_energy(v_CT_H: Array, scenario: Scenario, propellant_kg: float, firings: int) -> dict[str, Any]:
-    """Return ``passed`` and the numbers; ``v_CT_H`` (n, 3): velocities of the reference, m/s."""
-    found = energy_part(impulsive_delta_v(v_CT_H), scenario, propellant_kg, firings)
+def judge_energy(
+    v_CT_H: Array, scenario: Scenario, propellant_kg: float, firings: int, frame_mps: float = 0.0
+) -> dict[str, Any]:
+    """Return ``passed`` and the numbers; ``v_CT_H`` (n, 3): velocities of the reference, m/s.
+
+    frame_mps: what the reference needs beyond its changes of velocity, as of ``frame_delta_v``.
+    """
+    found = energy_part(impulsive_delta_v(v_CT_H) + frame_mps, scenario, propellant_kg, firings)
     return found | {"passed": len(v_CT_H) > 0 and found["passed"]}
 
 

@@ -14,6 +14,7 @@ from hil.gnc.integrity_verdict import INTEGRITY_STATE, start_integrity, update_i
 from hil.gnc.ready_phase import READY_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into
+from hil.models.rotating_frame import frame_acceleration, tumble_rate
 
 RUN_STATS = np.dtype(
     [
@@ -27,7 +28,7 @@ RUN_STATS = np.dtype(
         ("corridor_margin", "f8"),  # m, least on the truth, up to an abort
         ("closing_margin", "f8"),  # m/s, the same
         ("view_margin", "f8"),  # px, least at an exposure
-        ("reference_delta_v", "f8"),  # m/s, changes of the reference's velocity
+        ("reference_delta_v", "f8"),  # m/s, changes of the reference's velocity, and what axes that rotate ask
         ("mass_start", "f8"),  # kg
         ("mass_end", "f8"),
         ("force_cycles", "i8", 3),  # with a demand on the axis
@@ -73,6 +74,15 @@ def _count_security(params, now, stats):
 
 
 @kernel
+def _frame_acceleration(params, now):
+    """Return the acceleration, m/s^2, that the reference needs because the target's axes rotate."""
+    w, dw, a = stack.vector(3), stack.vector(3), stack.vector(3)
+    tumble_rate(params.gnc.navigation.fusion.orbit.tumble, now.t_s, w, dw)
+    frame_acceleration(w, dw, now.reference.r_CT_H, now.reference.v_CT_H, a)
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+@kernel
 def _count_thrusters(params, now, stats):
     for j in range(params.gnc.n_thrusters):
         fraction = now.truth.thrust_fraction[j]
@@ -89,6 +99,8 @@ def _count_thrusters(params, now, stats):
         stats.reference_v[i] = now.reference.v_CT_H[i]
     if change > 0.0:
         stats.reference_delta_v += math.sqrt(change)
+    if params.gnc.navigation.fusion.orbit.tumble.rotates != 0:
+        stats.reference_delta_v += params.step_s * _frame_acceleration(params, now)
     if stats.cycles == 0:
         stats.mass_start = now.truth.mass_kg
     stats.mass_end = now.truth.mass_kg

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Scenario
 from hil.core.messages import COMMAND, NAVIGATION, REFERENCE, new
-from hil.gnc.control import burn_duration, control
+from hil.gnc.control import FEED_FORWARD, burn_duration, control
 from hil.params import gnc as gnc_params
 
 IDENTITY = [0.0, 0.0, 0.0, 1.0]
@@ -39,7 +39,7 @@ def held() -> np.record:
 
 def demanded(params: np.record, navigation: np.record) -> np.record:
     command = new(COMMAND)
-    control(params, navigation, held(), command)
+    control(params, navigation, held(), new(FEED_FORWARD), command)
     return command
 
 
@@ -94,7 +94,7 @@ def test_nothing_fires_without_valid_navigation(params: np.record) -> None:
     assert command.force.all()
     navigation = seen((1.0, 1.0, 1.0))
     navigation.valid = 0
-    control(params, navigation, held(), command)
+    control(params, navigation, held(), new(FEED_FORWARD), command)
     for name in ("force", "torque", "cycles_left", "until_decision"):
         np.testing.assert_array_equal(command[name], 0)
 
@@ -127,7 +127,7 @@ def test_axis_holds_its_decision_for_a_period(params: np.record) -> None:
     assert error > params.deadband[0]
     for k in range(20):
         # the moved chaser is not looked at until the period is over
-        control(params, seen((0.0, error if k == 0 or k >= 10 else -0.5, 0.0)), held(), command)
+        control(params, seen((0.0, error if k == 0 or k >= 10 else -0.5, 0.0)), held(), new(FEED_FORWARD), command)
         demands.append(int(command.force[1]))
     assert demands == [-1, -1, -1, 0, 0, 0, 0, 0, 0, 0] * 2
 
@@ -142,7 +142,7 @@ def test_double_integrator_comes_to_rest_with_at_most_one_overshoot(
     for _ in range(6000):
         navigation = seen((position, 0.0, 0.0))
         navigation.v_CT_H = [velocity, 0.0, 0.0]
-        control(params, navigation, held(), command)
+        control(params, navigation, held(), new(FEED_FORWARD), command)
         velocity += command.force[0] * params.acceleration[0] * params.dt_s
         position += velocity * params.dt_s
         track.append(position)
@@ -159,7 +159,7 @@ def test_attitude_converges_in_about_ten_seconds(params: np.record) -> None:
     for _ in range(round(12.0 / params.dt_s)):
         navigation = seen(q=Rotation.from_rotvec([turn, 0.0, 0.0]).as_quat())
         navigation.w_CH_C = [rate, 0.0, 0.0]
-        control(params, navigation, held(), command)
+        control(params, navigation, held(), new(FEED_FORWARD), command)
         rate += command.torque[0] * params.acceleration[3] * params.dt_s
         turn += rate * params.dt_s
     assert abs(math.degrees(turn)) < 0.1
@@ -178,10 +178,10 @@ def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record
 def test_brake_of_an_abort_knows_no_caution(params: np.record) -> None:
     navigation, command, reference = seen((0.02, 0.0, 0.0)), new(COMMAND), held()
     navigation.sigma_r_m[0] = 1.0
-    control(params, navigation, reference, command)
+    control(params, navigation, reference, new(FEED_FORWARD), command)
     assert command.force[0] == 0
     reference.boost = 1
-    control(params, navigation, reference, command)
+    control(params, navigation, reference, new(FEED_FORWARD), command)
     assert command.force[0] == -1
     assert command.boost == 1
 
@@ -191,7 +191,7 @@ def test_slew_is_no_faster_than_its_rate(params: np.record) -> None:
     for _ in range(round(30.0 / params.dt_s)):
         navigation = seen(q=Rotation.from_rotvec([0.0, turn, 0.0]).as_quat())
         navigation.w_CH_C = [0.0, rate, 0.0]
-        control(params, navigation, held(), command)
+        control(params, navigation, held(), new(FEED_FORWARD), command)
         rate += command.torque[1] * params.acceleration[4] * params.dt_s
         turn += rate * params.dt_s
         fastest = max(fastest, abs(rate))
@@ -211,7 +211,7 @@ def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m:
         navigation = seen((position, 0.0, 0.0))
         navigation.v_CT_H[0] = velocity
         navigation.sigma_r_m[0] = sigma_m
-        control(params, navigation, reference, command)
+        control(params, navigation, reference, new(FEED_FORWARD), command)
         change = command.force[0] * params.acceleration[0] * params.dt_s
         position += (velocity + 0.5 * change) * params.dt_s
         velocity += change
@@ -231,5 +231,5 @@ def test_feedback_leaves_to_feed_forward_what_is_owed(params: np.record) -> None
     command.owed[0] = 0.45 * pulse  # asked for, too little for a pulse so far
     navigation.v_CT_H[0] = -0.45 * pulse
     assert 0.45 * pulse * params.lead[0] > params.deadband[0]
-    control(params, navigation, held(), command)
+    control(params, navigation, held(), new(FEED_FORWARD), command)
     assert command.force[0] == 0

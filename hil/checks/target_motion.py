@@ -1,0 +1,128 @@
+"""Check of a plan in the axes of a target that rotates: thrust that it takes, and motion that the rig can show."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.config.load import Loaded
+from hil.config.rig import BENCH_AXES, Rig
+from hil.config.scenario import Scenario
+from hil.core.messages import REFERENCE, Array, new
+from hil.errors import Problem
+from hil.gnc import guidance
+from hil.gnc.guidance import GUIDANCE_STATE
+from hil.models.rotating_frame import tumble_rate
+from hil.params import bench as bench_params
+from hil.params import gnc as gnc_params
+from hil.params.target import tumble
+
+THRUST_FRACTION = 0.6  # of the acceleration of an axis, which a plan may take: the rest is for control
+_KEY = "target.rate_degps"
+_INTERVAL_S = 0.5  # between two samples of a phase
+_RATES = 400  # samples of the tumble over the run
+_ABORTS = 8  # along the approach
+
+
+def check_target_motion(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
+    """Return a problem if a target tumbles faster than the chaser can follow or the rig can show.
+
+    The plan may need at most ``THRUST_FRACTION`` of the acceleration of each axis. A chaser that coasts leaves the
+    rotating axes at their rate times its range, which rails and turntable must be able to show until it is stopped.
+    """
+    scenario = scenario_file.value
+    if scenario.target.motion != "tumble":
+        return []
+    rates, changes = tumble_over(scenario)
+    text = _beyond_rig(scenario, rig_file.value, rates) or _beyond_thrusters(scenario, rates, changes)
+    shown = list(scenario.target.rate_degps)
+    return [Problem(scenario_file.where(_KEY), _KEY, f"{shown}: {text}")] if text else []
+
+
+def tumble_over(scenario: Scenario) -> tuple[Array, Array]:
+    """Return rate, rad/s, and its rate of change, (n, 3) each, of the target over the run."""
+    params = tumble(scenario.target, np.radians(scenario.target.rate_degps))
+    rates, changes = np.empty((_RATES, 3)), np.empty((_RATES, 3))
+    for k, t_s in enumerate(np.linspace(0.0, scenario.duration_s, _RATES)):
+        tumble_rate(params, t_s, rates[k], changes[k])
+    return rates, changes
+
+
+def plan_accelerations(scenario: Scenario, rates: Array, changes: Array) -> tuple[Array, Array]:
+    """Return the largest acceleration, m/s^2, that the plan needs of the thrusters along each axis, and its range, m.
+
+    At any time of the tumble: the operator may hold the approach. c is parallel to the target's axes.
+    """
+    needed, ranges = np.zeros(3), np.zeros(3)
+    for r, v, a in _plan(scenario):
+        wr = np.cross(rates, r)
+        total = np.abs(a + 2.0 * np.cross(rates, v) + np.cross(rates, wr) + np.cross(changes, r)).max(axis=0)
+        ranges = np.where(total > needed, np.linalg.norm(r), ranges)
+        needed = np.maximum(needed, total)
+    return needed, ranges
+
+
+def _beyond_rig(scenario: Scenario, rig: Rig, rates: Array) -> str:
+    """Return what the rig cannot show of a chaser that coasts, "" if it can show all."""
+    bench = bench_params.bench(rig, scenario.step_s)
+    far_m = max(float(np.linalg.norm(r)) for r, _, _ in _plan(scenario))
+    rate = float(np.linalg.norm(rates, axis=1).max())
+    for axis in (1, 2, 0, 3, 4, 5):
+        asked, unit, scale = (rate * far_m, "m", 1.0) if axis < 3 else (rate, "deg", math.degrees(1.0))
+        if asked > bench.rate_max[axis]:
+            return (
+                f"a chaser that coasts at {far_m:.2f} m would move at {asked * scale:.3g} {unit}/s in the target's "
+                f"axes, allowed {bench.rate_max[axis] * scale:g} {unit}/s by rig.{BENCH_AXES[axis]}.rate_max_{unit}ps"
+            )
+    return ""
+
+
+def _beyond_thrusters(scenario: Scenario, rates: Array, changes: Array) -> str:
+    """Return on which axis the plan needs too much of the thrusters, "" on none."""
+    _, strength = gnc_params.allocation(scenario.chaser)
+    inertia = np.array(scenario.chaser.inertia_kg_m2)
+    needed, ranges = plan_accelerations(scenario, rates, changes)
+    torque = changes @ inertia + np.cross(rates, rates @ inertia)
+    asked = np.concatenate([scenario.chaser.mass_kg * needed, np.abs(torque).max(axis=0)]) / strength[:6]
+    worst = int(np.argmax(asked))
+    if asked[worst] <= THRUST_FRACTION:
+        return ""
+    name = "xyz"[worst % 3]
+    if worst < 3:
+        what = f"{needed[worst]:.3g} m/s2 along {name} at {ranges[worst]:.2f} m"
+    else:
+        what = f"{np.abs(torque).max(axis=0)[worst - 3]:.3g} N m about {name}"
+    return (
+        f"the plan takes {what}, {100.0 * asked[worst]:.0f} % of what chaser.thrusters give, "
+        f"allowed {100.0 * THRUST_FRACTION:g} %"
+    )
+
+
+def _plan(scenario: Scenario) -> list[tuple[Array, Array, Array]]:
+    """Return position, velocity and acceleration of the reference at the samples of approach and retreats."""
+    params = gnc_params.guidance(scenario)
+    state, reference = new(GUIDANCE_STATE), new(REFERENCE)
+    guidance.start(params, state)
+    found = _phases(params, state, reference)
+    for r, v, _ in found[:: max(1, len(found) // _ABORTS)]:
+        guidance.start(params, state)
+        guidance.start_abort(params, state, 0.0, r, v)
+        guidance.advance(params, state, float(guidance.nominal_end(params, state)) + 1e-6, 0, 0)
+        found = [*found, *_phases(params, state, reference)]
+    return found
+
+
+def _phases(params: np.record, state: np.record, reference: np.record) -> list[tuple[Array, Array, Array]]:
+    """Return the samples of the phases from the present one on; orders to continue come at once."""
+    found = []
+    while True:
+        begin, end = float(state.since_s), float(guidance.nominal_end(params, state))
+        end = max(begin, end) if math.isfinite(end) else begin
+        for t_s in np.arange(begin, end + _INTERVAL_S, _INTERVAL_S):
+            guidance.reference(params, state, min(t_s, end), reference)
+            found.append((reference.r_CT_H.copy(), reference.v_CT_H.copy(), reference.a_CT_H.copy()))
+        phase = int(state.phase)
+        go = 1 if guidance.kind_of(params, phase) == guidance.WAIT else 0
+        if guidance.advance(params, state, end + 1e-6, go, 0) != guidance.MOVED:
+            return found

@@ -1,0 +1,161 @@
+"""Filters and control in the axes of a target that tumbles.
+
+The position filter's step is that of a motion without gravity in axes at rest, those of the body in mid-step: the state
+and its covariance are transformed into these before it, and into the rotating ones after it. The gradient of gravity,
+below ``3 n^2 r`` or 1e-5 m/s^2 at 3 m, is not modelled.
+
+The rate of the tumble is known with an error. To the attitude filter it looks like drift of the gyros, because the
+chaser rotates with the target; what its drift exceeds the expected one by is taken for this error, and corrects the
+rate in the position filter.
+"""
+
+from __future__ import annotations
+
+from hil.core.jit import kernel
+from hil.maths import quat, stack
+from hil.models.rotating_frame import cross_into, frame_acceleration, tumble_rate
+
+
+@kernel
+def correct_motion(hill, akf, expected_drift, dt, axes):
+    """Write the motion of the axes over a step of ``dt`` into ``axes`` (3, 3).
+
+    Rows: half the rotation, rad, rate before and rate after, rad/s. hill: HILL_STEP, as the tumble is known. akf:
+    AKF_STATE. expected_drift: of the gyros, (3,), rad/s.
+    """
+    error = stack.vector(3)
+    for i in range(3):
+        error[i] = akf.x[4 + i] - expected_drift[i]
+    quat.transform_back_into(akf.x[0:4], error, error)
+    for i in range(3):
+        axes[0, i] = 0.5 * (hill.rotation[i] + dt * error[i])
+        axes[1, i] = hill.rate_before[i] + error[i]
+        axes[2, i] = hill.rate_after[i] + error[i]
+
+
+@kernel
+def _half_rotation(axes, a):
+    """Write the matrix (3, 3) of half the rotation over the step."""
+    q = stack.vector(4)
+    quat.from_rotation_vector_into(axes[0], q)
+    quat.to_matrix_into(q, a)
+
+
+@kernel
+def _into_middle(axes, f):
+    """Write the transformation (6, 6) of [r, v] from the rotating axes at the start of the step."""
+    a = stack.matrix(3, 3)
+    _half_rotation(axes, a)
+    w = axes[1]
+    for i in range(3):
+        for j in range(3):
+            k, m = (j + 1) % 3, (j + 2) % 3
+            f[i, j] = f[3 + i, 3 + j] = a[i, j]
+            f[i, 3 + j] = 0.0
+            f[3 + i, j] = a[i, k] * w[m] - a[i, m] * w[k]  # a [w]x
+
+
+@kernel
+def _from_middle(axes, f):
+    """Write the transformation (6, 6) of [r, v] into the rotating axes at the end of the step."""
+    a = stack.matrix(3, 3)
+    _half_rotation(axes, a)
+    w = axes[2]
+    for j in range(3):
+        for i in range(3):
+            k, m = (i + 1) % 3, (i + 2) % 3
+            f[i, j] = f[3 + i, 3 + j] = a[i, j]
+            f[i, 3 + j] = 0.0
+            f[3 + i, j] = -(w[k] * a[m, j] - w[m] * a[k, j])  # -[w]x a
+
+
+@kernel
+def _from_left(f, matrix, columns):
+    """Multiply the first six rows of ``matrix``, of so many columns, by ``f`` (6, 6) from the left, in place."""
+    new = stack.vector(6)
+    for column in range(columns):
+        for i in range(6):
+            new[i] = 0.0
+            for j in range(6):
+                new[i] += f[i, j] * matrix[j, column]
+        for i in range(6):
+            matrix[i, column] = new[i]
+
+
+@kernel
+def _congruence(f, p, n):
+    """Transform the covariance ``p`` (n, n), whose first six errors are those of r and v, by ``f`` (6, 6)."""
+    new = stack.vector(6)
+    _from_left(f, p, n)
+    for row in range(n):
+        for i in range(6):
+            new[i] = 0.0
+            for j in range(6):
+                new[i] += f[i, j] * p[row, j]
+        for i in range(6):
+            p[row, i] = new[i]
+
+
+@kernel
+def enter_middle(axes, pkf, joint, n):
+    """Transform PKF_STATE, and of a joint covariance ``joint`` the first ``n`` errors, for the filter's step.
+
+    axes: of ``correct_motion``.
+    """
+    f = stack.matrix(6, 6)
+    _into_middle(axes, f)
+    _apply(f, pkf, joint, n)
+
+
+@kernel
+def leave_middle(axes, pkf, joint, n):
+    """Transform back after the filter's step; arguments as of ``enter_middle``."""
+    f = stack.matrix(6, 6)
+    _from_middle(axes, f)
+    _apply(f, pkf, joint, n)
+
+
+@kernel
+def _apply(f, pkf, joint, n):
+    new = stack.vector(6)
+    for i in range(6):
+        new[i] = 0.0
+        for j in range(6):
+            new[i] += f[i, j] * pkf.x[j]
+    for i in range(6):
+        pkf.x[i] = new[i]
+    _congruence(f, pkf.p, 9)
+    _from_left(f, pkf.c, 6)
+    if n != 0:
+        _congruence(f, joint, n)
+
+
+@kernel
+def feed_forward(tumble, t_s, inertia, q_CH, rate_C, acceleration_C, reference, out):
+    """Write what keeps the chaser on a reference in the rotating axes, at ``t_s`` of the run, into ``out`` (6,).
+
+    Acceleration in H, m/s^2, and angular acceleration about each axis of c, rad/s^2: torque over its own moment.
+    inertia: (3, 3), kg m^2. rate_C, acceleration_C: reference's rate and its change against H, in c. reference:
+    REFERENCE.
+    """
+    w, dw, force = stack.vector(3), stack.vector(3), stack.vector(3)
+    for i in range(3):
+        w[i] = dw[i] = out[i] = 0.0
+    if tumble.rotates != 0:
+        tumble_rate(tumble, t_s, w, dw)
+        frame_acceleration(w, dw, reference.r_CT_H, reference.v_CT_H, force)
+        for i in range(3):
+            out[i] = force[i]
+        quat.transform_into(q_CH, w, w)
+        quat.transform_into(q_CH, dw, dw)
+    momentum, torque, turning = stack.vector(3), stack.vector(3), stack.vector(3)
+    cross_into(rate_C, w, turning)
+    for i in range(3):
+        dw[i] += acceleration_C[i] - turning[i]
+        w[i] += rate_C[i]
+    for i in range(3):
+        momentum[i] = inertia[i, 0] * w[0] + inertia[i, 1] * w[1] + inertia[i, 2] * w[2]
+    cross_into(w, momentum, torque)
+    for i in range(3):
+        torque[i] += inertia[i, 0] * dw[0] + inertia[i, 1] * dw[1] + inertia[i, 2] * dw[2]
+        out[3 + i] = torque[i] / inertia[i, i]
