@@ -149,6 +149,8 @@ Check = Callable[..., Evidence]
         ("scheme-1", ("rig.rails.x.lead_s=-0.01", "rig.vmu.bench_sigma_m=0.002")),
         ("scheme-1", (*RATES, *LATE, "rig.vmu.rate_hz=7.0", "rig.rails.x.lead_s=0.01")),
         ("scheme-1", (*ALL_ERRORS, *LATE, "imu.rate_hz=100.0", "rig.guard.enabled=false")),
+        ("tumbling-3", ("imu.rate_hz=100.0",)),
+        ("limit-cycle", ()),
         ("scheme-1", ("monitor.source=model", _fault("monitor", "offset", "value = [0.1, 0.0, 0.0], until_s = 9.0"))),
     ],
     ids=[
@@ -164,6 +166,8 @@ Check = Callable[..., Evidence]
         "lead, other sigma",
         "fast axes and IMU",
         "all terms of the error models",
+        "target that tumbles, fast IMU",
+        "target in a limit cycle",
         "docking monitor that disagrees for a time",
     ],
 )
@@ -184,9 +188,12 @@ def test_ring_that_leaves_the_images_costs_both_loops_the_same_poses(check: Chec
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["scheme-1", "scheme-2", "scheme-3"])
-def test_compiled_session_equals_the_cycle_in_python_to_the_end(check: Check, scheme: str) -> None:
-    assert check(make_job(400.0, scenario=scheme)).outcome.stop == COMPLETED
+@pytest.mark.parametrize(
+    ("scheme", "duration_s"),
+    [("scheme-1", 400.0), ("scheme-2", 400.0), ("scheme-3", 400.0), ("tumbling-5", 150.0), ("inspection", 400.0)],
+)
+def test_compiled_session_equals_the_cycle_in_python_to_the_end(check: Check, scheme: str, duration_s: float) -> None:
+    assert check(make_job(duration_s, scenario=scheme)).outcome.stop == COMPLETED
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, new
 from hil.gnc.guidance import GUIDANCE_STATE, advance, reference, start, start_abort
+from hil.maths import euler, quat
 from hil.models.profile import along_line, duration
 from hil.params import gnc as gnc_params
 
@@ -153,3 +154,39 @@ def test_abort_distance_is_no_farther_than_the_start(scheme_1: Scenario) -> None
 def test_heavy_chaser_brakes_no_harder_than_its_thrusters_can() -> None:
     params = gnc_params.guidance(load_scenario("scheme-1", ["chaser.mass_kg=2000.0"]).value)
     assert params.brake == pytest.approx(0.9 * 20.0 / 2000.0)
+
+
+def test_fly_around_keeps_the_camera_on_the_target_and_its_rates_are_derivatives() -> None:
+    params = listed(
+        'sequence=["approach", "around", "ready"]',
+        "phases.approach.point_m=[3.0, 0.0, 0.0]",
+        'phases.around={ kind = "fly_around", point_m = [1.5, 1.5, 0.0] }',
+    )
+    state = begun(params)
+    ends = duration(float(np.linalg.norm(params.point[0] - params.start)), 0.03, 0.006, 0.008)
+    found = [at(params, state, float(t)) for t in np.arange(ends + 1.0, ends + 120.0, 0.05)]
+    r, v, a = (np.array([getattr(each, name) for each in found]) for name in ("r_CT_H", "v_CT_H", "a_CT_H"))
+    np.testing.assert_allclose(np.gradient(r, 0.05, axis=0)[1:-1], v[1:-1], atol=3e-4)
+    np.testing.assert_allclose(np.gradient(v, 0.05, axis=0)[1:-1], a[1:-1], atol=5e-3)
+    np.testing.assert_allclose(r[-1], [1.5, 1.5, 0.0], atol=1e-9)
+    assert np.abs(a).max() > 5e-3
+    for each in found[::100]:  # the docking axis of the chaser, -x, points at the target
+        seen = quat.to_matrix(each.q_CH) @ each.r_CT_H
+        np.testing.assert_allclose(seen / np.linalg.norm(seen), [1.0, 0.0, 0.0], atol=1e-9)
+        np.testing.assert_array_equal(each.from_H, each.r_CT_H)
+
+
+def test_slew_ends_at_its_attitude_which_stays_in_an_abort() -> None:
+    params = listed(
+        'sequence=["turn", "ready"]', 'phases.turn={ kind = "slew", attitude_deg = [0.0, 5.0, -3.0], rate_degps = 0.5 }'
+    )
+    wanted = euler.to_quaternion(np.radians([0.0, 5.0, -3.0]), euler.YAW_PITCH_ROLL)
+    state = begun(params)
+    turning = at(params, state, 5.0)
+    assert 0.0 < quat.to_rotation_vector(turning.q_CH)[1] < math.radians(5.0)
+    np.testing.assert_array_equal(turning.v_CT_H, 0.0)
+    np.testing.assert_allclose(at(params, state, 60.0).q_CH, wanted, atol=1e-12)
+    other = begun(params)
+    at(params, other, 5.0)
+    start_abort(params, other, 5.0, params.start, np.zeros(3))
+    np.testing.assert_allclose(at(params, other, 9.0).q_CH, turning.q_CH, atol=1e-12)
