@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+from types import SimpleNamespace
 
 import pytest
 
@@ -182,13 +183,14 @@ class SpoiltPort:
     """Answers SDO requests as an emulated drive does, but not always as it should."""
 
     def __init__(self, dice: random.Random) -> None:
-        self.drive = EmulatedCia402Drive(1, None, 0.5)
+        axis = SimpleNamespace(window=lambda: (1000, 50), set_window=lambda *_: None)
+        self.drive = EmulatedCia402Drive(1, axis, 0.5)
         self.drive._refresh = lambda: None
         self.dice = dice
         self.replies: list[bytes] = []
 
-    def send(self, identifier: int, data: bytes) -> None:
-        replies = [reply for _, reply in self.drive.on_frame(identifier, data, 0.0)]
+    def send(self, *frames: tuple[int, bytes]) -> None:
+        replies = [reply for frame in frames for _, reply in self.drive.on_frame(*frame, 0.0)]
         self.replies = [mutated(self.dice, reply)[:8] for reply in replies] + replies
 
     def receive(self, wall_s: float) -> tuple[int, bytes] | None:
