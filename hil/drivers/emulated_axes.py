@@ -66,6 +66,7 @@ class EmulatedAxes:
         scale, axes = config.si_per_unit, config.axes
         self.window = [scale * config.drive_following_error_max] * 3
         self.window_s = [config.drive_following_error_s] * 3
+        self._speed = [0.0, 0.0, 0.0]  # in the step before
         self._within_s = [-math.inf, -math.inf, -math.inf]  # bench time at which it was last within the window
         self._unit = scale
         self._axes = axes_of(config)
@@ -283,8 +284,15 @@ class EmulatedAxes:
         return float(error)
 
     def _check_window(self, axis: int, error: float) -> None:
-        """Switch the torque off after ``window_s`` beyond the window; a runaway drive does not look."""
-        if abs(error) <= self.window[axis] or self._runaway[axis] is not None:
+        """Switch the torque off after ``window_s`` beyond the window; a runaway drive does not look.
+
+        An axis that approaches a far setpoint, or brakes beyond it, is within it: a drive compares with its own demand,
+        which it limits.
+        """
+        rate = self._count[axis] * self._axes.counted_rate[axis]
+        slowing, self._speed[axis] = abs(rate) < self._speed[axis], abs(rate)
+        on_its_way = abs(rate) > _STANDSTILL and (slowing or error * rate > 0.0)
+        if abs(error) <= self.window[axis] or on_its_way or self._runaway[axis] is not None:
             self._within_s[axis] = self._t_s
         elif self._t_s - self._within_s[axis] > self.window_s[axis]:
             self.astray[axis] = True

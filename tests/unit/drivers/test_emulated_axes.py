@@ -91,14 +91,25 @@ def test_an_axis_with_a_reversed_encoder_loses_its_torque_soon_and_for_as_long_a
 
 
 def test_a_short_following_error_is_within_the_time_of_the_window(make: Make) -> None:
-    def jumped(window_s: float) -> list[bool]:
+    def stuck(window_s: float) -> list[bool]:
         axes = make(f"rig.rails.drive_following_error_s={window_s}")
-        axes.follow(1, 0.11, 0.0, 0.0)  # 0.01 m beyond the window, which takes the axis 0.2 s
-        axes.advance(0.4)
+        axes.faults.on("stuck", "y")
+        axes.follow(1, 0.11, 0.0, 0.0)
+        axes.advance(0.2)
         return axes.astray
 
-    assert jumped(0.3) == [False, False, False]
-    assert jumped(0.1) == [False, True, False]
+    assert stuck(0.3) == [False, False, False]
+    assert stuck(0.1) == [False, True, False]
+
+
+def test_an_axis_on_its_way_to_a_far_setpoint_keeps_its_torque(make: Make) -> None:
+    axes = make()
+    axes.follow(1, 1.0, 0.0, 0.0, watchdog_s=20.0)  # within its limits it passes the setpoint at first
+    axes.advance(3.0)
+    assert axes.position[1] > 1.1
+    axes.advance(10.0)
+    assert axes.astray == [False, False, False]
+    assert axes.position[1] == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_drive_with_a_reversed_encoder_cannot_brake(make: Make) -> None:
