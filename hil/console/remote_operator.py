@@ -35,7 +35,7 @@ from hil.setup.live_tuning import unpacked
 STATUS_PERIOD_WALL_S: Final = 0.05
 _PACKETS_PER_CYCLE: Final = 8
 _KEPT_MESSAGES: Final = 512
-_PACKET: Final = 65536
+_PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
 
