@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import ellipkinc
 
 from hil.config.scenario import Scenario
 from hil.config.target import MovingTarget
@@ -68,6 +67,8 @@ def tumble(target: MovingTarget, rate: Array) -> np.record:
     momentum_squared, energy = float(((moments * w) ** 2).sum()), float((moments * w * w).sum())  # twice the energy
     if momentum_squared < energy * moments[order[1]]:
         order = order[::-1]
+    from scipy.special import ellipkinc  # slow import, for targets that tumble only
+
     i1, i2, i3 = moments[order]
     w1, w2, w3 = w[order]
     low, high = energy * i3 - momentum_squared, momentum_squared - energy * i1
