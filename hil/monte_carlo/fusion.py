@@ -52,12 +52,13 @@ class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
-        scenario = load_scenario("scheme-2", settings).value
+        circular = ("gnc.ephemeris.rate_sigma_degps=0.0", *settings)  # the motion of the study is Hill's
+        scenario = load_scenario("scheme-2", circular).value
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = gnc_params.navigation(scenario).fusion
-        self._filters.orbit.eccentricity = 0.0  # the motion of the study is Hill's
+        self._filters.orbit.eccentricity = 0.0
         self._imu = dynamics_params.imu(scenario)
         self._line = gnc_params.guidance(scenario)
         self._seed = seed
