@@ -291,7 +291,8 @@ def test_an_open_safety_chain_is_a_fault_by_name_until_it_is_closed(bench: Bench
 @pytest.mark.parametrize("rig", RIGS)
 def test_torque_off_is_known_by_its_code_when_the_map_calls_it_otherwise(rig: str) -> None:
     register_map = load_rig(rig).value.rails.map
-    renamed = {"faults": {"2": "over-current", str(register_map.torque_off): "STO active"}}
+    faults = {"2": "over-current", str(register_map.torque_off): "STO active"}
+    renamed = {"faults": faults, "following_error": -1}
     with bench_of(rig, map=register_map.model_dump() | renamed) as bench:
         bench.open()
         bench.chain[0] = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hil.checks import target_motion
 from hil.checks.target_motion import THRUST_FRACTION, check_target_motion, plan_accelerations, tumble_over
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput
@@ -21,7 +22,8 @@ def test_shipped_scenarios_take_at_most_the_allowed_thrust(name: str) -> None:
     assert (needed <= THRUST_FRACTION * strength[:3] / loaded.value.chaser.mass_kg).all()
 
 
-def test_centripetal_acceleration_at_rest_is_that_of_the_circle() -> None:
+def test_centripetal_acceleration_at_rest_is_that_of_the_circle(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(target_motion, "_INTERVAL_S", 100.0)  # of a plan of days
     settings = ("target.rate_degps=[0.0, 0.0, 3.0]", "target.principal_axes_deg=[0.0, 0.0, 0.0]")
     still = (
         "initial.position_m=[3.0, 0.0, 0.0]",
