@@ -24,6 +24,9 @@ _INTERVAL_S = 0.5  # between two samples of a phase
 _RATES = 400  # samples of the tumble over the run
 _ABORTS = 8  # along the approach
 
+Plan = list[tuple[Array, Array, Array]]
+"""Position, m, velocity, m/s, and acceleration, m/s^2, (3,) each, of the reference at samples of a plan."""
+
 
 def check_target_motion(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
     """Return a problem if a target tumbles faster than the chaser can follow or the rig can show.
@@ -35,7 +38,8 @@ def check_target_motion(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) 
     if scenario.target.motion != "tumble":
         return []
     rates, changes = tumble_over(scenario)
-    text = _beyond_rig(scenario, rig_file.value, rates) or _beyond_thrusters(scenario, rates, changes)
+    plan = planned(scenario)
+    text = _beyond_rig(scenario, rig_file.value, plan, rates) or _beyond_thrusters(scenario, plan, rates, changes)
     shown = list(scenario.target.rate_degps)
     return [Problem(scenario_file.where(_KEY), _KEY, f"{shown}: {text}")] if text else []
 
@@ -49,13 +53,13 @@ def tumble_over(scenario: Scenario) -> tuple[Array, Array]:
     return rates, changes
 
 
-def plan_accelerations(scenario: Scenario, rates: Array, changes: Array) -> tuple[Array, Array]:
-    """Return the largest acceleration, m/s^2, that the plan needs of the thrusters along each axis, and its range, m.
+def plan_accelerations(plan: Plan, rates: Array, changes: Array) -> tuple[Array, Array]:
+    """Return the largest acceleration, m/s^2, that ``plan`` needs of the thrusters along each axis, and its range, m.
 
     At any time of the tumble: the operator may hold the approach. c is parallel to the target's axes.
     """
     needed, ranges = np.zeros(3), np.zeros(3)
-    for r, v, a in _plan(scenario):
+    for r, v, a in plan:
         wr = np.cross(rates, r)
         total = np.abs(a + 2.0 * np.cross(rates, v) + np.cross(rates, wr) + np.cross(changes, r)).max(axis=0)
         ranges = np.where(total > needed, np.linalg.norm(r), ranges)
@@ -63,10 +67,10 @@ def plan_accelerations(scenario: Scenario, rates: Array, changes: Array) -> tupl
     return needed, ranges
 
 
-def _beyond_rig(scenario: Scenario, rig: Rig, rates: Array) -> str:
+def _beyond_rig(scenario: Scenario, rig: Rig, plan: Plan, rates: Array) -> str:
     """Return what the rig cannot show of a chaser that coasts, "" if it can show all."""
     bench = bench_params.bench(rig, scenario.step_s)
-    far_m = max(float(np.linalg.norm(r)) for r, _, _ in _plan(scenario))
+    far_m = max(float(np.linalg.norm(r)) for r, _, _ in plan)
     rate = float(np.linalg.norm(rates, axis=1).max())
     for axis in (1, 2, 0, 3, 4, 5):
         asked, unit, scale = (rate * far_m, "m", 1.0) if axis < 3 else (rate, "deg", math.degrees(1.0))
@@ -78,11 +82,11 @@ def _beyond_rig(scenario: Scenario, rig: Rig, rates: Array) -> str:
     return ""
 
 
-def _beyond_thrusters(scenario: Scenario, rates: Array, changes: Array) -> str:
+def _beyond_thrusters(scenario: Scenario, plan: Plan, rates: Array, changes: Array) -> str:
     """Return on which axis the plan needs too much of the thrusters, "" on none."""
     _, strength = gnc_params.allocation(scenario.chaser)
     inertia = np.array(scenario.chaser.inertia_kg_m2)
-    needed, ranges = plan_accelerations(scenario, rates, changes)
+    needed, ranges = plan_accelerations(plan, rates, changes)
     torque = changes @ inertia + np.cross(rates, rates @ inertia)
     asked = np.concatenate([scenario.chaser.mass_kg * needed, np.abs(torque).max(axis=0)]) / strength[:6]
     worst = int(np.argmax(asked))
@@ -99,8 +103,8 @@ def _beyond_thrusters(scenario: Scenario, rates: Array, changes: Array) -> str:
     )
 
 
-def _plan(scenario: Scenario) -> list[tuple[Array, Array, Array]]:
-    """Return position, velocity and acceleration of the reference at the samples of approach and retreats."""
+def planned(scenario: Scenario) -> Plan:
+    """Return the samples of approach and retreats."""
     params = gnc_params.guidance(scenario)
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start(params, state)
@@ -109,13 +113,13 @@ def _plan(scenario: Scenario) -> list[tuple[Array, Array, Array]]:
         guidance.start(params, state)
         guidance.start_abort(params, state, 0.0, r, v)
         guidance.advance(params, state, float(guidance.nominal_end(params, state)) + 1e-6, 0, 0)
-        found = [*found, *_phases(params, state, reference)]
+        found += _phases(params, state, reference)
     return found
 
 
-def _phases(params: np.record, state: np.record, reference: np.record) -> list[tuple[Array, Array, Array]]:
+def _phases(params: np.record, state: np.record, reference: np.record) -> Plan:
     """Return the samples of the phases from the present one on; orders to continue come at once."""
-    found = []
+    found: Plan = []
     while True:
         begin, end = float(state.since_s), float(guidance.nominal_end(params, state))
         end = max(begin, end) if math.isfinite(end) else begin

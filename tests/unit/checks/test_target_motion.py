@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.checks import target_motion
-from hil.checks.target_motion import THRUST_FRACTION, check_target_motion, plan_accelerations, tumble_over
+from hil.checks.target_motion import THRUST_FRACTION, check_target_motion, plan_accelerations, planned, tumble_over
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput
 from hil.monte_carlo.dispersions import Design
@@ -17,7 +17,7 @@ from hil.params import gnc as gnc_params
 def test_shipped_scenarios_take_at_most_the_allowed_thrust(name: str) -> None:
     loaded = load_scenario(name)
     assert check_target_motion(loaded, load_rig("mock")) == []
-    needed, _ = plan_accelerations(loaded.value, *tumble_over(loaded.value))
+    needed, _ = plan_accelerations(planned(loaded.value), *tumble_over(loaded.value))
     _, strength = gnc_params.allocation(loaded.value.chaser)
     assert (needed <= THRUST_FRACTION * strength[:3] / loaded.value.chaser.mass_kg).all()
 
@@ -31,7 +31,7 @@ def test_centripetal_acceleration_at_rest_is_that_of_the_circle(monkeypatch: pyt
         "gnc.abort.hold_distance_m=0.4",
     )
     scenario = load_scenario("tumbling-3", (*settings, *still, "gnc.guidance.approach_speed_mps=1e-5")).value
-    needed, ranges = plan_accelerations(scenario, np.radians([[0.0, 0.0, 3.0]]), np.zeros((1, 3)))
+    needed, ranges = plan_accelerations(planned(scenario), np.radians([[0.0, 0.0, 3.0]]), np.zeros((1, 3)))
     assert needed[0] == pytest.approx(np.radians(3.0) ** 2 * 3.0, rel=1e-3)
     assert ranges[0] == pytest.approx(3.0)
 
