@@ -9,12 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from hil.core.clock import SimulatedClock, WallClock
+from hil.core.host_pauses import HostPauses
 from hil.core.wait import wait_until
 
 _SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
 _RETURN_NS = 6_000  # from compiled code, with the interpreter's lock: the rest of the wait is in Python
-_PAUSE_S = 0.005  # a later wake-up is a pause of the host, not lateness
-_PAUSE_KEPT_WALL_S = 1.0
 _SPIN_FRACTION = 0.5  # of a period at most: the kernel preempts a real-time thread that never sleeps
 
 
@@ -103,7 +102,7 @@ class WallClockRate:
         wait_until(0, 0, self._timespec)  # loads the kernel before the first deadline
         self.executed = self.overruns = self.skipped_periods = 0
         self.paced = True
-        self._pause_s, self._paused_at_ns = 0.0, 0
+        self._pauses = HostPauses()
         self.restart()
 
     def now_s(self) -> float:
@@ -116,8 +115,7 @@ class WallClockRate:
 
     @property
     def pause_s(self) -> float:
-        recent = time.monotonic_ns() - self._paused_at_ns < _PAUSE_KEPT_WALL_S * 1e9
-        return self._pause_s if recent else 0.0
+        return self._pauses.recent_s(1e-9 * time.monotonic_ns())
 
     def wait(self) -> Tick:
         self._deadline_ns += self._period_ns
@@ -137,8 +135,8 @@ class WallClockRate:
             pass
         self.executed += 1
         lateness_s = (now_ns - self._deadline_ns) * 1e-9
-        if lateness_s > max(_PAUSE_S, self.pause_s):
-            self._pause_s, self._paused_at_ns = lateness_s, now_ns
+        if lateness_s > self._pauses.recent_s(1e-9 * now_ns):
+            self._pauses.note(lateness_s, 1e-9 * now_ns)
         if not skipped:
             return Tick(self._bench_s(now_ns), self._zero_s, lateness_s)
         return Tick(self._bench_s(now_ns), self._zero_s, lateness_s, skipped, late_ns * 1e-9)

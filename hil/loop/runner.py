@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.core.host_pauses import pause_text
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
@@ -360,8 +361,7 @@ class Runner:
 
     def _host_pause(self, cause: BenchError) -> str:
         """Return the recent pause of the loop, as an addition to the text of a lost or silent link; "" without one."""
-        pause_s = self.rate.pause_s if isinstance(cause, LinkLost | LinkTimeout) else 0.0
-        return f" (the host paused the loop for {1e3 * pause_s:.0f} ms)" if pause_s > 0.0 else ""
+        return pause_text("the loop", self.rate.pause_s) if isinstance(cause, LinkLost | LinkTimeout) else ""
 
     def _controlled_stop(self, signals: list[int]) -> ControlledStop:
         """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds.

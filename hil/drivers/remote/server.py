@@ -16,6 +16,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from hil.core.clock import WallClock
+from hil.core.host_pauses import HostPauses, pause_text
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
@@ -26,8 +27,6 @@ LOOP_SILENCE_MAX_S: Final = 0.05
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: the loop's commands must be sent."""
 _COUNTERS_EVERY: Final = 50  # periods
-_PAUSE_WALL_S: Final = 0.005  # shorter ones are no cause of a silence
-_PAUSE_KEPT_WALL_S: Final = 1.0
 
 
 def raise_priority() -> None:
@@ -77,7 +76,7 @@ class DeviceServer:
         self._peer_heartbeat = np.zeros(1, io_layout.HEARTBEAT)
         self._stop = np.zeros(1, io_layout.STOP)
         self._stops: dict[str, int] = {}
-        self._pause_s, self._paused_at_s = 0.0, 0.0
+        self._pauses = HostPauses()
 
     def start(self) -> dict[str, str]:
         """Accept requests; no device is opened before the loop requests it."""
@@ -95,8 +94,7 @@ class DeviceServer:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._wake)
             wall_s = time.monotonic()
-            if (pause_s := wall_s - stepped_s - self._period_wall_s) > _PAUSE_WALL_S:
-                self._pause_s, self._paused_at_s = pause_s, wall_s
+            self._pauses.note(wall_s - stepped_s - self._period_wall_s, wall_s)
             now_s = self.clock.now_s()
             self._beat.write(self._heartbeat, now_s)
             self.step(now_s)
@@ -120,9 +118,7 @@ class DeviceServer:
 
     def own_pause(self) -> str:
         """Return the recent pause of this process, as an addition to the text of an alarm; "" without one."""
-        if self._pause_s == 0.0 or time.monotonic() - self._paused_at_s > _PAUSE_KEPT_WALL_S:
-            return ""
-        return f" (the host paused this process for {1e3 * self._pause_s:.0f} ms)"
+        return pause_text("this process", self._pauses.recent_s(time.monotonic()))
 
     def silence_s(self, sender: str, now_s: float) -> float:
         """Return the time, s of wall time, since the last heartbeat of ``sender``; 0 while none is due."""
