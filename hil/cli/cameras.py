@@ -31,7 +31,7 @@ class CameraOptions:
     """Options of a camera."""
 
     interface: str = "genicam"
-    """genicam (GigE Vision, USB3 Vision) or v4l2."""
+    """genicam (GigE Vision, USB3 Vision), pylon, gentl or v4l2."""
     width: OptionalInteger = None
     """Image width, px; default: 1024."""
     height: OptionalInteger = None
@@ -53,9 +53,9 @@ class CameraOptions:
 _DEFAULTS = CameraOptions()
 
 
-@app.command(name="list", help="List the cameras that answer: GigE Vision, USB3 Vision, V4L2.")
+@app.command(name="list", help="List the cameras that answer: GigE Vision, USB3 Vision, GenTL, V4L2.")
 def list_found(*, json: Output = None) -> int:
-    """List the cameras that answer: GigE Vision, USB3 Vision, V4L2.
+    """List the cameras that answer: GigE Vision, USB3 Vision, GenTL, V4L2.
 
     Parameters
     ----------
@@ -185,11 +185,11 @@ def _spot_width(spots: np.ndarray, image: np.ndarray) -> float:
 def _problems(options: CameraOptions) -> list[Problem]:
     from typing import get_args
 
-    from hil.config.cameras import PixelFormat
+    from hil.config.cameras import CameraInterface, PixelFormat
 
     problems = above_zero("--rate-hz", options.rate_hz) + above_zero("--exposure-ms", options.exposure_ms, at_most=1e3)
     for name, allowed in (
-        ("interface", ("genicam", "v4l2")),
+        ("interface", get_args(CameraInterface)),
         ("pixel_format", get_args(PixelFormat)),
         ("trigger", ("none", "software", "hardware")),
     ):

@@ -45,6 +45,11 @@ class GenicamCamera:
 
     def _set_up(self, settings: CameraSettings, rate_hz: float) -> None:
         library, camera, (width, height) = self._library, self._camera, self._size
+        device = library.camera_get_device(camera)
+        for feature, value in settings.features.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            what = f"{feature} = {value}"
+            self._do(what, library.device_set_features_from_string, device, f"{feature}={text}".encode())
         self._check_offered(
             "pixel format", settings.pixel_format, library.camera_dup_available_pixel_formats_as_strings
         )
@@ -162,6 +167,8 @@ def found_cameras() -> list[CameraInfo]:
     library.update_device_list()
     keys = ("id", "vendor", "model", "serial_nbr", "address", "protocol")
     return [
-        CameraInfo(*((getattr(library, f"get_device_{key}")(k) or b"").decode(errors="replace") for key in keys))
+        CameraInfo(
+            *((getattr(library, f"get_device_{key}")(k) or b"").decode(errors="replace") for key in keys), "genicam"
+        )
         for k in range(library.get_n_devices())
     ]

@@ -74,5 +74,5 @@ def found_devices() -> list[CameraInfo]:
     found = []
     for path in sorted(Path("/sys/class/video4linux").glob("video*")):
         model = (path / "name").read_text(errors="replace").strip()
-        found.append(CameraInfo(f"/dev/{path.name}", "", model, "", f"/dev/{path.name}", "V4L2"))
+        found.append(CameraInfo(f"/dev/{path.name}", "", model, "", f"/dev/{path.name}", "V4L2", "v4l2"))
     return found

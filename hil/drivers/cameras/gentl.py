@@ -1,0 +1,197 @@
+"""GenICam cameras by GenTL producers, the libraries of camera vendors, through harvesters."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import logging
+import math
+import os
+import re
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hil.config.cameras import CameraSettings
+from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
+from hil.drivers.cameras.node_map import NodeMap, reason
+from hil.errors import DeviceError, LinkLost
+
+PATH: Final = "GENICAM_GENTL64_PATH"
+"""Environment variable with the folders of the producers (``*.cti``), which GenTL prescribes."""
+_BUFFERS: Final = 8
+_NAMES: Final = ("id_", "serial_number", "user_defined_name")
+_INNER_CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
+
+
+class GentlCamera:
+    """A camera, set up and ready to start; see ``open_camera``. identifier: its GenTL id, serial number or name.
+
+    Images with missing packets are discarded by harvesters.
+    """
+
+    def __init__(
+        self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
+    ) -> None:
+        self._name = name
+        self._error = _library(name).errors
+        self._bits = BITS[settings.pixel_format]
+        self._size = size
+        self._camera: Any = None
+        self._producers = _producers(name)
+        try:
+            devices = self._producers.device_info_list
+            device = next((d for d in devices if identifier in [_text(d, key, self._error) for key in _NAMES]), None)
+            if device is None:
+                raise LinkLost(name, f"no camera {identifier!r}")
+            self._camera = self._producers.create(device)
+            self._camera.num_buffers = _BUFFERS
+            self._nodes = _node_map(name, self._camera.remote_device.node_map)
+            self._nodes.set_up(settings, size, rate_hz)
+        except self._error as cause:
+            self.close()
+            raise LinkLost(name, reason(cause)) from cause
+        except BaseException:
+            self.close()
+            raise
+
+    def start(self) -> None:
+        """Start the acquisition. Raises DeviceError."""
+        try:
+            self._camera.start()
+        except self._error as cause:
+            raise LinkLost(self._name, f"acquisition: {reason(cause)}") from cause
+
+    def trigger(self) -> None:
+        """Command one exposure. Raises DeviceError."""
+        self._nodes.execute("TriggerSoftware")
+
+    def receive(self, timeout_s: float) -> CameraFrame | None:
+        """Return the next frame, None if there is none within ``timeout_s`` of wall time. Raises DeviceError."""
+        camera = self._camera
+        try:
+            camera.timeout_period_on_update_event_data_call = max(1, round(1e3 * timeout_s))
+            buffer = camera.try_fetch(timeout=timeout_s, is_raw=True)
+            if buffer is None:
+                return None
+            try:
+                return CameraFrame(self._image(buffer), buffer.frame_id, _stamp_s(buffer, self._error))
+            finally:
+                buffer.parent.queue_buffer(buffer)
+        except self._error as cause:
+            raise LinkLost(self._name, reason(cause)) from cause
+
+    def _image(self, buffer: Any) -> np.ndarray:
+        found = int(buffer.width), int(buffer.height)
+        check_size(self._name, found, self._size)
+        pixel_bytes = 1 if self._bits == 8 else 2
+        row = found[0] * pixel_bytes + _whole(buffer, "padding_x", self._error)
+        data = np.frombuffer(buffer.raw_buffer, np.uint8, offset=_whole(buffer, "image_offset", self._error))
+        if len(data) < row * found[1]:
+            raise DeviceError(self._name, f"image of {len(data)} bytes, expected {row * found[1]}")
+        rows = data[: row * found[1]].reshape(found[1], row)[:, : found[0] * pixel_bytes]
+        return to_8_bits(rows.copy().view(f"<u{pixel_bytes}"), self._bits)  # the producer uses the buffer again
+
+    def set_exposure(self, exposure_s: float) -> None:
+        """Set the exposure time. Raises DeviceError."""
+        self._nodes.set_exposure(exposure_s)
+
+    def close(self) -> None:
+        """Stop and release the camera. Idempotent, never raises."""
+        camera, self._camera = self._camera, None
+        for end in (camera.destroy if camera is not None else None, self._producers.reset):
+            if end is not None:
+                with contextlib.suppress(*self._error):
+                    end()
+
+
+def found_gentl() -> list[CameraInfo]:
+    """Return the cameras of all producers; none without ``PATH``. Raises DeviceError without harvesters."""
+    if not os.environ.get(PATH):
+        return []
+    producers = _producers("cameras")
+    keys, errors = ("id_", "vendor", "model", "serial_number"), _library("cameras").errors
+    try:
+        return [
+            CameraInfo(*(_text(device, key, errors) for key in keys), "", _text(device, "tl_type", errors), "gentl")
+            for device in producers.device_info_list
+        ]
+    finally:
+        producers.reset()
+
+
+class _Library:
+    """Modules of harvesters and of its binding of the GenICam reference implementation."""
+
+    def __init__(self) -> None:
+        self.core = importlib.import_module("harvesters.core")
+        self.genapi = importlib.import_module("genicam.genapi")
+        self.gentl = importlib.import_module("genicam.gentl")
+        self.errors = self.genapi.GenericException, self.gentl.GenericException
+        logging.getLogger("harvesters").setLevel(logging.CRITICAL)  # what it logs also raises
+
+
+def _library(name: str) -> _Library:
+    try:
+        return _Library()
+    except ImportError as cause:
+        raise DeviceError(name, f"interface gentl needs the packages harvesters and genicam: {cause}") from cause
+
+
+def _producers(name: str) -> Any:
+    """Return a Harvester with the producers of ``PATH`` and the cameras that they find. Raises DeviceError."""
+    library = _library(name)
+    folders = [Path(folder) for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]
+    files = sorted(path for folder in folders for path in folder.glob("*.cti"))
+    if not files:
+        raise DeviceError(name, f"no GenTL producer (*.cti) in the folders of {PATH}")
+    producers = library.core.Harvester()
+    try:
+        for path in files:
+            producers.add_file(str(path))
+        producers.update()
+    except library.gentl.GenericException as cause:
+        raise DeviceError(name, f"{', '.join(path.name for path in files)}: {reason(cause)}") from cause
+    return producers
+
+
+def _text(device: Any, key: str, error: tuple[type[Exception], ...]) -> str:
+    """Return a text of a device, "" if its producer does not have it."""
+    try:
+        return getattr(device, key) or ""
+    except error:
+        return ""
+
+
+def _node_map(name: str, nodes: Any) -> NodeMap:
+    genapi = _library(name).genapi
+
+    def find(feature: str) -> Any:
+        try:
+            node = nodes.get_node(feature)
+        except genapi.GenericException:
+            return None
+        return node if node is not None and genapi.is_available(node) else None
+
+    return NodeMap(name, find, genapi.GenericException, lambda method: _INNER_CAPITAL.sub("_", method).lower())
+
+
+def _stamp_s(buffer: Any, error: tuple[type[Exception], ...]) -> float:
+    """Return the time stamp, s, by the camera's clock; nan without one."""
+    try:
+        return 1e-9 * float(buffer.timestamp_ns)
+    except error:
+        pass
+    try:
+        return float(buffer.timestamp) / float(buffer.parent.parent.timestamp_frequency)
+    except (*error, ZeroDivisionError):
+        return math.nan
+
+
+def _whole(buffer: Any, key: str, error: tuple[type[Exception], ...]) -> int:
+    """Return a number of a buffer, 0 if its producer does not have it."""
+    try:
+        return int(getattr(buffer, key))
+    except error:
+        return 0

@@ -1,0 +1,147 @@
+"""Set-up of a GenICam camera by the standard names of its features (SFNC), for libraries with a GenApi node map."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from hil.config.cameras import CameraSettings
+from hil.drivers.cameras.base import check_size
+from hil.errors import DeviceError
+
+_OFFSETS: Final = ("OffsetX", "OffsetY")
+_SIZES: Final = ("Width", "Height")
+_PLACE = re.compile(r"[\s:]*\w*Exception thrown.*", re.DOTALL)  # in the library's sources
+
+
+class NodeMap:
+    """Features of the camera ``name``, for errors. Each method raises DeviceError for a feature that it cannot set.
+
+    find: returns the node of a feature, None if the camera does not have it. error: base of the library's exceptions.
+    spelled: converts the C++ name of a node's method to that of the library's binding.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        find: Callable[[str], Any],
+        error: type[Exception],
+        spelled: Callable[[str], str] = lambda method: method,
+    ) -> None:
+        self._name = name
+        self._find = find
+        self._error = error
+        self._spelled = spelled
+
+    def set_up(self, settings: CameraSettings, size: tuple[int, int], rate_hz: float) -> None:
+        """Set the camera up for images of ``size`` (width, height), px, at ``rate_hz`` without a trigger."""
+        for feature, value in settings.features.items():
+            self.set(feature, value)
+        self._choose("pixel format", "PixelFormat", settings.pixel_format)
+        self._set_region(size)
+        if settings.packet_bytes is not None and self.has("GevSCPSPacketSize"):
+            self.set("GevSCPSPacketSize", settings.packet_bytes)
+        if settings.exposure_s is not None:
+            self.set_exposure(settings.exposure_s)
+        if settings.gain_db is not None:
+            self._set_by_hand("Gain", "GainAuto", settings.gain_db)
+        self._set_trigger(settings, rate_hz)
+
+    def has(self, feature: str) -> bool:
+        """Return whether the camera has ``feature``."""
+        return self._find(feature) is not None
+
+    def set(self, feature: str, value: float | str) -> None:
+        """Set ``feature``."""
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        self._call(feature, f"{feature} = {value}", "FromString", text)
+
+    def execute(self, feature: str) -> None:
+        """Execute a command."""
+        self._call(feature, feature, "Execute")
+
+    def whole(self, feature: str, limit: str = "Value") -> int:
+        """Return a whole number: the value of ``feature``, or its limit ``Max`` or ``Inc``."""
+        return int(self._attribute(feature, limit))
+
+    def set_exposure(self, exposure_s: float) -> None:
+        """Set the exposure time."""
+        feature = "ExposureTime" if self.has("ExposureTime") else "ExposureTimeAbs"
+        self._set_by_hand(feature, "ExposureAuto", 1e6 * exposure_s)
+
+    def _set_by_hand(self, feature: str, automatic: str, value: float) -> None:
+        if self.has(automatic):
+            self.set(automatic, "Off")
+        self.set(feature, value)
+
+    def _set_region(self, size: tuple[int, int]) -> None:
+        offsets = [feature for feature in _OFFSETS if self.has(feature)]
+        for feature in offsets:
+            self.set(feature, 0)
+        sensor = self.whole("Width", "Max"), self.whole("Height", "Max")
+        if sensor[0] < size[0] or sensor[1] < size[1]:
+            check_size(self._name, sensor, size)
+        for feature, pixels in zip(_SIZES, size, strict=True):
+            self.set(feature, pixels)
+        check_size(self._name, (self.whole("Width"), self.whole("Height")), size)
+        for feature in offsets:
+            axis = _OFFSETS.index(feature)
+            step = self.whole(feature, "Inc")
+            self.set(feature, (sensor[axis] - size[axis]) // 2 // step * step)
+
+    def _set_trigger(self, settings: CameraSettings, rate_hz: float) -> None:
+        selectors = self._choices("TriggerSelector") if self.has("TriggerSelector") else ()
+        for selector in selectors:
+            self.set("TriggerSelector", selector)
+            if self.has("TriggerMode"):
+                self.set("TriggerMode", "Off")
+        if settings.trigger == "none":
+            if self.has("AcquisitionFrameRateEnable"):
+                self.set("AcquisitionFrameRateEnable", True)
+            rate = "AcquisitionFrameRate" if self.has("AcquisitionFrameRate") else "AcquisitionFrameRateAbs"
+            self.set(rate, rate_hz)
+            return
+        if not self.has("TriggerSource"):
+            raise DeviceError(self._name, f'trigger = "{settings.trigger}": the camera has no trigger')
+        if "FrameStart" in selectors:
+            self.set("TriggerSelector", "FrameStart")
+        self.set("TriggerMode", "On")
+        source = "Software" if settings.trigger == "software" else settings.trigger_source
+        self._choose("trigger source", "TriggerSource", source)
+
+    def _choose(self, what: str, feature: str, wanted: str) -> None:
+        """Set ``feature`` to one of its names."""
+        names = self._choices(feature)
+        if wanted not in names:
+            raise DeviceError(self._name, f"{what} {wanted!r}: the camera has {', '.join(names) or 'none'}")
+        self.set(feature, wanted)
+
+    def _choices(self, feature: str) -> Sequence[str]:
+        return tuple(self._attribute(feature, "Symbolics"))
+
+    def _attribute(self, feature: str, name: str) -> Any:
+        try:
+            return getattr(self._node(feature), self._spelled(name))
+        except self._error as cause:
+            raise self._failure(feature, cause) from cause
+
+    def _call(self, feature: str, what: str, method: str, *arguments: Any) -> None:
+        try:
+            getattr(self._node(feature), self._spelled(method))(*arguments)
+        except self._error as cause:
+            raise self._failure(what, cause) from cause
+
+    def _node(self, feature: str) -> Any:
+        node = self._find(feature)
+        if node is None:
+            raise DeviceError(self._name, f"has no feature {feature}")
+        return node
+
+    def _failure(self, what: str, cause: Exception) -> DeviceError:
+        return DeviceError(self._name, f"{what}: {reason(cause)}")
+
+
+def reason(cause: Exception) -> str:
+    """Return the text of an exception of GenApi or GenTL without the place in its sources."""
+    return " ".join(_PLACE.sub("", str(cause)).split()) or type(cause).__name__
