@@ -60,20 +60,23 @@ class MonitorOutcome:
     failure: str = ""
 
 
-class MonitorOfFrames:
-    """Docking monitor with its results. images: sink of the camera's images; portions: of rows of PORTION."""
+class MonitorSinks(NamedTuple):
+    """Sinks of the camera's images with their overlay, and of the results as rows of PORTION."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        scene: Scene,
-        images: ImageSink | None = None,
-        portions: Telemetry | None = None,
-    ) -> None:
+    images: ImageSink | None = None
+    portions: Telemetry = NoTelemetry()
+
+
+_NO_SINKS: Final = MonitorSinks()
+
+
+class MonitorOfFrames:
+    """Docking monitor with its results."""
+
+    def __init__(self, scenario: Scenario, scene: Scene, sinks: MonitorSinks = _NO_SINKS) -> None:
         self.outcome = MonitorOutcome(scenario.monitor.scene)
         self._monitor = DockingMonitor(scene, settings_of(scenario))
-        self._images = images
-        self._portions = portions or NoTelemetry()
+        self._images, self._portions = sinks
         self._spent_s = 0.0
 
     def process(self, frame: VideoFrame, now_s: float) -> None:
@@ -114,18 +117,12 @@ class MonitorOfFrames:
 
 
 class CameraMonitor(MonitorOfFrames):
-    """Rendered camera and docking monitor. images, portions: as of ``MonitorOfFrames``."""
+    """Rendered camera and docking monitor."""
 
     def __init__(
-        self,
-        scenario: Scenario,
-        scene: Scene,
-        rig: Rig,
-        seed: int,
-        images: ImageSink | None = None,
-        portions: Telemetry | None = None,
+        self, scenario: Scenario, scene: Scene, rig: Rig, seed: int, sinks: MonitorSinks = _NO_SINKS
     ) -> None:
-        super().__init__(scenario, scene, images, portions)
+        super().__init__(scenario, scene, sinks)
         self._camera = RenderedCamera(scene, scenario.monitor, rig, scenario.step_s, seed)
         self._newest_s = 0.0
 
@@ -236,16 +233,10 @@ def settings_of(scenario: Scenario) -> MonitorSettings:
 
 
 def monitor_recorded(
-    scenario: Scenario,
-    scene: Scene,
-    rig: Rig,
-    seed: int,
-    history: np.ndarray,
-    images: ImageSink | None = None,
-    portions: Telemetry | None = None,
+    scenario: Scenario, scene: Scene, rig: Rig, seed: int, history: np.ndarray, sinks: MonitorSinks = _NO_SINKS
 ) -> MonitorOutcome:
     """Return the monitor's results for the rows ``history`` (n,) of CYCLE of a run that has ended."""
-    monitor = CameraMonitor(scenario, scene, rig, seed, images, portions)
+    monitor = CameraMonitor(scenario, scene, rig, seed, sinks)
     unread = [history]
     monitor.update(lambda: unread.pop() if unread else history[:0])
     outcome = monitor.finish()
@@ -328,15 +319,16 @@ def run_child(parent: Parent) -> None:
     os.nice(_NICE)  # nothing moves before this
     reader = Ring(rings["telemetry"][0], CYCLE, rings["telemetry"][1]).reader()
     policy = image_policy(rig)
-    images, portions = None, None
+    sinks = _NO_SINKS
     if "images" in rings and policy.encoding != "none":
-        images = ImageEncoder(Ring(rings["images"][0], IMAGE, rings["images"][1], "pictures"), policy)
+        ring = Ring(rings["images"][0], IMAGE, rings["images"][1], "pictures")
+        sinks = sinks._replace(images=ImageEncoder(ring, policy))
     if "portions" in rings:
-        portions = Ring(rings["portions"][0], PORTION, rings["portions"][1], "portions")
+        sinks = sinks._replace(portions=Ring(rings["portions"][0], PORTION, rings["portions"][1], "portions"))
     if configuration["times"] is not None:
-        _run_live(parent, MonitorOfFrames(scenario, scene, images, portions), scene, rig)
+        _run_live(parent, MonitorOfFrames(scenario, scene, sinks), scene, rig)
         return
-    monitor = CameraMonitor(scenario, scene, rig, configuration["seed"], images, portions)
+    monitor = CameraMonitor(scenario, scene, rig, configuration["seed"], sinks)
     parent.send()
     while not parent.wait_end(_POLL_S):
         monitor.update(reader.read)
