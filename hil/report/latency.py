@@ -1,4 +1,4 @@
-"""Latencies of a run: from a pose's last byte to the thruster command, and from a setpoint to the encoder."""
+"""Latencies of a run: of poses, of thruster commands and of setpoints, and the time offset of vision unit and IMU."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ _WINDOW_S = 1.0
 _SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows do not determine a delay
 _SIGMA_MAX_S = 0.002
 _LEAST_SAMPLES = 10
+_POSE_WINDOW_S = 20.0
 _KNOWN_WITHIN = 2  # rows after the command
 _STAMP_S = 1e-3  # a command is stamped just after its lines were passed on
 
@@ -23,7 +24,8 @@ def measure_latency(history: np.ndarray, step_s: float, tick_s: float) -> dict[s
     ``pose_to_command_ms``: from the last byte of a pose's frame to the command of the cycle that used
     it. ``pose_to_wire_ms``: to the time at which the coupler of the digital lines received a command that
     changed them. ``setpoint_to_encoder_ms``: from sending a setpoint to the encoder's arrival at it, one
-    value for each second in which an axis moved. tick_s: period of the setpoints.
+    value for each second in which an axis moved. ``pose_behind_imu_ms``: see ``pose_behind_imu_s``. tick_s: period of
+    the setpoints.
     """
     return {name: percentiles(1e3 * values) for name, values in measured(history, step_s, tick_s).items()}
 
@@ -34,6 +36,7 @@ def measured(history: np.ndarray, step_s: float, tick_s: float) -> dict[str, Arr
         "pose_to_command_ms": pose_to_command_s(history),
         "pose_to_wire_ms": pose_to_wire_s(history),
         "setpoint_to_encoder_ms": setpoint_to_encoder_s(history, step_s, tick_s),
+        "pose_behind_imu_ms": pose_behind_imu_s(history),
     }
 
 
@@ -76,6 +79,35 @@ def setpoint_to_encoder_s(history: np.ndarray, step_s: float, tick_s: float) -> 
             part = slice(k, k + window)
             found += _delay_of_window(behind[part], speed[part], axis)
     return np.array(found) + tick_s
+
+
+def pose_behind_imu_s(history: np.ndarray) -> Array:
+    """Return the time offset between vision unit and IMU for each window of 20 s in which the chaser moved, s.
+
+    The IMU measures the motion of the truth at its time. A pose that shows it d later than the exposure that it states
+    (lag of the axes, an unknown latency of cameras or clock) lags by d times the velocity: d is fitted to the
+    poses' positions of a window by least squares. Windows with an uncertain d are omitted.
+    """
+    used = history["pose"][history["pose"]["fresh"] > 0]
+    used = used[np.isfinite(used["t_s"]) & (used["t_s"] >= (history["t_s"][0] if len(history) else 0.0))]
+    if not len(used):
+        return np.empty(0)
+    truth, t_s = history["truth"], history["t_s"]
+    r, v = (
+        np.column_stack([np.interp(used["t_s"], t_s, truth[name][:, i]) for i in range(3)])
+        for name in ("r_CT_H", "v_CT_H")
+    )
+    q = truth["q_CH"][np.searchsorted(t_s, used["t_s"]).clip(max=len(t_s) - 1)]
+    z, u, w = used["z_TC_C"], q[:, :3], q[:, 3:]
+    cross = 2.0 * np.cross(u, z)
+    behind = r + z + w * cross + np.cross(u, cross)  # r_CT_H - (-A(q_CH).T z_TC_C)
+    windows = np.floor(used["t_s"] / _POSE_WINDOW_S)
+    found = []
+    for window in np.unique(windows):
+        chosen = windows == window
+        if np.count_nonzero(chosen) >= _LEAST_SAMPLES:
+            found += _delay_of_window(behind[chosen].ravel(), v[chosen].ravel(), 0)
+    return np.array(found)
 
 
 def _delay_of_window(behind: Array, speed: Array, axis: int) -> list[float]:

@@ -146,7 +146,8 @@ class LongRun:
         self._largest: dict[str, Any] = {}
         self._nees: dict[str, tuple[float, int]] = {}
         self._latency = {
-            name: ThinnedSample() for name in ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms")
+            name: ThinnedSample()
+            for name in ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "pose_behind_imu_ms")
         }
         self._lateness = ThinnedSample()
         self._times = {name: ThinnedSample() for name in NAMES}
