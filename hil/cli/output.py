@@ -80,10 +80,13 @@ def chosen_axes(axes: Sequence[str]) -> list[int]:
     return [k for k, name in enumerate(BENCH_AXES) if name in axes or not axes]
 
 
-def base_of(rig_name: str, out_path: str) -> str:
-    """Return the value of ``extends`` with which the file at ``out_path`` extends the rig."""
+def base_of(name: str, out_path: str, kind: str = "rigs") -> str:
+    """Return the value of ``extends`` with which the file at ``out_path`` extends the rig, or the scene, ``name``.
+
+    kind: folder of the shipped files.
+    """
     from hil.config.load import shipped
 
-    if rig_name in shipped("rigs"):
-        return rig_name
-    return Path(os.path.relpath(Path(rig_name).resolve(), Path(out_path).resolve().parent)).as_posix()
+    if name in shipped(kind):
+        return name
+    return Path(os.path.relpath(Path(name).resolve(), Path(out_path).resolve().parent)).as_posix()

@@ -58,13 +58,13 @@ def board_pair(
     images = []
     for side in range(2):
         turned, place = pair.rotation[side] @ turn, pair.rotation[side] @ t_v + pair.translation[side]
-        image = _board_image(setup.theta[9 * side : 9 * side + 9], setup.sizes[side], turned, place, board)
+        image = board_image(setup.theta[9 * side : 9 * side + 9], setup.sizes[side], turned, place, board)
         image = cv2.GaussianBlur(image, (0, 0), 0.7) + noise_levels * generator.standard_normal(image.shape)
         images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
     return images
 
 
-def _board_image(numbers: Array, size: Array, turn: Array, place: Array, board: Board) -> np.ndarray:
+def board_image(numbers: Array, size: Array, turn: Array, place: Array, board: Board) -> np.ndarray:
     width, height = int(size[0]), int(size[1])
     image = np.full((height, width), _AROUND)
     x0, y0, x1, y1 = _box(numbers, turn, place, board, width, height)
