@@ -125,10 +125,9 @@ def run_job(request: RunRequest) -> Run:
 
             recorder = stack.enter_context(recording(job, request.rig_name, Path(request.record), request.announce))
         sinks = recorder.sinks if recorder else None
-        with with_docking_monitor.runner(job, request.on_progress, request.announce, sinks, request.operator) as (
-            runner,
-            look,
-        ):
+        with with_docking_monitor.runner(
+            job, request.on_progress, request.announce, sinks, request.operator, _prepare
+        ) as (runner, look):
             request.attach(runner)
             numbers = accumulate(runner, job)
             outcome = runner.run()
@@ -139,6 +138,13 @@ def run_job(request: RunRequest) -> Run:
             kept = recorder.finish(found.summary)
             found.summary["recording"] = {"file": str(recorder.path), "dropped": kept.dropped, "problem": kept.problem}
     return found
+
+
+def _prepare(bench: build.WiredBench, runner: Runner) -> None:
+    if bench.rig.vmu.drift_check.views:
+        from hil.commission.drift_check import request_drift_check  # slow imports
+
+        request_drift_check(bench, runner)
 
 
 def judged_run(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from hil.vmu.calibration.board import Board
 
 _PASSED, _FAILED = 0, 1
-_CLEARANCE_M: Final = 0.1  # beyond the scenario's keep-out
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
@@ -46,6 +44,8 @@ class InitialGuessOptions:
     """Initial cameras and LEDs, instead of the rig file's."""
     keep: Names = ()
     """left, right, stereo, mounting or leds: held at its initial value; may be given more than once."""
+    scene: str | None = None
+    """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
@@ -64,6 +64,8 @@ class ResultOptions:
     """Geometry file (*.toml) to write."""
     rig_out: Output = None
     """Rig file (*.toml) to write: it extends this rig by the measured mounting."""
+    scene_out: Output = None
+    """Scene file (*.toml) to write: it extends --scene by the measured camera."""
     json: Output = None
     """File for the numbers, - for standard output."""
     figure: str | None = None
@@ -78,7 +80,8 @@ class ResultOptions:
         problems = []
         if self.date is not None and not _is_date(self.date):
             problems.append(Problem("--date", "", f"{self.date}: must be a date like 2026-03-01"))
-        problems += check_rig_path("--out", self.out) + check_rig_path("--rig-out", self.rig_out)
+        for option, path in (("--out", self.out), ("--rig-out", self.rig_out), ("--scene-out", self.scene_out)):
+            problems += check_rig_path(option, path)
         return problems + check_json_path("--json", self.json) + check_figure_path("--figure", self.figure)
 
 
@@ -176,7 +179,7 @@ def calibrate(
 ) -> int:
     """Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.
 
-    With --drive the bench takes the views itself.
+    With --drive the bench takes the views itself. With --scene the camera of the docking monitor is calibrated.
 
     Parameters
     ----------
@@ -191,7 +194,12 @@ def calibrate(
         problems += [Problem("--check", "", f"goes without --{name}") for name, value in given.items() if value]
     elif drift.moved:
         problems.append(Problem("--moved", "", "goes with --check only"))
+    others = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
+    others |= {"figure": result.figure, "check": drift.check, "drive": driving.drive}
+    problems += _television_problems(start, result.scene_out, others)
     refuse(problems + result.problems() + (_drive_problems(views, start, driving) if driving.drive else []))
+    if start.scene is not None:
+        return _calibrate_television(Path(views), start.scene, start, result, limits)
     if driving.drive:
         _drive(Path(views), start, sigmas, driving, settings)
     if drift.check is not None:
@@ -222,12 +230,9 @@ def _drive(
     import numpy as np
 
     from hil.cli.warm_up import compile_kernels_with_notice
-    from hil.commission.calibration_drive import CalibrationDrive, write_views
-    from hil.commission.view_plan import Clearance, PlanRequest, plan_views
+    from hil.commission.calibration_drive import plan_drive, take_views, write_views
+    from hil.commission.view_plan import PlanRequest
     from hil.config.load import load_geometry, load_rig, load_scenario
-    from hil.drivers.cameras.pairing import Pairing
-    from hil.drivers.cameras.processes import vision_cameras
-    from hil.params import bench as bench_params
     from hil.session import build
     from hil.vmu.calibration.model import Setup
     from hil.vmu.calibration.refine import weak_prior
@@ -243,26 +248,19 @@ def _drive(
     build.check_rig(job)
     rig = job.rig.value
     geometry = geometry_of_rig(rig) if start.geometry is None else load_geometry(start.geometry).value
-    bench_axes = bench_params.bench(rig, scenario.value.step_s)
     setup = Setup.of(geometry, rig.bench)
     axis_sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
     held = weak_prior(setup, start.keep, axis_sigma, 1e-3 * sigmas.led_sigma_mm, 0.0)
-    clear = Clearance(bench_axes, scenario.value.keep_out.radius_m + _CLEARANCE_M)
     request = PlanRequest(driving.count, driving.near_m, driving.far_m, float(np.radians(driving.turn_deg)))
-    plan = plan_views(setup, bench_axes, held, request, clear, np.random.default_rng(0))
+    plan = plan_drive(job, setup, held, request)
     console = Console(stderr=True)
     compile_kernels_with_notice(job, console)
-    sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
 
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
     with ProgressBar(console, "opening the axes") as bar, build.wired_bench(job, announce) as bench:
-        runner, cameras = bench.runner(), vision_cameras(bench.rig.vmu, sizes, bench.clock)
-        chosen = rig.vmu.settings
-        with closing(cameras), runner.axes_only() as sequencer:
-            pairing = Pairing(chosen.pair_within_s, chosen.pair_wait_s)
-            views = CalibrationDrive(sequencer, cameras, pairing, clear, driving.settle_s, bar.show).take(plan)
+        views = take_views(bench, plan, driving.settle_s, bar.show)
     write_views(folder, views)
 
 
@@ -318,6 +316,43 @@ def _calibrate(
     return _PASSED if outcome.passed else _FAILED
 
 
+def _television_problems(
+    start: InitialGuessOptions, scene_out: str | None, others: dict[str, object]
+) -> list[Problem]:
+    """Return the problems of the options of a television camera. others: values of options of a vision unit."""
+    if start.scene is None:
+        return [Problem("--scene-out", "", "goes with --scene only")] if scene_out is not None else []
+    found = [Problem("--scene", "", f"goes without --{name}") for name, value in others.items() if value]
+    return found if start.board is not None else [*found, Problem("--scene", "", "needs --board and --square-mm")]
+
+
+def _calibrate_television(
+    folder: Path, scene: str, start: InitialGuessOptions, result: ResultOptions, limits: LimitOptions
+) -> int:
+    from hil.cli.calibrate_tables import print_camera
+    from hil.config.load import load_scene
+    from hil.vmu.calibration.files import as_toml
+    from hil.vmu.calibration.single_camera import board_images, fit_camera
+
+    loaded, board = load_scene(scene).value, _board(start)
+    assert board is not None
+    size = loaded.camera.width, loaded.camera.height
+    with ProgressBar(Console(stderr=True), "reading the images") as bar:
+        fit = fit_camera(board_images(folder, size, board, bar.show), size, board)
+    passed = fit.rms_px <= limits.max_rms_px
+    if result.json is not None:
+        write_json(fit.as_json(passed, limits.max_rms_px), result.json)
+    if not passed:
+        text = f"residuals {fit.rms_px:.3f} px RMS, allowed {limits.max_rms_px:g} px: no scene file is written"
+        raise BadInput.single(str(folder), "", text)
+    if result.scene_out is not None:
+        content = {"extends": base_of(scene, result.scene_out, "targets"), **fit.scene_table(loaded)}
+        write_text(as_toml(content, "Television camera, as measured by hil calibrate."), result.scene_out)
+    if result.json != "-":
+        print_camera(fit, loaded, Console())
+    return _PASSED
+
+
 def _check(
     views: str,
     known_path: str,
@@ -337,15 +372,12 @@ def _check(
     loaded = read_views(Path(views))
     with ProgressBar(Console(stderr=True), "reading the views") as bar:
         checked = job.check(loaded, known, _board(start), drift.moved, limits.range_m, bar.show)
-    allowed = {"rms_px": limits.max_rms_px, "drift_px": drift.max_drift_px, "alarm": drift.alarm}
-    found = checked.drift
-    drifted = found.chance < drift.alarm and found.explanations[0].shift_px > drift.max_drift_px
-    passed = not drifted and found.rms_px <= limits.max_rms_px
+    allowed = job.DriftLimits(limits.max_rms_px, drift.max_drift_px, drift.alarm)
     if json_path is not None:
-        write_json(drift_as_json(checked, passed, allowed), json_path)
+        write_json(drift_as_json(checked, allowed), json_path)
     if json_path != "-":
-        print_check(checked, passed, allowed, Console())
-    return _PASSED if passed else _FAILED
+        print_check(checked, allowed, Console())
+    return _FAILED if checked.refusal(allowed)[0] else _PASSED
 
 
 def _not_positive(group: Any) -> list[Problem]:

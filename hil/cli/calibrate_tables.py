@@ -6,9 +6,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck
+from hil.config.scene import Scene
+from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck, DriftLimits
 from hil.vmu.calibration.model import Parameter, parameters
 from hil.vmu.calibration.report import found_numbers
+from hil.vmu.calibration.single_camera import CameraFit
 from hil.vmu.kernels.chain import COMMON
 
 
@@ -74,7 +76,24 @@ def _add_number(table: Table, parameter: Parameter, value: float, sigma: float, 
     table.add_row(parameter.name, shown, spread, f"{paper:g}", parameter.unit)
 
 
-def print_check(checked: DriftCheck, passed: bool, limits: dict[str, float], console: Console) -> None:
+def print_camera(fit: CameraFit, scene: Scene, console: Console) -> None:
+    """Print the calibration of a television camera."""
+    table = _table(f"Camera of scene {scene.name}", "number", "value", "sigma", "scene", "unit")
+    values = (*fit.focal_px, *fit.centre_px)
+    before = (scene.camera.f, scene.camera.f, scene.camera.cx, scene.camera.cy)
+    for name, value, sigma, given in zip(("fx", "fy", "cx", "cy"), values, fit.sigma_px, before, strict=True):
+        table.add_row(name, *_shown(float(value), float(sigma)), f"{given:g}", "px")
+    console.print(table)
+    left_out = f", left out: {', '.join(fit.left_out)}" if fit.left_out else ""
+    console.print(
+        f"{len(fit.used)} images, residuals {fit.rms_px:.3f} px RMS{left_out}; pixels {fit.aspect:.5f} times as high as "
+        f"wide, distortion at the corners up to {fit.corner_px:.2f} px: tolerances of the scene",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def print_check(checked: DriftCheck, limits: DriftLimits, console: Console) -> None:
     """Print a drift check."""
     found, known = checked.drift, checked.known
 
@@ -94,11 +113,11 @@ def print_check(checked: DriftCheck, passed: bool, limits: dict[str, float], con
     if checked.lost:
         show(f"not used  {', '.join(checked.lost)}: the target is not visible or not at its expected position")
     best = found.explanations[0]
-    significant = found.chance < limits["alarm"]
+    significant = found.chance < limits.alarm
     if significant:
         show(
             f"drift     {' or '.join(found.alike)} moved"
-            f" (by chance: {found.chance:.1e}, alarm below {limits['alarm']:g})"
+            f" (by chance: {found.chance:.1e}, alarm below {limits.alarm:g})"
         )
         told = parameters(len(known.setup.points) if len(best.change) > COMMON else 0)
         moved = sorted(
@@ -112,11 +131,11 @@ def print_check(checked: DriftCheck, passed: bool, limits: dict[str, float], con
         for _, p, change, sigma in moved[:3]:
             show(f"          {p.name} by {change:+.4g} +- {sigma:.2g} {p.unit}")
         show(
-            f"          shifts the pixels by {best.shift_px:.3f} px RMS, allowed {limits['drift_px']:g};"
+            f"          shifts the pixels by {best.shift_px:.3f} px RMS, allowed {limits.drift_px:g};"
             f" a point at {checked.range_m:g} m by {checked.across_mm:.3f} mm across,"
             f" {checked.depth_mm:.3f} mm in depth"
         )
     else:
-        show(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits['alarm']:g})")
-    show(f"{'ok  ' if found.rms_px <= limits['rms_px'] else 'FAIL'}      residuals, allowed {limits['rms_px']:g} px")
-    show(f"{'[bold green]PASS[/]' if passed else '[bold red]FAIL[/]'} {known.label.id}")
+        show(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits.alarm:g})")
+    show(f"{'ok  ' if found.rms_px <= limits.rms_px else 'FAIL'}      residuals, allowed {limits.rms_px:g} px")
+    show(f"{'[bold red]FAIL[/]' if checked.refusal(limits)[0] else '[bold green]PASS[/]'} {known.label.id}")

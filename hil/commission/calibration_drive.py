@@ -1,9 +1,10 @@
-"""Calibration views taken by the bench itself: each position of a plan, and one image pair at rest there."""
+"""Calibration views taken by the bench itself: a plan, and one image pair at rest at each of its positions."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -11,18 +12,44 @@ from typing import Final
 import cv2
 import numpy as np
 
-from hil.commission.view_plan import IsClear, axes_record
+from hil.commission.view_plan import Clearance, IsClear, PlanRequest, axes_record, plan_views
 from hil.core.messages import Array
 from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.pairing import Pairing
-from hil.drivers.cameras.processes import CameraProcesses
+from hil.drivers.cameras.processes import CameraProcesses, vision_cameras
 from hil.errors import BadInput, DeviceError, SafetyTrip
 from hil.loop.motion_sequences import MotionSequencer
+from hil.params import bench as bench_params
+from hil.session.build import Job, WiredBench
+from hil.vmu.calibration.model import Setup
+from hil.vmu.calibration.refine import Prior
 from hil.vmu.calibration.views import COLUMNS
 
+_CLEARANCE_M: Final = 0.1  # beyond the scenario's keep-out
 _LONGEST_WAIT_S: Final = 10.0  # for a pair, at rest
 
 OnProgress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class DrivePlan:
+    """Views to take. axes: (n, 6), rails, m, gimbals, rad, in this order. sizes: (width, height) of the images, px."""
+
+    axes: Array
+    is_clear: IsClear
+    sizes: list[tuple[int, int]]
+
+
+def plan_drive(job: Job, setup: Setup, held: Prior, request: PlanRequest) -> DrivePlan:
+    """Return a plan of views on the rig of ``job``, outside the scenario's keep-out. Raises BadInput if there is none.
+
+    setup, held: as of ``plan_views``.
+    """
+    scenario = job.scenario.value
+    bench = bench_params.bench(job.rig.value, scenario.step_s)
+    is_clear = Clearance(bench, scenario.keep_out.radius_m + _CLEARANCE_M)
+    axes = plan_views(setup, bench, held, request, is_clear, np.random.default_rng(0))
+    return DrivePlan(axes, is_clear, [(int(width), int(height)) for width, height in setup.sizes])
 
 
 @dataclass(frozen=True)
@@ -117,6 +144,18 @@ class _Exposure:
         """Return the view."""
         assert self._images is not None
         return TakenView(np.mean(self._positions, axis=0), self._images)
+
+
+def take_views(bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress: OnProgress) -> list[TakenView]:
+    """Return the views of ``plan``: opens cameras and axes and closes them again. Raises BenchError.
+
+    settle_s: from rest to the exposure.
+    """
+    chosen = bench.rig.vmu.settings
+    cameras = vision_cameras(bench.rig.vmu, plan.sizes, bench.clock)
+    with closing(cameras), bench.axes_runner().axes_only() as sequencer:
+        pairing = Pairing(chosen.pair_within_s, chosen.pair_wait_s)
+        return CalibrationDrive(sequencer, cameras, pairing, plan.is_clear, settle_s, on_progress).take(plan.axes)
 
 
 def write_views(folder: Path, views: Sequence[TakenView]) -> None:

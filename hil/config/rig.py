@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.bodies import BenchBody, check_kinds
-from hil.config.cameras import MonitorCamera
+from hil.config.cameras import DriftCheckViews, MonitorCamera
 from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire
@@ -511,6 +511,7 @@ class Vmu(DeviceTable):
     """The same for the attitude."""
     identity: VmuIdentity = VmuIdentity()
     """Expected identity of the unit."""
+    drift_check: DriftCheckViews = DriftCheckViews()
     rs422: VmuLine | None = None
 
 

@@ -221,8 +221,11 @@ def drop_priority() -> None:
 def no_garbage_collection(freeze: bool = True) -> Iterator[None]:
     """Disable garbage collection while drives are enabled: one full collection can exceed their watchdogs' time-out.
 
-    freeze: collect first, and exclude all present objects from later collections.
+    freeze: collect first, and exclude all present objects from later collections. Without effect inside another one.
     """
+    if not gc.isenabled():
+        yield
+        return
     if freeze:
         gc.collect()
         gc.freeze()

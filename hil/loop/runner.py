@@ -111,6 +111,8 @@ class Runner:
         """Events of the bench: holds, changed settings."""
         self.meters: dict[str, Callable[[], dict[str, Any]]] = {}
         """Return, at the end, the numbers of ``Outcome.measured``."""
+        self.before_open: Callable[[], None] = lambda: None
+        """Called before each opening of the devices; raises BenchError if the bench must not run."""
         self.cycles: Cycles = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
         """Runs the cycles of the closed loop."""
         self._parked = False
@@ -184,6 +186,7 @@ class Runner:
     def _session(self) -> bool:
         """Open the devices and execute commands to the end of the run; after a fault return whether to restart."""
         try:
+            self.before_open()
             self._open()
             with self._scheduling.realtime_priority():  # after the drivers have started their threads
                 while (command := self._next_command()) is not None:

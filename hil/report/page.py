@@ -142,6 +142,10 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
     if summary["vision"]:
         counted = [(name, str(count)) for name, count in summary["vision"].items()]
         yield html.table(("vision unit", "count"), counted)
+    if drift := summary.get("drift_check"):
+        parts = [(e["part"], f"{e['shift_px']:.3f}", f"{e['chance']:.1e}") for e in drift["explanations"]]
+        title = f"Drift since calibration {drift['calibration']} of {drift['date']}"
+        yield html.table(("part", "shift, px", "by chance"), parts, title)
 
 
 def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:

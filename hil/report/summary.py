@@ -80,6 +80,7 @@ def summarise(
         "orbit": {"body": scenario.orbit.body} | found["orbit"],
         "gnc": gnc_summary(scenario),
         "vision": outcome.vision_counters,
+        "drift_check": outcome.measured.get("drift_check") or None,
         "bench": found["bench"]
         | {"limited_cycles": outcome.limited_cycles}
         | outcome.measured.get("bench", dict.fromkeys(("true_pose_error_mm", "true_pose_error_deg"))),

@@ -42,6 +42,8 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     _print_bench(summary["bench"], summary["latency"], console)
     if clocks := summary.get("clocks"):
         console.print(f"Clocks      {_clocks_text(clocks, summary['vision'])}", highlight=False, soft_wrap=True)
+    if drift := summary.get("drift_check"):
+        console.print(f"Cameras     {_drift_text(drift)}", highlight=False, soft_wrap=True)
     _print_timing(summary["timing"], console)
     print_sign_off(summary["sign_off"], console)
     print_waived(summary["waived"], console)
@@ -264,6 +266,7 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
             ("pose to command", latency["pose_to_command_ms"]),
             ("to its digital line", latency["pose_to_wire_ms"]),
             ("setpoint to encoder", latency["setpoint_to_encoder_ms"]),
+            ("pose behind IMU", latency["pose_behind_imu_ms"]),
         )
         if times["p50"] is not None
     ]
@@ -295,6 +298,13 @@ def _clocks_text(clocks: dict[str, Any], vision: dict[str, int]) -> str:
         f"{text}; vision unit's clock ahead by at least {1e-3 * vision['clock_ahead_us']:.1f} ms, "
         f"drift {1e-3 * vision['clock_drift_ppb']:.1f} ppm, largest step {1e-3 * vision['clock_step_us']:.1f} ms"
     )
+
+
+def _drift_text(drift: dict[str, Any]) -> str:
+    """Return the result of the drift check before the run."""
+    found = f"{' or '.join(drift['moved'])} moved by {drift['shift_px']:.3f} px RMS" if drift["moved"] else "no drift"
+    known = f"calibration {drift['calibration']} of {drift['date']}"
+    return f"{found} since {known}: {drift['views']} views, residuals {drift['rms_px']:.3f} px RMS"
 
 
 def _three(values: list[float], form: str) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
+from hil.checks.calibration import check_drift_views
 from hil.checks.clock import check_clock
 from hil.checks.compatibility import (
     check_approach,
@@ -66,6 +67,7 @@ def check(job: Job) -> None:
         *(check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
         *check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
+        *check_drift_views(job.rig),
         *_rig_problems(job),
     ]
     problems = problems or library_problems(job.scenario) or check_sign_off(job.rig)
@@ -151,16 +153,21 @@ class WiredBench:
     board: SharedAxisState | None
     event_recorder: EventRecorder | None = None
 
-    def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
-        """Return a Runner of the job."""
+    def axes_runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
+        """Return a Runner without recording, which only moves the axes."""
         rate = WallClockRate(self.clock, self.job.tick_s)
         context = RunContext(operator, on_progress, self.realtime, self.telemetry, _FRAMES_TO_ARM)
-        made = assemble(self.job, self.rig, rate, self.devices, context)
+        return assemble(self.job, self.rig, rate, self.devices, context)
+
+    def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
+        """Return a Runner of the job."""
+        made = self.axes_runner(on_progress, operator)
         if self.sinks:
             self.event_recorder = self.sinks.attach(made)
         made.meters["clocks"] = ClockWatch(self.rig.clock).numbers
         if self.board is not None:
-            watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, rate.now_s, self.job.scenario.value.step_s)
+            step_s = self.job.scenario.value.step_s
+            watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, made.now_s, step_s)
             made.loop.telemetry = watch
             made.meters["bench"] = watch.numbers
         return made

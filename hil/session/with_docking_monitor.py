@@ -97,31 +97,32 @@ def runner(
     announce: Callable[[str], None] = lambda _: None,
     sinks: RecordingSinks | None = None,
     operator: Operator | None = None,
+    prepare: Callable[[build.WiredBench, Runner], None] = lambda *_: None,
 ) -> Iterator[tuple[Runner, MonitorResults]]:
     """Give a Runner for ``job`` as ``build.runner`` does, and the source of the monitor's results.
 
-    Raises DeviceError if a process does not start.
+    prepare: receives a bench on wires and its Runner. Raises DeviceError if a process does not start.
     """
     scenario, rig, seed = job.scenario.value, job.rig.value, job.seed
-    if not scenario.monitor.has_images:
+    if rig.kind == "mock" and not scenario.monitor.has_images:
         with build.runner(job, on_progress, announce, operator, sinks) as plain:
             yield plain, MonitorResults(lambda _: None)
         return
     if rig.kind == "mock":
-        from hil.setup.docking_monitor import CameraMonitor, InLoopMonitor, monitor_recorded
+        from hil.setup.docking_monitor import CameraMonitor, InLoopMonitor, MonitorSinks, monitor_recorded
 
         scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, on_progress, announce, operator, sinks) as in_memory:
-            outlets = (sinks.monitor_image_encoder(rig), sinks.portions) if sinks else ()
+            outlets = MonitorSinks(sinks.monitor_image_encoder(rig), sinks.portions) if sinks else MonitorSinks()
             if in_memory.loop.monitor is None or job.paced:  # to render takes longer than a cycle
                 yield (
                     in_memory,
                     MonitorResults(
-                        lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, *outlets)
+                        lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, outlets)
                     ),
                 )
                 return
-            in_loop = InLoopMonitor(CameraMonitor(scenario, scene, rig, seed, *outlets), in_memory.loop.telemetry)
+            in_loop = InLoopMonitor(CameraMonitor(scenario, scene, rig, seed, outlets), in_memory.loop.telemetry)
             in_memory.loop.telemetry = in_loop
             results = MonitorResults(lambda _: in_loop.finish(), in_loop)
             results.attach(in_memory)
@@ -132,6 +133,7 @@ def runner(
         beside(job, bench.telemetry, bench.clock, announce, sinks) as results,
     ):
         made = bench.runner(on_progress, operator)
+        prepare(bench, made)
         results.attach(made)
         yield made, results
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import signal
 import socket
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,11 @@ import numpy as np
 import pytest
 
 from hil.cli.main import BAD_INPUT, SAFE_STOPPED, execute
-from hil.config.load import load_rig, load_scenario
+from hil.cli.vmu import row, solve
+from hil.config.cameras import VisionCameras
+from hil.config.load import load_geometry, load_rig, load_scenario
+from hil.config.rig import Rig
+from hil.drivers.cameras.base import SIDES, open_camera
 from hil.loop.runner import Outcome
 from hil.maths.random_streams import stream
 from hil.session.build import Job, wired_bench
@@ -23,11 +28,14 @@ from hil.session.warm_up import warm_up
 from hil.setup.assembly import start_axes
 from hil.setup.emulated_cameras import images_of_folder, rendered_cameras
 from hil.vmu.geometry import geometry_of_rig
+from hil.vmu.sources import Pair
+from hil.vmu.unit import VisionUnit
 from tests.support.emulated_cameras import LEFT, RIGHT, emulated, require_libaravis
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
 pytestmark = pytest.mark.wires
 
+PASSED, FAILED = 0, 1
 SOURCE = "vmu.source=cameras"
 FRAMES = 40
 
@@ -75,19 +83,26 @@ def test_a_camera_that_ends_is_a_safe_stop_that_names_it(side: str) -> None:
     assert outcome.stop.startswith(f"vmu.{side}: ")
 
 
-@pytest.mark.slow
-def test_poses_are_the_same_from_a_folder_and_through_cameras(tmp_path: Path) -> None:
+@pytest.fixture
+def approach(tmp_path: Path) -> tuple[Rig, Path]:
+    """Return the rig, and the geometry file beside the folders of an approach's images."""
     job = Job(load_scenario("scheme-1", [SOURCE]), load_rig("emulated", ["rig.vmu.rate_hz=4"]), 0, 1.0, 1.0)
     rig, start = job.rig.value, start_axes(job.scenario.value, job.rig.value)
     cameras, rng = rendered_cameras(job.scenario.value, rig, 3), stream(3, "pictures")
-    for side in ("left", "right"):
+    for side in SIDES:
         (tmp_path / side).mkdir()
     for k in range(FRAMES):
         pair = cameras.pair(start.rail_m - np.array([0.002 * k, 0.0, 0.0]), start.gimbal_rad + 1e-4 * k, rng)
-        for side, image in zip(("left", "right"), pair, strict=True):
+        for side, image in zip(SIDES, pair, strict=True):
             assert cv2.imwrite(str(tmp_path / side / f"{k:04d}.png"), image)
     geometry = tmp_path / "vmu.json"
     geometry.write_text(geometry_of_rig(rig).model_dump_json())
+    return rig, geometry
+
+
+@pytest.mark.slow
+def test_poses_are_the_same_from_a_folder_and_through_cameras(approach: tuple[Rig, Path], tmp_path: Path) -> None:
+    rig, geometry = approach
     with ExitStack() as stack:
         for address, image_at in zip((LEFT, RIGHT), images_of_folder(tmp_path, rig), strict=True):
             stack.enter_context(emulated(address, image_at))
@@ -98,11 +113,79 @@ def test_poses_are_the_same_from_a_folder_and_through_cameras(tmp_path: Path) ->
     assert live == folder
 
 
+@pytest.mark.slow
+def test_poses_are_the_same_from_a_folder_and_through_pylon(
+    approach: tuple[Rig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of pylon's own emulated cameras, which read the images themselves: ``pip install 'hil-bench[pylon]'``."""
+    monkeypatch.setenv("PYLON_CAMEMU", "2")
+    pytest.importorskip("pypylon")
+    _, geometry = approach
+    loaded = load_geometry(str(geometry)).value
+    unit = VisionUnit(loaded)
+    with ExitStack() as stack:
+        cameras = []
+        for k, side in enumerate(SIDES):
+            features = {"TestImageSelector": "Off", "ImageFileMode": "On", "ImageFilename": str(tmp_path / side)}
+            settings = VisionCameras(interface="pylon", features=features)
+            camera = open_camera(f"vmu.{side}", f"0815-{k:04d}", settings, (loaded.left.width, loaded.left.height), 4.0)
+            cameras.append(stack.enter_context(closing(camera)))
+        for camera in cameras:
+            camera.start()
+        rows = []
+        for frame in range(FRAMES):
+            for camera in cameras:
+                camera.trigger()
+            left, right = (camera.receive(2.0) for camera in cameras)
+            assert left is not None
+            assert right is not None
+            assert left.number == right.number == frame
+            rows.append(row(frame, solve(unit, Pair(frame, left.image, right.image), frame / 4.0)))
+    assert {found["status"] for found in rows} == {"ok"}
+    folder = _poses(str(tmp_path), geometry, tmp_path / "folder.csv")
+    assert [{name: str(value) for name, value in found.items()} for found in rows] == folder
+
+
 def _poses(source: str, geometry: Path, out: Path, *options: str) -> list[dict[str, str]]:
     options = ("--geometry", str(geometry), "--out", str(out), "--rate-hz", "4", *options)
     assert execute(["vmu", source, *options]) == 0
     with out.open(newline="") as file:
         return list(csv.DictReader(file))
+
+
+@pytest.mark.slow
+def test_a_run_with_a_live_television_camera_is_replayed_bit_for_bit(tmp_path: Path) -> None:
+    require_libaravis()
+    settings = ("monitor.source=camera", "rig.recording.images=png", "rig.recording.image_interval_s=0.0")
+    options = ("--rig", "emulated", "--duration", "20", "--record", str(tmp_path))
+    assert execute(["run", "scheme-1", *typed(*settings, *NEAR, *UNHURRIED), *options]) in {PASSED, FAILED}
+    (recorded,) = tmp_path.glob("*.mcap")
+    assert execute(["replay", str(recorded)]) == PASSED
+    assert execute(["replay", str(recorded), "--monitor"]) == PASSED
+
+
+@pytest.mark.slow
+def test_a_run_begins_with_the_drift_check_and_a_camera_that_moved_refuses_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    require_libaravis()
+    geometry, report = tmp_path / "vmu.toml", tmp_path / "run.json"
+    drive = ("--drive", "--rig", "emulated", "--count", "16", "--out", str(geometry))
+    assert execute(["calibrate", str(tmp_path / "views"), *drive, *typed(*UNHURRIED)]) in {PASSED, FAILED}
+    settings = (SOURCE, f'rig.vmu.geometry_file="{geometry}"', "rig.vmu.drift_check.views=4", *NEAR, *UNHURRIED)
+    options = ("--rig", "emulated", "--duration", "5", "--json", str(report))
+    execute(["run", "scheme-1", *typed(*settings), *options])
+    found = json.loads(report.read_text())
+    assert found["stop"] == "completed"
+    assert found["drift_check"]["passed"]
+    capsys.readouterr()
+    moved = "rig.vmu.camera.baseline_m=0.201"
+    assert execute(["run", "scheme-1", *typed(*settings, moved), *options]) == SAFE_STOPPED
+    found = json.loads(report.read_text())
+    assert not found["drift_check"]["passed"]
+    assert "stereo" in found["drift_check"]["moved"]
+    assert found["stop"].startswith("vmu: drift check against calibration vmu-")
+    assert f"safe stop: {found['stop']}" in capsys.readouterr().err.splitlines()
 
 
 def test_cameras_need_a_rig_on_wires(capsys: pytest.CaptureFixture[str]) -> None:

@@ -189,6 +189,15 @@ def _outcome(
 
 
 @dataclass(frozen=True, slots=True)
+class DriftLimits:
+    """Limits of a drift check. alarm: probability of a chance result below which a drift is significant."""
+
+    rms_px: float
+    drift_px: float
+    alarm: float
+
+
+@dataclass(frozen=True, slots=True)
 class DriftCheck:
     """A drift check. across_mm, depth_mm: displacement of a point at ``range_m`` by the best explanation."""
 
@@ -199,6 +208,17 @@ class DriftCheck:
     depth_mm: float
     range_m: float
     lost: tuple[str, ...]
+
+    def refusal(self, limits: DriftLimits) -> tuple[str, str]:
+        """Return what exceeds ``limits``, and the limit, as texts; "" if nothing does."""
+        found = self.drift
+        best = found.explanations[0]
+        if found.chance < limits.alarm and best.shift_px > limits.drift_px:
+            moved = f"{' or '.join(found.alike)} moved, {best.shift_px:.3f} px RMS (by chance: {found.chance:.1e})"
+            return moved, f"{limits.drift_px:g} px"
+        if found.rms_px > limits.rms_px:
+            return f"residuals {found.rms_px:.3f} px RMS", f"{limits.rms_px:g} px"
+        return "", ""
 
 
 def check(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
-from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck
+from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck, DriftLimits
 from hil.vmu.calibration.model import PARTS, Parameter, Setup, parameters
 from hil.vmu.calibration.quality import RangeAccuracy
 from hil.vmu.kernels.chain import COMMON, SCALE
@@ -88,15 +89,15 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def drift_as_json(checked: DriftCheck, passed: bool, limits: dict[str, float]) -> dict[str, Any]:
-    """Return the content of ``hil calibrate --check --json``."""
+def drift_as_json(checked: DriftCheck, limits: DriftLimits) -> dict[str, Any]:
+    """Return the content of ``hil calibrate --check --json``, and ``drift_check`` of a run."""
     found, known = checked.drift, checked.known
     described = parameters(len(known.setup.points) if len(found.explanations[0].change) > COMMON else 0)
     return {
         "calibration": known.label.id,
         "date": known.label.date,
-        "passed": passed,
-        "limits": limits,
+        "passed": not checked.refusal(limits)[0],
+        "limits": asdict(limits),
         "views": found.views,
         "lost": list(checked.lost),
         "points": found.points,
@@ -105,7 +106,7 @@ def drift_as_json(checked: DriftCheck, passed: bool, limits: dict[str, float]) -
         "chi_square": found.square,
         "freedom": found.freedom,
         "chance": found.chance,
-        "moved": list(found.alike) if found.chance < limits["alarm"] else [],
+        "moved": list(found.alike) if found.chance < limits.alarm else [],
         "shift_px": found.explanations[0].shift_px,
         "shift_across_mm": checked.across_mm,
         "shift_depth_mm": checked.depth_mm,
