@@ -194,7 +194,8 @@ def calibrate(
         problems += [Problem("--check", "", f"goes without --{name}") for name, value in given.items() if value]
     elif drift.moved:
         problems.append(Problem("--moved", "", "goes with --check only"))
-    others = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
+    others: dict[str, object] = {"geometry": start.geometry, "keep": start.keep, "out": result.out}
+    others["rig-out"] = result.rig_out
     others |= {"figure": result.figure, "check": drift.check, "drive": driving.drive}
     problems += _television_problems(start, result.scene_out, others)
     refuse(problems + result.problems() + (_drive_problems(views, start, driving) if driving.drive else []))
@@ -316,9 +317,7 @@ def _calibrate(
     return _PASSED if outcome.passed else _FAILED
 
 
-def _television_problems(
-    start: InitialGuessOptions, scene_out: str | None, others: dict[str, object]
-) -> list[Problem]:
+def _television_problems(start: InitialGuessOptions, scene_out: str | None, others: dict[str, object]) -> list[Problem]:
     """Return the problems of the options of a television camera. others: values of options of a vision unit."""
     if start.scene is None:
         return [Problem("--scene-out", "", "goes with --scene only")] if scene_out is not None else []

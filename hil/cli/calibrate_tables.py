@@ -86,8 +86,8 @@ def print_camera(fit: CameraFit, scene: Scene, console: Console) -> None:
     console.print(table)
     left_out = f", left out: {', '.join(fit.left_out)}" if fit.left_out else ""
     console.print(
-        f"{len(fit.used)} images, residuals {fit.rms_px:.3f} px RMS{left_out}; pixels {fit.aspect:.5f} times as high as "
-        f"wide, distortion at the corners up to {fit.corner_px:.2f} px: tolerances of the scene",
+        f"{len(fit.used)} images, residuals {fit.rms_px:.3f} px RMS{left_out}; pixels {fit.aspect:.5f} times as high "
+        f"as wide, distortion at the corners up to {fit.corner_px:.2f} px: tolerances of the scene",
         highlight=False,
         soft_wrap=True,
     )
@@ -116,8 +116,7 @@ def print_check(checked: DriftCheck, limits: DriftLimits, console: Console) -> N
     significant = found.chance < limits.alarm
     if significant:
         show(
-            f"drift     {' or '.join(found.alike)} moved"
-            f" (by chance: {found.chance:.1e}, alarm below {limits.alarm:g})"
+            f"drift     {' or '.join(found.alike)} moved (by chance: {found.chance:.1e}, alarm below {limits.alarm:g})"
         )
         told = parameters(len(known.setup.points) if len(best.change) > COMMON else 0)
         moved = sorted(

@@ -77,4 +77,4 @@ class CameraDriftCheck:
             write_views(Path(folder), taken)
             views = read_views(Path(folder))
             checked = calibration.check(views, known, None, False, _RANGE_M, lambda *_: None)
-        return checked, calibration.DriftLimits(chosen.max_rms_px, chosen.max_drift_px, chosen.alarm)
+        return checked, calibration.DriftLimits(chosen.max_rms_px, chosen.max_drift_px, chosen.alarm_probability)

@@ -73,7 +73,7 @@ class DriftCheckViews(ConfigModel):
     """Limit of the residuals, RMS over all pixels."""
     max_drift_px: Positive = 0.03
     """Accepted drift, RMS over all pixels."""
-    alarm: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-3
+    alarm_probability: Annotated[float, Field(gt=0.0, lt=1.0)] = 1e-3
     """Probability of a chance result below which a drift is significant."""
 
     @model_validator(mode="after")

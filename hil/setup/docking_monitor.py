@@ -119,9 +119,7 @@ class MonitorOfFrames:
 class CameraMonitor(MonitorOfFrames):
     """Rendered camera and docking monitor."""
 
-    def __init__(
-        self, scenario: Scenario, scene: Scene, rig: Rig, seed: int, sinks: MonitorSinks = _NO_SINKS
-    ) -> None:
+    def __init__(self, scenario: Scenario, scene: Scene, rig: Rig, seed: int, sinks: MonitorSinks = _NO_SINKS) -> None:
         super().__init__(scenario, scene, sinks)
         self._camera = RenderedCamera(scene, scenario.monitor, rig, scenario.step_s, seed)
         self._newest_s = 0.0

@@ -1,4 +1,4 @@
-"""Cameras by the libraries of vendors: pylon with its emulated cameras, GenTL with the producer in the genicam wheel."""
+"""Cameras by libraries of vendors: pylon with its emulated cameras, GenTL with the producer in the genicam wheel."""
 
 from __future__ import annotations
 
@@ -84,7 +84,11 @@ def test_images_of_a_gentl_producer_stay_after_their_buffer_is_used_again() -> N
     ("identifier", "settings", "text"),
     [
         ("123", {}, "no camera '123'"),
-        (PYLON, {"trigger": "hardware", "trigger_source": "Line7"}, "trigger source 'Line7': the camera has Software, "),
+        (
+            PYLON,
+            {"trigger": "hardware", "trigger_source": "Line7"},
+            "trigger source 'Line7': the camera has Software, ",
+        ),
         (PYLON, {"size": (5000, 240)}, "images of 4096 x 4096 px, the geometry has 5000 x 240"),
         (PYLON, {"features": {"Nonsense": 1}}, "has no feature Nonsense"),
         (PYLON, {"features": {"ImageFileMode": "Maybe"}}, "ImageFileMode = Maybe: "),

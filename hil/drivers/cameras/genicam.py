@@ -165,10 +165,20 @@ def found_cameras() -> list[CameraInfo]:
     """Return the GenICam cameras that answer. Raises DeviceError without libaravis."""
     library = aravis("cameras")
     library.update_device_list()
-    keys = ("id", "vendor", "model", "serial_nbr", "address", "protocol")
+
+    def text(key: str, k: int) -> str:
+        found: bytes | None = getattr(library, f"get_device_{key}")(k)
+        return (found or b"").decode(errors="replace")
+
     return [
         CameraInfo(
-            *((getattr(library, f"get_device_{key}")(k) or b"").decode(errors="replace") for key in keys), "genicam"
+            text("id", k),
+            text("vendor", k),
+            text("model", k),
+            text("serial_nbr", k),
+            text("address", k),
+            text("protocol", k),
+            "genicam",
         )
         for k in range(library.get_n_devices())
     ]

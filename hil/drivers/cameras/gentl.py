@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import logging
 import math
 import os
@@ -15,7 +14,7 @@ import numpy as np
 
 from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
-from hil.drivers.cameras.node_map import NodeMap, reason
+from hil.drivers.cameras.node_map import NodeMap, reason, vendor_module
 from hil.errors import DeviceError, LinkLost
 
 PATH: Final = "GENICAM_GENTL64_PATH"
@@ -111,10 +110,18 @@ def found_gentl() -> list[CameraInfo]:
     if not os.environ.get(PATH):
         return []
     producers = _producers("cameras")
-    keys, errors = ("id_", "vendor", "model", "serial_number"), _library("cameras").errors
+    errors = _library("cameras").errors
     try:
         return [
-            CameraInfo(*(_text(device, key, errors) for key in keys), "", _text(device, "tl_type", errors), "gentl")
+            CameraInfo(
+                device.id_,
+                _text(device, "vendor", errors),
+                _text(device, "model", errors),
+                _text(device, "serial_number", errors),
+                "",
+                _text(device, "tl_type", errors),
+                "gentl",
+            )
             for device in producers.device_info_list
         ]
     finally:
@@ -125,9 +132,9 @@ class _Library:
     """Modules of harvesters and of its binding of the GenICam reference implementation."""
 
     def __init__(self) -> None:
-        self.core = importlib.import_module("harvesters.core")
-        self.genapi = importlib.import_module("genicam.genapi")
-        self.gentl = importlib.import_module("genicam.gentl")
+        self.core = vendor_module("harvesters.core")
+        self.genapi = vendor_module("genicam.genapi")
+        self.gentl = vendor_module("genicam.gentl")
         self.errors = self.genapi.GenericException, self.gentl.GenericException
         logging.getLogger("harvesters").setLevel(logging.CRITICAL)  # what it logs also raises
 
@@ -184,8 +191,8 @@ def _stamp_s(buffer: Any, error: tuple[type[Exception], ...]) -> float:
     except error:
         pass
     try:
-        return float(buffer.timestamp) / float(buffer.parent.parent.timestamp_frequency)
-    except (*error, ZeroDivisionError):
+        return float(buffer.timestamp) / max(1.0, float(buffer.parent.parent.timestamp_frequency))
+    except error:
         return math.nan
 
 

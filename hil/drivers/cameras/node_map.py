@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -140,6 +142,16 @@ class NodeMap:
 
     def _failure(self, what: str, cause: Exception) -> DeviceError:
         return DeviceError(self._name, f"{what}: {reason(cause)}")
+
+
+def vendor_module(name: str) -> Any:
+    """Return a module of a camera library. Raises ImportError.
+
+    Their bindings by SWIG warn while they are initialised; as an exception this would end the process.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return importlib.import_module(name)
 
 
 def reason(cause: Exception) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import math
 from typing import Any, Final
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
-from hil.drivers.cameras.node_map import NodeMap, reason
+from hil.drivers.cameras.node_map import NodeMap, reason, vendor_module
 from hil.errors import DeviceError, LinkLost
 
 _BUFFERS: Final = 8
@@ -127,7 +126,7 @@ def found_pylon() -> list[CameraInfo]:
 def _library(name: str) -> tuple[Any, type[Exception]]:
     """Return pypylon's module and the base of its exceptions; DeviceError of ``name`` if it is not installed."""
     try:
-        pylon, genicam = (importlib.import_module(f"pypylon.{module}") for module in ("pylon", "genicam"))
+        pylon, genicam = (vendor_module(f"pypylon.{module}") for module in ("pylon", "genicam"))
     except ImportError as cause:
         raise DeviceError(name, f"interface pylon needs the package pypylon: {cause}") from cause
     return pylon, genicam.GenericException
@@ -145,6 +144,6 @@ def _names(device: Any) -> set[str]:
 
 def _available(nodes: Any, feature: str) -> Any:
     """Return the node of ``feature``, None without an available one."""
-    genicam = importlib.import_module("pypylon.genicam")
+    genicam = vendor_module("pypylon.genicam")
     node = nodes.GetNode(feature)
     return node if node is not None and genicam.IsAvailable(node) else None
