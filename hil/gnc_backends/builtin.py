@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array, Event, new
 from hil.core.observable import ObservableList
 from hil.gnc import navigation, step, thruster_monitor
@@ -21,8 +22,9 @@ class BuiltinGnc(Approach):
     """The compiled GNC. params: GNC_PARAMS. filter_monitor: reads the same record of parameters."""
 
     def __init__(self, params: np.record, event_log: ApproachEventLog, filter_monitor: FilterMonitor) -> None:
-        self.params = params
-        self.state = new(GNC_STATE)
+        self.params = kernel_record(params)
+        self.state = kernel_record(new(GNC_STATE))
+        self._filters = kernel_record(self.state.navigation.fusion.filters)
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor: FilterMonitor = filter_monitor
         self.memory = new_memory(params.navigation.fusion)
@@ -103,7 +105,7 @@ class BuiltinGnc(Approach):
         Valid until the next call.
         """
         if self.fused_now:
-            navigation.normalised_errors(self.state.navigation.fusion.filters, truth, imu, self._nees)
+            navigation.normalised_errors(self._filters, truth, imu, self._nees)
         else:
             self._nees[:] = np.nan
         return self._nees

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.bench import kinematics, stopping
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks
 from hil.errors import DeviceError
@@ -36,32 +37,32 @@ class BenchStage:
     ) -> None:
         self.rails = rails
         self.turntable = turntable
-        self.params = params
+        self.params = kernel_record(params)
         self.safety = safety
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
         self.emergency_input = emergency_input
         self.local_enable: Callable[[float], bool] | None = None
-        self.motion = new(kinematics.MOTION)
+        self.motion = kernel_record(new(kinematics.MOTION))
         """Positions and rates of the last setpoints."""
         self.feedback: tuple[AxisFeedback, AxisFeedback]
         """Of rails and turntable, from the last ``read``."""
-        self.wanted = new(AXES)
+        self.wanted = kernel_record(new(AXES))
         """Axes of the last demanded pose, without limits (AXES)."""
-        self.accepted = new(AXES)
+        self.accepted = kernel_record(new(AXES))
         """Last setpoint that the devices have accepted (AXES)."""
         self.commanded_s = math.nan
         """Bench time at which it was sent; nan if none was sent since ``seed``."""
-        self._next = new(AXES)
+        self._next = kernel_record(new(AXES))
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
         self.limited_cycles = 0
         self.limited_in_row = 0
         """Setpoints in a row, the last one included, that were limited."""
-        self._limits = params
+        self._limits = self.params
         """BENCH_PARAMS with the limits that the devices have for catching up."""
         self.ticks, self._cycle_s = ticks, cycle_s
         self.tick = 0
         """Tick of the last cycle that comes next; 0: all have run."""
-        self.span = new(kinematics.SPAN)
+        self.span = kernel_record(new(kinematics.SPAN))
         """Course of the axes over the last cycle, if they are faster than it."""
 
     def open(self, now_s: float) -> None:
@@ -253,7 +254,7 @@ class Move:
         self._distance = np.concatenate([target.rail_m, target.gimbal_rad]) - self._start
         self._speed = rate_fraction * params.rate_max
         self._acceleration = self.FRACTION_OF_LIMITS * params.acceleration_max
-        self.limits = params.copy()
+        self.limits = kernel_record(params.copy())
         self.limits.rate_max = np.minimum(self.RESERVE * self._speed, params.rate_max)
         self.limits.acceleration_max = np.minimum(self.RESERVE * self._acceleration, params.acceleration_max)
         for axis in range(6):  # a move may be late by the limit of the jerk, but not beyond its end

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES_SAMPLE, CYCLE, imu_samples
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
@@ -36,7 +37,7 @@ class CycleData:
         self.samples = imu_samples(self.row, n_samples)
         records = self.row.view(np.recarray)
         for name in CYCLE.names or ():
-            setattr(self, name, records[name][0] if CYCLE[name].names else self.row[name])
+            setattr(self, name, kernel_record(records[name][0]) if CYCLE[name].names else self.row[name])
 
     # scalars, arrays of shape (1,): writing into an array is faster than into a record
     t_s: np.ndarray

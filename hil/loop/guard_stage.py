@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.bench.bench_guard import BENCH_GUARD_MEMORY, check_bench, compare_pose
 from hil.bench.guard import BREACH, NOTHING
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import new
 from hil.loop.bench_stage import BenchStage
 from hil.loop.stages import VisionStage
@@ -18,10 +19,10 @@ class GuardStage:
     """Bench guard: checks that hold for any GNC. params: BENCH_GUARD_PARAMS."""
 
     def __init__(self, params: np.record, bench: BenchStage) -> None:
-        self.params = params
+        self.params = kernel_record(params)
         self._bench = bench
-        self.memory = new(BENCH_GUARD_MEMORY)
-        self._breach = new(BREACH)
+        self.memory = kernel_record(new(BENCH_GUARD_MEMORY))
+        self._breach = kernel_record(new(BREACH))
 
     def check(self, bench_s: float, run_zero_s: float, truth: np.record, feedback: np.record) -> None:
         """Check the cycle at ``bench_s`` of bench time; raise SafetyTrip if a limit is violated.
@@ -40,8 +41,8 @@ class GuardStage:
 
     def compare(self, vision: VisionStage) -> None:
         """Compare the poses of this cycle with the encoders; ``check`` of the next cycle reports them."""
-        for pose in vision.poses[: vision.arrived]:
-            compare_pose(self.params, self._bench.params, self.memory, pose)
+        for i in range(vision.arrived):
+            compare_pose(self.params, self._bench.params, self.memory, vision.poses[i])
 
     def restart_with_motion(self) -> None:
         """Forget the cycles before, if no setpoint was sent since the start of the motion."""

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import ARRIVAL, IMU_SAMPLE, MAX_POSES, POSE, Array, PoseFrame, new
 from hil.drivers.base import Exposes, PoseSource
 from hil.dynamics import imu as imu_kernels
@@ -29,13 +30,13 @@ class DssStage:
     """Dynamics simulation (DSS): truth and virtual IMU."""
 
     def __init__(self, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows) -> None:
-        self.params = params
+        self.params = kernel_record(params)
         self.field = field
-        self.memory = new(TRUTH_MEMORY)
+        self.memory = kernel_record(new(TRUTH_MEMORY))
         """What the truth keeps from step to step."""
-        self.imu_memory = new(IMU_MEMORY)
+        self.imu_memory = kernel_record(new(IMU_MEMORY))
         """What the faults of the IMU keep from sample to sample."""
-        self._imu_params = imu_params
+        self._imu_params = kernel_record(imu_params)
         self.noise = imu_noise
         """One row per sample."""
         self._rate = np.empty(3)

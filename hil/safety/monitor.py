@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.bench import guard as guards
 from hil.config.rig import Rig
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
 from hil.errors import SafetyTrip
@@ -118,8 +119,8 @@ class SafetyMonitor:
         """Reason of a requested hold; empty if none is requested."""
         self._axis_names = tuple(axis_names)
         self._links = tuple(links)
-        self._guard = limits.guard.copy()
-        self._breach = new(guards.BREACH)
+        self._guard = kernel_record(limits.guard.copy())
+        self._breach = kernel_record(new(guards.BREACH))
         self._speed_checks = [SpeedCheck(limit) for limit in limits.speed_mismatch_max]
         self._checked_mode = self.modes.mode
         self._checks = CHECKS[self._checked_mode]

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.bench.field_of_view import camera_errors
 from hil.config.rig import Rig
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE
 from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.ring import Telemetry
@@ -27,7 +28,8 @@ class TrueAxesWatch:
         self, rows: Telemetry, board: SharedAxisState, rig: Rig, now_s: Callable[[], float], step_s: float
     ) -> None:
         self._rows, self._board, self._now_s = rows, board, now_s
-        self._bench, self._mounting = bench_params.bench(rig, step_s), vision_params.mounting(rig)
+        self._bench = kernel_record(bench_params.bench(rig, step_s))
+        self._mounting = kernel_record(vision_params.mounting(rig))
         self._errors = np.zeros(1), np.zeros(1)
         self._n, self._squares, self._largest = 0, np.zeros(2), np.zeros(2)
         self._compare(np.zeros(1, CYCLE), 0.0)  # compiles the kernel outside the cycle
