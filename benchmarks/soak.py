@@ -1,9 +1,11 @@
-"""Soak of a rig on the wall clock: memory, handles, lateness and missed periods of one long run, as one JSON.
+"""Soak: memory, handles, lateness and missed periods of one long run and of its replay, as one JSON.
 
-    python benchmarks/soak.py --minutes 31 [--rig emulated] [--out FOLDER]
+    python benchmarks/soak.py --minutes 31 [--rig emulated] [--out FOLDER]     # on the wall clock
+    python benchmarks/soak.py --bench-hours 24 --rig mock [--out FOLDER]       # in simulated time
 
 Runs ``hil run SCENARIO --until-stopped`` with a recording, samples memory and handles of its processes every 30 s,
-stops it as Ctrl-C does, and replays the recording unless ``--no-replay`` is given. Start it on an otherwise quiet
+stops it as Ctrl-C does, and replays the recording unless ``--no-replay`` is given; with ``--bench-hours`` the run
+ends by itself, and samples are taken every 2 s. Start a soak on the wall clock on an otherwise quiet
 computer and without a real-time policy of its own: the loop, drivers and emulators take theirs, and a second real-time
 process that fills a processor makes the kernel pause all of them for 50 ms per second
 (docs/explanation/processes.md).
@@ -13,7 +15,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -21,8 +25,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-PERIOD_S = 30.0
-SETTLED_S = 60.0
+PERIOD_S, SHORT_PERIOD_S = 30.0, 2.0
+SETTLED_S, SHORT_SETTLED_S = 60.0, 10.0
 """After the start, at most a tenth of the run: the processes have allocated what they need."""
 
 
@@ -63,11 +67,16 @@ def use_of(number: int) -> dict[str, float] | None:
     return None if resident is None else {"memory_mb": int(resident) / 1024.0, "handles": handles}
 
 
-def soak(command: list[str], duration_s: float, log: Path) -> dict[str, dict[str, Any]]:
-    """Run ``command`` for ``duration_s``, its output in ``log``, then interrupt it; return the use of its processes."""
+def soak(command: list[str], log: Path, duration_s: float = math.inf) -> tuple[dict[str, dict[str, Any]], int]:
+    """Run ``command``, its output in ``log``, for at most ``duration_s``; return the use of its processes, exit code.
+
+    It is interrupted then; if no time is given it ends by itself, and is sampled more often.
+    """
     uses: dict[str, dict[str, Any]] = {}
     begun_s = time.monotonic()
-    settled_s = min(SETTLED_S, 0.1 * duration_s)
+    period_s, settled_s = PERIOD_S, min(SETTLED_S, 0.1 * duration_s)
+    if math.isinf(duration_s):
+        period_s, settled_s = SHORT_PERIOD_S, SHORT_SETTLED_S
     with log.open("w") as lines, subprocess.Popen(command, stdout=lines, stderr=lines) as run:
         while run.poll() is None:
             elapsed_s = time.monotonic() - begun_s
@@ -80,14 +89,21 @@ def soak(command: list[str], duration_s: float, log: Path) -> dict[str, dict[str
                     continue
                 entry = uses.setdefault(name, {"begin": use, "largest_mb": 0.0})
                 entry["end"], entry["largest_mb"] = use, max(entry["largest_mb"], use["memory_mb"])
-            time.sleep(min(PERIOD_S, settled_s, max(0.1, duration_s - elapsed_s)))
-    return uses
+            time.sleep(min(period_s, settled_s, max(0.1, duration_s - elapsed_s)))
+    return uses, run.returncode
+
+
+def cpu_s() -> float:
+    """Return the processor time of all children that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario", nargs="?", default="scheme-1")
     parser.add_argument("--minutes", type=float, default=31.0)
+    parser.add_argument("--bench-hours", type=float, help="of simulated time, in place of --minutes")
     parser.add_argument("--rig", default="emulated")
     parser.add_argument("--out", type=Path, default=Path("soak"))
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="passed on to hil run")
@@ -95,21 +111,33 @@ def main() -> int:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     result, folder = options.out / "run.json", options.out / "recording"
-    command = [sys.executable, "-m", "hil", "run", options.scenario, "--rig", options.rig, "--until-stopped"]
+    command = [sys.executable, "-m", "hil", "run", options.scenario, "--rig", options.rig]
+    if options.bench_hours is None:
+        command += ["--until-stopped"]
+    else:
+        command += ["--duration", str(3600.0 * options.bench_hours)]
     command += ["--record", str(folder), "--json", str(result)]
     command += [word for setting in options.set for word in ("--set", setting)]
     load = os.getloadavg()[0]
-    uses = soak(command, 60.0 * options.minutes, options.out / "run.txt")
+    uses, _ = soak(
+        command, options.out / "run.txt", 60.0 * options.minutes if options.bench_hours is None else math.inf
+    )
     run = json.loads(result.read_text()) if result.exists() else {}
     timing = run.get("timing", {})
     kept = ("cycles", "overruns", "skipped_periods", "lateness_us", "devices")
     report: dict[str, Any] = {"minutes": timing.get("cycles", 0) / timing.get("rate_hz", 50.0) / 60.0}
     report |= {"stop": run.get("stop"), "faults": run.get("faults")} | {key: timing.get(key) for key in kept}
-    report |= {"load": {"begin": load, "end": os.getloadavg()[0]}, "processes": uses}
+    report |= {"load": {"begin": load, "end": os.getloadavg()[0]}, "cpu_s": cpu_s(), "processes": uses}
     if not options.no_replay and folder.exists():
         recordings = sorted(path for path in folder.glob("*.mcap") if ".part" not in path.name)
-        replay = [sys.executable, "-m", "hil", "replay", str(recordings[0])]
-        report["replay_exit_code"] = subprocess.run(replay, check=False, stdout=subprocess.DEVNULL).returncode
+        replay = [sys.executable, "-m", "hil", "replay", str(recordings[-1])]
+        before_s = cpu_s()
+        uses, report["replay_exit_code"] = soak(replay, options.out / "replay.txt")
+        report["replay"] = {
+            "verdict": (options.out / "replay.txt").read_text().strip().splitlines()[-1:],
+            "cpu_s": cpu_s() - before_s,
+            "processes": uses,
+        }
     print(json.dumps(report, indent=2))
     return 0 if report["stop"] == "completed" and not report.get("replay_exit_code") else 1
 

@@ -149,3 +149,20 @@ def test_parts_of_a_run_in_real_time_are_evaluated_in_a_thread(monkeypatch: pyte
     assert found["timing"]["cycles"] == 1001
     assert sum(entry["cycles"] for entry in found["timing"]["lateness_histogram"]) == 1001
     assert found["verdict"]["security"]["passed"]
+
+
+@pytest.mark.slow
+def test_the_filters_stay_consistent_for_24_hours() -> None:  # pytest -m slow -k 24_hours
+    first = runs.run_job(runs.RunRequest(make_job(600.0, seed=3), "mock"))
+    day = runs.run_job(runs.RunRequest(make_job(86_400.0, seed=3), "mock"))
+    found = day.summary
+    print(f"{found['timing']['cycles']} cycles: {found['navigation']}")  # noqa: T201
+    assert (found["stop"], found["faults"], found["alarms"]) == ("completed", [], [])
+    assert not [event for event in found["events"] if event["source"] in ("pkf", "akf", "shadow")]
+    assert found["navigation"]["nees_akf"] == pytest.approx(6.0, rel=0.2)
+    assert found["navigation"]["nees_pkf"] == pytest.approx(9.0, rel=0.2)
+    for error, bound in (("position_rmse_m", "position_bound_m"), ("attitude_rmse_deg", "attitude_bound_deg")):
+        assert np.all(np.array(found["navigation"][error]) < 1.2 * np.array(found["navigation"][bound]))
+    for name in ("sigma_r_m", "sigma_v_mps", "sigma_attitude_rad"):
+        sigmas = [run.history["navigation"][name][-5000:].mean(axis=0) for run in (first, day)]
+        assert sigmas[1] == pytest.approx(sigmas[0], rel=0.02), name
