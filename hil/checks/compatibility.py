@@ -27,6 +27,7 @@ from hil.params import gnc as gnc_params
 _NOISE_SIGMAS = 3.0  # of a pose, which an alert limit must exceed
 _RATE_MAX_HZ = 10_000.0
 _RATIO_TOLERANCE = 1e-9
+_ROUNDING_HZ = 0.5  # of the capacity of a wire in messages
 _MEMORY_STEPS_MAX = (
     20_000  # each of them 3 kB, 20 kB with an error budget, and a few microseconds when a pose is that late
 )
@@ -160,20 +161,24 @@ def _jerk_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
 
 
 def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each axis group whose wire cannot carry the setpoints."""
-    own_hz, step_s = rig.value.bench.axes_rate_hz, scenario.value.step_s
-    if own_hz is not None:
-        source, key, value, setpoints_hz = rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", own_hz, own_hz
+    """Return a problem for each axis group whose wire cannot carry the exchanges: the file's, else one per setpoint."""
+    axes_hz, step_s = rig.value.bench.axes_rate_hz, scenario.value.step_s
+    if axes_hz is not None:
+        source, key, value, setpoints_hz = rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", axes_hz, axes_hz
     else:
         source, key, value, setpoints_hz = scenario.where("step_s"), "step_s", step_s, 1.0 / step_s
     problems = []
     for name, table in rig.value.device_tables().items():
-        if not (isinstance(table, AxisGroupTable) and table.has_wires) or name == "target_manipulator":
+        if not (isinstance(table, AxisGroupTable) and table.has_wires):
             continue
-        most_hz = table.entry.setpoints_hz(table)
-        if setpoints_hz > most_hz:
-            text = f"{setpoints_hz:g} setpoints per second, the wire of {name} ({table.driver}) carries {most_hz:.0f}"
-            problems.append(Problem(source, key, f"{value:g}: {text}"))
+        most_hz, own_hz = table.entry.setpoints_hz(table), table.exchange_rate_max_hz
+        own = f"{name}.exchange_rate_max_hz"
+        carries = f"the wire of {name} ({table.driver}) carries {most_hz:.0f}"
+        if own_hz is not None and own_hz > most_hz + _ROUNDING_HZ:
+            problems.append(Problem(rig.where(own), f"rig.{own}", f"{own_hz:g}: {carries} exchanges per second"))
+        elif own_hz is None and setpoints_hz > most_hz and name != "target_manipulator":
+            text = f"{value:g}: {setpoints_hz:g} setpoints per second, {carries}; rig.{own} limits the exchanges"
+            problems.append(Problem(source, key, text))
     return problems
 
 

@@ -30,12 +30,14 @@ def motion_digest(rig: Rig) -> str:
     ):
         if table[device] is None:
             continue
+        if table[device]["exchange_rate_max_hz"] is None:
+            del table[device]["exchange_rate_max_hz"]  # added later: a sign-off from before stays valid
         for of_emulators in [key for key in table[device] if key == "mechanics" or key.startswith("drive_following")]:
             del table[device][of_emulators]
         for name in names:
             del table[device][name]["lead_s"]
             if table[device][name][key] is None:
-                del table[device][name][key]  # added later: a sign-off from before stays valid
+                del table[device][name][key]  # likewise
     if rig.bench.axes_rate_hz is None:
         del table["bench"]["axes_rate_hz"]  # likewise
     if not rig.bench.bodies:

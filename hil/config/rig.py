@@ -31,6 +31,7 @@ BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" f
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 LEAD_MAX_S = 0.2
+EXCHANGES_MAX_HZ = 250.0
 AVERAGING_MAX_S = 1.0
 Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
@@ -317,6 +318,14 @@ class AxisGroupTable(DeviceTable):
     """Dynamics of mock and emulated axes."""
     drive_following_error_s: NotNegative = 0.05
     """Emulated drives: time beyond their following error window after which they switch their torque off."""
+    exchange_rate_max_hz: Annotated[float, Field(ge=10.0)] | None = None
+    """Most exchanges with the drives per second, Hz; of faster setpoints the newest is sent. Unless set: one per
+    setpoint, at most 250."""
+
+    @property
+    def exchanges_max_hz(self) -> float:
+        """Most exchanges with the drives per second, Hz: of the file, else what drivers in Python sustain."""
+        return EXCHANGES_MAX_HZ if self.exchange_rate_max_hz is None else self.exchange_rate_max_hz
 
     @property
     def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:

@@ -85,6 +85,14 @@ class Parks(Protocol):
 
 
 @runtime_checkable
+class CountsExchanges(Protocol):
+    """An axis group that counts the feedback of its drives."""
+
+    def exchanges(self) -> tuple[int, float]:
+        """Return the number of samples of all three axes since ``open``, and bench time of the newest, s."""
+
+
+@runtime_checkable
 class CountsLosses(Protocol):
     """A device that counts lost packets."""
 
@@ -167,8 +175,10 @@ def accepted_setpoint(
     axis_names: tuple[str, str, str], values: Array, low: Array, high: Array, quantity: str = "setpoint"
 ) -> Array:
     """Return ``values`` (3,) limited to [low, high]; raise SafetyTrip with ``quantity`` if one is not finite."""
-    for name, value in zip(axis_names, values.tolist(), strict=True):
-        if not math.isfinite(value):
-            raise SafetyTrip(name, quantity, str(value), "a finite number")
+    first, second, third = values.tolist()
+    if not math.isfinite(first + second + third):
+        for name, value in zip(axis_names, (first, second, third), strict=True):
+            if not math.isfinite(value):
+                raise SafetyTrip(name, quantity, str(value), "a finite number")
     accepted: Array = np.minimum(high, np.maximum(low, values))
     return accepted

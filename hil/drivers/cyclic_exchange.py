@@ -1,7 +1,7 @@
 """Cyclic exchange of setpoints and feedback: thread and life cycle shared by drivers of three axes.
 
 The caller's side (``send``, ``read``) never blocks. The thread owns the link from ``open`` to ``close``: it exchanges
-when a setpoint arrives, and every PERIOD_S without one.
+when a setpoint arrives, at most at the rate of the rig file, and every PERIOD_S without one.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from hil.core.clock import Clock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
+from hil.drivers.exchange_pacer import ExchangePacer
 from hil.drivers.latest import Latest
 from hil.drivers.profiled_move import ProfiledMove, compile_profile
-from hil.drivers.setpoint_limiter import SetpointLimiter
+from hil.drivers.setpoint_limiter import SetpointLimiter, setpoint_limiters
 from hil.errors import DeviceError, LinkLost
 
 PERIOD_S = 0.02  # bench time between exchanges when no setpoints arrive
@@ -78,6 +79,7 @@ class CyclicAxisGroup:
     def __init__(self, config: AxisGroupTable, clock: Clock, link: ExchangeLink, name: str) -> None:
         self.name = name
         self.axis_names = full_names(name, config.axis_names)
+        self._config = config
         axes = ServoAxes(config)
         self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
         self._acceleration_max = axes.acceleration_max
@@ -98,6 +100,7 @@ class CyclicAxisGroup:
         self._goal: tuple[Array, Array] | None = None
         self._profile: ProfiledMove | None = None
         self._limiters: list[SetpointLimiter] = []
+        self._pacer = ExchangePacer(config.exchanges_max_hz)
         self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
 
     def open(self, now_s: float) -> None:
@@ -112,6 +115,7 @@ class CyclicAxisGroup:
             event.clear()
         self._disabled = False
         self._goal = self._profile = None
+        self._pacer.restart()
         self._jogging = self._link.jogging = False
         compile_profile()  # outside the cycle
         try:
@@ -120,10 +124,7 @@ class CyclicAxisGroup:
             self._box.fail(error)
             raise
         self._setpoint = (feedback.position, np.zeros(3), now_s)
-        self._limiters = [
-            SetpointLimiter(rate, acceleration)
-            for rate, acceleration in zip(self._rate_max.tolist(), self._acceleration_max.tolist(), strict=True)
-        ]
+        self._limiters = setpoint_limiters(self._config)
         self._restart_limiters()
         self._box.put(feedback, self._clock.now_s())
         self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
@@ -178,7 +179,8 @@ class CyclicAxisGroup:
         if feedback is not None and (self._goal is not None or self._rejects_setpoints(feedback)):
             return feedback.position.copy()
         self._setpoint = (accepted, np.where(accepted == position, accepted_rate, 0.0), now_s)
-        self._wake.set()
+        if self._pacer.is_due(now_s):
+            self._wake.set()
         return accepted.copy()
 
     def read(self, now_s: float) -> AxisFeedback:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Final
+
+from hil.config.rig import AxisGroupTable
 
 _FIRST_PERIOD_S: Final = 0.02
 _GAP: Final = 1.5  # of the usual time between two setpoints; a drive bridges that by its feed-forward rate
@@ -11,6 +14,7 @@ _UNANSWERED: Final = 2.5  # of the same time, without feedback: setpoints may ha
 _BRIDGED_S: Final = 0.01  # a drive bridges this anyway, however fast setpoints usually come
 _SMOOTHING: Final = 0.1  # weight of the newest time between two setpoints
 _MISMATCH: Final = 0.05  # of the path of one period, by which an axis may miss its setpoint when it has caught up
+_SMOOTH: Final = 0.02  # of the limit of the jerk, by which the end of catching up may exceed it
 
 
 class SetpointLimiter:
@@ -19,9 +23,14 @@ class SetpointLimiter:
     Setpoints in regular succession pass unchanged: the caller limits them. After a gap (a lost response, a late cycle)
     the newest one may be far from the last one that was delivered, and a drive would go there as fast as it can.
     The stream then continues from where and how fast the axis moves, and catches up within ``set_limits``.
+
+    averaging_s: time of the sliding mean that limits the jerk of setpoints, 0 without a limit. The axis then catches up
+    with the setpoint ahead by half of it, and the mean of that path is delivered: its jerk is at most twice the
+    acceleration limit per ``averaging_s``.
     """
 
-    def __init__(self, rate_max: float, acceleration_max: float) -> None:
+    def __init__(self, rate_max: float, acceleration_max: float, averaging_s: float = 0.0) -> None:
+        self._averaging_s = averaging_s
         self.set_limits(rate_max, acceleration_max)
         self.restart(0.0, 0.0)
 
@@ -32,9 +41,11 @@ class SetpointLimiter:
     def restart(self, position: float, now_s: float) -> None:
         """Continue from ``position``, at rest."""
         self._position, self._rate = position, 0.0
+        self._set_rate = self._set_acceleration = 0.0
         self._set_s = self._delivered_s = now_s
         self._period_s = _FIRST_PERIOD_S
         self._missed = self._behind = False
+        self._mean: _SlidingMean | None = None
 
     def next(
         self, position: float, rate: float, set_s: float, now_s: float, measured: tuple[float, float, float]
@@ -51,27 +62,56 @@ class SetpointLimiter:
             self._missed = False
             if self._rate != 0.0 and not self._behind:  # the drive has moved further, or has braked
                 _, self._position, self._rate = measured
+            if self._averaging_s > 0.0 and not self._behind:
+                self._position += 0.5 * self._averaging_s * self._rate
+                self._mean = _SlidingMean(self._averaging_s, self._position, self._rate)
+                self._delivered_s = max(self._delivered_s, now_s - self._period_s)
             self._behind = True
         if elapsed_s > 0.0:
             self._period_s += _SMOOTHING * (min(elapsed_s, 2.0 * self._period_s) - self._period_s)
+            change = (rate - self._set_rate) / elapsed_s
+            self._set_acceleration = min(self._acceleration_max, max(-self._acceleration_max, change))
+        step_s = min(now_s - self._delivered_s, bridged_s)
+        self._set_s, self._set_rate, self._delivered_s = max(set_s, self._set_s), rate, now_s
+        if self._mean is not None:
+            return self._catch_up_smoothly(self._mean, position, rate, step_s)
         if self._behind:
-            self._catch_up(position, rate, min(now_s - self._delivered_s, bridged_s))
+            self._catch_up(position, rate, step_s)
         else:
             self._position, self._rate = position, rate
-        self._set_s, self._delivered_s = max(set_s, self._set_s), now_s
         return self._position, self._rate
 
+    def _catch_up_smoothly(
+        self, mean: _SlidingMean, position: float, rate: float, step_s: float
+    ) -> tuple[float, float]:
+        """Advance by ``step_s`` towards where the setpoint will be; return the mean on the way there."""
+        if step_s > 0.0:
+            ahead_s = 0.5 * self._averaging_s
+            self._approach(position + ahead_s * rate, rate + ahead_s * self._set_acceleration, step_s)
+            mean.add(step_s, self._position)
+        smooth, smooth_rate = mean.value()
+        change = _SMOOTH * 2.0 * self._acceleration_max / self._averaging_s * step_s * step_s
+        if abs(position - smooth) <= change * step_s and abs(rate - smooth_rate) <= change:
+            self._position, self._rate, self._behind, self._mean = position, rate, False, None
+            return position, rate
+        return smooth, smooth_rate
+
     def _catch_up(self, position: float, rate: float, step_s: float) -> None:
-        """Advance by ``step_s`` towards a setpoint that moves at ``rate``."""
+        """Advance by ``step_s`` towards a setpoint that moves at ``rate``; end when it is reached."""
         if step_s <= 0.0:
             return
-        distance = position - self._position
-        change = self._acceleration_max * step_s
-        behind = distance - rate * step_s
+        behind, change = position - self._position - rate * step_s, self._acceleration_max * step_s
         near = change * step_s + _MISMATCH * abs(rate) * self._period_s
         if abs(behind) <= near and abs(rate - self._rate) <= change:
             self._position, self._rate, self._behind = position, rate, False
             return
+        self._approach(position, rate, step_s)
+
+    def _approach(self, position: float, rate: float, step_s: float) -> None:
+        """Advance by ``step_s`` towards a setpoint that moves at ``rate``, within the limits."""
+        distance = position - self._position
+        change = self._acceleration_max * step_s
+        behind = distance - rate * step_s
         twice = 2.0 * self._acceleration_max * abs(behind)
         closing = math.sqrt(change * change + twice) - change  # of a setpoint that moves on at its rate
         energy = twice + math.copysign(rate * rate, rate * behind)
@@ -81,3 +121,36 @@ class SetpointLimiter:
         wanted = min(self._rate_max, max(-self._rate_max, wanted))
         self._rate = min(self._rate + change, max(self._rate - change, wanted))
         self._position += self._rate * step_s
+
+
+def setpoint_limiters(config: AxisGroupTable) -> list[SetpointLimiter]:
+    """Return the limiter of each axis, with the limits of the rig file."""
+    scale = config.si_per_unit
+    return [SetpointLimiter(scale * axis.limits[2], scale * axis.limits[3], axis.averaging_s) for axis in config.axes]
+
+
+class _SlidingMean:
+    """Mean over the last ``span_s`` of a position that moves in straight pieces, and at ``rate`` before the first."""
+
+    def __init__(self, span_s: float, position: float, rate: float) -> None:
+        self._span_s = span_s
+        self._origin = position
+        self._points = deque([(-span_s, -span_s * rate, 0.0), (0.0, 0.0, -0.5 * span_s * span_s * rate)])
+        """Time, s, position from the origin, and its integral since the first point."""
+
+    def add(self, step_s: float, position: float) -> None:
+        """Add the position ``step_s`` after the last one."""
+        before_s, before, integral = self._points[-1]
+        moved, t_s = position - self._origin, before_s + step_s
+        self._points.append((t_s, moved, integral + 0.5 * (before + moved) * step_s))
+        while self._points[1][0] <= t_s - self._span_s:
+            self._points.popleft()
+
+    def value(self) -> tuple[float, float]:
+        """Return the mean and its rate."""
+        (first_s, first, first_integral), (second_s, second, _) = self._points[0], self._points[1]
+        end_s, end, end_integral = self._points[-1]
+        since_s = end_s - self._span_s - first_s
+        begin = first + (second - first) * since_s / (second_s - first_s)
+        integral = end_integral - first_integral - 0.5 * (first + begin) * since_s
+        return self._origin + integral / self._span_s, (end - begin) / self._span_s

@@ -60,6 +60,11 @@ class Mailbox:
         """Return the size of a mailbox in memory, bytes."""
         return Slots.memory_size(cls.size(dtype), _SLOTS)
 
+    @property
+    def written(self) -> int:
+        """Number of values written so far; unchanged, the last value read is still the newest."""
+        return self._slots.written
+
     def write(self, record: np.ndarray | np.void, t_s: float) -> None:
         """Make ``record`` (one of ``dtype``) the newest value, written at ``t_s`` of bench time. Never waits.
 

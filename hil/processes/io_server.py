@@ -74,9 +74,9 @@ class IoServer(DeviceServer):
         if name not in self.served:
             return
         try:
-            number, sent_s = block[f"{name}.setpoint"].read(self._setpoint)
-            if number != self._setpoint_number[name]:
-                self._setpoint_number[name] = number
+            box = block[f"{name}.setpoint"]
+            if box.written != self._setpoint_number[name]:
+                self._setpoint_number[name], sent_s = box.read(self._setpoint)
                 self._pass_on(device, sent_s)
             feedback = device.read(now_s)
         except BenchError as error:

@@ -1,8 +1,8 @@
 """Execution times of the cycle and of each device's exchange, with their limits.
 
 ``cycle``: from the start of a cycle to its thruster command. ``rails``, ``turntable``: age of the encoders' sample that
-the cycle used. ``vmu``: from the exposure of a pose to its last byte. ``io``: from a thruster command to the
-acknowledgement of its digital lines by the coupler.
+the cycle used, with the rate of the exchanges. ``vmu``: from the exposure of a pose to its last byte. ``io``: from a
+thruster command to the acknowledgement of its digital lines by the coupler.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from hil.core.messages import Array
 from hil.report.latency import percentiles
 
 NAMES: Final = ("cycle", "rails", "turntable", "vmu", "io")
+EXCHANGED: Final = ("rails", "turntable")
+"""Those with an exchange of setpoints and feedback."""
 _SAMPLE_PERIODS: Final = 2.0  # of the cycle: the limit of a sample's age, unless the rig file sets it
 _STAMP_S: Final = 1e-3  # a command is stamped just after its lines were passed on
 
@@ -57,6 +59,12 @@ def judge_times(times_s: Mapping[str, Array], beyond: Mapping[str, int], rig: Ri
         | {"limit_ms": 1e3 * limit_s, "beyond": beyond[name]}
         for name, limit_s in limits_s(rig, step_s).items()
     }
+
+
+def with_exchanges(devices: Mapping[str, Any], rates_hz: Mapping[str, float]) -> dict[str, Any]:
+    """Return ``judge_times`` with ``exchange_hz``, exchanges per second with the drives; None for devices in memory."""
+    added = {name: {"exchange_hz": rates_hz.get(name)} for name in EXCHANGED}
+    return {name: table | added.get(name, {}) for name, table in devices.items()}
 
 
 def count_beyond(times_s: Mapping[str, Array], rig: Rig, step_s: float) -> dict[str, int]:

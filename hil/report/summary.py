@@ -22,7 +22,7 @@ from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
 from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
-from hil.report.device_times import count_beyond, execution_times_s, judge_times
+from hil.report.device_times import count_beyond, execution_times_s, judge_times, with_exchanges
 from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
@@ -92,6 +92,7 @@ def summarise(
             "overruns": outcome.overruns,
             "skipped_periods": outcome.skipped_periods,
             **timing,
+            "devices": with_exchanges(timing["devices"], outcome.measured.get("exchanges", {})),
             "late_cycle": rig.on_overrun,
             "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
         },

@@ -51,6 +51,7 @@ from hil.setup.assembly import Job as Job
 from hil.setup.clock_watch import ClockWatch
 from hil.setup.compiled import compiled_cycles, loop_is_compiled
 from hil.setup.compiled import runs_compiled as runs_compiled
+from hil.setup.exchange_rates import ExchangeRates
 from hil.setup.true_axes import TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
@@ -165,6 +166,9 @@ class WiredBench:
         if self.sinks:
             self.event_recorder = self.sinks.attach(made)
         made.meters["clocks"] = ClockWatch(self.rig.clock).numbers
+        rates = ExchangeRates(made.loop.telemetry, {"rails": self.devices.rails, "turntable": self.devices.turntable})
+        made.loop.telemetry = rates
+        made.meters["exchanges"] = rates.numbers
         if self.board is not None:
             step_s = self.job.scenario.value.step_s
             watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, made.now_s, step_s)

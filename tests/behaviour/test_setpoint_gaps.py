@@ -75,3 +75,17 @@ def test_a_turntable_catches_up_within_its_move_after_lost_packets(driver: str) 
         found = speeds(device, clock, speed, lose, 3.2)
         print(f"{driver}: {math.degrees(found.max()):.2f} deg/s")  # noqa: T201
         assert found.max() < speed * RESERVE * RIPPLE
+
+
+def test_rails_exchange_at_their_own_rate_and_go_to_the_newest_setpoint() -> None:
+    with bench_of("emulated", exchange_rate_max_hz=60.0) as bench:
+        bench.open()
+        place, begun_s = bench.read().position.copy(), bench.clock.now_s()
+        before, goal = bench.rails.counters()["exchanges"], place
+        for k in range(250):
+            goal = place + 1e-6 * k
+            bench.rails.send(goal, np.zeros(3), bench.clock.now_s())
+            bench.clock.sleep_until(begun_s + 0.001 * k)
+        exchanges = (bench.rails.counters()["exchanges"] - before) / 3
+        assert exchanges <= 60.0 * (bench.clock.now_s() - begun_s) + 3
+        assert bench.wait(lambda: bool(np.abs(bench.read().position - goal).max() < 1e-7))

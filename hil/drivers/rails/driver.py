@@ -1,9 +1,9 @@
 """Driver of the rails: three drives on Modbus TCP or RTU, one event loop in its own thread.
 
 An exchange is one transaction (function 23) per drive, or a write and a read for drives without that function, all
-three at once; those that share a wire go one after the other. It is triggered by ``send``, and every 20 ms without a
-setpoint, so that feedback stays fresh and the drives hold the last setpoint. One lost or damaged response is retried;
-when one drive fails the others are stopped at once.
+three at once; those that share a wire go one after the other. It is triggered by ``send``, at most at the rate of the
+rig file, and every 20 ms without a setpoint, so that feedback stays fresh and the drives hold the last setpoint. One
+lost or damaged response is retried; when one drive fails the others are stopped at once.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from hil.core.clock import WallClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
+from hil.drivers.exchange_pacer import ExchangePacer
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
@@ -29,7 +30,7 @@ from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, OFF, ST
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.rails.homing import HomingMonitor, limit_switch
 from hil.drivers.rails.wiring import make_wires
-from hil.drivers.setpoint_limiter import SetpointLimiter
+from hil.drivers.setpoint_limiter import SetpointLimiter, setpoint_limiters
 from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges without setpoints
@@ -56,7 +57,6 @@ class ModbusRails(LoopThread):
         self._homing = HomingMonitor(config)
         limits = ServoAxes(config)
         self._low, self._high, self._rate_max = limits.low, limits.high, limits.rate_max
-        self._acceleration_max = limits.acceleration_max
         self._box: Latest[AxisFeedback] = Latest(self.name)
         self._box.fail(LinkLost(self.name, "is not open"))
         self._setpoint: tuple[list[float], list[float], float] = ([], [], 0.0)  # position, rate, when sent
@@ -68,6 +68,7 @@ class ModbusRails(LoopThread):
         self._all_stopped = threading.Event()
         self._drives: list[Drive] = []
         self._limiters: list[SetpointLimiter] = []
+        self._pacer = ExchangePacer(config.exchanges_max_hz)
         self._stop_task: asyncio.Task[None] | None = None
 
     def open(self, now_s: float) -> None:
@@ -80,6 +81,7 @@ class ModbusRails(LoopThread):
         self._homing = HomingMonitor(self._config)
         self._serving = self._stopping = self._stop_was_called = self._jogging = self._disabled = False
         self._stop_task = None
+        self._pacer.restart()
         self._all_stopped.clear()
         try:
             self._start(bound_s)
@@ -117,7 +119,8 @@ class ModbusRails(LoopThread):
             if homing is not Homing.DONE and not self._jogging:
                 raise SafetyTrip(self.axis_names[axis], "setpoint", "before homing", "once the axis is homed")
         self._setpoint = (accepted.tolist(), feedforward.tolist(), now_s)
-        self._call(self._wake.set)
+        if self._pacer.is_due(now_s):
+            self._call(self._wake.set)
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
@@ -168,10 +171,7 @@ class ModbusRails(LoopThread):
             await _all(drive.identify() for drive in self._drives)
             held = await _all(drive.enable() for drive in self._drives)
             self._setpoint = (held, [0.0, 0.0, 0.0], self._clock.now_s())
-            self._limiters = [
-                SetpointLimiter(rate, acceleration)
-                for rate, acceleration in zip(self._rate_max.tolist(), self._acceleration_max.tolist(), strict=True)
-            ]
+            self._limiters = setpoint_limiters(self._config)
             for limiter, position_m in zip(self._limiters, held, strict=True):
                 limiter.restart(position_m, self._setpoint[2])
             self._serving = True

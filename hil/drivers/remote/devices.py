@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -20,6 +21,7 @@ from hil.errors import DeviceError, LinkLost, LinkTimeout
 
 SILENCE_MAX_S = 0.1
 """Wall time without a heartbeat of the serving process after which its devices count as lost."""
+_BEAT_WALL_S = 0.004  # between two heartbeats, and two looks at that of the process: a cycle may be shorter
 _CLOSE_WALL_S = 1.0
 _LOSSES = ("lost", "retries", "crc_errors", "protocol_errors")
 
@@ -39,14 +41,22 @@ class IoLink:
         self._name = name
         self._exit_status = exit_status
         self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
+        self._beat_s = _BEAT_WALL_S * clock.speed
+        self._sent_s = self._checked_s = -math.inf
+        self._watched = False
 
     def beat(self, now_s: float, watched: bool) -> None:
         """Send the loop's heartbeat; watched: the next one is due, and its absence stops the bench."""
+        if now_s - self._sent_s < self._beat_s and watched == self._watched:
+            return
+        self._sent_s, self._watched = now_s, watched
         self._heartbeat["watched"] = watched
         self.memory.block[io_layout.LOOP].write(self._heartbeat, now_s)
 
     def check(self, device: str, now_s: float) -> None:
         """Raise LinkLost for ``device`` if its process has ended or is silent."""
+        if now_s - self._checked_s < self._beat_s:
+            return
         if ended := self._exit_status():
             raise LinkLost(device, f"{self._name} process {ended}")
         _, beat_s = self.memory.block[self._name].read(self._heartbeat)
@@ -55,6 +65,7 @@ class IoLink:
             raise LinkLost(
                 device, f"{self._name} process has been silent for {age_s:.3f} s, allowed {SILENCE_MAX_S:g} s"
             )
+        self._checked_s = now_s
 
     def wake(self) -> None:
         """Let the process start its next period at once."""
@@ -84,7 +95,8 @@ class _RemoteDevice:
     def _check(self, now_s: float) -> None:
         if not self._is_open:
             raise LinkLost(self.name, "is not open")
-        if self._failure.read(self._record)[0] > self._failures_before:
+        if self._failure.written > self._failures_before:
+            self._failure.read(self._record)
             raise io_layout.failure_of(self._record)
         self._link.check(self.name, now_s)
 
@@ -112,11 +124,13 @@ class _RemoteDevice:
 class RemoteAxes(_RemoteDevice):
     """Rails, turntable or target axes in the I/O process. ``read`` sends the loop's heartbeat: call it in every cycle.
 
-    When the heartbeat ceases, the I/O process stops the axes.
+    When the heartbeat ceases, the I/O process stops the axes. wakes: whether a setpoint wakes that process; False for a
+    device whose setpoint is followed by another one's.
     """
 
-    def __init__(self, name: str, config: Rails | Turntable, link: IoLink) -> None:
+    def __init__(self, name: str, config: Rails | Turntable, link: IoLink, wakes: bool = True) -> None:
         super().__init__(name, link)
+        self._wakes = wakes
         self.axis_names = full_names(name, config.axis_names)
         axes = ServoAxes(config)
         self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
@@ -125,7 +139,8 @@ class RemoteAxes(_RemoteDevice):
         self._setpoint = np.zeros(1, io_layout.SETPOINT)
         self._feedback = np.zeros(1, io_layout.FEEDBACK)
         self._stop = np.zeros(1, io_layout.STOP)
-        self._feedback_before = 0
+        self._newest: AxisFeedback | None = None
+        self._received = self._feedback_before = 0
         self._stopped = self._disabled = False
         self._kind = io_layout.CYCLIC
 
@@ -133,7 +148,7 @@ class RemoteAxes(_RemoteDevice):
         """Let the I/O process open the device; the axes hold their position. Raises DeviceError."""
         self.close()
         self._link.beat(now_s, watched=False)
-        self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
+        self._received = self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
         self._stopped = self._disabled = False
         self._kind = io_layout.CYCLIC
         self.set_limits(self._rate_max, self._acceleration_max)
@@ -162,7 +177,8 @@ class RemoteAxes(_RemoteDevice):
     def _write_setpoint(self, position: Array, rate: Array, now_s: float) -> None:
         self._setpoint["position"], self._setpoint["rate"], self._setpoint["kind"] = position, rate, self._kind
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
-        self._link.wake()
+        if self._wakes:
+            self._link.wake()
 
     def set_jogging(self, on: bool) -> None:
         """While on, accept setpoints of axes that are not homed, without the limits of the travel."""
@@ -172,14 +188,20 @@ class RemoteAxes(_RemoteDevice):
         """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
         self._check(now_s)
         self._link.beat(now_s, watched=not self._disabled)
-        number, _ = self._block[f"{self.name}.feedback"].read(self._feedback)
-        if number <= self._feedback_before:
+        box = self._block[f"{self.name}.feedback"]
+        if box.written > self._received:
+            self._received, _ = box.read(self._feedback)
+            self._newest = io_layout.read_feedback(self._feedback)
+        if self._newest is None or self._received <= self._feedback_before:
             raise LinkTimeout(self.name, "has not answered yet")
-        feedback = io_layout.read_feedback(self._feedback)
-        age_s = now_s - feedback.t_s
+        age_s = now_s - self._newest.t_s
         if age_s > self._timeout_s:
             raise LinkTimeout(self.name, f"no answer for {age_s:.3f} s, allowed {self._timeout_s:g} s")
-        return feedback
+        return self._newest
+
+    def exchanges(self) -> tuple[int, float]:
+        """Return the number of samples since ``open``, and bench time of the newest, s; as of the last ``read``."""
+        return self._received - self._feedback_before, 0.0 if self._newest is None else self._newest.t_s
 
     def stop(self, now_s: float) -> None:
         """Order the quick stop through the shared memory, without waiting; idempotent, never raises."""
@@ -243,6 +265,8 @@ class RemoteIo(_RemoteDevice):
         super().__init__("io", link)
         self._timeout_s = config.timeout_s
         self._inputs = np.zeros(1, io_layout.INPUTS)
+        self._received = 0
+        self._newest = io_layout.read_inputs(self._inputs)
         self._stop = np.zeros(1, io_layout.STOP)
 
     def open(self, now_s: float) -> None:
@@ -262,8 +286,11 @@ class RemoteIo(_RemoteDevice):
     def read(self, now_s: float) -> IoInputs:
         """Return the newest inputs. Raises LinkTimeout when they are too old, DeviceError on failure."""
         self._check(now_s)
-        self._block["io.inputs"].read(self._inputs)
-        inputs = io_layout.read_inputs(self._inputs)
+        box = self._block["io.inputs"]
+        if box.written != self._received:
+            self._received, _ = box.read(self._inputs)
+            self._newest = io_layout.read_inputs(self._inputs)
+        inputs = self._newest
         age_s = now_s - inputs.t_s
         if age_s > self._timeout_s:
             raise LinkTimeout(self.name, f"no answer for {age_s:.3f} s, allowed {self._timeout_s:g} s")

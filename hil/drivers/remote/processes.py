@@ -69,7 +69,7 @@ class IoProcesses:
         watchdog = self._processes.get(WATCHDOG)
         lines = RemoteIo(rig.io, watchdog.link) if watchdog is not None and rig.io is not None else None
         return (
-            RemoteAxes("rails", rig.rails, link),
+            RemoteAxes("rails", rig.rails, link, wakes=False),  # the turntable's setpoint follows at once
             RemoteTurntable("turntable", rig.turntable, link),
             rig.vmu.make_driver(self._clock) if rig.vmu.entry.has_processes else RemotePoses(rig.vmu, link),
             lines,

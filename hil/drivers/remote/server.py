@@ -127,10 +127,10 @@ class DeviceServer:
 
     def stop_requested(self, device: str) -> int:
         """Return the kind of the newest stop of ``device`` ordered since the last call, 0 for none."""
-        number, _ = self.memory.block[f"{device}.stop"].read(self._stop)
-        if number == self._stops.get(device, 0):
+        box = self.memory.block[f"{device}.stop"]
+        if box.written == self._stops.get(device, 0):
             return 0
-        self._stops[device] = number
+        self._stops[device], _ = box.read(self._stop)
         return int(self._stop["kind"][0])
 
     def stop_in_thread(self, stop: Stop, now_s: float) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.checks.compatibility import check_memory, check_rates
+from hil.errors import BadInput
 from tests.support.run_settings import make_job
 
 RTU = "emulated-rtu"
@@ -39,6 +40,18 @@ MOCK = "mock"
             "rig.bench.axes_rate_hz",
             "turntable (cia402) carries 351",
         ),
+        (
+            RTU,
+            ("rig.rails.exchange_rate_max_hz=61.0",),
+            "rig.rails.exchange_rate_max_hz",
+            "61: the wire of rails (modbus_rtu) carries 60 exchanges per second",
+        ),
+        (
+            "emulated",
+            ("rig.turntable.exchange_rate_max_hz=2000.0",),
+            "rig.turntable.exchange_rate_max_hz",
+            "2000: the wire of turntable (cia402) carries",
+        ),
     ],
 )
 def test_rate_that_cannot_be_kept_is_rejected(rig: str, settings: tuple[str, ...], key: str, words: str) -> None:
@@ -46,6 +59,17 @@ def test_rate_that_cannot_be_kept_is_rejected(rig: str, settings: tuple[str, ...
     (problem,) = check_rates(job.scenario, job.rig)
     assert problem.key == key
     assert words in problem.message
+
+
+def test_a_slow_wire_with_a_rate_of_its_own_is_accepted_at_any_rate_of_the_axes() -> None:
+    job = make_job(1.0, ("rig.bench.axes_rate_hz=1000.0", "rig.rails.exchange_rate_max_hz=60.0"), rig=RTU)
+    assert check_rates(job.scenario, job.rig) == []
+
+
+@pytest.mark.parametrize("rate_hz", ["0.0", "-50.0", "9.0"])
+def test_a_rate_of_exchanges_below_ten_hertz_is_rejected(rate_hz: str) -> None:
+    with pytest.raises(BadInput, match=r"exchange_rate_max_hz: .* must be greater than or equal to 10"):
+        make_job(1.0, (f"rig.rails.exchange_rate_max_hz={rate_hz}",), rig="emulated")
 
 
 @pytest.mark.parametrize("rig", [MOCK, "emulated"])

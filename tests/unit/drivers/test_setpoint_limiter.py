@@ -27,6 +27,17 @@ def ramp(t_s: float) -> tuple[float, float]:
     return (0.15 * t_s * t_s, 0.3 * t_s) if t_s < up_s else (0.5 * SPEED * up_s + SPEED * (t_s - up_s), SPEED)
 
 
+def smooth(path: Path, span_s: float) -> Path:
+    """Return ``path`` with its jerk limited by a mean over ``span_s``, as the bench sends it."""
+
+    def mean(t_s: float) -> tuple[float, float]:
+        n = round(span_s / 0.004)
+        position, rate = np.mean([path(max(0.0, t_s - 0.004 * k)) for k in range(n)], axis=0)
+        return float(position), float(rate)
+
+    return mean
+
+
 def deliver(path: Path, gaps: list[tuple[float, float]], end_s: float = 7.0) -> tuple[np.ndarray, np.ndarray]:
     """Return what is delivered, (n, 3) of time, position, rate, and the speed of an axis that follows it, (n,).
 
@@ -108,3 +119,30 @@ def test_setpoints_without_an_answer_may_have_been_lost() -> None:
         assert limiter.next(0.002 * k, 0.1, 0.02 * k, 0.02 * k, (0.02, 0.001, 0.1)) == (0.002 * k, 0.1)
     position, rate = limiter.next(0.022, 0.1, 0.22, 0.22, (0.22, 0.005, 0.0))
     assert (position, rate) == pytest.approx((0.005 + 0.02 * ACCELERATION_MAX * 0.02, ACCELERATION_MAX * 0.02))
+
+
+@pytest.mark.parametrize("step_s", [STEP_S, 0.004])
+@pytest.mark.parametrize(("begin_s", "gap_s"), [(0.4, 0.38), (2.0, 0.19), (4.2, 0.19)])
+def test_an_axis_with_a_limit_of_the_jerk_catches_up_within_it(begin_s: float, gap_s: float, step_s: float) -> None:
+    span_s = 0.2
+    limiter, path = SetpointLimiter(SPEED_MAX, ACCELERATION_MAX, span_s), smooth(ramp, span_s)
+    limiter.restart(0.0, 0.0)
+    found: list[tuple[float, float]] = []
+    measured = 0.0, 0.0, 0.0
+    for k in range(1, round(6.0 / step_s)):
+        t_s = k * step_s
+        if begin_s <= t_s < begin_s + gap_s:
+            position, rate = path(begin_s)
+            measured = t_s + step_s, position + 0.05 * rate, 0.5 * rate  # the drive has begun to brake
+            found.clear()
+        else:
+            now = measured if not found and t_s > begin_s else (t_s, *path(t_s))
+            found.append(limiter.next(*path(t_s), t_s, t_s, now))
+    positions, rate = [position for position, _ in found], found[0][1]
+    positions = [positions[0] + rate * k * step_s for k in (-3, -2, -1)] + positions
+    jerk = np.abs(np.diff(positions, 3)).max() / step_s**3
+    assert jerk <= 1.02 * 2.0 * ACCELERATION_MAX / span_s
+    assert np.abs(np.diff(positions, 2)).max() / step_s**2 <= 1.01 * ACCELERATION_MAX
+    assert max(abs(rate) for _, rate in found) <= SPEED_MAX + 1e-9
+    assert max(positions) < 1.002
+    assert found[-1] == path(round(6.0 / step_s - 1) * step_s) == (1.0, 0.0)
