@@ -24,8 +24,8 @@ _ROWS = (
     ("position_rmse_m", "position rmse", "mm", 1e3),
     ("velocity_rmse_mps", "velocity rmse", "mm/s", 1e3),
     ("attitude_rmse_deg", "attitude rmse", "deg", 1.0),
-    ("position_bound_m", "position sigma", "mm", 1e3),
-    ("attitude_bound_deg", "attitude sigma", "deg", 1.0),
+    ("position_sigma_m", "position sigma", "mm", 1e3),
+    ("attitude_sigma_deg", "attitude sigma", "deg", 1.0),
 )
 
 

@@ -15,10 +15,11 @@ from typing import Final, TypeVar
 from hil.core.fields import Field, record_dtype
 from hil.core.messages import MAX_POSES, MAX_THRUSTERS
 
-PROTOCOL: Final = 2
-"""Version of the records; incremented when fields are appended. 2: protection levels and health in the output."""
-PROTOCOLS: Final = (1, 2)
-"""Versions that the bench accepts: a GNC of an earlier one does not write the appended fields, which stay zero."""
+PROTOCOL: Final = 3
+"""Version of the records; incremented when fields are appended. 2: protection levels and health in the output. 3: orbit
+and motion of the target in the setup."""
+PROTOCOLS: Final = (1, 2, 3)
+"""Versions that the bench accepts: a GNC of an earlier one does not have the appended fields."""
 REASON_BYTES: Final = 128
 """Size of the text with which a library rejects a scenario, including its terminating zero."""
 
@@ -84,6 +85,16 @@ class GncHealth(IntFlag):
     COVARIANCE_INVALID = 32, "a covariance of the filters is not finite or not positive definite"
 
 
+GNC_ORBIT_FIELDS: Final = (
+    Field("eccentricity", "f8", (), "1", "", "of the target's orbit, 0 for a circle"),
+    Field("mean_anomaly_rad", "f8", (), "rad", "", "of the target at t_s = 0"),
+    Field("tumbles", "i8", (), "1", "", "1: H is fixed in the body of a target that rotates freely; 0: Hill's frame"),
+    Field("target_rate_radps", "f8", 3, "rad/s", "H", "of that body against inertial space at t_s = 0; else zero"),
+    Field("target_inertia_kgm2", "f8", (3, 3), "kg m^2", "H", "inertia of that body; else zero"),
+)
+GNC_ORBIT: Final = record_dtype(GNC_ORBIT_FIELDS)
+"""Orbit and motion of the target as the GNC has them, with the errors of its ephemeris; last fields of the setup."""
+
 GNC_SETUP_FIELDS: Final = (
     Field("scenario", "S32", (), "", "", "name of the scenario"),
     Field("step_s", "f8", (), "s", "", "length of a cycle"),
@@ -101,9 +112,12 @@ GNC_SETUP_FIELDS: Final = (
     Field("start_q_CH", "f8", 4, "1", "H to c", "attitude at the start"),
     Field("ready_point_m", "f8", 3, "m", "H", "where the chaser waits for docking"),
     Field("closing_rate_max_mps", "f8", (), "m/s", "", "largest closing rate"),
+    *GNC_ORBIT_FIELDS,
 )
 GNC_SETUP: Final = record_dtype(GNC_SETUP_FIELDS)
 """Nominal vehicle and plan, known to a GNC before the run; the dispersed vehicle is not."""
+GNC_SETUP_2: Final = record_dtype(GNC_SETUP_FIELDS[: -len(GNC_ORBIT_FIELDS)])
+"""GNC_SETUP of protocol 2, and the mailbox gnc.setup: one with the orbit would not fit into an Ethernet frame."""
 
 GNC_POSE_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),

@@ -171,6 +171,15 @@ CYCLE_FIELDS: Final = (
         "",
         "normalised error squared of the attitude filter, 6 states; nan without a pose",
     ),
+    Field(
+        "monitor_bound_m",
+        "f8",
+        (),
+        "m",
+        "",
+        "bound on the position error by the docking monitor's newest measurement, at its time; 0: none",
+    ),
+    Field("monitor_bound_s", "f8", (), "s", "", "time of that measurement, time of the run"),
 )
 CYCLE = record_dtype(CYCLE_FIELDS)
 

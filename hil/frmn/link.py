@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from hil.core.gnc_records import GNC_ORBIT, GNC_SETUP_2
 from hil.core.observable import ObservableList
 from hil.frmn import wire
 from hil.frmn.authentication import AuthenticatedSocket, link_key
@@ -172,6 +173,14 @@ class Link:
             DatagramKind.CELL, record.tobytes(), self._writer, self._sequences[cell], time.monotonic(), MAILBOXES[cell]
         )
         return self._put(datagram, to)
+
+    def send_setup(self, setup: np.record) -> None:
+        """Send ``setup`` (GNC_SETUP): its last fields in a mailbox of their own, to a peer that wants it."""
+        hello = self.peer.hello if self.peer is not None else None
+        block, size = np.asarray(setup).tobytes(), GNC_SETUP_2.itemsize
+        if hello is not None and "gnc.orbit" in hello.wants:
+            self.send("gnc.orbit", np.frombuffer(block[size:], GNC_ORBIT))
+        self.send("gnc.setup", np.frombuffer(block[:size], GNC_SETUP_2))
 
     def drop_peer(self) -> None:
         """Drop the other side: the next one is accepted."""

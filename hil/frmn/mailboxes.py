@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_OUTPUT_1, GNC_SETUP
+from hil.core.gnc_records import GNC_INPUT, GNC_ORBIT, GNC_OUTPUT, GNC_OUTPUT_1, GNC_SETUP_2
 from hil.core.messages import AXES, COMMAND, IMU, NAVIGATION, POSE, TRUTH
 
 NAME_BYTES: Final = 16
@@ -122,7 +122,7 @@ def _mailbox(number: int, name: str, dtype: np.dtype, writer: Role, earlier: np.
 
 
 _ALL: Final = (
-    _mailbox(1, "gnc.setup", GNC_SETUP, Role.DSS),
+    _mailbox(1, "gnc.setup", GNC_SETUP_2, Role.DSS),
     _mailbox(2, "gnc.input", GNC_INPUT, Role.DSS),
     _mailbox(3, "gnc.output", GNC_OUTPUT, Role.GNC, GNC_OUTPUT_1),
     _mailbox(4, "gnc.flight", GNC_FLIGHT, Role.GNC),
@@ -135,6 +135,7 @@ _ALL: Final = (
     _mailbox(21, "feedback", AXES, Role.DSS),
     _mailbox(22, "health", HEALTH, Role.DSS),
     _mailbox(23, "imu.samples", IMU_SAMPLES, Role.DSS),
+    _mailbox(24, "gnc.orbit", GNC_ORBIT, Role.DSS),
 )
 MAILBOXES: Final[dict[str, MailboxSpec]] = {box.name: box for box in _ALL}
 BY_NUMBER: Final[dict[int, MailboxSpec]] = {box.number: box for box in _ALL}

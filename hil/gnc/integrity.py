@@ -39,6 +39,7 @@ INTEGRITY_PARAMS = np.dtype(
         ("nis_limit", "f8"),  # largest mean of three components
         ("gate", "f8"),  # standard deviations of one component that the gate passes
         ("sigmas", "f8"),  # in a protection level, from the integrity risk
+        ("follows", "i8"),  # 1: an undetected bias lasts until the filters follow it, with an error budget
     ],
     align=True,
 )
@@ -56,6 +57,11 @@ INTEGRITY_STATE = np.dtype(
         ("low", "f8", 6),  # and downwards
         ("biased", "i8"),  # 1: a CUSUM has passed its limit; it stays so, as the filters follow a bias
         ("mean_nis", "f8", 2),  # position, attitude
+        ("followed", "f8"),  # standard deviations of an innovation: error of the largest fault that is not found yet
+        ("followed_speed", "f8"),  # 1/s, of the ramp that is never found, the same per second
+        ("second_m", "f8"),  # bound on the position error by a second sensor, 0 for none
+        ("second_s", "f8"),  # at this time of the run
+        ("restarted_s", "f8"),  # when the filters were started again: a bound of before is none
     ],
     align=True,
 )
@@ -160,22 +166,82 @@ def missed_shift(params, accepted):
 
 
 @kernel
+def follow(params, state, fusion):
+    """Write ``followed`` and ``followed_speed`` for the gains of FUSION_STATE ``fusion``.
+
+    Position and velocity follow a fault of the poses by these gains, and the innovations fade as they do. Of a step or
+    a ramp that is found when its normalised innovations have passed the gate or summed up to the CUSUM's limit, the
+    largest error up to that moment; smaller ones are never found.
+    """
+    _, n = missed_shift(params, fusion.accepted)
+    gain, gain_speed = fusion.gain_position, fusion.gain_velocity * fusion.interval_s
+    missed = np.inf
+    state.followed = 0.0
+    for kind in range(2):  # a step of one, a ramp of one per pose
+        r, v, total, missed = 0.0, 0.0, 0.0, np.inf
+        for j in range(1, int(n) + 1):
+            fault = 1.0 if kind == 0 else float(j)
+            r += v
+            innovation = fault - r
+            r += gain * innovation
+            v += gain_speed * innovation
+            total += innovation
+            size = (params.mean_shift * j + params.cusum_limit) / total if total > 0.0 else np.inf
+            if innovation > 0.0:
+                size = min(size, params.gate / innovation)
+            if size < missed:
+                missed = size
+                state.followed = max(state.followed, missed * abs(r))
+    state.followed_speed = missed / fusion.interval_s if fusion.interval_s > 0.0 else 0.0
+
+
+@kernel
+def set_second(state, bound_m, t_s):
+    """Take the bound ``bound_m`` on the position error by a second sensor, m, 0 for none, at ``t_s`` of the run."""
+    state.second_m, state.second_s = bound_m, t_s
+
+
+@kernel
+def _second_bound(params, state, fusion, t_s, sigma_v, velocity):
+    """Return the bound on the position error at ``t_s`` by the second sensor, m, inf if there is none.
+
+    Since its measurement the estimate has moved away by its velocity error, and by poses up to the gate.
+    """
+    if state.second_m <= 0.0 or state.second_s < state.restarted_s or state.biased != 0:
+        return np.inf
+    largest = 0.0
+    for i in range(3):
+        largest = max(largest, sigma_v[i])
+    drift = params.sigmas * largest + velocity
+    if fusion.interval_s > 0.0:
+        drift += params.gate * fusion.noise_m * fusion.gain_position / fusion.interval_s
+    return state.second_m + drift * max(0.0, t_s - state.second_s)
+
+
+@kernel
 def protect(params, state, fusion, t_s, out):
     """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
 
     ``K sigma`` and the error to which an undetected bias of the innovations has led: through the position's
     gain, the velocity's over the poses since, and as a velocity error since the last pose; and the jump of a gate
-    that was opened again. A bias that the monitors have found has no bound.
+    that was opened again. A bias that the monitors have found has no bound. If poses or IMU are wrong, the second
+    sensor is not: its bound, and the innovations' missed bias that an error of the IMU is, may be less.
     """
     shift, n = missed_shift(params, fusion.accepted)
     age_s = max(0.0, t_s - fusion.last_accepted_s)
     velocity = shift * fusion.noise_m * n * fusion.gain_velocity
     bias = shift * fusion.noise_m * n * fusion.gain_position + velocity * (0.5 * n * fusion.interval_s + age_s)
+    if params.follows != 0:
+        velocity = state.followed_speed * fusion.noise_m
+        bias = state.followed * fusion.noise_m + velocity * age_s
     if state.biased != 0:
         bias = np.inf
+    second = _second_bound(params, state, fusion, t_s, out.sigma_v_mps, velocity)
     largest = 0.0
     for i in range(3):
-        out.protection_level_m[i] = params.sigmas * out.sigma_r_m[i] + bias + fusion.jump_m[i]
+        noise = params.sigmas * out.sigma_r_m[i]
+        other = max(noise + shift * fusion.noise_m, second + fusion.jump_m[i])
+        out.protection_level_m[i] = min(noise + bias + fusion.jump_m[i], other)
         largest = max(largest, out.sigma_attitude_rad[i])
     out.protection_level_rad = params.sigmas * largest + shift * fusion.noise_rad * n * fusion.gain_attitude
     if state.biased != 0:

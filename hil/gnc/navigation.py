@@ -100,10 +100,14 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
 @kernel
 def _fuse(params, state, memory, pose):
     """Fuse an admitted pose; the monitors take its innovation if it is accepted."""
-    fused = state.fusion
+    fused, accepted = state.fusion, state.fusion.accepted
     fusion.fuse(params.fusion, fused, memory, pose)
     if fused.updated != 0:
         integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
+        if params.integrity.follows != 0:
+            integrity.follow(params.integrity, state.integrity, fused)
+    elif fused.accepted != accepted:  # the filters were started again
+        state.integrity.restarted_s = state.t_s
 
 
 @kernel

@@ -79,6 +79,9 @@ class Approach:
         """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
         self.approach_state["monitor_disagrees"] = disagrees
 
+    def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
+        """Take note of a bound on the position error; an external GNC reports its own protection levels."""
+
     def guide(self, t_s: float, supervision: np.record, reference: np.record) -> None:
         """Start the next phase when its time or its order has come; write REFERENCE for ``t_s`` of the run."""
         before = self._progress.tobytes()

@@ -30,6 +30,8 @@ class Records(Protocol):
     reference: np.record
     supervision: np.record
     command: np.record
+    monitor_bound_m: np.ndarray
+    monitor_bound_s: np.ndarray
 
 
 class GncBackend(Protocol):
@@ -82,6 +84,9 @@ class GncBackend(Protocol):
 
     def set_monitor_disagrees(self, disagrees: bool) -> None:
         """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
+
+    def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
+        """Report the bound on the position error by the docking monitor, 0 for none, before ``step``."""
 
     def events(self) -> list[Event]:
         """Return all events so far in the order of time."""

@@ -145,7 +145,7 @@ class ReplyReceiver:
         wanted = not self.is_set_up if alive else self._link.expects
         if wanted and now_s - self._setup_sent_s > _SETUP_AGAIN_S:
             self._setup_sent_s = now_s
-            self._link.send("gnc.setup", self._setup)
+            self._link.send_setup(self._setup)
 
     def forget_setup(self) -> None:
         """Require a new setup before any further reply is used."""

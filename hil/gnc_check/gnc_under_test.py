@@ -91,7 +91,7 @@ class ProgramUnderTest:
             there = self._link.peer is not None or self._link.expects
             if there and now_s - sent_s >= _AGAIN_S:
                 sent_s = now_s
-                self._link.send("gnc.setup", setup)
+                self._link.send_setup(setup)
             self._link.wait(_AGAIN_S / 2)
             for output in self._outputs():
                 if output["cycle"] == -1 and output["state"] != GncState.STARTING:

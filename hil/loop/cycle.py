@@ -48,6 +48,8 @@ class CycleData:
     lateness_s: np.ndarray
     nees_position: np.ndarray
     nees_attitude: np.ndarray
+    monitor_bound_m: np.ndarray
+    monitor_bound_s: np.ndarray
 
     truth: np.record
     imu: np.record
@@ -148,7 +150,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     if loop.guard is not None:
         loop.guard.compare(loop.vision)
     if loop.monitor is not None:
-        loop.monitor.check(t_s, now.navigation, loop.gnc)  #    docking monitor against navigation
+        loop.monitor.check(t_s, now, loop.gnc)  #    docking monitor against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
     loop.dss.isolate(loop.gnc.isolated_thrusters)
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines

@@ -11,7 +11,7 @@ from hil.bench.kinematics import pose_of_axes
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.dynamics.docking_monitor import MONITOR_NOISE, UNOBSERVED_RAD
-from hil.gnc_backends.base import GncBackend
+from hil.gnc_backends.base import GncBackend, Records
 from hil.loop.monitor_kernel import (
     MONITOR_PARAMS,
     MONITOR_STATE,
@@ -75,8 +75,8 @@ class MonitorStage:
         self._axes = axes
         self._r, self._q = np.empty(3), np.empty(4)
 
-    def check(self, t_s: float, estimate: np.record, gnc: GncBackend) -> None:
-        """Compare what has arrived by ``t_s`` of the run with ``estimate`` (NAVIGATION) of the cycle before."""
+    def check(self, t_s: float, now: Records, gnc: GncBackend) -> None:
+        """Compare what has arrived by ``t_s`` of the run with the estimate of the cycle before, of which ``now`` are."""
         if is_measured(self.params, self.memory, t_s):
             number = int(self.memory.next)
             pose_of_axes(self._bench, *self._axes(), self._r, self._q)
@@ -85,7 +85,10 @@ class MonitorStage:
         if self.source is not None:
             for portion in self.source.poll():
                 self._put(portion, t_s)
-        gnc.set_monitor_disagrees(bool(compare_received(self.params, self.memory, t_s, estimate)))
+        gnc.set_monitor_disagrees(bool(compare_received(self.params, self.memory, t_s, now.navigation)))
+        found = self.memory.interlock
+        now.monitor_bound_m[0], now.monitor_bound_s[0] = found.bound_m, found.last_s
+        gnc.set_monitor_bound(float(found.bound_m), float(found.last_s))
 
     def disagreement(self) -> tuple[int, float, float]:
         """Return component, value and limit, m or rad, of the last disagreement."""

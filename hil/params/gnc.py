@@ -134,6 +134,7 @@ def integrity(scenario: Scenario) -> np.record:
     params.nis_limit = chi_square.upper_quantile(_NIS_TAIL, 3 * n) / n
     params.gate = math.sqrt(_gate(scenario.gnc.navigation.gate_sigma))
     params.sigmas = protection_sigmas(scenario)
+    params.follows = not scenario.gnc.navigation.budget.is_empty
     return params
 
 

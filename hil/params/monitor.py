@@ -15,7 +15,7 @@ from hil.dynamics.docking_monitor import MONITOR_MODEL
 from hil.maths import quat
 from hil.models.mounting import MOUNTING
 from hil.monitor.kernels.interlock import INTERLOCK_PARAMS
-from hil.params.gnc import largest_accelerations
+from hil.params.gnc import largest_accelerations, protection_sigmas
 
 _AGE_MAX_S = 2.0  # of a measurement
 
@@ -58,4 +58,5 @@ def interlock(scenario: Scenario) -> np.record:
     params.attitude = math.radians(config.interlock_error_max_deg)
     params.acceleration, params.angular_acceleration = largest_accelerations(scenario.chaser)
     params.age_max_s, params.step_s = _AGE_MAX_S, scenario.step_s
+    params.bound_sigmas = protection_sigmas(scenario)
     return params

@@ -47,8 +47,20 @@ def known_tumble(scenario: Scenario, mean_motion: float) -> np.record:
             params.rotates = 1
             params.amplitude[1, 2] = -mean_motion
         return params
-    error = scenario.gnc.target.rate_error_degps
-    return tumble(scenario.target, np.radians(np.array(scenario.target.rate_degps) + error))
+    return tumble(scenario.target, known_rate(scenario))
+
+
+def known_rate(scenario: Scenario) -> Array:
+    """Return the rate (3,) of a target that tumbles at the start, rad/s, as the GNC is given it, with its error."""
+    known: Array = np.radians(np.array(scenario.target.rate_degps) + scenario.gnc.target.rate_error_degps)
+    return known
+
+
+def inertia(target: MovingTarget) -> Array:
+    """Return the inertia (3, 3) of the target's body, kg m^2, in its axes."""
+    axes = quat.to_matrix(_principal_axes(target))
+    found: Array = axes.T @ np.diag(target.moments_kg_m2) @ axes
+    return found
 
 
 def tumble(target: MovingTarget, rate: Array) -> np.record:

@@ -28,6 +28,7 @@ from hil.report.bench_error import judge_bench_error
 from hil.report.device_times import NAMES, count_beyond, execution_times_s, judge_times
 from hil.report.integrity import IntegrityJudge
 from hil.report.latency import measured, percentiles, pose_to_command_s
+from hil.report.navigation_bound import NavigationBound
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, ready_params, verdict_of
 from hil.report.verdict_parts import (
     energy_part,
@@ -137,6 +138,7 @@ class LongRun:
         self._ready_params = ready_params(scenario.requirements)
         self._ready = new(ready_phase.READY_STATE)
         self._integrity = IntegrityJudge(scenario)
+        self._bound = NavigationBound(scenario, rig, summary.SETTLED_S)
         self._last: np.ndarray | None = None
         self._sums: dict[str, Any] = {}
         self._eclipse_s = 0.0
@@ -166,6 +168,7 @@ class LongRun:
         table = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
         ready_phase.update_all(self._ready_params, self._ready, np.ascontiguousarray(found.t_s), table)
         self._integrity.add(rows)
+        self._bound.add(rows)
         joined = rows if self._last is None else np.concatenate([self._last, rows])
         self._add_sums(joined)
         self._add_security(joined)
@@ -288,7 +291,7 @@ class LongRun:
                 "field_of_view": self._view,
             },
             "integrity": summary.integrity_of(self._integrity.state, self._scenario),
-            "navigation": {name: rms(name) for name in summary.RMS_KEYS} | nees,
+            "navigation": {name: rms(name) for name in summary.RMS_KEYS} | nees | self._bound.as_json(),
             "thrusters": thrusters,
             "orbit": {"eclipse_s": self._eclipse_s},
             "bench": {

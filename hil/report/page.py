@@ -122,6 +122,9 @@ def _verdict(run: Judged) -> Iterator[str]:
 def _numbers(summary: dict[str, Any]) -> Iterator[str]:
     yield html.heading(2, "Key numbers")
     yield html.table(("", "here"), key_numbers(summary))
+    if rows := _errors_over_bound(summary["navigation"]):
+        caption = "Navigation: error against the bound of these sensors, which no filter can be below"
+        yield html.table(("", "error, rms", "bound", "error over bound"), rows, caption)
     thrusters = summary["thrusters"]
     rows = [
         (str(i), str(firings), f"{on_s:.2f}")
@@ -146,6 +149,19 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
         parts = [(e["part"], f"{e['shift_px']:.3f}", f"{e['chance']:.1e}") for e in drift["explanations"]]
         title = f"Drift since calibration {drift['calibration']} of {drift['date']}"
         yield html.table(("part", "shift, px", "by chance"), parts, title)
+
+
+def _errors_over_bound(navigation: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return error, bound and their ratio of each axis; none if a recording has no such bound."""
+    lines = []
+    for quantity, unit, scale, axes in (("position", "m", 1e3, "xyz"), ("attitude", "deg", 1.0, "123")):
+        error, bound = (navigation.get(f"{quantity}_{name}_{unit}") for name in ("rmse", "bound"))
+        if error is None or bound is None or f"{quantity}_sigma_{unit}" not in navigation:
+            continue
+        for axis, here, least in zip(axes, error, bound, strict=True):
+            shown = "mm" if unit == "m" else unit
+            lines.append((f"{quantity} {axis}, {shown}", f"{scale * here:.3g}", f"{scale * least:.3g}", f"{here / least:.2f}"))
+    return lines
 
 
 def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:

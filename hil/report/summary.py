@@ -25,6 +25,7 @@ from hil.report.bench_error import judge_bench_error
 from hil.report.device_times import count_beyond, execution_times_s, judge_times, with_exchanges
 from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
 from hil.report.latency import measure_latency
+from hil.report.navigation_bound import NavigationBound
 from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
 from hil.report.verdict_parts import frame_delta_v, judge_energy, judge_field_of_view, judge_security
 from hil.safety.guard_alarms import GUARD_QUANTITIES
@@ -38,7 +39,7 @@ _TORQUE_WINDOW_S = (360.0, 400.0)  # bench paper Fig. 8
 
 
 RMS_KEYS: Final = (
-    "position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg", "position_bound_m", "attitude_bound_deg",
+    "position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg", "position_sigma_m", "attitude_sigma_deg",
 )  # fmt: skip
 """Errors of navigation that are root mean squares, three values each."""
 
@@ -114,6 +115,8 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
     """Return what the rows of a run, (n,) of CYCLE, give: tables of its JSON, and the verdict."""
     verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
     thrusters = thrusters_of(history, scenario)
+    bound = NavigationBound(scenario, rig, SETTLED_S)
+    bound.add(history)
     firings = sum(thrusters["thruster_firings"])
     return {
         "verdict": {
@@ -129,7 +132,7 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
             "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
         },
         "integrity": integrity_of(judge_integrity(history, scenario), scenario),
-        "navigation": navigation_errors(history),
+        "navigation": navigation_errors(history) | bound.as_json(),
         "thrusters": thrusters,
         "orbit": {"eclipse_s": eclipse_s(history, scenario.step_s)},
         "bench": axis_errors(history)
@@ -245,7 +248,7 @@ def _list(values: Array) -> list[float]:
 
 
 def navigation_errors(history: np.ndarray) -> dict[str, Any]:
-    """Return the errors of the estimate, and the filters' own bound, from SETTLED_S on (over all, if shorter)."""
+    """Return the errors of the estimate, and the filters' own sigmas, from SETTLED_S on (over all, if shorter)."""
     known = history[history["navigation"]["valid"] == 1]
     late = known[known["t_s"] >= SETTLED_S]
     chosen = late if len(late) else known
@@ -256,8 +259,8 @@ def navigation_errors(history: np.ndarray) -> dict[str, Any]:
         "position_rmse_m": _rms(truth["r_CT_H"] - estimate["r_CT_H"]),
         "velocity_rmse_mps": _rms(truth["v_CT_H"] - estimate["v_CT_H"]),
         "attitude_rmse_deg": _rms(np.degrees(attitude_error(chosen))),
-        "position_bound_m": _rms(estimate["sigma_r_m"]),
-        "attitude_bound_deg": _rms(np.degrees(estimate["sigma_attitude_rad"])),
+        "position_sigma_m": _rms(estimate["sigma_r_m"]),
+        "attitude_sigma_deg": _rms(np.degrees(estimate["sigma_attitude_rad"])),
         "nees_pkf": _mean(chosen["nees_position"]),
         "nees_akf": _mean(chosen["nees_attitude"]),
     }

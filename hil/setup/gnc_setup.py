@@ -17,6 +17,7 @@ from hil.gnc_backends.udp import UdpGnc
 from hil.loop.runner import Runner
 from hil.maths import euler
 from hil.params import gnc as gnc_params
+from hil.params.target import inertia, known_rate
 
 
 def gnc_setup(scenario: Scenario) -> np.record:
@@ -27,7 +28,12 @@ def gnc_setup(scenario: Scenario) -> np.record:
     setup.scenario = scenario.name.encode()[: GNC_SETUP["scenario"].itemsize]
     setup.step_s = scenario.step_s
     setup.duration_s = scenario.duration_s
-    setup.mean_motion_radps = gnc_params.target_orbit(scenario).mean_motion
+    orbit = gnc_params.target_orbit(scenario)
+    setup.mean_motion_radps = orbit.mean_motion
+    setup.eccentricity, setup.mean_anomaly_rad = orbit.eccentricity, orbit.mean_anomaly
+    if scenario.target.motion == "tumble":
+        setup.tumbles = 1
+        setup.target_rate_radps, setup.target_inertia_kgm2 = known_rate(scenario), inertia(scenario.target)
     setup.mass_kg = chaser.mass_kg
     setup.inertia_kgm2 = chaser.inertia_kg_m2
     n = len(thrusters.position_m)

@@ -1,7 +1,7 @@
 /* hil_gnc.h: records exchanged between the bench and an external GNC. Printed by: hil gnc header
  *
- * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire
- * (docs/how-to/connect-your-gnc.md). Little-endian; aligned as a compiler for x86-64 or ARM64 does. SI units.
+ * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire,
+ * where the last fields of the setup are the mailbox gnc.orbit (docs/how-to/connect-your-gnc.md). Little-endian; aligned as a compiler for x86-64 or ARM64 does. SI units.
  * Frames: H is Hill's (LVLH) frame of the target, c the chaser's body. Quaternions have the scalar last;
  * q_CH takes components in H to components in c.
  */
@@ -15,7 +15,7 @@
 extern "C" {
 #endif
 
-#define HIL_GNC_PROTOCOL 2
+#define HIL_GNC_PROTOCOL 3
 #define HIL_GNC_REASON_BYTES 128
 
 enum hil_gnc_mode {
@@ -64,6 +64,11 @@ typedef struct {
     double start_q_CH[4]; /* attitude at the start; H to c */
     double ready_point_m[3]; /* where the chaser waits for docking; m, in H */
     double closing_rate_max_mps; /* largest closing rate; m/s */
+    double eccentricity; /* of the target's orbit, 0 for a circle */
+    double mean_anomaly_rad; /* of the target at t_s = 0; rad */
+    int64_t tumbles; /* 1: H is fixed in the body of a target that rotates freely; 0: Hill's frame */
+    double target_rate_radps[3]; /* of that body against inertial space at t_s = 0; else zero; rad/s, in H */
+    double target_inertia_kgm2[3][3]; /* inertia of that body; else zero; kg m^2, in H */
 } hil_gnc_setup;
 
 typedef struct {
@@ -126,7 +131,7 @@ int hil_gnc_step(void *gnc, const hil_gnc_input *input, hil_gnc_output *output);
 void hil_gnc_close(void *gnc);
 
 #if defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L
-_Static_assert(sizeof(hil_gnc_setup) == 1440, "size of hil_gnc_setup");
+_Static_assert(sizeof(hil_gnc_setup) == 1560, "size of hil_gnc_setup");
 _Static_assert(offsetof(hil_gnc_setup, scenario) == 0, "place of hil_gnc_setup.scenario");
 _Static_assert(offsetof(hil_gnc_setup, step_s) == 32, "place of hil_gnc_setup.step_s");
 _Static_assert(offsetof(hil_gnc_setup, duration_s) == 40, "place of hil_gnc_setup.duration_s");
@@ -143,6 +148,11 @@ _Static_assert(offsetof(hil_gnc_setup, start_r_CT_H_m) == 1352, "place of hil_gn
 _Static_assert(offsetof(hil_gnc_setup, start_q_CH) == 1376, "place of hil_gnc_setup.start_q_CH");
 _Static_assert(offsetof(hil_gnc_setup, ready_point_m) == 1408, "place of hil_gnc_setup.ready_point_m");
 _Static_assert(offsetof(hil_gnc_setup, closing_rate_max_mps) == 1432, "place of hil_gnc_setup.closing_rate_max_mps");
+_Static_assert(offsetof(hil_gnc_setup, eccentricity) == 1440, "place of hil_gnc_setup.eccentricity");
+_Static_assert(offsetof(hil_gnc_setup, mean_anomaly_rad) == 1448, "place of hil_gnc_setup.mean_anomaly_rad");
+_Static_assert(offsetof(hil_gnc_setup, tumbles) == 1456, "place of hil_gnc_setup.tumbles");
+_Static_assert(offsetof(hil_gnc_setup, target_rate_radps) == 1464, "place of hil_gnc_setup.target_rate_radps");
+_Static_assert(offsetof(hil_gnc_setup, target_inertia_kgm2) == 1488, "place of hil_gnc_setup.target_inertia_kgm2");
 _Static_assert(sizeof(hil_gnc_pose) == 208, "size of hil_gnc_pose");
 _Static_assert(offsetof(hil_gnc_pose, t_s) == 0, "place of hil_gnc_pose.t_s");
 _Static_assert(offsetof(hil_gnc_pose, r_TC_C_m) == 8, "place of hil_gnc_pose.r_TC_C_m");

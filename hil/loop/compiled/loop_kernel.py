@@ -28,7 +28,7 @@ from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision import VISION_PARAMS, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame
-from hil.gnc import guidance, navigation
+from hil.gnc import guidance, integrity, navigation
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
@@ -361,6 +361,9 @@ def _check_monitor(params, state, t_s, noise, first):
     state.gnc.approach.monitor_disagrees = compare_received(
         params.monitor, state.monitor, t_s, state.now.navigation
     )  # fmt: skip
+    bound_m, measured_s = state.monitor.interlock.bound_m, state.monitor.interlock.last_s
+    integrity.set_second(state.gnc.navigation.integrity, bound_m, measured_s)
+    state.now.monitor_bound_m, state.now.monitor_bound_s = bound_m, measured_s
 
 
 @kernel

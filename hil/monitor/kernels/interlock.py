@@ -4,6 +4,9 @@ The estimate is carried back to the measurement with its own rates, and gives th
 should have been seen. They disagree if a component differs by more than the errors of the mounting and ``sigmas``
 standard deviations of both. ``frames`` consecutive disagreements set the interlock, as many agreements release it; it
 stays set while nothing is measured.
+
+A measurement of a sound monitor also bounds the estimate's error, whatever the vision unit measures: by the difference
+and by what the monitor itself can be wrong.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ INTERLOCK_PARAMS = np.dtype(
         ("angular_acceleration", "f8"),  # rad/s^2
         ("age_max_s", "f8"),  # of a measurement that is compared
         ("step_s", "f8"),  # age of the estimate: it is that of the cycle before
+        ("bound_sigmas", "f8"),  # standard deviations of the monitor in the bound on the estimate's error
     ],
     align=True,
 )
@@ -43,6 +47,7 @@ INTERLOCK_STATE = np.dtype(
         ("component", "i8"),  # of the last disagreement: 0 to 2 position, 3 to 5 attitude, in the camera's axes
         ("value", "f8"),  # its difference, m or rad
         ("limit", "f8"),  # what is allowed
+        ("bound_m", "f8"),  # largest position error of the estimate by the newest measurement, 0 for none
     ],
     align=True,
 )
@@ -107,6 +112,37 @@ def _disagrees(params, mounting, state, t_v, q_vt, variance, estimate, age_s):
 
 
 @kernel
+def _error_bound(params, mounting, t_v, q_vt, variance, estimate, age_s):
+    """Return the largest position error of ``estimate`` at the time of a sound measurement, m; 0 if it has no bound.
+
+    In each axis: the difference, the errors of the mounting, noise, and the estimate's error of the attitude over the
+    distance, which the measured attitude or the protection level bounds.
+    """
+    seen, q_seen, rotation = stack.vector(3), stack.vector(4), stack.vector(3)
+    _seen_from(estimate, mounting, age_s, seen, q_seen)
+    square, apart, angle = 0.0, 0.0, 0.0
+    of_position, of_attitude = 0.0, 0.0
+    for i in range(3):
+        square += seen[i] * seen[i]
+        apart += (t_v[i] - seen[i]) ** 2
+        of_position, of_attitude = max(of_position, variance[i]), max(of_attitude, variance[3 + i])
+    moved = 0.5 * age_s * age_s
+    attitude = estimate.protection_level_rad
+    if of_attitude <= _OBSERVED_RAD**2:
+        quat.rotation_between(q_vt, q_seen, rotation)
+        for i in range(3):
+            angle += rotation[i] * rotation[i]
+        measured = math.sqrt(angle) + params.attitude + params.bound_sigmas * math.sqrt(of_attitude)
+        measured += moved * params.angular_acceleration
+        if not attitude <= measured:  # nan: none is reported
+            attitude = measured
+    distance = math.sqrt(square)
+    bound = math.sqrt(apart) + params.position + params.bound_sigmas * math.sqrt(of_position)
+    bound += (params.attitude + attitude) * distance + moved * params.acceleration
+    return bound if math.isfinite(bound) else 0.0
+
+
+@kernel
 def compare_estimate(params, mounting, state, t_s, measured_s, t_v, q_vt, variance, estimate):
     """Compare a measurement of ``measured_s`` with the estimate of the cycle before ``t_s``, times of the run.
 
@@ -119,6 +155,7 @@ def compare_estimate(params, mounting, state, t_s, measured_s, t_v, q_vt, varian
         return
     state.compared += 1
     state.last_s = measured_s
+    state.bound_m = _error_bound(params, mounting, t_v, q_vt, variance, estimate, age_s)
     if _disagrees(params, mounting, state, t_v, q_vt, variance, estimate, age_s):
         state.beyond += 1
         state.beyond_in_a_row += 1

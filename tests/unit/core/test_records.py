@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[3]
 LAYOUTS = {
     "AXES": (96, "864c723aaef4"),
     "COMMAND": (392, "90f73bd811ca"),
-    "CYCLE": (2192, "1e42978a3f21"),
+    "CYCLE": (2208, "b2c8564971a7"),
     "IMU": (96, "958bd7519946"),
     "NAVIGATION": (240, "eb659804b67c"),
     "POSE": (296, "b04be1be7562"),
@@ -28,7 +28,8 @@ LAYOUTS = {
     "GNC_INPUT": (1024, "50ffc677be9d"),
     "GNC_OUTPUT": (280, "a91511b65061"),
     "GNC_POSE": (208, "6c6d24011bad"),
-    "GNC_SETUP": (1440, "0426f14f4805"),
+    "GNC_ORBIT": (120, "9bc70198134b"),
+    "GNC_SETUP": (1560, "ad6e99fff6cd"),
     "ARRIVAL": (696, "c7af71a6f68b"),
     "VMU_FRAME": (392, "721886daa9d1"),
 }

@@ -1,0 +1,117 @@
+"""Cramér-Rao bound of the navigation: the least standard deviations that any filter can have with a run's sensors.
+
+A recursion of Riccati's equation (Tichavsky, Muravchik and Nehorai, IEEE Trans. Signal Processing 46 (1998)) over the
+poses that arrived, with the covariances that the vision unit reported, and the true noise of the IMU. Each axis is
+alone: position, velocity and accelerometer bias; rotation and gyro drift. What couples them only adds errors, as do
+bias, misalignment and correlated noise. No parameter of a filter enters.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.messages import Array
+
+_START_MPS: Final = 1e-3  # standard deviation of the velocity at the first pose: of a hold before the approach
+_KINDS: Final = ("covariance_position", "covariance_attitude")
+
+
+class NavigationBound:
+    """Mean variances of the bound over the rows of a run, which are added in order.
+
+    settled_s: time of the run from which on they count, unless all is earlier. Of a GNC without an IMU there are none.
+    """
+
+    def __init__(self, scenario: Scenario, rig: Rig, settled_s: float) -> None:
+        imu = scenario.imu
+        self._has_imu = scenario.gnc.navigation.sensors == "vision_imu"
+        self._settled_s = settled_s
+        self._bench = np.array([rig.vmu.bench_sigma_m, math.radians(rig.vmu.bench_sigma_deg)]) ** 2
+        self._scale = scenario.vmu.reported_sigma_scale**2 if scenario.vmu.source == "model" else 1.0
+        radians = math.radians
+        self._start = (
+            (0.0, _START_MPS**2, imu.accelerometer_bias_initial_sigma_mps2**2),
+            (0.0, radians(imu.gyro_drift_initial_sigma_degps) ** 2, 0.0),
+        )
+        noise = (
+            (0.0, imu.accelerometer_noise_mps2, imu.accelerometer_bias_noise_mps3),
+            (radians(imu.gyro_noise_degps), radians(imu.gyro_drift_noise_degps2), 0.0),
+        )
+        # densities: a sample's noise holds for the time of the sample
+        self._noise = scenario.sample_s * np.square(noise)
+        self._p: Array | None = None
+        self._last_s = 0.0
+        self._sums = {True: np.zeros((2, 3)), False: np.zeros((2, 3))}  # after and before ``settled_s``
+        self._time_s = {True: 0.0, False: 0.0}
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add the next ``rows`` (n,) of CYCLE."""
+        poses = rows["pose"][rows["pose"]["fresh"] > 0]
+        if not self._has_imu or not len(poses):
+            return
+        for t_s, variance in zip(poses["t_s"].tolist(), self._variances(poses), strict=True):
+            self._add_pose(t_s, variance)
+
+    def _variances(self, poses: np.ndarray) -> Array:
+        """Return the variances of ``poses`` (n,) of POSE, (n, 2, 3): of each axis of c if the others were known."""
+        information = np.empty((len(poses), 2, 3))
+        for k, name in enumerate(_KINDS):
+            inverse = np.linalg.inv(poses[name] - self._bench[k] * np.eye(3))
+            information[:, k] = np.diagonal(inverse, axis1=1, axis2=2)
+        return 1.0 / (information * poses["fresh"][:, None, None] * self._scale)
+
+    def _add_pose(self, t_s: float, variance: Array) -> None:
+        if self._p is None:
+            self._p = np.array([[np.diag(start)] * 3 for start in self._start])
+            self._p[:, :, 0, 0], self._last_s = variance, t_s
+            return
+        elapsed_s = t_s - self._last_s
+        if not elapsed_s > 0.0:
+            return
+        before = self._p[:, :, 0, 0]
+        f, q = _step(round(elapsed_s, 9), tuple(map(tuple, self._noise.tolist())))
+        p = f @ self._p @ f.swapaxes(2, 3) + q
+        is_settled = self._last_s >= self._settled_s
+        self._sums[is_settled] += 0.5 * elapsed_s * (before + p[:, :, 0, 0])  # mean between the two poses
+        self._time_s[is_settled] += elapsed_s
+        cross = p[:, :, :, 0]
+        gain = cross / (p[:, :, 0, 0] + variance)[:, :, None]
+        self._p, self._last_s = p - gain[:, :, :, None] * cross[:, :, None, :], t_s
+
+    def _root(self, k: int) -> list[float] | None:
+        span = self._time_s[True] > 0.0
+        if self._time_s[span] == 0.0:
+            return None
+        values: list[float] = np.sqrt(self._sums[span][k] / self._time_s[span]).tolist()
+        return values
+
+    def as_json(self) -> dict[str, list[float] | None]:
+        """Return the root mean squares of the standard deviations, by the keys of the JSON; None without poses."""
+        angle = self._root(1)
+        return {
+            "position_bound_m": self._root(0),
+            "attitude_bound_deg": None if angle is None else np.degrees(angle).tolist(),
+        }
+
+
+@lru_cache(maxsize=64)
+def _step(elapsed_s: float, noise: tuple[tuple[float, ...], ...]) -> tuple[Array, Array]:
+    """Return transitions (2, 1, 3, 3) and noise of both chains over ``elapsed_s``; noise: densities (2, 3).
+
+    An error of the IMU is subtracted from what it is a part of. The noise enters in mid-interval.
+    """
+    found = []
+    for signs, densities in zip(((1.0, -1.0), (-1.0, 0.0)), noise, strict=True):
+        f = np.eye(3)
+        f[0, 1], f[1, 2] = elapsed_s * signs[0], elapsed_s * signs[1]
+        f[0, 2] = 0.5 * f[0, 1] * f[1, 2]
+        middle = 0.5 * (np.eye(3) + f)
+        found.append((f, elapsed_s * middle @ np.diag(densities) @ middle.T))
+    transitions, added = zip(*found, strict=True)
+    return np.array(transitions)[:, None], np.array(added)[:, None]
