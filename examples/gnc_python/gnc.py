@@ -21,7 +21,7 @@ import numpy as np
 
 HEADER = struct.Struct("<4sIBBHHHIId")
 HELLO, CELL, HEARTBEAT, GOODBYE, REFUSED = range(1, 6)
-SETUP_CELL, INPUT_CELL, OUTPUT_CELL = range(1, 4)
+SETUP_CELL, INPUT_CELL, OUTPUT_CELL, ORBIT_CELL = 1, 2, 3, 24
 OFFERS, WANTS = 1, 2
 RUNNING = 2
 WORKING = 1
@@ -34,6 +34,12 @@ SETUP = np.dtype(
         ("thruster_position_m", "<f8", (24, 3)), ("thruster_force_N", "<f8", (24, 3)), ("minimum_on_s", "<f8"),
         ("acceleration_mps2", "<f8", 3), ("angular_acceleration_radps2", "<f8", 3), ("start_r_CT_H_m", "<f8", 3),
         ("start_q_CH", "<f8", 4), ("ready_point_m", "<f8", 3), ("closing_rate_max_mps", "<f8"),
+    ]
+)  # fmt: skip
+ORBIT = np.dtype(
+    [
+        ("eccentricity", "<f8"), ("mean_anomaly_rad", "<f8"), ("tumbles", "<i8"), ("target_rate_radps", "<f8", 3),
+        ("target_inertia_kgm2", "<f8", (3, 3)),
     ]
 )  # fmt: skip
 POSE = np.dtype(
@@ -80,6 +86,39 @@ def rotation_between(start, end):
     return 2.0 * vector * (-1.0 if start @ end < 0.0 else 1.0)
 
 
+class Frame:
+    """H at a time: its rate against inertial space, rad/s, in H, the change of that, and the gravity gradient, 1/s^2."""
+
+    def __init__(self, setup, orbit):
+        self.n, self.e = float(setup["mean_motion_radps"]), float(orbit["eccentricity"])
+        self.mean_anomaly = float(orbit["mean_anomaly_rad"])
+        self.tumbles, self.inertia = bool(orbit["tumbles"]), orbit["target_inertia_kgm2"]
+        self.t_s, self.w = 0.0, orbit["target_rate_radps"].copy()
+
+    def at(self, t_s):
+        if self.tumbles:
+            return self.of_body(t_s)
+        mean = anomaly = self.mean_anomaly + self.n * t_s
+        for _ in range(20):
+            anomaly = mean + self.e * np.sin(anomaly)  # Kepler's equation
+        nu = 2.0 * np.arctan(np.sqrt((1.0 + self.e) / (1.0 - self.e)) * np.tan(0.5 * anomaly))
+        rho = 1.0 + self.e * np.cos(nu)
+        rate = self.n * rho**2 / (1.0 - self.e**2) ** 1.5
+        change = -2.0 * self.e * np.sin(nu) * rate**2 / rho
+        k = self.n**2 * (rho / (1.0 - self.e**2)) ** 3
+        return np.array([0.0, -rate, 0.0]), np.array([0.0, -change, 0.0]), k * np.array([-1.0, -1.0, 2.0])
+
+    def of_body(self, t_s):
+        """Integrate Euler's equations to ``t_s``; gravity in such axes is left out: it is small against their motion."""
+        dt, w = t_s - self.t_s, self.w
+        middle = w + 0.5 * dt * self.change(w)
+        self.t_s, self.w = t_s, w + dt * self.change(middle)
+        return self.w, self.change(self.w), np.zeros(3)
+
+    def change(self, w):
+        return np.linalg.solve(self.inertia, -np.cross(w, self.inertia @ w))
+
+
 class Navigation:
     """Position, velocity and attitude: predicted with the IMU, corrected by each pose."""
 
@@ -88,8 +127,8 @@ class Navigation:
     LONGEST_GAP_S = 1.0  # between poses; limits the gain
     SETTLED_S = 10.0  # after the first pose; from then on the estimate is sent
 
-    def __init__(self, setup):
-        self.dt, self.n = float(setup["step_s"]), float(setup["mean_motion_radps"])
+    def __init__(self, setup, orbit):
+        self.dt, self.frame = float(setup["step_s"]), Frame(setup, orbit)
         self.started = False
         self.settled = False
 
@@ -97,7 +136,7 @@ class Navigation:
         """Take the IMU's sample and the poses of an input."""
         now_s = float(data["t_s"])
         if self.started:
-            self.predict(data["rate_radps"], data["force_mps2"])
+            self.predict(now_s, data["rate_radps"], data["force_mps2"])
         for pose in data["poses"][: data["n_poses"]]:
             if self.started:
                 self.correct(now_s, pose)
@@ -113,12 +152,13 @@ class Navigation:
         self.sigma_m = 0.0
         self.started = True
 
-    def predict(self, rate, force):
-        a, n, dt = matrix_of(self.q), self.n, self.dt
-        self.w = rate - a @ np.array([0.0, -n, 0.0])  # the gyro also measures the rotation of H
+    def predict(self, now_s, rate, force):
+        a, dt = matrix_of(self.q), self.dt
+        w, change, gradient = self.frame.at(now_s)
+        self.w = rate - a @ w  # the gyro also measures the rotation of H
         r, v = self.r, self.v
-        hill = np.array([2 * n * v[2], -n * n * r[1], -2 * n * v[0] + 3 * n * n * r[2]])
-        dv = dt * (a.T @ (force - self.bias) + hill)
+        free = gradient * r - 2.0 * np.cross(w, v) - np.cross(w, np.cross(w, r)) - np.cross(change, r)
+        dv = dt * (a.T @ (force - self.bias) + free)
         self.r, self.v = r + dt * v + 0.5 * dt * dv, v + dv
         self.q = rotated(self.q, dt * self.w)
 
@@ -163,8 +203,8 @@ class Control:
 
 
 class Gnc:
-    def __init__(self, setup):
-        self.navigation, self.control = Navigation(setup), Control()
+    def __init__(self, setup, orbit):
+        self.navigation, self.control = Navigation(setup, orbit), Control()
 
     def answer(self, data):
         """Return the output for an input."""
@@ -216,7 +256,8 @@ class Wire:
             self.socket.send(datagram + self.tag(datagram, self.bench))
 
     def hello(self):
-        cells = [(OUTPUT_CELL, OUTPUT, OFFERS), (SETUP_CELL, SETUP, WANTS), (INPUT_CELL, INPUT, WANTS)]
+        wanted = ((SETUP_CELL, SETUP), (INPUT_CELL, INPUT), (ORBIT_CELL, ORBIT))
+        cells = [(OUTPUT_CELL, OUTPUT, OFFERS), *((*cell, WANTS) for cell in wanted)]
         entries = b"".join(struct.pack("<4H", number, dtype.itemsize, 0, use) for number, dtype, use in cells)
         self.send(HELLO, 0, struct.pack("<ii32s", 2, len(cells), b"gnc.py") + entries.ljust(128, b"\0"))
 
@@ -237,7 +278,7 @@ class Wire:
 
 
 def main(host, port):
-    wire, gnc, last, answer, silent = Wire(host, port), None, None, None, 0
+    wire, setup, gnc, last, answer, silent = Wire(host, port), None, None, None, None, 0
     while True:
         received = wire.receive()
         if received is None:
@@ -254,7 +295,10 @@ def main(host, port):
             print("refused by the bench:", payload[4:].rstrip(b"\0").decode(errors="replace"), file=sys.stderr)
             return 2
         if kind == CELL and cell == SETUP_CELL and len(payload) == SETUP.itemsize:
-            gnc, last = Gnc(np.frombuffer(payload, SETUP)[0]), None
+            setup = np.frombuffer(payload, SETUP)[0]
+            continue
+        if kind == CELL and cell == ORBIT_CELL and len(payload) == ORBIT.itemsize and setup is not None:
+            gnc, last = Gnc(setup, np.frombuffer(payload, ORBIT)[0]), None
             answer = np.zeros((), OUTPUT)
             answer["cycle"], answer["state"] = -1, WORKING
         elif kind == CELL and cell == INPUT_CELL and len(payload) == INPUT.itemsize and gnc is not None:

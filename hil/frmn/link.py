@@ -178,9 +178,9 @@ class Link:
         """Send ``setup`` (GNC_SETUP): its last fields in a mailbox of their own, to a peer that wants it."""
         hello = self.peer.hello if self.peer is not None else None
         block, size = np.asarray(setup).tobytes(), GNC_SETUP_2.itemsize
+        self.send("gnc.setup", np.frombuffer(block[:size], GNC_SETUP_2))
         if hello is not None and "gnc.orbit" in hello.wants:
             self.send("gnc.orbit", np.frombuffer(block[size:], GNC_ORBIT))
-        self.send("gnc.setup", np.frombuffer(block[:size], GNC_SETUP_2))
 
     def drop_peer(self) -> None:
         """Drop the other side: the next one is accepted."""

@@ -31,7 +31,8 @@ _HEAD: Final = """\
 /* hil_gnc.h: records exchanged between the bench and an external GNC. Printed by: hil gnc header
  *
  * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire,
- * where the last fields of the setup are the mailbox gnc.orbit (docs/how-to/connect-your-gnc.md). Little-endian; aligned as a compiler for x86-64 or ARM64 does. SI units.
+ * where the last fields of the setup are the mailbox gnc.orbit (docs/how-to/connect-your-gnc.md). Little-endian;
+ * aligned as a compiler for x86-64 or ARM64 does. SI units.
  * Frames: H is Hill's (LVLH) frame of the target, c the chaser's body. Quaternions have the scalar last;
  * q_CH takes components in H to components in c.
  */

@@ -76,7 +76,7 @@ class MonitorStage:
         self._r, self._q = np.empty(3), np.empty(4)
 
     def check(self, t_s: float, now: Records, gnc: GncBackend) -> None:
-        """Compare what has arrived by ``t_s`` of the run with the estimate of the cycle before, of which ``now`` are."""
+        """Compare what has arrived by ``t_s`` of the run with the estimate of the cycle before, in ``now``."""
         if is_measured(self.params, self.memory, t_s):
             number = int(self.memory.next)
             pose_of_axes(self._bench, *self._axes(), self._r, self._q)

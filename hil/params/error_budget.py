@@ -18,9 +18,9 @@ def error_budget(scenario: Scenario) -> np.record:
         return params
     rad, one, three = math.radians, np.ones(1), np.ones(3)
     is_correlated = max(given.vision_correlated_fraction, given.bench_sigma_m, given.bench_sigma_deg) > 0.0
-    # sigmas, and correlation time of those that are estimated
+    # sigmas, and correlation time of those that are estimated, infinite for a constant, None for a considered one
     groups = {
-        "misalignment": (rad(given.vision_misalignment_sigma_deg) * three, None),
+        "misalignment": (rad(given.vision_misalignment_sigma_deg) * three, math.inf),
         "bias": (np.array(given.vision_bias_sigma_m), None),
         "scale": (given.vision_scale_sigma * one, None),
         "correlated": (float(is_correlated) * np.ones(6), given.vision_correlation_time_s),

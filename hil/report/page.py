@@ -160,7 +160,9 @@ def _errors_over_bound(navigation: dict[str, Any]) -> list[tuple[str, str, str, 
             continue
         for axis, here, least in zip(axes, error, bound, strict=True):
             shown = "mm" if unit == "m" else unit
-            lines.append((f"{quantity} {axis}, {shown}", f"{scale * here:.3g}", f"{scale * least:.3g}", f"{here / least:.2f}"))
+            lines.append(
+                (f"{quantity} {axis}, {shown}", f"{scale * here:.3g}", f"{scale * least:.3g}", f"{here / least:.2f}")
+            )
     return lines
 
 

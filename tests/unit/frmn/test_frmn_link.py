@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
 from hil.errors import BadInput
 from hil.frmn import wire
 from hil.frmn.authentication import TAG_BYTES
@@ -82,6 +82,24 @@ def test_cells_arrive_once_in_order_with_the_writers_time(bench: Link, gnc: Link
     assert bench.peer is not None
     assert bench.peer.hello is not None
     assert bench.peer.hello.name == "gnc"
+
+
+@pytest.mark.parametrize("wants", [("gnc.setup", "gnc.input"), ("gnc.setup", "gnc.input", "gnc.orbit")])
+def test_orbit_follows_the_setup_to_a_side_that_wants_it(bench: Link, wants: tuple[str, ...]) -> None:
+    setup, found = np.zeros(1, GNC_SETUP), {}
+    setup["scenario"], setup["eccentricity"], setup["tumbles"] = b"mine", 0.05, 1
+    gnc = Link(Role.GNC, "gnc", ("gnc.output",), wants, None, bench.address)
+    try:
+        until(lambda: bench.peer is not None and bench.peer.hello is not None, bench, gnc)
+        bench.send_setup(setup)
+        time.sleep(0.01)
+        found = {arrival.name: arrival.record[0] for arrival in gnc.poll()}
+    finally:
+        gnc.close()
+    assert set(found) == set(wants) - {"gnc.input"}
+    assert found["gnc.setup"]["scenario"] == b"mine"
+    if "gnc.orbit" in wants:
+        assert (found["gnc.orbit"]["eccentricity"], found["gnc.orbit"]["tumbles"]) == (0.05, 1)
 
 
 def test_heartbeats_measure_the_offset_of_the_clocks(bench: Link, gnc: Link) -> None:

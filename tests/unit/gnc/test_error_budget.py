@@ -51,6 +51,7 @@ EDGES = np.cumsum([0, *SIZES.values()])
 AT = {name: slice(first, last) for name, (first, last) in zip(SIZES, pairwise(EDGES), strict=True)}
 N = int(EDGES[-1])
 MOVING = ("correlated", "gyro_instability", "accelerometer_instability")
+ESTIMATED = ("misalignment", *MOVING)
 
 
 def fusion_params(*settings: str) -> np.record:
@@ -208,7 +209,7 @@ class Reference:
 
     def _update(self, pose: np.record, part: slice, white: Array, corrected: tuple[str, ...]) -> float:
         h = self.sensitivity(pose)[part]
-        rows = np.concatenate([np.arange(N)[AT[name]] for name in (*corrected, *MOVING)])
+        rows = np.concatenate([np.arange(N)[AT[name]] for name in (*corrected, *ESTIMATED)])
         turned = np.empty(3)
         quat.rotation_between(pose.q_CH, self.q, turned)
         measured = np.concatenate([turned, pose.z_TC_C + quat.to_matrix(self.q) @ self.x[AT["r"]]])

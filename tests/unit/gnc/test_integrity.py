@@ -184,3 +184,57 @@ def test_constant_innovation_bias_leads_to_less_error_than_the_protection_level(
     out = levels(params, new(INTEGRITY_STATE), 10.0, gain_position=gain, gain_velocity=gain_v)
     assert position <= out.protection_level_m[0] - params.sigmas * 0.001
     assert position == pytest.approx(out.protection_level_m[0] - params.sigmas * 0.001, rel=0.02)
+
+
+def worst_error(params: np.record, gain: float, gain_v: float, dt_s: float, kind: str) -> float:
+    """Return the largest error, in sigmas, of a two-state filter by a step or ramp just before the monitors find it."""
+    sizes = np.geomspace(1e-3, 30.0, 20_000)
+    r, v, total, largest, worst = (np.zeros(len(sizes)) for _ in range(5))
+    lost = np.ones(len(sizes), bool)
+    for j in range(1, 145):
+        r = r + v
+        innovation = (sizes if kind == "step" else sizes * j) - r
+        r = r + gain * innovation
+        v = v + gain_v * dt_s * innovation
+        total, largest = total + innovation, np.maximum(largest, np.abs(r))
+        is_found = lost & ((innovation > params.gate) | (total > params.cusum_limit + params.mean_shift * j))
+        worst[is_found] = largest[is_found]
+        lost &= ~is_found
+    return float(worst.max())
+
+
+@pytest.mark.parametrize(("gain", "gain_v"), [(0.03, 0.0028), (0.1, 0.03), (0.3, 0.3)])
+def test_level_under_a_budget_is_the_error_of_the_fault_that_is_found_last(
+    params: np.record, gain: float, gain_v: float
+) -> None:
+    params.follows = 1
+    state, fused = new(INTEGRITY_STATE), new(FUSION_STATE)
+    fused.accepted, fused.gain_position, fused.gain_velocity, fused.interval_s = 10_000, gain, gain_v, 0.16
+    integrity.follow(params, state, fused)
+    expected = max(worst_error(params, gain, gain_v, 0.16, kind) for kind in ("step", "ramp"))
+    assert state.followed == pytest.approx(expected, rel=0.05)
+    plain = levels(params, state, 10.0).protection_level_m  # gains of zero: only what is in ``state``
+    found = levels(params, state, 12.0, gain_position=gain, gain_velocity=gain_v).protection_level_m
+    np.testing.assert_allclose(plain - params.sigmas * np.array([0.001, 0.002, 0.003]), 0.005 * state.followed)
+    np.testing.assert_allclose(found - plain, 2.0 * 0.005 * state.followed_speed)
+
+
+def test_second_sensor_bounds_the_error_until_it_is_old_or_the_filters_start_again(params: np.record) -> None:
+    state, gains = new(INTEGRITY_STATE), {"gain_position": 0.1, "gain_velocity": 0.01}
+    alone = levels(params, state, 10.0, **gains).protection_level_m[0]
+    integrity.set_second(state, 0.02, 10.0)
+    assert levels(params, state, 10.0, **gains).protection_level_m[0] == 0.02 < alone
+    # a monitor that is wrong: its bound is not below what is possible without a fault of poses and IMU
+    integrity.set_second(state, 1e-6, 10.0)
+    without = params.sigmas * 0.001 + 2.0 * params.mean_shift * 0.005
+    assert levels(params, state, 10.0, **gains).protection_level_m[0] == pytest.approx(without)
+    integrity.set_second(state, 0.02, 9.0)
+    older = levels(params, state, 10.0, **gains).protection_level_m[0]
+    assert 0.02 + params.gate * 0.005 * 0.1 / 0.16 < older < alone
+    integrity.set_second(state, 0.02, 0.0)
+    assert levels(params, state, 10.0, **gains).protection_level_m[0] == alone
+    integrity.set_second(state, 0.02, 10.0)
+    state.restarted_s = 10.5
+    assert levels(params, state, 11.0, **gains).protection_level_m[0] > alone
+    state.restarted_s, state.biased = 0.0, 1
+    assert np.isinf(levels(params, state, 11.0, **gains).protection_level_m).all()

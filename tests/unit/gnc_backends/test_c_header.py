@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from hil.core.fields import markdown_table, record_dtype
+from hil.core.gnc_records import GNC_ORBIT, GNC_SETUP, GNC_SETUP_2
+from hil.frmn.mailboxes import MAILBOXES
 from hil.frmn.wire import HEADER, LARGEST
 from hil.gnc_backends.c_header import HEADER_FILE, RECORDS, c_header
 from tests.support.external_gnc import PYTHON_EXAMPLE, ROOT, compile_c
@@ -41,8 +43,10 @@ def test_c_compiler_places_every_field_where_the_bench_has_it(tmp_path: Path) ->
     assert said.stdout.split("\n")[:-1] == expected
 
 
-def test_records_fit_one_datagram() -> None:
-    assert max(dtype.itemsize for dtype in LAYOUTS.values()) + HEADER.size <= LARGEST
+def test_records_on_the_wire_fit_one_datagram_and_the_setup_is_two_of_them() -> None:
+    assert max(box.dtype.itemsize for box in MAILBOXES.values()) + HEADER.size <= LARGEST
+    assert GNC_SETUP_2.itemsize + GNC_ORBIT.itemsize == GNC_SETUP.itemsize
+    assert _places(GNC_SETUP)[: len(GNC_SETUP_2.names or ())] == _places(GNC_SETUP_2)
 
 
 def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> None:
@@ -51,7 +55,7 @@ def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> 
     assert "from hil" not in text
     there: dict[str, object] = {"__name__": "example"}
     exec(compile(text, str(PYTHON_EXAMPLE), "exec"), there)
-    for name, dtype in LAYOUTS.items():
+    for name, dtype in (LAYOUTS | {"setup": GNC_SETUP_2, "orbit": GNC_ORBIT}).items():
         assert _places(there[name.upper()]) == _places(dtype)
 
 

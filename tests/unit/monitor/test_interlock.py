@@ -100,6 +100,30 @@ def test_an_estimate_without_sigmas_is_taken_as_it_is_and_one_that_is_none_disag
     assert [interlock.compare() for _ in range(2)] == [0, 1]
 
 
+def test_a_measurement_bounds_the_error_of_an_estimate_that_is_wrong(
+    interlock: Interlock, rng: np.random.Generator
+) -> None:
+    """Whatever the errors of the estimate and, within the mounting's, of the monitor."""
+    interlock.estimate.protection_level_rad = np.nan
+    distance = float(np.linalg.norm(R_M + AHEAD * 1.1))
+    for _ in range(50):
+        error, angle = rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.005, 3)
+        mounting = 0.005 * (lambda v: v / np.linalg.norm(v))(rng.normal(size=3))
+        interlock.compare(R_M - error + mounting, quat.multiply(quat.from_rotation_vector(angle), Q))
+        most = np.linalg.norm(error) + 0.06 + 2.5 * distance * np.linalg.norm(angle)
+        assert np.abs(error).max() <= interlock.state.bound_m <= most
+    interlock.compare()
+    least = 0.005 + 2.0 * np.radians(0.1) * distance
+    assert least < interlock.state.bound_m < 1.5 * least
+    nearly = float(interlock.state.bound_m)
+    interlock.compare(far=True)
+    assert interlock.state.bound_m == 0.0  # neither sensor knows the attitude
+    interlock.estimate.protection_level_rad = 1e-3
+    interlock.compare(far=True)
+    assert interlock.state.bound_m == pytest.approx(0.005 + (np.radians(0.1) + 1e-3) * distance, rel=0.1)
+    assert interlock.state.bound_m < nearly
+
+
 @pytest.mark.parametrize("status", ["near", "far"])
 def test_a_portion_measures_what_the_model_measures(interlock: Interlock, status: str) -> None:
     values, sigmas = np.empty(12), np.full(12, 1e-4)
