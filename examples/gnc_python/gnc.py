@@ -87,7 +87,7 @@ def rotation_between(start, end):
 
 
 class Frame:
-    """H at a time: its rate against inertial space, rad/s, in H, the change of that, and the gravity gradient, 1/s^2."""
+    """H at a time: rate against inertial space, rad/s, and its change, in H, and the gravity gradient, 1/s^2."""
 
     def __init__(self, setup, orbit):
         self.n, self.e = float(setup["mean_motion_radps"]), float(orbit["eccentricity"])
@@ -109,7 +109,7 @@ class Frame:
         return np.array([0.0, -rate, 0.0]), np.array([0.0, -change, 0.0]), k * np.array([-1.0, -1.0, 2.0])
 
     def of_body(self, t_s):
-        """Integrate Euler's equations to ``t_s``; gravity in such axes is left out: it is small against their motion."""
+        """Integrate Euler's equations to ``t_s``; gravity in these axes is small against their motion and left out."""
         dt, w = t_s - self.t_s, self.w
         middle = w + 0.5 * dt * self.change(w)
         self.t_s, self.w = t_s, w + dt * self.change(middle)
