@@ -64,7 +64,8 @@ class NavigationBound:
         for k, name in enumerate(_KINDS):
             inverse = np.linalg.inv(poses[name] - self._bench[k] * np.eye(3))
             information[:, k] = np.diagonal(inverse, axis1=1, axis2=2)
-        return 1.0 / (information * poses["fresh"][:, None, None] * self._scale)
+        variances: Array = 1.0 / (information * poses["fresh"][:, None, None] * self._scale)
+        return variances
 
     def _add_pose(self, t_s: float, variance: Array) -> None:
         if self._p is None:

@@ -122,9 +122,9 @@ def _verdict(run: Judged) -> Iterator[str]:
 def _numbers(summary: dict[str, Any]) -> Iterator[str]:
     yield html.heading(2, "Key numbers")
     yield html.table(("", "here"), key_numbers(summary))
-    if rows := _errors_over_bound(summary["navigation"]):
+    if errors := _errors_over_bound(summary["navigation"]):
         caption = "Navigation: error against the bound of these sensors, which no filter can be below"
-        yield html.table(("", "error, rms", "bound", "error over bound"), rows, caption)
+        yield html.table(("", "error, rms", "bound", "error over bound"), errors, caption)
     thrusters = summary["thrusters"]
     rows = [
         (str(i), str(firings), f"{on_s:.2f}")
