@@ -8,14 +8,7 @@ from __future__ import annotations
 
 from hil.core.jit import kernel
 from hil.maths import quat, stack
-
-
-@kernel
-def _cross_into(a, b, out):
-    """Write a x b into ``out`` (3,), which is neither of them."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
+from hil.maths.arrays import cross_into
 
 
 @kernel
@@ -26,7 +19,7 @@ def shift(q, offset_C, w_C, sign, r, v):
     sign: 1.0 from the reference point to the centre of mass, -1.0 back.
     """
     offset_F, velocity_F = stack.vector(3), stack.vector(3)
-    _cross_into(w_C, offset_C, velocity_F)
+    cross_into(w_C, offset_C, velocity_F)
     quat.transform_back_into(q, offset_C, offset_F)
     quat.transform_back_into(q, velocity_F, velocity_F)
     for i in range(3):
@@ -44,8 +37,8 @@ def add_lever_terms(offset_C, w_before, w_after, w_mean, dt, force):
     gained, turned, across, drawn = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     for i in range(3):
         gained[i] = (w_after[i] - w_before[i]) / dt
-    _cross_into(gained, offset_C, turned)
-    _cross_into(w_mean, offset_C, across)
-    _cross_into(w_mean, across, drawn)
+    cross_into(gained, offset_C, turned)
+    cross_into(w_mean, offset_C, across)
+    cross_into(w_mean, across, drawn)
     for i in range(3):
         force[i] -= turned[i] + drawn[i]

@@ -11,62 +11,52 @@ rate in the position filter.
 
 from __future__ import annotations
 
+import numpy as np
+
 from hil.core.jit import kernel
 from hil.maths import quat, stack
-from hil.models.rotating_frame import cross_into, frame_acceleration, tumble_rate
+from hil.maths.arrays import cross_into, fill
+from hil.models.rotating_frame import frame_acceleration, tumble_rate
+
+AXES_STEP = np.dtype(
+    [
+        ("half", "f8", (3, 3)),  # matrix of half the rotation
+        ("before", "f8", 3),  # rad/s, rate at the start of the step
+        ("after", "f8", 3),  # at its end
+    ],
+    align=True,
+)
+"""Motion of the body's axes over a step of the filters, as corrected by the attitude filter."""
 
 
 @kernel
 def correct_motion(hill, akf, expected_drift, dt, axes):
-    """Write the motion of the axes over a step of ``dt`` into ``axes`` (3, 3).
+    """Write the motion of the axes over a step of ``dt`` into ``axes`` (AXES_STEP).
 
-    Rows: half the rotation, rad, rate before and rate after, rad/s. hill: HILL_STEP, as the tumble is known. akf:
-    AKF_STATE. expected_drift: of the gyros, (3,), rad/s.
+    hill: HILL_STEP, as the tumble is known. akf: AKF_STATE. expected_drift: of the gyros, (3,), rad/s.
     """
-    error = stack.vector(3)
+    error, half, q = stack.vector(3), stack.vector(3), stack.vector(4)
     for i in range(3):
         error[i] = akf.x[4 + i] - expected_drift[i]
     quat.transform_back_into(akf.x[0:4], error, error)
     for i in range(3):
-        axes[0, i] = 0.5 * (hill.rotation[i] + dt * error[i])
-        axes[1, i] = hill.rate_before[i] + error[i]
-        axes[2, i] = hill.rate_after[i] + error[i]
+        half[i] = 0.5 * (hill.rotation[i] + dt * error[i])
+        axes.before[i] = hill.rate_before[i] + error[i]
+        axes.after[i] = hill.rate_after[i] + error[i]
+    quat.from_rotation_vector_into(half, q)
+    quat.to_matrix_into(q, axes.half)
 
 
 @kernel
-def _half_rotation(axes, a):
-    """Write the matrix (3, 3) of half the rotation over the step."""
-    q = stack.vector(4)
-    quat.from_rotation_vector_into(axes[0], q)
-    quat.to_matrix_into(q, a)
-
-
-@kernel
-def _into_middle(axes, f):
-    """Write the transformation (6, 6) of [r, v] from the rotating axes at the start of the step."""
-    a = stack.matrix(3, 3)
-    _half_rotation(axes, a)
-    w = axes[1]
+def _transformation(a, before, after, f):
+    """Write the transformation (6, 6) of [r, v] by ``a`` (3, 3), between axes that rotate at two rates, rad/s."""
     for i in range(3):
         for j in range(3):
-            k, m = (j + 1) % 3, (j + 2) % 3
+            k, m, n, o = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
             f[i, j] = f[3 + i, 3 + j] = a[i, j]
             f[i, 3 + j] = 0.0
-            f[3 + i, j] = a[i, k] * w[m] - a[i, m] * w[k]  # a [w]x
-
-
-@kernel
-def _from_middle(axes, f):
-    """Write the transformation (6, 6) of [r, v] into the rotating axes at the end of the step."""
-    a = stack.matrix(3, 3)
-    _half_rotation(axes, a)
-    w = axes[2]
-    for j in range(3):
-        for i in range(3):
-            k, m = (i + 1) % 3, (i + 2) % 3
-            f[i, j] = f[3 + i, 3 + j] = a[i, j]
-            f[i, 3 + j] = 0.0
-            f[3 + i, j] = -(w[k] * a[m, j] - w[m] * a[k, j])  # -[w]x a
+            f[3 + i, j] = a[i, k] * before[m] - a[i, m] * before[k]  # a [before]x - [after]x a
+            f[3 + i, j] -= after[n] * a[o, j] - after[o] * a[n, j]
 
 
 @kernel
@@ -100,24 +90,25 @@ def _congruence(f, p, n):
 def enter_middle(axes, pkf, joint, n):
     """Transform PKF_STATE, and of a joint covariance ``joint`` the first ``n`` errors, for the filter's step.
 
-    axes: of ``correct_motion``.
+    axes: AXES_STEP. The step is made in axes at rest, those of the body in mid-step.
     """
-    f = stack.matrix(6, 6)
-    _into_middle(axes, f)
-    _apply(f, pkf, joint, n)
+    rest = stack.vector(3)
+    fill(rest, 0.0)
+    _apply(axes.half, axes.before, rest, pkf, joint, n)
 
 
 @kernel
 def leave_middle(axes, pkf, joint, n):
     """Transform back after the filter's step; arguments as of ``enter_middle``."""
-    f = stack.matrix(6, 6)
-    _from_middle(axes, f)
-    _apply(f, pkf, joint, n)
+    rest = stack.vector(3)
+    fill(rest, 0.0)
+    _apply(axes.half, rest, axes.after, pkf, joint, n)
 
 
 @kernel
-def _apply(f, pkf, joint, n):
-    new = stack.vector(6)
+def _apply(a, before, after, pkf, joint, n):
+    f, new = stack.matrix(6, 6), stack.vector(6)
+    _transformation(a, before, after, f)
     for i in range(6):
         new[i] = 0.0
         for j in range(6):

@@ -22,6 +22,7 @@ from hil.core.messages import POSE
 from hil.gnc import akf, akf_additive, body_frame, error_budget, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
 from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
+from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_budget import BUDGET_STATE, ERROR_BUDGET, INNOVATION, NOISE_FACTOR
 from hil.gnc.integrity import pose_sigmas
 from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
@@ -106,6 +107,7 @@ FUSION_STATE = np.dtype(
         ("noise", NOISE_FACTOR),
         ("found_attitude", INNOVATION),
         ("found_position", INNOVATION),
+        ("axes", AXES_STEP),  # of a target that tumbles
     ],
     align=True,
 )
@@ -176,14 +178,13 @@ def _start(params, state, pose, filters, budget):
 @kernel
 def _predict(params, state, step):
     """Carry both filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
-    if step.hill.rotates == 0:
-        _predict_filters(params, state, step)
-        return
-    filters, axes = state.filters, stack.matrix(3, 3)
-    body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
-    body_frame.enter_middle(axes, filters.pkf, state.budget.p, params.budget.n)
+    filters, axes, n = state.filters, state.axes, params.budget.n
+    if step.hill.rotates != 0:
+        body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
+        body_frame.enter_middle(axes, filters.pkf, state.budget.p, n)
     _predict_filters(params, state, step)
-    body_frame.leave_middle(axes, filters.pkf, state.budget.p, params.budget.n)
+    if step.hill.rotates != 0:
+        body_frame.leave_middle(axes, filters.pkf, state.budget.p, n)
 
 
 @kernel

@@ -33,3 +33,11 @@ def copy_matrix(target, source):
     for i in range(target.shape[0]):
         for j in range(target.shape[1]):
             target[i, j] = source[i, j]
+
+
+@kernel
+def cross_into(a, b, out):
+    """Write the cross product of ``a`` and ``b`` (3,) into ``out`` (3,), which is neither of them."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]

@@ -51,7 +51,7 @@ def clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_de
     most the angle until rest times the arm. Braking begins after ``reaction_s``. Returns at most ``enough``; if it is
     less, ``found`` (4,) has the pair.
     """
-    hull, centre, normal, vertex = stack.matrix(16, 3), stack.vector(3), stack.vector(3), stack.vector(3)
+    hull, centre, normal, vertex = stack.matrix(MAX_VERTICES, 3), stack.vector(3), stack.vector(3), stack.vector(3)
     least = enough
     speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     angle, farthest = _travel(rate, reaction_s, turning_deceleration), _travel(speed, reaction_s, deceleration)

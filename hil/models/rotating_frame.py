@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths import stack
+from hil.maths.arrays import cross_into
 from hil.maths.elliptic import jacobi_into
 
 TUMBLE = np.dtype(
@@ -35,14 +36,6 @@ def tumble_rate(tumble, t_s, rate, rate_of_change):
         a, b, c = tumble.amplitude[i, 0], tumble.amplitude[i, 1], tumble.amplitude[i, 2]
         rate[i] = a * sn + b * cn + c * dn
         rate_of_change[i] = tumble.frequency * (a * ds + b * dc + c * dd)
-
-
-@kernel
-def cross_into(a, b, out):
-    """Write the cross product of ``a`` and ``b`` (3,) into ``out`` (3,), which is neither of them."""
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 @kernel

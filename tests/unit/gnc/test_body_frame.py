@@ -8,6 +8,7 @@ from hil.config.load import load_scenario
 from hil.core.messages import IMU, REFERENCE, new
 from hil.gnc import body_frame, fusion
 from hil.gnc.akf import AKF_STATE
+from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.fusion import FUSION_STATE
 from hil.gnc.pkf import PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
@@ -68,7 +69,7 @@ def test_covariance_is_transformed_as_the_state_is(rng: np.random.Generator) -> 
     params = gnc_params.navigation(SCENARIO).fusion
     hill, joint = new(HILL_STEP), np.zeros((46, 46))
     move_hill_frame(params.orbit, 5.0, DT, hill)
-    body_frame.correct_motion(hill, new(AKF_STATE), np.zeros(3), DT, axes := np.empty((3, 3)))
+    body_frame.correct_motion(hill, new(AKF_STATE), np.zeros(3), DT, axes := new(AXES_STEP))
     root = rng.standard_normal((9, 9))
     first, columns = new(PKF_STATE), np.empty((9, 9))
     first.p = root @ root.T
