@@ -162,7 +162,7 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
 
 def _end_of(params: np.record, state: np.record) -> float:
     """Return when the phase of the list ends, s; an order to continue comes at once."""
-    begin, end = float(state.since_s), float(guidance.nominal_end(params, state))
+    begin, end = float(state.since_s), float(state.ends_s)
     return max(begin, end) if math.isfinite(end) else begin
 
 
@@ -179,13 +179,13 @@ def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start(params, state)
     guidance.start_abort(params, state, start.t_s, start.r_CT_H, start.v_CT_H)
-    braked_s = float(guidance.nominal_end(params, state))
+    braked_s = float(state.ends_s)
     found = [(braked_s, state.to_H.copy(), np.zeros(3), "gnc.abort.brake_mps2")]
     guidance.advance(params, state, braked_s + _PAST_END_S, 0, 0)
     if guidance.kind_of(params, state.phase) == guidance.RETREAT:
         begin = float(state.since_s)
         for fraction in (0.5, 1.0):  # half-way it is fastest
-            t_s = begin + fraction * (float(guidance.nominal_end(params, state)) - begin)
+            t_s = begin + fraction * (float(state.ends_s) - begin)
             guidance.reference(params, state, t_s, reference)
             found.append((t_s, reference.r_CT_H.copy(), reference.v_CT_H.copy(), "gnc.abort.hold_distance_m"))
     return [

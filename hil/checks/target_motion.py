@@ -112,7 +112,7 @@ def planned(scenario: Scenario) -> Plan:
     for r, v, _ in found[:: max(1, len(found) // _ABORTS)]:
         guidance.start(params, state)
         guidance.start_abort(params, state, 0.0, r, v)
-        guidance.advance(params, state, float(guidance.nominal_end(params, state)) + 1e-6, 0, 0)
+        guidance.advance(params, state, float(state.ends_s) + 1e-6, 0, 0)
         found += _phases(params, state, reference)
     return found
 
@@ -121,7 +121,7 @@ def _phases(params: np.record, state: np.record, reference: np.record) -> Plan:
     """Return the samples of the phases from the present one on; orders to continue come at once."""
     found: Plan = []
     while True:
-        begin, end = float(state.since_s), float(guidance.nominal_end(params, state))
+        begin, end = float(state.since_s), float(state.ends_s)
         end = max(begin, end) if math.isfinite(end) else begin
         for t_s in np.arange(begin, end + _INTERVAL_S, _INTERVAL_S):
             guidance.reference(params, state, min(t_s, end), reference)

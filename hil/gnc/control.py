@@ -108,6 +108,7 @@ FEED_FORWARD = np.dtype(
         ("acceleration", "f8", 6),  # m/s^2, in H, beyond the reference's own; rad/s^2, about the axes of c
         ("rate_C", "f8", 3),  # rad/s, of the reference against H
         ("q_CH", "f8", 4),  # the reference's attitude of the cycle before
+        ("turned", "i8"),  # 1: rate or angular acceleration were not zero
     ],
     align=True,
 )

@@ -57,6 +57,9 @@ GUIDANCE_STATE = np.dtype(
         ("q_from", "f8", 4),  # attitude at the start of the phase
         ("turn_C", "f8", 3),  # rad, rotation of c over the phase, in c
         ("axis", "f8", 3),  # unit vector in H, of the rotation of an arc
+        ("turns", "i8"),  # 1: c rotates over the phase
+        ("length", "f8"),  # m, of the path, of a slew rad; 0 of a hold, a wait and a brake
+        ("ends_s", "f8"),  # time of the run at which the phase ends by itself, inf for a wait that has no time
     ],
     align=True,
 )
@@ -117,6 +120,9 @@ def _aim(params, state):
             copy_into(state.to_H, params.point[phase])
         if params.path[phase] == ARC:
             _aim_arc(state)
+    state.turns = 0 if _norm(state.turn_C) == 0.0 else 1
+    state.length = 0.0 if kind in (BRAKE, HOLD, WAIT) else _length(params, state)
+    state.ends_s = _nominal_end(params, state)
 
 
 @kernel
@@ -136,13 +142,12 @@ def _aim_arc(state):
 @kernel
 def _turned(state, fraction, q):
     """Write the attitude ``q`` (4,) at ``fraction`` of the phase's rotation."""
-    copy_into(q, state.q_from)
-    turn = state.turn_C
-    if turn[0] == 0.0 and turn[1] == 0.0 and turn[2] == 0.0:
+    if state.turns == 0:
+        copy_into(q, state.q_from)
         return
     part, rotation, turned = stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
-        part[i] = fraction * turn[i]
+        part[i] = fraction * state.turn_C[i]
     quat.from_rotation_vector_into(part, rotation)
     quat.multiply_into(rotation, state.q_from, turned)
     quat.normalise(turned)
@@ -156,6 +161,7 @@ def _keep_attitude(state, fraction):
     _turned(state, fraction, q)
     copy_into(state.q_from, q)
     fill(state.turn_C, 0.0)
+    state.turns = 0
 
 
 @kernel
@@ -237,17 +243,17 @@ def _limits(params, phase):
 @kernel
 def _fraction(params, state, t_s):
     """Return the fraction of the phase's rotation at ``t_s``."""
-    if _norm(state.turn_C) == 0.0:
+    if state.turns == 0:
         return 0.0
-    length, along = _length(params, state), stack.vector(3)
+    along = stack.vector(3)
     speed, acceleration, deceleration = _limits(params, state.phase)
-    along_line(length, speed, acceleration, deceleration, t_s - state.since_s, along)
-    return along[0] / length
+    along_line(state.length, speed, acceleration, deceleration, t_s - state.since_s, along)
+    return along[0] / state.length
 
 
 @kernel
-def nominal_end(params, state):
-    """Return the time of the run at which the present phase ends by itself, s; inf for a wait that has no time.
+def _nominal_end(params, state):
+    """Return ``state.ends_s`` for the phase that begins.
 
     The last phase of the list has a nominal end as well, after which the reference stays where it is.
     """
@@ -261,7 +267,7 @@ def nominal_end(params, state):
     if kind == WAIT:
         return params.until_s[phase]
     speed, acceleration, deceleration = _limits(params, phase)
-    return state.since_s + duration(_length(params, state), speed, acceleration, deceleration)
+    return state.since_s + duration(state.length, speed, acceleration, deceleration)
 
 
 @kernel
@@ -272,7 +278,7 @@ def _ends_at(params, state, go):
         return np.inf
     if go != 0 and kind_of(params, phase) == WAIT:
         return -np.inf
-    return nominal_end(params, state)
+    return state.ends_s
 
 
 @kernel
@@ -322,8 +328,7 @@ def reference(params, state, t_s, out):
             out.v_CT_H[i] = loss * (takes - t)
             out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
-    length = 0.0 if kind in (HOLD, WAIT) else _length(params, state)
-    along = stack.vector(3)
+    length, along = state.length, stack.vector(3)
     fill(along, 0.0)
     if length > 0.0:
         speed, acceleration, deceleration = _limits(params, state.phase)

@@ -224,32 +224,26 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
 
 
 @kernel
-def _rotates(rate):
-    return rate[0] != 0.0 or rate[1] != 0.0 or rate[2] != 0.0
-
-
-@kernel
 def _feed_forward(params, state, reference):
     """Write ``state.feed`` for the reference of this cycle, whose rate is that of its change since the one before."""
     feed, dt = state.feed, params.control.dt_s
-    known, turned = False, False
-    for i in range(4):
-        known = known or feed.q_CH[i] != 0.0
-        turned = turned or feed.q_CH[i] != reference.q_CH[i]
-    turned = turned and known
-    tumble = params.navigation.fusion.orbit.tumble
-    if not turned and tumble.rotates == 0 and not _rotates(feed.rate_C):
-        copy_into(feed.q_CH, reference.q_CH)
-        fill(feed.acceleration, 0.0)
-        return
+    p, q, tumble = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble
+    turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]
+    if not turned and tumble.rotates == 0 and feed.turned == 0:
+        return  # with a feed that is zero
+    if p[0] == 0.0 and p[1] == 0.0 and p[2] == 0.0 and p[3] == 0.0:
+        turned = False  # the first cycle
     rate, change = stack.vector(3), stack.vector(3)
     fill(rate, 0.0)
     if turned:
         quat.rotation_between(reference.q_CH, feed.q_CH, rate)
+    feed.turned = 0
     for i in range(3):
         rate[i] /= dt
         change[i] = (rate[i] - feed.rate_C[i]) / dt
         feed.rate_C[i] = rate[i]
+        if rate[i] != 0.0 or change[i] != 0.0:
+            feed.turned = 1
     copy_into(feed.q_CH, reference.q_CH)
     t_s = state.navigation.t_s - params.navigation.vision_only.dt_s
     body_frame.feed_forward(
