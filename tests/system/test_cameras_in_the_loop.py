@@ -86,7 +86,7 @@ def test_a_camera_that_ends_is_a_safe_stop_that_names_it(side: str) -> None:
 @pytest.fixture
 def approach(tmp_path: Path) -> tuple[Rig, Path]:
     """Return the rig, and the geometry file beside the folders of an approach's images."""
-    job = Job(load_scenario("scheme-1", [SOURCE]), load_rig("emulated", ["rig.vmu.rate_hz=4"]), 0, 1.0, 1.0)
+    job = Job(load_scenario("scheme-1", [SOURCE]), load_rig("emulated", ["rig.vmu.rate_hz=2"]), 0, 1.0, 1.0)
     rig, start = job.rig.value, start_axes(job.scenario.value, job.rig.value)
     cameras, rng = rendered_cameras(job.scenario.value, rig, 3), stream(3, "pictures")
     for side in SIDES:
@@ -128,7 +128,7 @@ def test_poses_are_the_same_from_a_folder_and_through_pylon(
         for k, side in enumerate(SIDES):
             features = {"TestImageSelector": "Off", "ImageFileMode": "On", "ImageFilename": str(tmp_path / side)}
             settings = VisionCameras(interface="pylon", features=features)
-            camera = open_camera(f"vmu.{side}", f"0815-{k:04d}", settings, (loaded.left.width, loaded.left.height), 4.0)
+            camera = open_camera(f"vmu.{side}", f"0815-{k:04d}", settings, (loaded.left.width, loaded.left.height), 2.0)
             cameras.append(stack.enter_context(closing(camera)))
         for camera in cameras:
             camera.start()
@@ -140,14 +140,14 @@ def test_poses_are_the_same_from_a_folder_and_through_pylon(
             assert left is not None
             assert right is not None
             assert left.number == right.number == frame
-            rows.append(row(frame, solve(unit, Pair(frame, left.image, right.image), frame / 4.0)))
+            rows.append(row(frame, solve(unit, Pair(frame, left.image, right.image), frame / 2.0)))
     assert {found["status"] for found in rows} == {"ok"}
     folder = _poses(str(tmp_path), geometry, tmp_path / "folder.csv")
     assert [{name: str(value) for name, value in found.items()} for found in rows] == folder
 
 
 def _poses(source: str, geometry: Path, out: Path, *options: str) -> list[dict[str, str]]:
-    options = ("--geometry", str(geometry), "--out", str(out), "--rate-hz", "4", *options)
+    options = ("--geometry", str(geometry), "--out", str(out), "--rate-hz", "2", *options)
     assert execute(["vmu", source, *options]) == 0
     with out.open(newline="") as file:
         return list(csv.DictReader(file))

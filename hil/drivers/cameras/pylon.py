@@ -25,7 +25,8 @@ class PylonCamera:
         self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
     ) -> None:
         self._name = name
-        self._pylon, self._error = _library(name)
+        self._pylon, genicam = _library(name)
+        self._error: type[Exception] = genicam.GenericException
         self._bits = BITS[settings.pixel_format]
         self._size = size
         self._camera: Any = None
@@ -38,7 +39,7 @@ class PylonCamera:
             self._camera.MaxNumBuffer.Value = _BUFFERS
             self._camera.Open()
             nodes = self._camera.GetNodeMap()
-            self._nodes = NodeMap(name, lambda feature: _available(nodes, feature), self._error)
+            self._nodes = NodeMap(name, lambda feature: _available(genicam, nodes, feature), self._error)
             self._nodes.set_up(settings, size, rate_hz)
             self._tick_s = _NS
             if self._nodes.has("GevTimestampTickFrequency"):
@@ -104,10 +105,10 @@ class PylonCamera:
 
 def found_pylon() -> list[CameraInfo]:
     """Return the cameras that pylon finds. Raises DeviceError without pypylon."""
-    pylon, error = _library("cameras")
+    pylon, genicam = _library("cameras")
     try:
         devices = pylon.TlFactory.GetInstance().EnumerateDevices()
-    except error as cause:
+    except genicam.GenericException as cause:
         raise DeviceError("cameras", f"pylon: {reason(cause)}") from cause
     return [
         CameraInfo(
@@ -123,13 +124,12 @@ def found_pylon() -> list[CameraInfo]:
     ]
 
 
-def _library(name: str) -> tuple[Any, type[Exception]]:
-    """Return pypylon's module and the base of its exceptions; DeviceError of ``name`` if it is not installed."""
+def _library(name: str) -> tuple[Any, Any]:
+    """Return pylon and its GenApi; DeviceError of ``name`` if it is not installed."""
     try:
-        pylon, genicam = (vendor_module(f"pypylon.{module}") for module in ("pylon", "genicam"))
+        return vendor_module("pypylon.pylon"), vendor_module("pypylon.genicam")
     except ImportError as cause:
         raise DeviceError(name, f"interface pylon needs the package pypylon: {cause}") from cause
-    return pylon, genicam.GenericException
 
 
 def _names(device: Any) -> set[str]:
@@ -142,8 +142,7 @@ def _names(device: Any) -> set[str]:
     return names - {""}
 
 
-def _available(nodes: Any, feature: str) -> Any:
+def _available(genicam: Any, nodes: Any, feature: str) -> Any:
     """Return the node of ``feature``, None without an available one."""
-    genicam = vendor_module("pypylon.genicam")
     node = nodes.GetNode(feature)
     return node if node is not None and genicam.IsAvailable(node) else None
