@@ -1,10 +1,10 @@
-"""Scheme through two emulated GigE Vision cameras on the emulated rig in real time, as one JSON: verdict, losses, latency.
+"""Run through two emulated GigE Vision cameras on the emulated rig in real time: verdict, losses, latency as JSON.
 
     python benchmarks/cameras_in_the_loop.py [--duration 400] [--loss 0.01] [--end left] [--set KEY=VALUE ...]
 
-loss: fraction of lost packets of both cameras. end: the emulator of this camera is killed in the middle of the run, as by
-an unplugged cable; the run then ends by a safe stop that names it. Start it on an otherwise quiet computer: what else
-runs there pauses cameras and solver (docs/explanation/processes.md).
+loss: fraction of lost packets of both cameras. end: the emulator of this camera is killed in the middle of the run, as
+by an unplugged cable; the run then ends by a safe stop that names it. Start it on an otherwise quiet computer: what
+else runs there pauses cameras and solver (docs/explanation/processes.md).
 """
 
 from __future__ import annotations
