@@ -18,15 +18,16 @@ class RootCause:
 
     An emergency stop, an opened interlock or a dead coupler removes the torque, and the drives may report that before
     the safety chain is read. The search ends when the chain has been read; in simulated time it ends at once.
+    A fault before the drives were ``powered`` has no other cause: devices may not be open yet.
     """
 
-    def __init__(self, fault: BenchError, loop: Loop, rate: Rate) -> None:
+    def __init__(self, fault: BenchError, loop: Loop, rate: Rate, powered: bool = True) -> None:
         self._fault = fault
         self._loop = loop
         torque_is_off = isinstance(fault, DriveFault) and fault.kind is FaultKind.TORQUE_OFF
         wait_s = _COUPLER_LOSS_DETECTED_S if torque_is_off else _ESTOP_DETECTED_S
         self._end_s = rate.now_s() + wait_s
-        self._found = isinstance(loop.safety_io, NoSafetyIo) or not rate.paced
+        self._found = not powered or isinstance(loop.safety_io, NoSafetyIo) or not rate.paced
 
     def poll(self, now_s: float, chain_opened: bool) -> BenchError | None:
         """Return the root cause, which may be the fault itself; None until it is found.

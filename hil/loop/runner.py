@@ -338,7 +338,7 @@ class Runner:
         with _signals_counted() as signals:
             begun_s = self.rate.now_s()
             stop = self._controlled_stop(signals)
-            search = RootCause(fault, self.loop, self.rate)
+            search = RootCause(fault, self.loop, self.rate, self._powered)
 
             def report_cause(now_s: float) -> None:
                 if self._modes.mode is Mode.SAFE_STOP or (cause := search.poll(now_s, stop.cut)) is None:

@@ -152,6 +152,10 @@ def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
         text = f'"cameras": rig "{rig.value.name}" is in memory, use one on wires, as emulated'
         raise BadInput.single(scenario.where("vmu.source"), "vmu.source", text)
     selected = Vmu.model_validate(vmu.model_dump(mode="json") | {"driver": "cameras"}, strict=False)
+    interface = selected.settings.interface
+    if rig.value.kind == "emulated" and interface != "genicam":
+        key = "vmu.cameras.interface"
+        raise BadInput.single(rig.where(key), f"rig.{key}", f'"{interface}": emulated cameras have "genicam"')
     missing = [side for side in SIDES if getattr(selected.settings, side) is None]
     if missing and rig.value.kind == "hardware":
         keys = " and ".join(f"vmu.cameras.{side}" for side in missing)

@@ -195,6 +195,32 @@ def test_cameras_need_a_rig_on_wires(capsys: pytest.CaptureFixture[str]) -> None
     ]
 
 
+def test_emulated_cameras_have_one_interface(capsys: pytest.CaptureFixture[str]) -> None:
+    interface = 'rig.vmu.cameras.interface="pylon"'
+    assert execute(["run", "scheme-1", "--rig", "emulated", *typed(SOURCE, interface)]) == BAD_INPUT
+    assert capsys.readouterr().err.splitlines() == [
+        '--set: rig.vmu.cameras.interface: "pylon": emulated cameras have "genicam"'
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ('pixel_format="Mono12"', "vmu.left: pixel format 'Mono12': the camera has "),
+        ('trigger_source="Line7"', "vmu.left: trigger source 'Line7': the camera has "),
+        ('trigger_source="Line1"', "trigger at Line1?"),
+    ],
+)
+def test_cameras_that_cannot_be_used_are_one_line(setting: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    require_libaravis()
+    settings = (SOURCE, 'rig.vmu.cameras.trigger="hardware"', f"rig.vmu.cameras.{setting}", *UNHURRIED)
+    options = ("--rig", "emulated", "--duration", "5")
+    assert execute(["run", "scheme-1", *typed(*settings), *options]) == SAFE_STOPPED
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("safe stop: "))
+    assert text in line
+
+
 def test_a_missing_camera_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     require_libaravis()
     assert execute(["cameras", "show", "127.0.0.9"]) == SAFE_STOPPED

@@ -41,6 +41,7 @@ class CameraProcesses:
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._children: list[ChildProcess] = []
         self._timeout_s = timeout_s
+        self._trigger_source = settings.trigger_source if settings.trigger == "hardware" else ""
         self.jumps = [0] * len(cameras)
         """Jumps of the cameras' clocks."""
         self.skipped = 0
@@ -103,7 +104,8 @@ class CameraProcesses:
                 raise LinkLost(name, f"camera process {ended}")
             age_s = now_s - arrived_s
             if age_s > self._timeout_s:
-                raise LinkTimeout(name, f"no image for {age_s:.3f} s, allowed {self._timeout_s:g} s")
+                hint = f"; trigger at {self._trigger_source}?" if self._trigger_source else ""
+                raise LinkTimeout(name, f"no image for {age_s:.3f} s, allowed {self._timeout_s:g} s{hint}")
 
     def close(self) -> None:
         """End the processes. Idempotent."""

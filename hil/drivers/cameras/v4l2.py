@@ -26,6 +26,7 @@ class V4l2Camera:
             raise DeviceError(name, f'trigger = "{settings.trigger}": V4L2 cameras have "none"')
         if settings.pixel_format != "Mono8":
             raise DeviceError(name, f'pixel_format = "{settings.pixel_format}": of V4L2 cameras allowed is "Mono8"')
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it logs is raised below
         self._capture = cv2.VideoCapture(identifier, cv2.CAP_V4L2)
         if not self._capture.isOpened():
             raise LinkLost(name, f"no camera {identifier!r}")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
+from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
 from hil.loop.root_cause import RootCause
 
 OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
@@ -27,7 +27,11 @@ class SteppedRate:
 
 
 def cause_found(
-    fault: BenchError, after_s: float, cause: BenchError = OPEN_INTERLOCK, chain_opened: bool = False
+    fault: BenchError,
+    after_s: float,
+    cause: BenchError = OPEN_INTERLOCK,
+    chain_opened: bool = False,
+    powered: bool = True,
 ) -> BenchError:
     """Return what is found behind ``fault`` when ``cause`` shows ``after_s`` later."""
 
@@ -43,10 +47,15 @@ def cause_found(
         ),
     )
     rate: Any = SteppedRate()
-    search = RootCause(fault, loop, rate)
+    search = RootCause(fault, loop, rate, powered)
     while (found := search.poll(rate.now_s(), chain_opened)) is None:
         pass
     return found
+
+
+def test_a_fault_before_the_drives_are_powered_is_its_own_cause() -> None:
+    fault = DeviceError("vmu.left", "pixel format 'Mono12': the camera has Mono8")
+    assert cause_found(fault, after_s=0.0, cause=LinkLost("io", "is not open"), powered=False) is fault
 
 
 @pytest.mark.parametrize("text", ["safe torque off", "STO active", ""])
