@@ -95,6 +95,7 @@ class Coverage:
         self.errors: list[Floats] = []
         self.sigmas: list[Floats] = []
         self.places: list[float] = []
+        self.modes: list[str] = []
         self.statuses: Counter[str] = Counter()
         self.inconsistent = 0
 
@@ -109,6 +110,7 @@ class Coverage:
         self.sigmas.append(portion.sigmas)
         self.ratios.append(error / portion.sigmas)
         self.places.append(truth[6])
+        self.modes.append(portion.status)
 
     def print(self) -> None:
         """Print one row per column."""

@@ -171,7 +171,9 @@ def identity(poses: int, seed: int, raised_m: float, tracked: bool) -> None:
     print(f"  all: {dict(sorted(total.items()))}")
 
 
-def coverage(poses: int, seed: int, raised_m: float, ranges: tuple[float | None, ...]) -> None:
+def coverage(poses: int, seed: int, raised_m: float, ranges: tuple[float | None, ...]) -> list[Array]:
+    """Print a line per range, and return the errors over sigmas, (6,) each."""
+    every: list[Array] = []
     stage, rng = Stage(geometry(raised_m)), np.random.default_rng(seed)
     print(f"raised {raised_m} m, {poses} poses a line: within 2 sigma, %; RMS of error over bound; NEES of 6; statuses")
     for range_m in ranges:
@@ -191,6 +193,8 @@ def coverage(poses: int, seed: int, raised_m: float, ranges: tuple[float | None,
             normalised.append(e / np.sqrt(np.diag(covariance)))
             nees.append(e @ np.linalg.solve(covariance, e))
         report(f"{range_m or 'all'} m", normalised, ratios, nees, statuses)
+        every += normalised
+    return every
 
 
 def report(title: str, normalised: list[Array], ratios: list[Array], nees: list[float], statuses: Counter[str]) -> None:
@@ -206,7 +210,8 @@ def report(title: str, normalised: list[Array], ratios: list[Array], nees: list[
     )
 
 
-def images(poses: int, seed: int, raised_m: float) -> None:
+def images(poses: int, seed: int, raised_m: float) -> list[Array]:
+    """Print a line per range, and return the errors over sigmas, (6,) each."""
     from vmu_spots import bound as spot_bound
 
     stage, rng, look = Stage(geometry(raised_m)), np.random.default_rng(seed), RingAppearance()
@@ -239,6 +244,7 @@ def images(poses: int, seed: int, raised_m: float) -> None:
             all_.extend(mine)
         every[3].update(own[3])
     report("all", *every)
+    return every[0]
 
 
 def drops(poses: int, seed: int, raised_m: float) -> None:

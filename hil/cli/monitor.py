@@ -150,7 +150,7 @@ def _region(roi: str | None, scene: Scene) -> Region | None:
 def _columns() -> tuple[str, ...]:
     from hil.monitor.results import QUANTITIES
 
-    added = ("sigma2_edges", "sigma2_common", "sigma2_motion", "consistent")
+    added = ("sigma2_edges", "sigma2_common", "sigma2_motion", "consistent", "jitter_px", "timing")
     return ("t_s", "frames", "status", *QUANTITIES, *(f"sigma_{name}" for name in QUANTITIES), *added)
 
 
@@ -167,11 +167,13 @@ def _row(portion: Any) -> list[str]:
         *(_number(value) for value in (*portion.values, *portion.sigmas)),
         *(_number(value, 6) for value in squares),
         str(int(portion.consistent)),
+        f"{portion.jitter_px:g}",
+        portion.timing,
     ]
 
 
 _FRAME_COLUMNS = ("frame", "t_s", "status", "reason", "tracked", "points", "d1_m", "d2_m", "d3_m", "phi1_rad",
-                  "phi2_rad", "phi3_rad", "growth_px", "blur_px", "noise")  # fmt: skip
+                  "phi2_rad", "phi3_rad", "growth_px", "tone_px", "tone_bend_px", "blur_px", "noise")  # fmt: skip
 
 
 def _frame_row(look: FrameResult) -> list[str]:

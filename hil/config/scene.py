@@ -47,7 +47,8 @@ class CameraTolerances(ConfigModel):
     distortion_px: Tolerance = 0.0
     """Radial distortion at the image's corner."""
     tone_px: Tolerance = 0.0
-    """Shift of each edge towards its darker side: tone curve, overexposure."""
+    """Shift of an edge of half the grey range towards its darker side by the camera's tone curve; above 0 the curve is
+    estimated."""
     time_s: Tolerance = 0.0
     """Time of a portion's last frame: fields, lost frames."""
 
@@ -94,12 +95,14 @@ class Disc(ConfigModel):
 
 
 class Plate(ConfigModel):
-    """The rectangle behind the disc, centred at the origin."""
+    """The rectangle behind the disc, centred on its axis."""
 
     width_m: Length
     """Width."""
     height_m: Length
     """Height."""
+    offset_m: Annotated[float, Field(ge=-LONGEST_M, le=0.0)] = 0.0
+    """Along y3; negative behind the disc."""
     level: Level = 70.0
     """Grey value in rendered images."""
 

@@ -1,6 +1,7 @@
 """Errors of camera and optics that the monitor does not estimate, in the covariance of its motion.
 
 Every tolerance shifts all edges of a frame alike and is the same in all frames of a portion: it does not average out.
+That of the tone curve is not among them: with a tolerance it is estimated (``kernels/pose.py``).
 With the normal matrix ``N`` and the Jacobian ``J`` of a frame's edges, weights ``W`` and shifts ``B`` of the edges per
 standard deviation of each tolerance, the error of the pose is ``N^-1 J.T W B``.
 """
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 
 from hil.config.scene import CameraTolerances, SceneCamera
 from hil.models import docking_view
-from hil.monitor.kernels.edge_samples import STEP
-from hil.monitor.kernels.pose import UNKNOWNS, attitude_derivatives
+from hil.monitor.kernels.edges import WHITE
+from hil.monitor.kernels.pose import HALF_SCALE, UNKNOWNS, attitude_derivatives
 from hil.monitor.results import FrameResult
 
 Floats = NDArray[np.float64]
@@ -24,12 +25,11 @@ Floats = NDArray[np.float64]
 def pose_errors(
     camera: SceneCamera, samples: NDArray[np.void], pose: Floats, normal: Floats, prior: Floats
 ) -> Floats | None:
-    """Return the errors of a frame's pose by one standard deviation of each tolerance, (7, k); None without any.
+    """Return the errors of a frame's pose by one standard deviation of each tolerance, (9, k); None without any.
 
     samples: EDGE_SAMPLE in use. pose, normal, prior: as in FrameResult.
     """
-    stated = camera.tolerances
-    if stated == CameraTolerances():
+    if camera.tolerances.model_copy(update={"tone_px": 0.0, "time_s": 0.0}) == CameraTolerances():
         return None
     jacobian = edge_jacobian(camera.f, samples, pose)
     right = jacobian.T @ (edge_shifts(camera, samples) / samples["variance"][:, None])
@@ -38,7 +38,7 @@ def pose_errors(
 
 
 def edge_jacobian(f: float, samples: NDArray[np.void], pose: Floats) -> Floats:
-    """Return the derivatives of the edges' shifts by the pose, (n, 7): d, m, phi, rad, growth, px."""
+    """Return the derivatives of the edges' shifts by the pose, (n, 9): d, m, phi, rad, growth and tone, px."""
     slopes = np.empty((3, 3, 3))
     a = docking_view.attitude(pose[3:6])
     attitude_derivatives(np.ascontiguousarray(pose[3:6]), slopes)
@@ -51,19 +51,21 @@ def edge_jacobian(f: float, samples: NDArray[np.void], pose: Floats) -> Floats:
     out[:, :3] = -gradient @ a.T
     for k in range(3):
         out[:, 3 + k] = (gradient * (arm @ slopes[k])).sum(axis=1)
-    out[:, 6] = samples["kind"] == STEP
+    low, high = np.minimum(samples["low"], WHITE), np.minimum(samples["high"], WHITE)
+    out[:, 6] = samples["grows"]
+    out[:, 7] = samples["grows"] * (low - high) / HALF_SCALE
+    out[:, 8] = out[:, 7] * (1.0 - 0.5 * (low + high) / HALF_SCALE)
     return out
 
 
 def edge_shifts(camera: SceneCamera, samples: NDArray[np.void]) -> Floats:
-    """Return the shifts of the edges, px, by one standard deviation of each tolerance, (n, 6)."""
+    """Return the shifts of the edges, px, by one standard deviation of each tolerance, (n, 5)."""
     stated = camera.tolerances
     nu, nv = samples["nu"], samples["nv"]
     across, down = samples["u"] - camera.cx, samples["v"] - camera.cy
     outwards = nu * across + nv * down
     corner = 0.5 * float(np.hypot(camera.width, camera.height))
     cubic = outwards * (across**2 + down**2) / corner**3
-    to_dark = np.where(samples["kind"] == STEP, np.sign(samples["low"] - samples["high"]), 0.0)
     return np.column_stack(
         [
             stated.focal_fraction * outwards,
@@ -71,7 +73,6 @@ def edge_shifts(camera: SceneCamera, samples: NDArray[np.void]) -> Floats:
             stated.principal_point_px * nu,
             stated.principal_point_px * nv,
             stated.distortion_px * cubic,
-            stated.tone_px * to_dark,
         ]
     )
 

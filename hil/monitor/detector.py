@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hil.monitor.features import TargetFeatures
 from hil.monitor.kernels.circle_detection import CircleCandidate, find_circles
 from hil.monitor.kernels.patterns import LARGEST_ROLL, Pattern, best_pattern, boxes_pattern, cross_pattern
+from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.preprocess import Prepared, Region
 
 Floats = NDArray[np.float64]
@@ -28,7 +29,7 @@ _LARGEST_PASSIVE: Final = 0.2  # rad: largest parallax of the cross relative to 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A first pose (7,): d, m, phi, rad, growth; whether it is based on the cross on the disc; score, 0..1."""
+    """A first pose (9,): d, m, phi, rad, no growth, no tone curve; whether it is based on the cross on the disc; score, 0..1."""
 
     pose: Floats
     near: bool
@@ -137,4 +138,4 @@ class TargetDetector:
         # the rest is the pointing: phi2 moves the image along u, phi1 along v
         phi2 = -(circle.u - u) / f
         phi1 = -(circle.v - v) / f
-        return np.array([d1, d2, d3, phi1, phi2, roll, 0.0])
+        return np.array([d1, d2, d3, phi1, phi2, roll, *np.zeros(UNKNOWNS - 6)])

@@ -66,7 +66,7 @@ def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
         for number, (c1, c2) in enumerate(target.labels.centers_m):
             circles.append((c1, c2, 0.0, target.labels.radius_m, LABEL, -1 - number))
     if target.plate is not None:
-        edges = _rectangle(0.0, 0.0, target.plate.width_m, target.plate.height_m, 0.0, PLATE)
+        edges = _rectangle(0.0, 0.0, target.plate.width_m, target.plate.height_m, target.plate.offset_m, PLATE)
         lines += edges
         borders += edges
     for number, box in enumerate(target.boxes):

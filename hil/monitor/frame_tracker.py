@@ -33,6 +33,7 @@ _FEWEST_AGREEING: Final = 12
 _MOST_AGREE: Final = 0.7  # fraction of the edges
 _TRIED: Final = 5  # hypotheses per frame
 _MARGIN_PX: Final = 24.0
+_FIXED_PX: Final = 1e-6  # prior of a term that is not estimated
 
 
 class FrameTracker:
@@ -43,7 +44,7 @@ class FrameTracker:
         self._camera = scene.camera
         self._features = target_features(scene.camera, scene.chosen(settings.target))
         self._detector = TargetDetector(self._features)
-        self._tuning = settings.tuning()
+        self._tuning = settings.tuning(scene.camera.tolerances.tone_px)
         self._samples = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE)
         self._left, self._normal, self._sums = np.zeros(_MOST_SAMPLES), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
         self._state = _fresh_camera()
@@ -120,7 +121,7 @@ class FrameTracker:
         return results
 
     def _align(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
-        """Align x (7,) with the edges, using the first of ``reaches``, px, for which most agree, else the best."""
+        """Align x (9,) with the edges, using the first of ``reaches``, px, for which most agree, else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
         model, start, best, found = self._features, x.copy(), 0, x.copy()
         for reach in reaches:
@@ -190,6 +191,7 @@ class FrameTracker:
         prior = np.zeros(UNKNOWNS)
         prior[:2] = 1.0 / (self._settings.passive_angle_rad * x[2]) ** 2
         prior[6] = 1.0 / self._settings.growth_px**2
+        prior[7:] = 1.0 / max(self._camera.tolerances.tone_px, _FIXED_PX) ** 2
         low, high = places[used].min(axis=0) - _MARGIN_PX, places[used].max(axis=0) + _MARGIN_PX
         in_paper_mode = self._settings.calculation == "paper" and mode == NEAR
         detection = FrameDetection(

@@ -39,7 +39,7 @@ class DockingMonitor:
         self.scene = scene if isinstance(scene, Scene) else load_scene(str(scene)).value
         self.settings = settings or MonitorSettings()
         self._tracker = FrameTracker(self.scene, self.settings)
-        self._motion = MotionFit(self.settings)
+        self._motion = MotionFit(self.settings, self.scene)
         self._paper = _paper_fit(self.scene, self.settings)
         self._frames: list[FrameResult] = []
         self._used_s = -np.inf
@@ -130,6 +130,7 @@ def _result(frames: list[FrameResult], fit: MotionSolution, status: str, covaria
     return Result(
         fit.motion.t_s, fit.frames, status, values, sigmas,
         fit.sigma2_edges, fit.sigma2_common, fit.sigma2_motion, fit.consistent, covariance, _reasons(frames),
+        fit.jitter_px, fit.timing,
     )  # fmt: skip
 
 

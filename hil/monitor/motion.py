@@ -2,29 +2,44 @@
 
 The motion is ``d = z + z' t``, ``phi = v + v' t``, with t from the portion's last frame. Each frame gives its pose
 with the full normal matrix of its edges, so the fit is equivalent to one of all edges of all frames together. The
-estimate of the previous portion is carried over and weighted by q (d) and q' (phi). An unknown acceleration of given
-size is included; without it a smooth sway would make the covariance too small.
+estimate of the previous portion is carried over and weighted by q (d) and q' (phi), that of the camera's growth and tone
+curve by their correlation time. An unknown acceleration of given size is included; without it a smooth sway would make
+the covariance too small.
+
+Frames that scatter about their motion are explained, if their likelihood is much larger then, by a vibration of the
+camera (a random displacement of each image), by images lost unnoticed, by fields in the other order, or by a single wild
+frame, which is left out. What remains widens all sigmas.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.config.scene import Scene
+from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.results import FrameResult
 from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]
 
-_UNKNOWNS: Final = 19  # twelve of motion, six accelerations, the edges' growth
+_CAMERA: Final = UNKNOWNS - 6  # growth and tone curve
+_CARRIED: Final = 12 + _CAMERA  # motion and camera
+_STATES: Final = _CARRIED + 6  # with accelerations
 _FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: initial
 _WILD_FRAME: Final = 60.0  # chi-square of a frame's six pose components about the motion beyond which it may be dropped
 _SIGNIFICANT: Final = 3.0
 _MODEL_ERROR: Final = 0.25  # relative error of sigma^2 from the blur model and the noise estimate
+_JITTERS_PX: Final = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
+_BETTER: Final = 12.0  # of twice the log-likelihood: about the number of explanations that are tried
+_DROPPED: Final = 30.0  # the same, of a frame left out
+_CHANGES: Final = 3  # explanations in one portion
+_FIXED: Final = 1e-6  # px, prior of a term that is not estimated
 
 
 @dataclass(frozen=True)
@@ -39,7 +54,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class MotionSolution:
-    """A portion's motion, the number of frames used, and its three square sums (see Result)."""
+    """A portion's motion, the number of frames used, its three square sums, jitter and timing (see Result)."""
 
     motion: Motion
     frames: int
@@ -47,6 +62,47 @@ class MotionSolution:
     sigma2_common: float
     sigma2_motion: float
     consistent: bool
+    jitter_px: float = 0.0
+    timing: str = ""
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """Explanation of a portion: its frames, their times, s, from the last one, jitter, px, and what it says of time."""
+
+    frames: tuple[FrameResult, ...]
+    times: tuple[float, ...]
+    jitter_px: float = 0.0
+    lost: int = 0
+    exchanged: bool = False
+
+    @property
+    def timing(self) -> str:
+        """Return what it says of the times of the frames, "" if they are as stated."""
+        words = ["fields exchanged"] if self.exchanged else []
+        return ", ".join(words + ([f"{self.lost} images lost"] if self.lost else []))
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """Motion and camera after a portion: x (15,), the covariance assumed by the next fit and the true one, (15, 15)."""
+
+    t_s: float
+    x: Floats
+    assumed: Floats
+    true: Floats
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Solution of a hypothesis. squares: of each frame about the motion. cost: -2 ln of its likelihood."""
+
+    solution: MotionSolution
+    carried: _Carried
+    squares: Floats
+    noise: float
+    cost: float
+    scattered: bool
 
 
 def transition(dt: float) -> Floats:
@@ -58,19 +114,20 @@ def transition(dt: float) -> Floats:
 
 
 def _gains(dt: float) -> Floats:
-    """Return the effect of accelerations (6,) on w (12,) after ``dt``, s."""
-    matrix = np.zeros((12, 6))
+    """Return the effect of accelerations (6,) on motion and camera (15,) after ``dt``, s."""
+    matrix = np.zeros((_CARRIED, 6))
     for i in range(6):
         matrix[2 * i, i], matrix[2 * i + 1, i] = 0.5 * dt * dt, dt
     return matrix
 
 
 def _design(t: float) -> Floats:
-    """Return the rows (7, 19) of a frame at ``t``, s, from the portion's last frame."""
-    rows = np.zeros((7, _UNKNOWNS))
+    """Return the rows (9, 21) of a frame at ``t``, s, from the portion's last frame."""
+    rows = np.zeros((UNKNOWNS, _STATES))
     for i in range(6):
-        rows[i, 2 * i], rows[i, 2 * i + 1], rows[i, 12 + i] = 1.0, t, 0.5 * t * t
-    rows[6, 18] = 1.0
+        rows[i, 2 * i], rows[i, 2 * i + 1], rows[i, _CARRIED + i] = 1.0, t, 0.5 * t * t
+    for i in range(_CAMERA):
+        rows[6 + i, 12 + i] = 1.0
     return rows
 
 
@@ -83,46 +140,79 @@ def _inverse(matrix: Floats) -> Floats:
 
 
 class MotionFit:
-    """Fits one portion after another; ``previous`` is the motion carried over."""
+    """Fits one portion after another, and carries motion and camera over."""
 
-    def __init__(self, settings: MonitorSettings) -> None:
+    def __init__(self, settings: MonitorSettings, scene: Scene) -> None:
         self._settings = settings
+        self._focal_px = scene.camera.f
+        self._period_s = 1.0 / scene.fps
+        self._interlaced = scene.fields != "whole"
         self._accelerations = np.diag(
             [settings.acceleration_mps2**2] * 3 + [settings.angular_acceleration_radps2**2] * 3
         )
-        self.previous: Motion | None = None
+        tone = max(scene.camera.tolerances.tone_px, _FIXED)
+        self._camera = np.diag([settings.growth_px**2, tone**2, tone**2])
+        self._carried: _Carried | None = None
 
     def reset(self) -> None:
         """Restart with the next portion."""
-        self.previous = None
+        self._carried = None
 
     def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
         """Return the motion at ``t_s`` from the used frames; None if it is not determined."""
-        kept = list(frames)
-        while True:
-            found = self._solve(kept, t_s)
-            if found is None:
-                return None
-            fit, squares = found
-            worst = int(np.argmax(squares))
-            if len(kept) < 4 or squares[worst] < _WILD_FRAME or squares[worst] < 8.0 * np.median(squares):
+        chosen = _Hypothesis(tuple(frames), tuple(frame.detection.t_s - t_s for frame in frames))
+        found = self._solve(chosen, t_s)
+        for _ in range(_CHANGES):
+            if found is None or not found.scattered:
                 break
-            del kept[worst]
-        self.previous = fit.motion
-        return fit
+            others = [(self._solve(one, t_s), one, charge) for one, charge in self._others(chosen, found)]
+            rated = [(fit.cost + charge, k) for k, (fit, _, charge) in enumerate(others) if fit is not None]
+            if not rated or not min(rated)[0] < found.cost:
+                break
+            found, chosen, _ = others[min(rated)[1]]
+        if found is None:
+            return None
+        self._carried = found.carried
+        return found.solution
 
-    def _solve(self, frames: Sequence[FrameResult], t_s: float) -> tuple[MotionSolution, Floats] | None:
+    def _others(self, chosen: _Hypothesis, found: _Fit) -> Iterator[tuple[_Hypothesis, float]]:
+        """Yield other explanations of the frames, each with the gain of -2 ln of the likelihood that it needs."""
+        if chosen.jitter_px == 0.0:
+            yield from ((replace(chosen, jitter_px=jitter), _BETTER) for jitter in _JITTERS_PX)
+        if self._interlaced and not chosen.exchanged:
+            half = 0.5 * self._period_s
+            numbers = [frame.detection.number for frame in chosen.frames]
+            times = (t + (half if number % 2 == 0 else -half) for t, number in zip(chosen.times, numbers, strict=True))
+            yield replace(chosen, times=tuple(times), exchanged=True), _BETTER
+        for gap in range(1, len(chosen.frames)):
+            for lost in (1, 2):
+                late = lost * self._period_s
+                times = (t - late if k < gap else t for k, t in enumerate(chosen.times))
+                yield replace(chosen, times=tuple(times), lost=chosen.lost + lost), _BETTER
+        worst = int(np.argmax(found.squares))
+        if len(chosen.frames) > 3 and found.squares[worst] > max(_WILD_FRAME, 8.0 * float(np.median(found.squares))):
+            frames, times = list(chosen.frames), list(chosen.times)
+            del frames[worst], times[worst]
+            yield replace(chosen, frames=tuple(frames), times=tuple(times)), _DROPPED
+
+    def _solve(self, chosen: _Hypothesis, t_s: float) -> _Fit | None:
+        frames = chosen.frames
         assumed, true, mean = self._prior(t_s)
-        information, right = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
-        designs = [_design(frame.detection.t_s - t_s) for frame in frames]
+        jitter = chosen.jitter_px / self._focal_px
+        information, right = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
+        designs = [_design(t) for t in chosen.times]
+        normals, spread = [], 0.0
         for frame, rows in zip(frames, designs, strict=True):
-            information += rows.T @ frame.normal @ rows
             # each frame's own prior is removed again, so that it counts once per portion
-            right += rows.T @ ((frame.normal + np.diag(frame.prior)) @ frame.pose)
+            edges = (frame.normal + np.diag(frame.prior)) @ frame.pose
+            normal, share, log_det = _with_jitter(frame, jitter)
+            normals.append(normal)
+            spread += log_det
+            information += rows.T @ normal @ rows
+            right += rows.T @ (edges - share @ edges)
         held = self._held(frames)
         known = _inverse(assumed)
-        weight = known + held
-        total = weight + information
+        total = known + held + information
         try:
             inverse = _inverse(total)
         except np.linalg.LinAlgError:
@@ -130,57 +220,96 @@ class MotionFit:
         if not np.all(np.isfinite(inverse)):
             return None
         theta = inverse @ (known @ mean + right)
-        edges, common, excess = _edge_squares(frames)
-        squares = np.array([_square(frame, rows @ theta) for frame, rows in zip(frames, designs, strict=True)])
-        motion2, motion_doubt = _motion_square(squares)
-        widened = 1.0
-        if motion2 > edges * (1.0 + _SIGNIFICANT * motion_doubt):
-            widened = motion2 / edges
-        noise = edges if excess == 0.0 else 1.0
+        edges2, common, excess = _edge_squares(frames)
+        squares = np.array([
+            _square(frame, normal, rows @ theta) for frame, normal, rows in zip(frames, normals, designs, strict=True)
+        ])  # fmt: skip
+        motion2, doubt = _motion_square(squares)
+        scattered = motion2 > edges2 * (1.0 + _SIGNIFICANT * doubt)
+        widened = motion2 / edges2 if scattered else 1.0
+        noise = edges2 if excess == 0.0 else 1.0
         factor = noise * widened + len(frames) * excess
-        carried = known @ true @ known + held
-        covariance = inverse @ (carried + factor * information) @ inverse
-        normal = _inverse(inverse[:12, :12])
+        covariance = inverse @ (known @ true @ known + held + factor * information) @ inverse
+        normal12 = _inverse(inverse[:12, :12])
         if self._settings.motion == "printed":  # 3.2 as printed: sigma^2 B^-1 with the divisor of K frames alone
-            covariance = max(float(np.nan_to_num(motion2, nan=edges)), 1e-6) * inverse
-        consistent = edges < 2.0 and excess == 0.0 and widened == 1.0
-        fit = MotionSolution(
-            Motion(t_s, theta[:12].copy(), normal, covariance[:12, :12].copy()),
-            len(frames), edges, common, motion2, consistent,
+            covariance = max(float(np.nan_to_num(motion2, nan=edges2)), 1e-6) * inverse
+        consistent = edges2 < 2.0 and excess == 0.0 and not scattered and not chosen.timing
+        solution = MotionSolution(
+            Motion(t_s, theta[:12].copy(), normal12, covariance[:12, :12].copy()),
+            len(frames), edges2, common, motion2, consistent, chosen.jitter_px, chosen.timing,
         )  # fmt: skip
-        return fit, squares
+        carried = _Carried(
+            t_s, theta[:_CARRIED].copy(), inverse[:_CARRIED, :_CARRIED].copy(), covariance[:_CARRIED, :_CARRIED].copy()
+        )  # fmt: skip
+        scale = np.sqrt(np.diag(total))
+        determinant = 2.0 * float(np.log(scale).sum()) + float(np.linalg.slogdet(total / np.outer(scale, scale))[1])
+        cost = float(squares.sum()) / noise + spread + determinant
+        return _Fit(solution, carried, squares, noise, cost, scattered)
 
     def _held(self, frames: Sequence[FrameResult]) -> Floats:
-        """Return the information (19, 19) that the passive angles are small, for frames without a cross."""
-        matrix = np.zeros((_UNKNOWNS, _UNKNOWNS))
-        d3 = float(frames[-1].pose[2])
-        weight = 1.0 / (self._settings.passive_angle_rad * d3) ** 2
-        matrix[0, 0] = matrix[2, 2] = weight
+        """Return the information (21, 21) that the passive angles are small, for frames without a cross.
+
+        It counts in the first portion only: in each later one it would be the same once more.
+        """
+        matrix = np.zeros((_STATES, _STATES))
+        if self._carried is None:
+            d3 = float(frames[-1].pose[2])
+            matrix[0, 0] = matrix[2, 2] = 1.0 / (self._settings.passive_angle_rad * d3) ** 2
         return matrix
 
     def _prior(self, t_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return the covariance (19, 19) assumed by the fit a priori, the true one, and the mean (19,)."""
-        settings = self._settings
-        assumed, mean = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
-        assumed[18, 18] = settings.growth_px**2
-        assumed[12:18, 12:18] = self._accelerations
-        true = assumed.copy()
-        if self.previous is None:
+        """Return the covariance (21, 21) assumed by the fit a priori, the true one, and the mean (21,)."""
+        settings, before = self._settings, self._carried
+        assumed, mean = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
+        assumed[_CARRIED:, _CARRIED:] = self._accelerations
+        if before is None:
             assumed[:12, :12] = np.diag(_FIRST_SIGMA**2)
+            assumed[12:_CARRIED, 12:_CARRIED] = self._camera
             return assumed, assumed, mean
-        dt = t_s - self.previous.t_s
-        carry, gains = transition(dt), _gains(dt)
-        mean[:12] = carry @ self.previous.w
+        true = assumed.copy()
+        dt = t_s - before.t_s
+        kept = math.exp(-max(dt, 0.0) / settings.camera_s)
+        carry, gains = kept * np.eye(_CARRIED), _gains(dt)
+        carry[:12, :12] = transition(dt)
+        mean[:_CARRIED] = carry @ before.x
         spread = gains @ self._accelerations @ gains.T
-        forget = np.repeat([1.0 / np.sqrt(max(settings.q, 1e-9)), 1.0 / np.sqrt(max(settings.q_attitude, 1e-9))], 6)
-        for matrix, covariance in ((assumed, _inverse(self.previous.normal)), (true, self.previous.covariance)):
+        spread[12:, 12:] += (1.0 - kept * kept) * self._camera
+        forget = np.ones(_CARRIED)
+        forget[:6], forget[6:12] = max(settings.q, 1e-9) ** -0.5, max(settings.q_attitude, 1e-9) ** -0.5
+        for matrix, covariance in ((assumed, before.assumed), (true, before.true)):
             known = carry @ covariance @ carry.T
             if matrix is assumed:
-                known = known * np.outer(forget, forget)
-            matrix[:12, :12] = known + spread
-            matrix[:12, 12:18] = gains @ self._accelerations
-            matrix[12:18, :12] = matrix[:12, 12:18].T
+                known = _at_most(known * np.outer(forget, forget))
+            matrix[:_CARRIED, :_CARRIED] = known + spread
+            matrix[:_CARRIED, _CARRIED:] = gains @ self._accelerations
+            matrix[_CARRIED:, :_CARRIED] = matrix[:_CARRIED, _CARRIED:].T
         return assumed, true, mean
+
+
+def _at_most(covariance: Floats) -> Floats:
+    """Return a covariance (15, 15) with the initial uncertainty of the motion as its upper bound."""
+    information = _inverse(covariance)
+    information[np.arange(12), np.arange(12)] += _FIRST_SIGMA**-2
+    return _inverse(information)
+
+
+def _with_jitter(frame: FrameResult, jitter: float) -> tuple[Floats, Floats, float]:
+    """Return the information (9, 9) of a frame whose pointing has a random error of ``jitter``, rad, beside its edges'.
+
+    Also the share (9, 9) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
+    """
+    if jitter == 0.0:
+        return frame.normal, np.zeros((UNKNOWNS, UNKNOWNS)), 0.0
+    pointing = frame.normal[:, 3:5]
+    inner = np.eye(2) / jitter**2 + pointing[3:5]
+    share = np.zeros((UNKNOWNS, UNKNOWNS))
+    share[:, 3:5] = pointing @ np.linalg.inv(inner)
+    loose = _without_camera(frame.normal + np.diag(frame.prior))[3:5, 3:5]
+    return (
+        frame.normal - share[:, 3:5] @ pointing.T,
+        share,
+        float(np.linalg.slogdet(np.eye(2) + jitter**2 * loose)[1]),
+    )
 
 
 def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
@@ -200,12 +329,16 @@ def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
     return points, common, largest - 1.0 if any(too_large) else 0.0
 
 
-def _square(frame: FrameResult, at: Floats) -> float:
-    """Return chi-square of the frame's six pose components about the motion, the growth eliminated."""
-    gap = frame.pose - at
-    full = frame.normal + np.diag(frame.prior)
-    loose = full[:6, :6] - np.outer(full[:6, 6], full[6, :6]) / full[6, 6]
-    return float(gap[:6] @ loose @ gap[:6])
+def _without_camera(full: Floats) -> Floats:
+    """Return the information (6, 6) of ``full`` (9, 9) on the pose, growth and tone curve eliminated."""
+    loose: Floats = full[:6, :6] - full[:6, 6:] @ np.linalg.solve(full[6:, 6:], full[6:, :6])
+    return loose
+
+
+def _square(frame: FrameResult, normal: Floats, at: Floats) -> float:
+    """Return chi-square of the frame's six pose components about the motion, growth and tone curve eliminated."""
+    gap = (frame.pose - at)[:6]
+    return float(gap @ _without_camera(normal + np.diag(frame.prior)) @ gap)
 
 
 def _motion_square(squares: Floats) -> tuple[float, float]:

@@ -111,7 +111,8 @@ def parts_of(target: Target) -> list[Part]:
         Part(rectangle(box.width_m, box.height_m, (box.x_m, box.y_m)), box.offset_m, box.level) for box in target.boxes
     ]
     if target.plate is not None:
-        found.append(Part(rectangle(target.plate.width_m, target.plate.height_m), 0.0, target.plate.level))
+        plate = target.plate
+        found.append(Part(rectangle(plate.width_m, plate.height_m), plate.offset_m, plate.level))
     if target.disc is not None:
         found.append(Part(circle(target.disc.radius_m, (0.0, 0.0)), 0.0, target.disc.level))
     if target.labels is not None:

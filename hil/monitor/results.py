@@ -127,9 +127,9 @@ class PaperFrame:
 class FrameResult:
     """Measurement of one frame. detection: for the screen; its status is near, far, no_target or rejected_<why>.
 
-    reason: why it was not used, as text. pose: (7,), d, m, phi, rad, growth, px. normal: (7, 7), of the edges alone;
-    prior: (7,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
-    1 sigma of a pixel at grey value 100. errors: (7, k), of the pose by one standard deviation of each of the camera's
+    reason: why it was not used, as text. pose: (9,), d, m, phi, rad, growth and both terms of the tone curve, px.
+    normal: (9, 9), of the edges alone; prior: (9,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
+    1 sigma of a pixel at grey value 100. errors: (9, k), of the pose by one standard deviation of each of the camera's
     tolerances; None without any.
     """
 
@@ -164,7 +164,8 @@ class Result(Portion):
     sigma2_edges, sigma2_common, sigma2_motion: square sums of residuals relative to the pixels' noise, about
     1 each if consistent: of single points; of the common part per edge; of the frames about the motion.
     consistent: whether they are within statistical limits. covariance: (12, 12) of (d1, d1', d2, ..., phi3'), SI.
-    reasons: number of frames not used, by reason.
+    reasons: number of frames not used, by reason. jitter_px: 1 sigma of a vibration of the image that the frames show.
+    timing: in what the times of the frames differ from those stated: "fields exchanged", "2 images lost", or "".
     """
 
     sigma2_edges: float = float("nan")
@@ -173,3 +174,5 @@ class Result(Portion):
     consistent: bool = False
     covariance: Floats = field(default_factory=lambda: np.full((12, 12), np.nan))
     reasons: tuple[tuple[str, int], ...] = ()
+    jitter_px: float = 0.0
+    timing: str = ""

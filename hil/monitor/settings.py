@@ -20,7 +20,8 @@ class MonitorSettings:
     (3.2 as printed, see docs/explanation/docking-monitor.md). q, q_attitude: weight of the previous portion.
     acceleration_mps2, angular_acceleration_radps2: 1 sigma of the deviation from uniform motion within a portion.
     portion_frames, portion_s: a portion ends after this number of frames, or after this time. lost_s: time without a
-    result after which the track is lost.
+    result after which the track is lost. growth_px: 1 sigma of the edges' growth, camera_s: time over which it and the
+    tone curve keep their values.
     """
 
     region: Region | None = None
@@ -35,15 +36,17 @@ class MonitorSettings:
     portion_s: float = 1.0
     lost_s: float = 2.0
     growth_px: float = 0.1
+    camera_s: float = 30.0
     passive_angle_rad: float = 0.1
     near_bar_px: float = 2.0
     sample_px: float = 8.0
     samples_per_edge: int = 48
 
-    def tuning(self) -> np.void:
-        """Return the settings used by the kernels."""
+    def tuning(self, tone_px: float = 0.0) -> np.void:
+        """Return the settings used by the kernels; tone_px: tolerance of the tone curve."""
         row: np.void = np.zeros(1, TUNING)[0]
         row["length"], row["most"], row["wide_bar"], row["wanted"] = self.sample_px, self.samples_per_edge, 7.0, 4.5
         row["reject"], row["rounds"], row["near_bar"] = 4.5, 2, self.near_bar_px
         row["prior_angle"], row["prior_growth"] = self.passive_angle_rad, self.growth_px
+        row["prior_tone"] = tone_px
         return row

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIGHT, TargetFeatures
+from hil.monitor.kernels.edge_samples import ARCS, SIDES
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +22,7 @@ _LARGEST_ANGLE: Final = 0.7  # rad
 _LARGEST_PASSIVE: Final = 0.4
 _FARTHEST_M: Final = 500.0
 _LARGEST_GROWTH_PX: Final = 0.5
-_TONE_SIGMAS: Final = 4.0
+_TONE_SIGMAS: Final = 5.0
 _LEAST_STEP: Final = 4.0  # height of a step in noise sigmas
 
 
@@ -43,8 +44,19 @@ class Validation:
             same = 0.5 * (1.0 + np.abs(total) / self.good)
             high = height / self.good
             share = self.good / self.placed
+        for bar in (ACROSS, UPRIGHT):
+            share[bar] = self._of_better_border(features, bar, float(share[bar]))
         self.supported = (share >= _SUPPORT) & (same >= _ONE_SENSE) & (high >= _LEAST_STEP * noise)
         self.visible = self.placed > 0
+
+    def _of_better_border(self, features: TargetFeatures, bar: int, share: float) -> float:
+        """Return the fraction of agreeing samples of the border that has more of them: a shadow may hide the other."""
+        chosen = self._samples["feature"] == bar
+        side = (self._samples["cluster"] - ARCS * len(features.circles)) % SIDES
+        placed = np.bincount(side[chosen], minlength=SIDES)
+        good = np.bincount(side[chosen & self._used], minlength=SIDES)
+        enough = placed > 0.5 * placed.max(initial=0)
+        return max(share, float((good[enough] / placed[enough]).max())) if enough.any() else share
 
     def scatter_px(self) -> float:
         """Return the RMS of the used points' residuals, px, in excess of their own noise."""
@@ -54,13 +66,14 @@ class Validation:
 
 
 def is_implausible(x: Floats, tone_px: float) -> bool:
-    """Return whether the pose (7,) is outside the range of an approach; tone_px: tolerance of the edges."""
+    """Return whether the pose (9,) is outside the range of an approach; tone_px: tolerance of the tone curve."""
     return (
         not np.all(np.isfinite(x))
         or not 0.05 < x[2] < _FARTHEST_M
         or bool(np.any(np.abs(x[3:6]) > _LARGEST_ANGLE))
         or max(abs(x[0]), abs(x[1])) > _LARGEST_PASSIVE * x[2]
-        or abs(x[6]) > _LARGEST_GROWTH_PX + _TONE_SIGMAS * tone_px
+        or abs(x[6]) > _LARGEST_GROWTH_PX
+        or bool(np.any(np.abs(x[7:]) > _TONE_SIGMAS * tone_px))
     )
 
 

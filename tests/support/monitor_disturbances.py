@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from hil.config.scene import CameraTolerances, Scene
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import QUANTITIES, Result
 from hil.monitor.sources import VideoFrame
+from tests.support.disturbances import Expectation, SeedResult
 from tests.support.tv_pixels import TvCamera, TvTarget
 
 Array = npt.NDArray[np.float64]
@@ -32,9 +34,16 @@ class MonitorTally:
     consistent: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     ratios: list[Array] = field(default_factory=list)
+    costs_s: list[float] = field(default_factory=list)
 
-    def add(self, found: Result, truth: Array) -> None:
-        """Count a portion; truth: (12,), by QUANTITIES."""
+    def result(self) -> SeedResult:
+        """Return the results for the table."""
+        ratios = [float(ratio) for portion in self.ratios for ratio in portion]
+        return SeedResult(self.portions, self.measured, self.gross, dict(self.statuses), ratios, self.costs_s)
+
+    def add(self, found: Result, truth: Array, cost_s: float) -> None:
+        """Count a portion; truth: (12,), by QUANTITIES; cost_s: processor time."""
+        self.costs_s.append(cost_s)
         self.portions += 1
         self.statuses[found.status] += 1
         seen = np.isfinite(found.values)
@@ -65,19 +74,26 @@ class MonitorTally:
 
 @dataclass(frozen=True)
 class MonitorRow:
-    """One row. draw: the real camera of a portion. stated: tolerances of the scene file. lost: frames left out."""
+    """One row. draw: the real camera of a portion. stated: tolerances of the scene file. lost: frames left out.
+
+    plate_m: place of the plate along y3 in the scene file.
+    """
 
     name: str
     draw: Callable[[np.random.Generator], TvCamera]
     stated: CameraTolerances | None = None
     lost: int = 0
     said_fields: str = "whole"
+    plate_m: float = 0.0
+    expected: Expectation = Expectation()
 
     def scene(self) -> Scene:
         """Return the scene file of the lab."""
         scene = load_scene("atv").value
         camera = scene.camera.model_copy(update={"tolerances": self.stated or CameraTolerances()})
-        return scene.model_copy(update={"camera": camera, "fields": self.said_fields})
+        plate = scene.target.plate.model_copy(update={"offset_m": self.plate_m})  # type: ignore[union-attr]
+        target = scene.target.model_copy(update={"plate": plate})
+        return scene.model_copy(update={"camera": camera, "fields": self.said_fields, "target": target})
 
     def run(self, portions: int, seed: int) -> MonitorTally:
         """Return the tally of ``portions`` portions, each of a new monitor."""
@@ -88,23 +104,25 @@ class MonitorRow:
             target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
             left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
             shown, found = 0, []
-            last_s = 0.0
+            last_s, cost_s = 0.0, 0.0
             for k in range(FRAMES + self.lost):
                 if k in left_out:
                     continue
                 t_s = k / scene.fps
                 image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
+                start = time.process_time()
                 found += (
                     monitor.feed(image)
                     if self.said_fields != "whole"
                     else monitor.feed(VideoFrame(shown, shown / scene.fps, image))
                 )
+                cost_s += time.process_time() - start
                 shown, last_s = shown + 1, t_s
                 if found:
                     break
             found += monitor.finish()
             end_s = last_s if self.said_fields == "whole" else found[0].t_s
-            tally.add(found[0], _truth(w, end_s))
+            tally.add(found[0], _truth(w, end_s), cost_s)
         return tally
 
 
@@ -145,25 +163,48 @@ def _normal(**sigmas: float) -> Callable[[np.random.Generator], TvCamera]:
     return lambda rng: TvCamera(**{name: sigma * rng.standard_normal() for name, sigma in sigmas.items()})
 
 
+def _film(rng: np.random.Generator) -> TvCamera:
+    """Return a television camera with all of its errors, as on a recording of an approach."""
+    return TvCamera(
+        f_share=0.01 * rng.standard_normal(),
+        aspect=0.01 * rng.standard_normal(),
+        distortion=0.011 * rng.standard_normal(),
+        gain=rng.uniform(0.9, 1.4),
+        gamma=float(np.exp(0.2 * rng.standard_normal())),
+        s_curve=rng.uniform(0.0, 0.4),
+        jitter_px=0.2,
+        fields="upper_first",
+        blur_px=rng.uniform(0.7, 1.1),
+        noise_levels=4.0,
+    )
+
+
 _TONE = CameraTolerances(tone_px=0.2)
+_FILM = CameraTolerances(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
+_SAME = Expectation(drawn=False)
 
 MONITOR_ROWS = (
     MonitorRow("clean", _always()),
-    MonitorRow("overexposed x1.6", _always(gain=1.6), _TONE),
-    MonitorRow("gamma 0.6", _always(gamma=0.6), _TONE),
-    MonitorRow("gamma 1.6", _always(gamma=1.6), _TONE),
-    MonitorRow("S-curve", _always(s_curve=0.8), _TONE),
+    MonitorRow("overexposed x1.6", _always(gain=1.6)),
+    MonitorRow("overexposed x1.6, tone curve estimated", _always(gain=1.6), _TONE, expected=_SAME),
+    MonitorRow("gamma 0.6", _always(gamma=0.6), _TONE, expected=_SAME),
+    MonitorRow("gamma 1.6", _always(gamma=1.6), _TONE, expected=_SAME),
+    MonitorRow("S-curve", _always(s_curve=0.8), _TONE, expected=_SAME),
     MonitorRow("distortion, 2 px at the corner", _normal(distortion=0.0219), CameraTolerances(distortion_px=2.0)),
     MonitorRow("focal length 1 %", _normal(f_share=0.01), CameraTolerances(focal_fraction=0.01)),
     MonitorRow("focal length 3 %", _normal(f_share=0.03), CameraTolerances(focal_fraction=0.03)),
     MonitorRow("aspect 1 %", _normal(aspect=0.01), CameraTolerances(aspect_fraction=0.01)),
     MonitorRow("aspect 3 %", _normal(aspect=0.03), CameraTolerances(aspect_fraction=0.03)),
-    MonitorRow("lost frames", _always(), CameraTolerances(time_s=0.1), lost=2),
-    MonitorRow("half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02)),
+    MonitorRow("lost frames", _always(), lost=2),
     MonitorRow(
-        "wrong field order", _always(fields="lower_first"), CameraTolerances(time_s=0.02), said_fields="upper_first"
+        "half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02), expected=_SAME
     ),
+    MonitorRow("wrong field order", _always(fields="lower_first"), said_fields="upper_first"),
     MonitorRow("vibration of 0.5 px", _always(jitter_px=0.5)),
     MonitorRow("shadow beside an arm", _always(shadow=0.4)),
     MonitorRow("low noise", _always(noise_levels=0.5)),
+    MonitorRow("low noise, edges off by 0.02 px", _always(noise_levels=0.5, coarse=True), expected=_SAME),
+    MonitorRow("plate 1 mm behind the disc", _always(plate_behind_m=0.001), expected=_SAME),
+    MonitorRow("plate 1 mm behind the disc, stated", _always(), plate_m=-0.001),
+    MonitorRow("television film", _film, _FILM, said_fields="upper_first"),
 )

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.unit import Solution, VisionUnit
+from tests.support.disturbances import Expectation, SeedResult
 from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene, turned
 
 LENS = {"fx": 1200.0, "fy": 1200.0, "width": 1024, "height": 1024, "distortion": (-0.08, 0.02, 3e-4, -2e-4, 0.0)}
@@ -140,6 +141,11 @@ class Tally:
         off = off or np.linalg.norm(error[:3]) > GROSS_SHARE * np.linalg.norm(truth.t_v)
         self.gross += bool(off and np.abs(ratio).max() > GROSS_SIGMAS)
 
+    def result(self) -> SeedResult:
+        """Return the results for the table."""
+        ratios = [float(ratio) for frame in self.ratios for ratio in frame]
+        return SeedResult(self.frames, self.solved, self.gross, dict(self.statuses), ratios, self.costs_s)
+
     @property
     def within(self) -> float:
         """Return the fraction of all components within two sigmas."""
@@ -175,6 +181,7 @@ class Row:
     late: bool = False
     lead_in: int = 0
     """frames of a good track before the disturbance, not counted"""
+    expected: Expectation = Expectation()
 
     def run(self, count: int, seed: int) -> Tally:
         """Return the tally of ``count`` frames."""
@@ -290,12 +297,17 @@ def _of(name: str, **errors: float) -> Row:
 
 
 _APART = replace(VERY_GOOD, sync_s=0.01)
+_FRAME_APART = replace(VERY_GOOD, sync_s=PERIOD_S)
 _OVEREXPOSED = PixelOptics(background_levels=250.0, texture_levels=10.0)
 _BRIGHT = PixelOptics(background_levels=70.0, texture_levels=15.0)
+_SAME = Expectation(drawn=False)
+_USUAL = Expectation(solved=0.9)
+_NOT_TOGETHER = Expectation(refused=("rejected_sync", "rejected_geometry_file"))
+_OTHER_GEOMETRY = Expectation(refused=("rejected_geometry_file",))
 
 ROWS = (
     Row("clean, known exactly", EXACT, _each(EXACT)),
-    Row("clean, very good calibration stated", VERY_GOOD, _each(EXACT)),
+    Row("clean, very good calibration stated", VERY_GOOD, _each(EXACT), expected=_SAME),
     _of("principal points 0.05 px", principal_point_px=0.05),
     _of("right camera turned 0.01 deg", rotation_deg=0.01),
     _of("LEDs 0.05 mm off", led_m=5e-5),
@@ -308,16 +320,21 @@ ROWS = (
     Row("20 false lights", VERY_GOOD, _false_lights(20)),
     Row("50 false lights", VERY_GOOD, _false_lights(50)),
     Row("very good calibration", VERY_GOOD, _each(VERY_GOOD)),
-    Row("usual calibration", USUAL, _each(USUAL)),
-    Row("usual calibration, nothing stated", None, _each(USUAL)),
+    Row("usual calibration", USUAL, _each(USUAL), expected=_USUAL),
+    Row("usual calibration, nothing stated", None, _each(USUAL), expected=_USUAL),
     Row("very good calibration, tracked", VERY_GOOD, approach(VERY_GOOD), tracked=True),
     Row("10 ms between the cameras", _APART, approach(VERY_GOOD, right_later_s=0.01)),
     Row("10 ms between the cameras, tracked", _APART, approach(VERY_GOOD, right_later_s=0.01), tracked=True),
-    Row("10 ms apart, not stated", VERY_GOOD, approach(VERY_GOOD, right_later_s=0.01)),
-    Row("glint on a tracked ring", VERY_GOOD, _glint(12), tracked=True, lead_in=12),
-    Row("right images one frame late", VERY_GOOD, approach(VERY_GOOD), late=True),
-    Row("right images late, tracked", VERY_GOOD, approach(VERY_GOOD), late=True, tracked=True),
-    Row("cameras swapped", VERY_GOOD, _each(VERY_GOOD), swapped=True),
-    Row("wrong ring", VERY_GOOD, _wrong_ring),
-    Row("overexposed background", VERY_GOOD, _each(VERY_GOOD, _OVEREXPOSED)),
+    Row("10 ms apart, not stated", VERY_GOOD, approach(VERY_GOOD, right_later_s=0.01), expected=_NOT_TOGETHER),
+    Row("glint on a tracked ring", VERY_GOOD, _glint(12), tracked=True, lead_in=12, expected=Expectation(0.5)),
+    Row("right images one frame late", VERY_GOOD, approach(VERY_GOOD), late=True, expected=_NOT_TOGETHER),
+    Row("right images late, tracked", VERY_GOOD, approach(VERY_GOOD), late=True, tracked=True, expected=_NOT_TOGETHER),
+    Row("right images late, default tolerances", None, approach(USUAL), late=True, expected=_NOT_TOGETHER),
+    Row("right images late, stated", _FRAME_APART, approach(VERY_GOOD, right_later_s=-PERIOD_S), expected=_USUAL),
+    Row("cameras swapped", VERY_GOOD, _each(VERY_GOOD), swapped=True, expected=_OTHER_GEOMETRY),
+    Row("wrong ring", VERY_GOOD, _wrong_ring, expected=_OTHER_GEOMETRY),
+    Row(
+        "overexposed background", VERY_GOOD, _each(VERY_GOOD, _OVEREXPOSED),
+        expected=Expectation(refused=("rejected_bright",)),
+    ),
 )  # fmt: skip

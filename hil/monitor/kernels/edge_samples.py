@@ -29,6 +29,8 @@ EDGE_SAMPLE = np.dtype(
         ("shift", "f8"), ("variance", "f8"),  # px, px^2: measured, outwards
         ("low", "f8"), ("high", "f8"),  # grey values inside and outside
         ("misfit", "f8"), ("pixels", "f8"),  # weighted square sum of the pixels' residuals, number of pixels
+        ("steepness", "f8"),  # px^-2, information of the pixels on the shift alone
+        ("grows", "f8"),  # 1: a border whose outside is at the normal's end, -1: at its start, 0: a bar by both borders
         ("good", "i8"),
     ],
     align=True,
@@ -180,7 +182,7 @@ def _place_on_circle(
         sample.u, sample.v, sample.width = u, v, 0.0
         sample.y1, sample.y2, sample.y3 = y1, y2, circle.y3
         sample.curvature = _curvature(ua, va, u, v, ub, vb)
-        sample.length = min(length, around / pieces)
+        sample.length, sample.grows = min(length, around / pieces), 1.0
         sample.feature, sample.kind, sample.cluster = circle.feature, STEP, ARCS * number + ARCS * i // pieces
         if _finish(sample, lens, wanted, least, blur, circle.group, circles_px, lines_px):
             count += 1
@@ -227,6 +229,7 @@ def _place_on_line(
         sample.feature, sample.cluster = line.feature, number
         sample.kind = BAR if line.width > 0.0 and side == 0.0 else STEP
         sample.width = line.width * scale if sample.kind == BAR else 0.0
+        sample.grows = 0.0 if sample.kind == BAR else 1.0
         if _finish(sample, lens, wanted, least, blur, line.group, circles_px, lines_px):
             count += 1
     return count

@@ -1,4 +1,8 @@
-"""Edge measurement: fit of the blurred profile to the pixels of each edge sample, to a fraction of a pixel."""
+"""Edge measurement: fit of the blurred profile to the pixels of each edge sample, to a fraction of a pixel.
+
+Pixels at full scale are censored: they only say that the light is not below it. The profile exceeds full scale where
+the image is overexposed, and its shift follows from the pixels of the slope that are not clipped.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,14 @@ from hil.monitor.kernels.edge_samples import BAR
 _ROOT_2PI = math.sqrt(2.0 * math.pi)
 _FLAT = 4.5  # blur widths from an edge beyond which the image is taken as uniform
 MOST_PIXELS = 400
+WHITE = 255.0  # full scale
+MODEL_ERROR_PX = 0.03  # of the profile, which is no noise of the pixels
+_CLIPPED_TURNS = 8  # Gauss-Newton steps of a profile that is cut off
+_CLIPPED_START = 1.25  # of full scale: first value of a level that is cut off
+_CLIPPED_MOST = 8.0  # of full scale
+_DAMPING = 1e-4  # of such a level, per grey value squared
+_MISFIT = 3.0  # misfit per pixel of a bar beyond which one of its borders alone may be better
+_LESS = 0.5  # of that misfit, which it then must not exceed
 
 
 @kernel
@@ -120,6 +132,7 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
     """
     s, grey = np.empty(MOST_PIXELS), np.empty(MOST_PIXELS)
     normal, right, step, x, row = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    factor = np.empty((4, 4))
     sums[0] = sums[1] = 0.0
     for c in range(count):
         sample = samples[c]
@@ -144,30 +157,94 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
         if not (math.isfinite(x[0]) and math.isfinite(x[1]) and math.isfinite(x[3])):
             continue
         known = 4 if bar else 3
-        solved = True
-        for _ in range(turns):
-            misfit = _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right)
-            factor = normal.copy()
-            if not cholesky.factor(factor, known, factor, cholesky.LEAST_RESIDUE):
-                solved = False
-                break
-            for i in range(4):
-                step[i] = right[i]
-            cholesky.solve(factor, known, step, step)
-            step[2] = min(max(step[2], -1.5 * blur), 1.5 * blur)
-            for i in range(known):
-                x[i] += step[i]
-                misfit -= step[i] * right[i]
-        if not solved or not abs(x[2]) < 4.0 * blur + 1.0:
+        misfit, clear = _fit_profile(
+            s, grey, n, half, blur, bar, noise, known, turns, x, row, normal, right, factor, step
+        )  # fmt: skip
+        if clear >= known and abs(x[2]) < 4.0 * blur + 1.0:
+            _keep(sample, x, normal, factor, known, misfit, clear, 0.0 if bar else 1.0)
+            if not bar:
+                _add_blur_sums(normal, right, factor, step, sums, sample)
+        if bar and not (sample.good == 1 and sample.misfit <= _MISFIT * allowed_pixels(sample)):
+            _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor, step, sample)
+
+
+@kernel
+def allowed_pixels(sample):
+    """Return the square sum that is expected of a sample's pixels, with an error of the profile beside their noise."""
+    return sample.pixels + MODEL_ERROR_PX * MODEL_ERROR_PX * sample.steepness
+
+
+@kernel
+def _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor, step, sample):
+    """Measure a bar by one of its borders if that fits much better: a shadow or a glare lies beside the other one."""
+    least = sample.misfit / allowed_pixels(sample) if sample.good == 1 else math.inf
+    own, levels = np.empty(n), np.empty(n)
+    for way in (1.0, -1.0):
+        count = 0
+        for i in range(n):
+            if way * s[i] > 0.0:
+                own[count], levels[count] = way * s[i], grey[i]
+                count += 1
+        inner = _middle(own, levels, count, 0.5 * half)
+        _, outer = _plateaus(own, levels, count, 0.0, half + blur)
+        if not (math.isfinite(inner) and math.isfinite(outer)):
             continue
-        _keep(sample, x, factor, known, misfit, n, bar)
-        if not bar:
-            _add_blur_sums(normal, right, factor, step, sums, sample)
+        x[0], x[1], x[2], x[3] = inner, outer, 0.0, outer
+        misfit, clear = _fit_profile(
+            own, levels, count, half, blur, True, noise, 3, 4, x, row, normal, right, factor, step
+        )  # fmt: skip
+        if clear < 8 or not abs(x[2]) < 4.0 * blur + 1.0:
+            continue
+        expected = clear + MODEL_ERROR_PX * MODEL_ERROR_PX * normal[2, 2]
+        if misfit / expected < min(_LESS * least, _MISFIT):
+            least = misfit / expected / _LESS  # the other border has to be better only by itself
+            _keep(sample, x, normal, factor, 3, misfit, clear, way)
+            sample.shift *= way
+
+
+@kernel
+def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, row, normal, right, factor, step):
+    """Improve the first ``known`` parameters ``x`` (4,) of a profile by its pixels.
+
+    Return the weighted square sum of the residuals and the number of pixels that are not clipped; -1 without a solution.
+    normal, right and factor are those of the last step.
+    """
+    near_white = WHITE - math.sqrt(noise[0] + noise[1] * WHITE)
+    cut = False
+    for i in (0, 1, 3):
+        if x[i] > near_white and (i < 3 or bar):
+            x[i], cut = _CLIPPED_START * WHITE, True
+    misfit, clear = 0.0, 0
+    for _ in range(max(turns, _CLIPPED_TURNS) if cut else turns):
+        misfit, clear = _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right)
+        for i in range(4):
+            for j in range(4):
+                factor[i, j] = normal[i, j]
+            if cut and i != 2:
+                factor[i, i] += _DAMPING
+        if not cholesky.factor(factor, known, factor, cholesky.LEAST_RESIDUE):
+            return misfit, -1
+        for i in range(4):
+            step[i] = right[i]
+        cholesky.solve(factor, known, step, step)
+        step[2] = min(max(step[2], -1.5 * blur), 1.5 * blur)
+        for i in range(known):
+            x[i] += step[i]
+            misfit -= step[i] * right[i]
+        if cut:
+            for i in (0, 1, 3):
+                x[i] = min(x[i], _CLIPPED_MOST * WHITE)
+    return misfit, clear
 
 
 @kernel
 def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
-    """Set up the normal equations of one Gauss-Newton step; return the weighted square sum of the residuals."""
+    """Set up the normal equations of one Gauss-Newton step.
+
+    Return the weighted square sum of the residuals, and the number of pixels that are not clipped.
+    """
+    clipped = WHITE - 3.0 * math.sqrt(noise[0] + noise[1] * WHITE)
+    clear = n
     for i in range(4):
         right[i] = 0.0
         for j in range(4):
@@ -178,7 +255,10 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
             model = _bar_row(s[k], half, blur, x, row)
         else:
             model = _step_row(s[k], blur, x, row)
-        weight = 1.0 / (noise[0] + noise[1] * max(model, 0.0))
+        if model > WHITE and grey[k] > clipped:
+            clear -= 1
+            continue
+        weight = 1.0 / (noise[0] + noise[1] * min(max(model, 0.0), WHITE))
         left = grey[k] - model
         total += weight * left * left
         for i in range(4):
@@ -186,18 +266,22 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
             right[i] += scaled * left
             for j in range(i + 1):
                 normal[i, j] += scaled * row[j]
-    return total
+    return total, clear
 
 
 @kernel
-def _keep(sample, x, factor, known, misfit, n, bar):
-    """Write a sample's result; the shift's variance from the factor of the normal equations."""
+def _keep(sample, x, normal, factor, known, misfit, n, grows):
+    """Write a sample's result; the shift's variance from the factor of the normal equations.
+
+    grows: as in EDGE_SAMPLE.
+    """
     unit = np.zeros(4)
     unit[2] = 1.0
     cholesky.solve(factor, known, unit, unit)
     sample.shift, sample.variance = x[2], unit[2]
-    sample.low, sample.high = x[0], 0.5 * (x[1] + x[3]) if bar else x[1]
-    sample.misfit, sample.pixels = misfit, n
+    sample.low, sample.high = x[0], x[1] if grows != 0.0 else 0.5 * (x[1] + x[3])
+    sample.grows = grows
+    sample.misfit, sample.pixels, sample.steepness = misfit, n, normal[2, 2]
     sample.good = 1
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.models import docking_view
 from hil.monitor.kernels.edge_samples import ARCS, BAR, SIDES, place_edge_samples
-from hil.monitor.kernels.edges import fit_edge_samples
-from hil.monitor.kernels.pose import UNKNOWNS, fit_pose, residuals
+from hil.monitor.kernels.edges import WHITE, allowed_pixels, fit_edge_samples
+from hil.monitor.kernels.pose import PRIORS, UNKNOWNS, fit_pose, residuals
 from hil.monitor.kernels.search import search_edge_samples
 
 MEASURED, TOO_FEW, UNSOLVED = range(3)
@@ -24,6 +24,7 @@ TUNING = np.dtype(
         ("reject", "f8"),  # sigmas beyond which a sample's shift is an outlier
         ("prior_angle", "f8"),  # rad, prior 1 sigma of the passive angles
         ("prior_growth", "f8"),  # px, prior 1 sigma of the edges' growth
+        ("prior_tone", "f8"),  # px, of both terms of the tone curve; 0: straight
         ("near_bar", "f8"),  # px, narrower bars are not used
         ("rounds", "i8"),
     ],
@@ -39,12 +40,12 @@ _FEWEST = 12
 
 @kernel
 def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, samples):
-    """Refine ``x`` (7,), a pose with an error of several pixels, to within a fraction of a pixel.
+    """Refine ``x`` (9,), a pose with an error of several pixels, to within a fraction of a pixel.
 
     Return the number of samples that agree, and their fraction of all samples.
     """
-    prior = np.empty(2)
-    prior[0], prior[1] = tuning.prior_angle, 0.01
+    prior = np.empty(PRIORS)
+    prior[0], prior[1], prior[2], prior[3] = tuning.prior_angle, 0.01, 0.0, 0.0
     normal = np.empty((UNKNOWNS, UNKNOWNS))
     agree, count = 0, 0
     for turn in range(2 if reach <= 4.0 else 3):
@@ -84,7 +85,7 @@ def _update_noise(samples, count, camera):
         ratio = sample.misfit / (sample.pixels - 4.0)
         if ratio > 2.5 * middle:
             continue
-        level = max(0.5 * (sample.low + sample.high), 0.0)
+        level = min(max(0.5 * (sample.low + sample.high), 0.0), WHITE)
         variance = ratio * (camera.noise_0 + camera.noise_1 * level)
         weight = sample.pixels / (variance * variance)
         s0 += weight
@@ -162,7 +163,7 @@ def _leave_out(samples, count, used, camera, near_bar):
             or not 0.0 < sample.variance < 0.09
         ):
             sample.good = 0
-        elif sample.misfit > 6.0 * sample.pixels:
+        elif sample.misfit > 6.0 * allowed_pixels(sample):
             sample.good = 3
 
 
@@ -170,13 +171,14 @@ def _leave_out(samples, count, used, camera, near_bar):
 def measure(
     image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, samples, left, normal, sums
 ):
-    """Measure the pose ``x`` (7,), accurate to about a pixel; return (status, number of samples).
+    """Measure the pose ``x`` (9,), accurate to about a pixel; return (status, number of samples).
 
     camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. left: residuals, px.
-    normal: (7, 7), of the edges alone. sums: (4,) of ``square_sums``.
+    normal: (9, 9), of the edges alone. sums: (4,) of ``square_sums``.
     """
-    prior, noise, blur_sums = np.empty(2), np.empty(2), np.empty(2)
+    prior, noise, blur_sums = np.empty(PRIORS), np.empty(2), np.empty(2)
     prior[0], prior[1] = tuning.prior_angle, tuning.prior_growth
+    prior[2] = prior[3] = tuning.prior_tone
     clusters = ARCS * circles.shape[0] + SIDES * lines.shape[0]
     count = 0
     for _ in range(tuning.rounds):

@@ -1,7 +1,11 @@
 """Pose of the camera from the measured shifts of edges: Gauss-Newton on d and phi with the exact projection.
 
-A seventh unknown is the edges' growth, px: the displacement common to all borders of parts, outwards from the
-geometry. Cameras and renderers have one (irradiation, thresholds, rounding); if neglected it biases the range.
+Three more unknowns are those of the camera. The edges' growth, px, is the displacement common to all borders of parts,
+outwards from the geometry: cameras and renderers have one (irradiation, thresholds, rounding), and if neglected it biases
+the range. A tone curve T that is not straight displaces a blurred edge towards its darker side, in proportion to its
+step D and to the curve's bend at its middle level m; the bend of a gamma or an S-curve is about linear in m:
+
+    shift = D / 128 * (a + b (1 - m / 128)),  a and b in px
 """
 
 from __future__ import annotations
@@ -13,9 +17,14 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import cholesky
 from hil.models import docking_view
-from hil.monitor.kernels.edge_samples import STEP
+from hil.monitor.kernels.edges import WHITE
 
-UNKNOWNS = 7
+UNKNOWNS = 9
+"""d, m, phi, rad, growth, px, and both terms of the tone curve, px."""
+PRIORS = 4
+"""1 sigma of d1/d3 and d2/d3, rad, of the growth, px, and of both terms of the tone curve, px; 0: no such term."""
+_WITHOUT_TONE = 7
+HALF_SCALE = 128.0
 
 _TURN = 1e-5  # rad, half step of the difference quotients of the attitude: error 1e-10
 
@@ -63,37 +72,56 @@ def point_row(lens, a, slopes, d, y1, y2, y3, nu, nv, row):
 
 
 @kernel
-def _add_prior(normal, right, x, prior):
-    """Add the prior information, which matters only for what the edges leave open.
+def camera_row(sample, row):
+    """Write the derivatives of a sample's shift by the camera's three unknowns to row[6:]."""
+    low, high = min(sample.low, WHITE), min(sample.high, WHITE)
+    row[6] = sample.grows
+    row[7] = sample.grows * (low - high) / HALF_SCALE
+    row[8] = row[7] * (1.0 - 0.5 * (low + high) / HALF_SCALE)
 
-    prior: (2,), 1 sigma of d1/d3 and d2/d3, rad (the passive angles are small), and of the growth, px.
+
+@kernel
+def unknowns_of(prior):
+    """Return the number of unknowns that ``prior`` (PRIORS,) leaves to be estimated."""
+    return UNKNOWNS if prior[2] > 0.0 else _WITHOUT_TONE
+
+
+@kernel
+def _add_prior(normal, right, x, prior):
+    """Add the prior information (PRIORS,), which matters only for what the edges leave open.
+
+    The passive angles, the growth and the terms of the tone curve are small.
     """
     for i in range(2):
         weight = 1.0 / (prior[0] * prior[0] * x[2] * x[2])
         normal[i, i] += weight
         right[i] -= weight * x[i]
-    weight = 1.0 / (prior[1] * prior[1])
-    normal[6, 6] += weight
-    right[6] -= weight * x[6]
+    for i in range(6, unknowns_of(prior)):
+        sigma = prior[min(i - 5, PRIORS - 1)]
+        weight = 1.0 / (sigma * sigma)
+        normal[i, i] += weight
+        right[i] -= weight * x[i]
 
 
 @kernel
 def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
-    """Improve ``pose`` (7,): d, m, phi, rad, growth, px, by the shifts of the samples.
+    """Improve ``pose`` (9,): d, m, phi, rad, growth and tone, px, by the shifts of the samples.
 
-    normal: (7, 7), overwritten by the normal matrix of the edges alone.
+    normal: (9, 9), overwritten by the normal matrix of the edges alone.
 
     Samples with good = 1 are used. robust: px; above 0, samples have equal weight times Tukey's weight of that
     scale; at 0 the inverse of their variance. Return whether the pose is determined (with the prior).
     """
     a = docking_view.attitude(pose[3:6])
+    known = unknowns_of(prior)
     slopes, row = np.empty((3, 3, 3)), np.empty(UNKNOWNS)
-    right, step, full = np.empty(UNKNOWNS), np.empty(UNKNOWNS), np.empty((UNKNOWNS, UNKNOWNS))
+    right, step, full = np.empty(known), np.empty(known), np.empty((known, known))
     for _ in range(turns):
         a = docking_view.attitude(pose[3:6])
         attitude_derivatives(pose[3:6], slopes)
-        for i in range(UNKNOWNS):
+        for i in range(known):
             right[i] = 0.0
+        for i in range(UNKNOWNS):
             for j in range(UNKNOWNS):
                 normal[i, j] = 0.0
         for c in range(count):
@@ -101,28 +129,30 @@ def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
             if sample.good != 1:
                 continue
             u, v = point_row(lens, a, slopes, pose[:3], sample.y1, sample.y2, sample.y3, sample.nu, sample.nv, row)
-            row[6] = 1.0 if sample.kind == STEP else 0.0
-            left = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v)) - row[6] * pose[6]
+            camera_row(sample, row)
+            left = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
+            for i in range(6, UNKNOWNS):
+                left -= row[i] * pose[i]
             if not math.isfinite(left):
                 return False
             weight = 1.0 / max(sample.variance, 1e-12)
             if robust > 0.0:
                 inside = 1.0 - (left / robust) ** 2
                 weight = inside * inside if inside > 0.0 else 0.0
-            for i in range(UNKNOWNS):
+            for i in range(known):
                 right[i] += weight * row[i] * left
                 for j in range(i + 1):
                     normal[i, j] += weight * row[i] * row[j]
-        for i in range(UNKNOWNS):
+        for i in range(known):
             for j in range(i):
                 normal[j, i] = normal[i, j]
-        for i in range(UNKNOWNS):
-            for j in range(UNKNOWNS):
+        for i in range(known):
+            for j in range(known):
                 full[i, j] = normal[i, j]
         _add_prior(full, right, pose, prior)
         if not cholesky.solve_system(full, right, step):
             return False
-        for i in range(UNKNOWNS):
+        for i in range(known):
             pose[i] += step[i]
         if not (pose[2] > 0.01 and abs(step[3]) < 1.0 and abs(step[4]) < 1.0 and abs(step[5]) < 1.0):
             return False
@@ -133,7 +163,7 @@ def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
 def residuals(lens, samples, count, pose, left):
     """Write each sample's shift minus the edge's shift under ``pose``, px (nan for samples that are not good)."""
     a = docking_view.attitude(pose[3:6])
-    p = np.empty(3)
+    p, row = np.empty(3), np.empty(UNKNOWNS)
     for c in range(count):
         sample = samples[c]
         left[c] = np.nan
@@ -142,5 +172,6 @@ def residuals(lens, samples, count, pose, left):
             x = docking_view.to_camera(a, pose[:3], p)
             u, v = docking_view.project_point(lens[0], lens[1], lens[2], x)
             left[c] = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
-            if sample.kind == STEP:
-                left[c] -= pose[6]
+            camera_row(sample, row)
+            for i in range(6, UNKNOWNS):
+                left[c] -= row[i] * pose[i]
