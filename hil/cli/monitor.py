@@ -173,13 +173,13 @@ def _row(portion: Any) -> list[str]:
 
 
 _FRAME_COLUMNS = ("frame", "t_s", "status", "reason", "tracked", "points", "d1_m", "d2_m", "d3_m", "phi1_rad",
-                  "phi2_rad", "phi3_rad", "growth_px", "tone_px", "tone_bend_px", "blur_px", "noise")  # fmt: skip
+                  "phi2_rad", "phi3_rad", "growth_px", "blur_px", "noise")  # fmt: skip
 
 
 def _frame_row(look: FrameResult) -> list[str]:
     return [
         str(look.detection.number), f"{look.detection.t_s:.6f}", look.status, look.reason, str(int(look.tracked)),
-        str(len(look.detection.edges)), *(_number(value) for value in (*look.pose, look.blur_px, look.noise)),
+        str(len(look.detection.edges)), *(_number(value) for value in (*look.pose[:7], look.blur_px, look.noise)),
     ]  # fmt: skip
 
 

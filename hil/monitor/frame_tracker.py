@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from hil.config.scene import Scene
 from hil.models import docking_view
 from hil.monitor import validation
-from hil.monitor.considered import pose_errors
 from hil.monitor.detector import TargetDetector
 from hil.monitor.features import ACROSS, LABEL, UPRIGHT, target_features
 from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
-from hil.monitor.kernels.pose import UNKNOWNS
-from hil.monitor.motion import Motion
+from hil.monitor.kernels.pose import GROWTH, UNKNOWNS
+from hil.monitor.motion import NOT_ESTIMATED, Motion
 from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
 from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
@@ -33,7 +32,6 @@ _FEWEST_AGREEING: Final = 12
 _MOST_AGREE: Final = 0.7  # fraction of the edges
 _TRIED: Final = 5  # hypotheses per frame
 _MARGIN_PX: Final = 24.0
-_FIXED_PX: Final = 1e-6  # prior of a term that is not estimated
 
 
 class FrameTracker:
@@ -41,10 +39,10 @@ class FrameTracker:
 
     def __init__(self, scene: Scene, settings: MonitorSettings) -> None:
         self._settings = settings
-        self._camera = scene.camera
         self._features = target_features(scene.camera, scene.chosen(settings.target))
         self._detector = TargetDetector(self._features)
-        self._tuning = settings.tuning(scene.camera.tolerances.tone_px)
+        self._tuning = settings.tuning(scene.camera)
+        self._sigmas = np.array(settings.camera_sigmas(scene.camera))
         self._samples = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE)
         self._left, self._normal, self._sums = np.zeros(_MOST_SAMPLES), np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
         self._state = _fresh_camera()
@@ -121,7 +119,7 @@ class FrameTracker:
         return results
 
     def _align(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
-        """Align x (9,) with the edges, using the first of ``reaches``, px, for which most agree, else the best."""
+        """Align x (15,) with the edges, using the first of ``reaches``, px, for which most agree, else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
         model, start, best, found = self._features, x.copy(), 0, x.copy()
         for reach in reaches:
@@ -162,7 +160,7 @@ class FrameTracker:
         )  # fmt: skip
         if status != measure.MEASURED:
             return self._no_result(frame, "rejected_measurement", "too few edges")
-        if validation.is_implausible(x, self._camera.tolerances.tone_px):
+        if validation.is_implausible(x, self._sigmas):
             return self._no_result(frame, "rejected_pose", "pose out of bounds")
         samples = self._samples[:count]
         noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
@@ -190,8 +188,7 @@ class FrameTracker:
         )
         prior = np.zeros(UNKNOWNS)
         prior[:2] = 1.0 / (self._settings.passive_angle_rad * x[2]) ** 2
-        prior[6] = 1.0 / self._settings.growth_px**2
-        prior[7:] = 1.0 / max(self._camera.tolerances.tone_px, _FIXED_PX) ** 2
+        prior[GROWTH:] = np.maximum(self._sigmas, NOT_ESTIMATED) ** -2.0
         low, high = places[used].min(axis=0) - _MARGIN_PX, places[used].max(axis=0) + _MARGIN_PX
         in_paper_mode = self._settings.calculation == "paper" and mode == NEAR
         detection = FrameDetection(
@@ -201,7 +198,6 @@ class FrameTracker:
         return FrameResult(
             detection, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
             paper_frame(self._features.lens, samples) if in_paper_mode else None,
-            pose_errors(self._camera, samples[used], x, self._normal, prior),
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
-from hil.monitor.considered import motion_covariance
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
@@ -94,7 +93,9 @@ class DockingMonitor:
             return _nothing(frames, t_s, "rejected_motion")
         self._used_s = used[-1].detection.t_s
         self._tracker.expect(fit.motion)
-        covariance = fit.motion.covariance + motion_covariance(self.scene.camera, used, fit.motion.w, t_s)
+        late = np.zeros(12)
+        late[0::2] = self.scene.camera.tolerances.time_s * fit.motion.w[1::2]
+        covariance = fit.motion.covariance + np.outer(late, late)
         return _result(frames, fit, status, covariance)
 
 

@@ -2,13 +2,13 @@
 
 The motion is ``d = z + z' t``, ``phi = v + v' t``, with t from the portion's last frame. Each frame gives its pose
 with the full normal matrix of its edges, so the fit is equivalent to one of all edges of all frames together. The
-estimate of the previous portion is carried over and weighted by q (d) and q' (phi), that of the camera's growth and tone
-curve by their correlation time. An unknown acceleration of given size is included; without it a smooth sway would make
+estimate of the previous portion is carried over and weighted by q (d) and q' (phi), that of the camera's unknowns by their
+correlation time. An unknown acceleration of given size is included; without it a smooth sway would make
 the covariance too small.
 
 Frames that scatter about their motion are explained, if their likelihood is much larger then, by a vibration of the
 camera (a random displacement of each image), by images lost unnoticed, by fields in the other order, or by a single wild
-frame, which is left out. What remains widens all sigmas.
+frame, which is left out. What remains widens all sigmas; other times of the frames are accepted only if nothing remains.
 """
 
 from __future__ import annotations
@@ -16,19 +16,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.config.scene import Scene
-from hil.monitor.kernels.pose import UNKNOWNS
+from hil.monitor.kernels.pose import GROWTH, UNKNOWNS
 from hil.monitor.results import FrameResult
 from hil.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]
 
-_CAMERA: Final = UNKNOWNS - 6  # growth and tone curve
+_CAMERA: Final = UNKNOWNS - GROWTH
 _CARRIED: Final = 12 + _CAMERA  # motion and camera
 _STATES: Final = _CARRIED + 6  # with accelerations
 _FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: initial
@@ -37,9 +38,12 @@ _SIGNIFICANT: Final = 3.0
 _MODEL_ERROR: Final = 0.25  # relative error of sigma^2 from the blur model and the noise estimate
 _JITTERS_PX: Final = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
 _BETTER: Final = 12.0  # of twice the log-likelihood: about the number of explanations that are tried
+_TIMING: Final = 24.0  # the same, of images lost at up to two places
+_LARGE_SCATTER: Final = 3.0  # of the frames, relative to their noise: images may have been lost
 _DROPPED: Final = 30.0  # the same, of a frame left out
 _CHANGES: Final = 3  # explanations in one portion
-_FIXED: Final = 1e-6  # px, prior of a term that is not estimated
+NOT_ESTIMATED: Final = 1e-6
+"""Prior of an unknown of the camera that is not estimated, px or relative."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class _Hypothesis:
 
 @dataclass(frozen=True)
 class _Carried:
-    """Motion and camera after a portion: x (15,), the covariance assumed by the next fit and the true one, (15, 15)."""
+    """Motion and camera after a portion: x (21,), the covariance assumed by the next fit and the true one, (21, 21)."""
 
     t_s: float
     x: Floats
@@ -95,12 +99,15 @@ class _Carried:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Solution of a hypothesis. squares: of each frame about the motion. cost: -2 ln of its likelihood."""
+    """Solution of a hypothesis. squares: of each frame about the motion, scatter: their mean relative to the noise.
+
+    cost: -2 ln of its likelihood.
+    """
 
     solution: MotionSolution
     carried: _Carried
     squares: Floats
-    noise: float
+    scatter: float
     cost: float
     scattered: bool
 
@@ -114,7 +121,7 @@ def transition(dt: float) -> Floats:
 
 
 def _gains(dt: float) -> Floats:
-    """Return the effect of accelerations (6,) on motion and camera (15,) after ``dt``, s."""
+    """Return the effect of accelerations (6,) on motion and camera (21,) after ``dt``, s."""
     matrix = np.zeros((_CARRIED, 6))
     for i in range(6):
         matrix[2 * i, i], matrix[2 * i + 1, i] = 0.5 * dt * dt, dt
@@ -122,7 +129,7 @@ def _gains(dt: float) -> Floats:
 
 
 def _design(t: float) -> Floats:
-    """Return the rows (9, 21) of a frame at ``t``, s, from the portion's last frame."""
+    """Return the rows (15, 27) of a frame at ``t``, s, from the portion's last frame."""
     rows = np.zeros((UNKNOWNS, _STATES))
     for i in range(6):
         rows[i, 2 * i], rows[i, 2 * i + 1], rows[i, _CARRIED + i] = 1.0, t, 0.5 * t * t
@@ -150,8 +157,7 @@ class MotionFit:
         self._accelerations = np.diag(
             [settings.acceleration_mps2**2] * 3 + [settings.angular_acceleration_radps2**2] * 3
         )
-        tone = max(scene.camera.tolerances.tone_px, _FIXED)
-        self._camera = np.diag([settings.growth_px**2, tone**2, tone**2])
+        self._camera = np.diag(np.maximum(settings.camera_sigmas(scene.camera), NOT_ESTIMATED) ** 2)
         self._carried: _Carried | None = None
 
     def reset(self) -> None:
@@ -166,7 +172,11 @@ class MotionFit:
             if found is None or not found.scattered:
                 break
             others = [(self._solve(one, t_s), one, charge) for one, charge in self._others(chosen, found)]
-            rated = [(fit.cost + charge, k) for k, (fit, _, charge) in enumerate(others) if fit is not None]
+            rated = [
+                (fit.cost + charge * max(fit.scatter, 1.0), k)
+                for k, (fit, one, charge) in enumerate(others)
+                if fit is not None and not (fit.scattered and one.timing != chosen.timing)
+            ]
             if not rated or not min(rated)[0] < found.cost:
                 break
             found, chosen, _ = others[min(rated)[1]]
@@ -183,12 +193,16 @@ class MotionFit:
             half = 0.5 * self._period_s
             numbers = [frame.detection.number for frame in chosen.frames]
             times = (t + (half if number % 2 == 0 else -half) for t, number in zip(chosen.times, numbers, strict=True))
-            yield replace(chosen, times=tuple(times), exchanged=True), _BETTER
-        for gap in range(1, len(chosen.frames)):
-            for lost in (1, 2):
-                late = lost * self._period_s
-                times = (t - late if k < gap else t for k, t in enumerate(chosen.times))
-                yield replace(chosen, times=tuple(times), lost=chosen.lost + lost), _BETTER
+            yield replace(chosen, times=tuple(times), exchanged=True), _TIMING
+        if not chosen.lost and found.scatter > _LARGE_SCATTER:
+            gaps = [
+                k
+                for k, frame in enumerate(chosen.frames)
+                if k and not (self._interlaced and frame.detection.number % 2)
+            ]
+            for lost in [(gap,) for gap in gaps] + list(combinations_with_replacement(gaps, 2)):
+                times = (t - self._period_s * sum(k < gap for gap in lost) for k, t in enumerate(chosen.times))
+                yield replace(chosen, times=tuple(times), lost=len(lost)), _TIMING
         worst = int(np.argmax(found.squares))
         if len(chosen.frames) > 3 and found.squares[worst] > max(_WILD_FRAME, 8.0 * float(np.median(found.squares))):
             frames, times = list(chosen.frames), list(chosen.times)
@@ -244,10 +258,10 @@ class MotionFit:
         scale = np.sqrt(np.diag(total))
         determinant = 2.0 * float(np.log(scale).sum()) + float(np.linalg.slogdet(total / np.outer(scale, scale))[1])
         cost = float(squares.sum()) / noise + spread + determinant
-        return _Fit(solution, carried, squares, noise, cost, scattered)
+        return _Fit(solution, carried, squares, float(np.nan_to_num(motion2 / noise, nan=1.0)), cost, scattered)
 
     def _held(self, frames: Sequence[FrameResult]) -> Floats:
-        """Return the information (21, 21) that the passive angles are small, for frames without a cross.
+        """Return the information (27, 27) that the passive angles are small, for frames without a cross.
 
         It counts in the first portion only: in each later one it would be the same once more.
         """
@@ -258,7 +272,7 @@ class MotionFit:
         return matrix
 
     def _prior(self, t_s: float) -> tuple[Floats, Floats, Floats]:
-        """Return the covariance (21, 21) assumed by the fit a priori, the true one, and the mean (21,)."""
+        """Return the covariance (27, 27) assumed by the fit a priori, the true one, and the mean (27,)."""
         settings, before = self._settings, self._carried
         assumed, mean = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
         assumed[_CARRIED:, _CARRIED:] = self._accelerations
@@ -287,16 +301,16 @@ class MotionFit:
 
 
 def _at_most(covariance: Floats) -> Floats:
-    """Return a covariance (15, 15) with the initial uncertainty of the motion as its upper bound."""
+    """Return a covariance (21, 21) with the initial uncertainty of the motion as its upper bound."""
     information = _inverse(covariance)
     information[np.arange(12), np.arange(12)] += _FIRST_SIGMA**-2
     return _inverse(information)
 
 
 def _with_jitter(frame: FrameResult, jitter: float) -> tuple[Floats, Floats, float]:
-    """Return the information (9, 9) of a frame whose pointing has a random error of ``jitter``, rad, beside its edges'.
+    """Return the information (15, 15) of a frame whose pointing has a random error of ``jitter``, rad, beside its edges'.
 
-    Also the share (9, 9) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
+    Also the share (15, 15) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
     """
     if jitter == 0.0:
         return frame.normal, np.zeros((UNKNOWNS, UNKNOWNS)), 0.0
@@ -330,13 +344,13 @@ def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
 
 
 def _without_camera(full: Floats) -> Floats:
-    """Return the information (6, 6) of ``full`` (9, 9) on the pose, growth and tone curve eliminated."""
+    """Return the information (6, 6) of ``full`` (15, 15) on the pose, those of the camera eliminated."""
     loose: Floats = full[:6, :6] - full[:6, 6:] @ np.linalg.solve(full[6:, 6:], full[6:, :6])
     return loose
 
 
 def _square(frame: FrameResult, normal: Floats, at: Floats) -> float:
-    """Return chi-square of the frame's six pose components about the motion, growth and tone curve eliminated."""
+    """Return chi-square of the frame's six pose components about the motion, those of the camera eliminated."""
     gap = (frame.pose - at)[:6]
     return float(gap @ _without_camera(normal + np.diag(frame.prior)) @ gap)
 

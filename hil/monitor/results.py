@@ -127,10 +127,9 @@ class PaperFrame:
 class FrameResult:
     """Measurement of one frame. detection: for the screen; its status is near, far, no_target or rejected_<why>.
 
-    reason: why it was not used, as text. pose: (9,), d, m, phi, rad, growth and both terms of the tone curve, px.
-    normal: (9, 9), of the edges alone; prior: (9,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
-    1 sigma of a pixel at grey value 100. errors: (9, k), of the pose by one standard deviation of each of the camera's
-    tolerances; None without any.
+    reason: why it was not used, as text. pose: (15,), d, m, phi, rad, and the unknowns of the camera
+    (``kernels/pose.py``). normal: (15, 15), of the edges alone; prior: (15,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
+    1 sigma of a pixel at grey value 100.
     """
 
     detection: FrameDetection
@@ -144,7 +143,6 @@ class FrameResult:
     noise: float = float("nan")
 
     paper: PaperFrame | None = None
-    errors: Floats | None = None
 
     @property
     def status(self) -> str:

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from hil.config.scene import SceneCamera
 from hil.monitor.kernels.measure import TUNING
 from hil.monitor.preprocess import Region
 
@@ -21,7 +22,7 @@ class MonitorSettings:
     acceleration_mps2, angular_acceleration_radps2: 1 sigma of the deviation from uniform motion within a portion.
     portion_frames, portion_s: a portion ends after this number of frames, or after this time. lost_s: time without a
     result after which the track is lost. growth_px: 1 sigma of the edges' growth, camera_s: time over which it and the
-    tone curve keep their values.
+    other unknowns of the camera keep their values.
     """
 
     region: Region | None = None
@@ -42,11 +43,19 @@ class MonitorSettings:
     sample_px: float = 8.0
     samples_per_edge: int = 48
 
-    def tuning(self, tone_px: float = 0.0) -> np.void:
-        """Return the settings used by the kernels; tone_px: tolerance of the tone curve."""
+    def camera_sigmas(self, camera: SceneCamera) -> list[float]:
+        """Return the prior 1 sigma of each unknown of the camera (``kernels/pose.py``); 0: it is not estimated."""
+        stated = camera.tolerances
+        point = [stated.principal_point_px] * 2
+        return [
+            self.growth_px, *[stated.tone_px] * 3, stated.focal_fraction, stated.aspect_fraction, *point,
+            stated.distortion_px,
+        ]  # fmt: skip
+
+    def tuning(self, camera: SceneCamera) -> np.void:
+        """Return the settings used by the kernels."""
         row: np.void = np.zeros(1, TUNING)[0]
         row["length"], row["most"], row["wide_bar"], row["wanted"] = self.sample_px, self.samples_per_edge, 7.0, 4.5
         row["reject"], row["rounds"], row["near_bar"] = 4.5, 2, self.near_bar_px
-        row["prior_angle"], row["prior_growth"] = self.passive_angle_rad, self.growth_px
-        row["prior_tone"] = tone_px
+        row["prior"] = [self.passive_angle_rad, *self.camera_sigmas(camera)]
         return row

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hil.monitor.features import ACROSS, BOX, DISC, LABEL, OUTLINE, PLATE, UPRIGHT, TargetFeatures
 from hil.monitor.kernels.edge_samples import ARCS, SIDES
+from hil.monitor.kernels.pose import GROWTH
 
 Floats = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ _LARGEST_ANGLE: Final = 0.7  # rad
 _LARGEST_PASSIVE: Final = 0.4
 _FARTHEST_M: Final = 500.0
 _LARGEST_GROWTH_PX: Final = 0.5
-_TONE_SIGMAS: Final = 5.0
+_CAMERA_SIGMAS: Final = 5.0
 _LEAST_STEP: Final = 4.0  # height of a step in noise sigmas
 
 
@@ -65,15 +66,15 @@ class Validation:
         return float(np.sqrt(max(square, 0.0)))
 
 
-def is_implausible(x: Floats, tone_px: float) -> bool:
-    """Return whether the pose (9,) is outside the range of an approach; tone_px: tolerance of the tone curve."""
+def is_implausible(x: Floats, sigmas: Floats) -> bool:
+    """Return whether the pose (15,) is outside the range of an approach; sigmas: (9,), of the camera."""
     return (
         not np.all(np.isfinite(x))
         or not 0.05 < x[2] < _FARTHEST_M
         or bool(np.any(np.abs(x[3:6]) > _LARGEST_ANGLE))
         or max(abs(x[0]), abs(x[1])) > _LARGEST_PASSIVE * x[2]
-        or abs(x[6]) > _LARGEST_GROWTH_PX
-        or bool(np.any(np.abs(x[7:]) > _TONE_SIGMAS * tone_px))
+        or abs(x[GROWTH]) > _LARGEST_GROWTH_PX
+        or bool(np.any(np.abs(x[GROWTH + 1 :]) > _CAMERA_SIGMAS * sigmas[1:]))
     )
 
 

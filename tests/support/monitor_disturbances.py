@@ -196,9 +196,7 @@ MONITOR_ROWS = (
     MonitorRow("aspect 1 %", _normal(aspect=0.01), CameraTolerances(aspect_fraction=0.01)),
     MonitorRow("aspect 3 %", _normal(aspect=0.03), CameraTolerances(aspect_fraction=0.03)),
     MonitorRow("lost frames", _always(), lost=2),
-    MonitorRow(
-        "half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02), expected=_SAME
-    ),
+    MonitorRow("half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02), expected=_SAME),
     MonitorRow("wrong field order", _always(fields="lower_first"), said_fields="upper_first"),
     MonitorRow("vibration of 0.5 px", _always(jitter_px=0.5)),
     MonitorRow("shadow beside an arm", _always(shadow=0.4)),

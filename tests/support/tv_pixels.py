@@ -29,8 +29,8 @@ _COARSE = 4  # rows and columns of a plain grid
 class TvCamera:
     """Real camera and sensor. f_share, aspect: relative errors of the focal length and of the pixels' height.
 
-    distortion: k1. gamma: exponent of the levels. s_curve: strength of a smooth step mixed in. jitter_px: 1 sigma of a
-    displacement of each frame. fields: "" for whole frames, else which field is exposed first, the other half a
+    distortion: k1. gamma: exponent of the levels. s_curve: strength of a smooth step mixed in. jitter_px: 1 sigma of the
+    displacement of each frame by a rotation of the camera. fields: "" for whole frames, else which field is exposed first, the other half a
     period later. shadow: depth of a shadow beside the cross, 0..1. plate_behind_m: of the plate behind the disc.
     coarse: pixels are integrated in steps of a quarter of a pixel and blurred afterwards, which displaces edges by about
     0.02 px.
@@ -59,10 +59,15 @@ class TvTarget:
 
     def frame(self, pose_at: Callable[[float], tuple[Array, Array]], t_s: float, rng: np.random.Generator) -> Image:
         """Return the image of the exposure at ``t_s``; pose_at returns d (3,), m, and phi (3,), rad."""
-        shift = self._camera.jitter_px * rng.standard_normal(2)
-        light = self._light(*pose_at(t_s), shift)
+        shaken = self._camera.jitter_px / self._scene.camera.f * np.append(rng.standard_normal(2), 0.0)
+
+        def light_at(t: float) -> Array:
+            d, phi = pose_at(t)
+            return self._light(d, phi + shaken)
+
+        light = light_at(t_s)
         if self._camera.fields:
-            later = self._light(*pose_at(t_s + 0.5 / self._scene.fps), shift)
+            later = light_at(t_s + 0.5 / self._scene.fps)
             second = 1 if self._camera.fields == "upper_first" else 0
             light[second::2] = later[second::2]
         return self._sensor(light, rng)
@@ -74,32 +79,32 @@ class TvTarget:
         levels = 255.0 * level + camera.noise_levels * rng.standard_normal(level.shape)
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
-    def _light(self, d: Array, phi: Array, shift: Array) -> Array:
+    def _light(self, d: Array, phi: Array) -> Array:
         """Return the light on each pixel: blurred by the lens, then integrated over the pixel."""
         known, blur = self._scene.camera, self._camera.blur_px
         rows, columns = np.mgrid[: known.height, : known.width].astype(float)
-        level = self._levels(columns, rows, d, phi, shift)
+        level = self._levels(columns, rows, d, phi)
         edge = maximum_filter(level, 3) != minimum_filter(level, 3)
         v, u = np.nonzero(edge)
         if self._camera.coarse:
             du, dv = _grid()
-            level[v, u] = self._levels(u[:, None] + du, v[:, None] + dv, d, phi, shift).mean(axis=1)
+            level[v, u] = self._levels(u[:, None] + du, v[:, None] + dv, d, phi).mean(axis=1)
             return np.asarray(gaussian_filter(level, blur, mode="nearest"))
         parts = np.repeat(np.repeat(level.astype(np.float32), 2, axis=0), 2, axis=1)
         du, dv = _lattice()
         for row in range(2):
             for column in range(2):
                 at_u, at_v = u[:, None] + 0.5 * column - 0.25 + 0.5 * du, v[:, None] + 0.5 * row - 0.25 + 0.5 * dv
-                parts[2 * v + row, 2 * u + column] = self._levels(at_u, at_v, d, phi, shift).mean(axis=1)
+                parts[2 * v + row, 2 * u + column] = self._levels(at_u, at_v, d, phi).mean(axis=1)
         parts = gaussian_filter(parts, 2.0 * blur, mode="nearest")
         whole = parts.reshape(known.height, 2, known.width, 2).mean(axis=(1, 3))
         return np.asarray(whole, dtype=float)
 
-    def _levels(self, u: Array, v: Array, d: Array, phi: Array, shift: Array) -> Array:
+    def _levels(self, u: Array, v: Array, d: Array, phi: Array) -> Array:
         """Return the grey levels that the rays of pixels see, nearest plane first."""
         known, camera, target = self._scene.camera, self._camera, self._scene.target
         f = known.f * (1.0 + camera.f_share)
-        a, b = (u - shift[0] - known.cx) / f, -(v - shift[1] - known.cy) / (f * (1.0 + camera.aspect))
+        a, b = (u - known.cx) / f, -(v - known.cy) / (f * (1.0 + camera.aspect))
         x, y = a, b
         for _ in range(4):
             swell = 1.0 + camera.distortion * (x * x + y * y)

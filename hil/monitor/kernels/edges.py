@@ -243,7 +243,8 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
 
     Return the weighted square sum of the residuals, and the number of pixels that are not clipped.
     """
-    clipped = WHITE - 3.0 * math.sqrt(noise[0] + noise[1] * WHITE)
+    sigma = math.sqrt(noise[0] + noise[1] * WHITE)
+    clipped = WHITE - 3.0 * sigma
     clear = n
     for i in range(4):
         right[i] = 0.0
@@ -255,10 +256,15 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
             model = _bar_row(s[k], half, blur, x, row)
         else:
             model = _step_row(s[k], blur, x, row)
-        if model > WHITE and grey[k] > clipped:
-            clear -= 1
-            continue
         weight = 1.0 / (noise[0] + noise[1] * min(max(model, 0.0), WHITE))
+        if model > clipped and grey[k] > clipped:  # mean of a noisy value that is cut off at full scale
+            z = (WHITE - model) / sigma
+            below, bell = _normal_cdf(z)
+            model = WHITE - sigma * (z * below + bell)
+            for i in range(4):
+                row[i] *= below
+            if below < 0.5:
+                clear -= 1
         left = grey[k] - model
         total += weight * left * left
         for i in range(4):

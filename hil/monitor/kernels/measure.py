@@ -10,7 +10,7 @@ from hil.core.jit import kernel
 from hil.models import docking_view
 from hil.monitor.kernels.edge_samples import ARCS, BAR, SIDES, place_edge_samples
 from hil.monitor.kernels.edges import WHITE, allowed_pixels, fit_edge_samples
-from hil.monitor.kernels.pose import PRIORS, UNKNOWNS, fit_pose, residuals
+from hil.monitor.kernels.pose import PRIORS, UNKNOWNS, displace_samples, fit_pose, residuals
 from hil.monitor.kernels.search import search_edge_samples
 
 MEASURED, TOO_FEW, UNSOLVED = range(3)
@@ -22,9 +22,7 @@ TUNING = np.dtype(
         ("wide_bar", "f8"),  # blur widths beyond which each side of a bar is measured as a separate edge
         ("wanted", "f8"),  # px, half width of a strip
         ("reject", "f8"),  # sigmas beyond which a sample's shift is an outlier
-        ("prior_angle", "f8"),  # rad, prior 1 sigma of the passive angles
-        ("prior_growth", "f8"),  # px, prior 1 sigma of the edges' growth
-        ("prior_tone", "f8"),  # px, of both terms of the tone curve; 0: straight
+        ("prior", "f8", (PRIORS,)),  # prior 1 sigma of the passive angles, rad, and of the camera's unknowns
         ("near_bar", "f8"),  # px, narrower bars are not used
         ("rounds", "i8"),
     ],
@@ -40,18 +38,19 @@ _FEWEST = 12
 
 @kernel
 def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, reach, least, samples):
-    """Refine ``x`` (9,), a pose with an error of several pixels, to within a fraction of a pixel.
+    """Refine ``x`` (15,), a pose with an error of several pixels, to within a fraction of a pixel.
 
     Return the number of samples that agree, and their fraction of all samples.
     """
-    prior = np.empty(PRIORS)
-    prior[0], prior[1], prior[2], prior[3] = tuning.prior_angle, 0.01, 0.0, 0.0
+    prior = np.zeros(PRIORS)
+    prior[0], prior[1] = tuning.prior[0], 0.01
     normal = np.empty((UNKNOWNS, UNKNOWNS))
     agree, count = 0, 0
     for turn in range(2 if reach <= 4.0 else 3):
         width = max(reach / (1.0 + 1.5 * turn), 2.0)
         a = docking_view.attitude(x[3:6])
         count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, samples)
+        displace_samples(lens, samples, count, x)
         search_edge_samples(image, first_line, line_step, samples, count, width, least)
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
             if not fit_pose(lens, samples, count, x, robust, prior, 2, normal):
@@ -171,20 +170,19 @@ def _leave_out(samples, count, used, camera, near_bar):
 def measure(
     image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, samples, left, normal, sums
 ):
-    """Measure the pose ``x`` (9,), accurate to about a pixel; return (status, number of samples).
+    """Measure the pose ``x`` (15,), accurate to about a pixel; return (status, number of samples).
 
     camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. left: residuals, px.
-    normal: (9, 9), of the edges alone. sums: (4,) of ``square_sums``.
+    normal: (15, 15), of the edges alone. sums: (4,) of ``square_sums``.
     """
-    prior, noise, blur_sums = np.empty(PRIORS), np.empty(2), np.empty(2)
-    prior[0], prior[1] = tuning.prior_angle, tuning.prior_growth
-    prior[2] = prior[3] = tuning.prior_tone
+    prior, noise, blur_sums = tuning.prior, np.empty(2), np.empty(2)
     clusters = ARCS * circles.shape[0] + SIDES * lines.shape[0]
     count = 0
     for _ in range(tuning.rounds):
         a = docking_view.attitude(x[3:6])
         count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, tuning.length, tuning.most,
                           tuning.wide_bar * camera.blur, tuning.wanted, samples)  # fmt: skip
+        displace_samples(lens, samples, count, x)
         noise[0], noise[1] = camera.noise_0, camera.noise_1
         fit_edge_samples(image, first_line, line_step, samples, count, camera.blur, noise, 1, blur_sums)
         _leave_out(samples, count, used, camera, tuning.near_bar)

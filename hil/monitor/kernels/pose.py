@@ -1,11 +1,14 @@
 """Pose of the camera from the measured shifts of edges: Gauss-Newton on d and phi with the exact projection.
 
-Three more unknowns are those of the camera. The edges' growth, px, is the displacement common to all borders of parts,
-outwards from the geometry: cameras and renderers have one (irradiation, thresholds, rounding), and if neglected it biases
-the range. A tone curve T that is not straight displaces a blurred edge towards its darker side, in proportion to its
-step D and to the curve's bend at its middle level m; the bend of a gamma or an S-curve is about linear in m:
+More unknowns are those of the camera, each with a prior; one with a prior of 0 is not estimated. The edges' growth, px, is
+the displacement common to all borders of parts, outwards from the geometry: cameras and renderers have one (irradiation,
+thresholds, rounding), and if neglected it biases the range. A tone curve that is not straight displaces a blurred edge
+towards its darker side, in proportion to its step D and to the curve's bend at its middle level m, a polynomial of it:
 
-    shift = D / 128 * (a + b (1 - m / 128)),  a and b in px
+    shift = D / 128 * (a + b w + c w^2),  w = 1 - m / 128,  a, b and c in px
+
+The lens displaces the image at (u, v) from the principal point by e (u, v) + (p, q) + k r^2 / R^3 (u, v) + (0, s v): focal
+length, principal point, distortion of k px at the corner R, height of the pixels.
 """
 
 from __future__ import annotations
@@ -19,11 +22,12 @@ from hil.maths import cholesky
 from hil.models import docking_view
 from hil.monitor.kernels.edges import WHITE
 
-UNKNOWNS = 9
-"""d, m, phi, rad, growth, px, and both terms of the tone curve, px."""
-PRIORS = 4
-"""1 sigma of d1/d3 and d2/d3, rad, of the growth, px, and of both terms of the tone curve, px; 0: no such term."""
-_WITHOUT_TONE = 7
+GROWTH, TONE, FOCAL, ASPECT, POINT_U, POINT_V, DISTORTION = 6, 7, 10, 11, 12, 13, 14
+UNKNOWNS = 15
+"""d, m, phi, rad, then those of the camera: growth and three terms of the tone curve, px, focal length and height of the
+pixels, relative, principal point and distortion, px."""
+PRIORS = 1 + UNKNOWNS - GROWTH
+"""1 sigma of d1/d3 and d2/d3, rad, and of each unknown of the camera; 0: it is not estimated."""
 HALF_SCALE = 128.0
 
 _TURN = 1e-5  # rad, half step of the difference quotients of the attitude: error 1e-10
@@ -72,66 +76,91 @@ def point_row(lens, a, slopes, d, y1, y2, y3, nu, nv, row):
 
 
 @kernel
-def camera_row(sample, row):
-    """Write the derivatives of a sample's shift by the camera's three unknowns to row[6:]."""
+def camera_row(lens, sample, u, v, row):
+    """Write the derivatives of a sample's shift by the unknowns of the camera to row[6:]; u, v: projection, px."""
     low, high = min(sample.low, WHITE), min(sample.high, WHITE)
-    row[6] = sample.grows
-    row[7] = sample.grows * (low - high) / HALF_SCALE
-    row[8] = row[7] * (1.0 - 0.5 * (low + high) / HALF_SCALE)
+    row[GROWTH] = sample.grows
+    bend = 1.0 - 0.5 * (low + high) / HALF_SCALE
+    row[TONE] = sample.grows * (low - high) / HALF_SCALE
+    row[TONE + 1] = row[TONE] * bend
+    row[TONE + 2] = row[TONE + 1] * bend
+    across, down = u - lens[1], v - lens[2]
+    outwards = sample.nu * across + sample.nv * down
+    row[FOCAL], row[ASPECT] = outwards, sample.nv * down
+    row[POINT_U], row[POINT_V] = sample.nu, sample.nv
+    corner = 0.5 * math.hypot(lens[3], lens[4])
+    row[DISTORTION] = outwards * (across * across + down * down) / (corner * corner * corner)
 
 
 @kernel
-def unknowns_of(prior):
-    """Return the number of unknowns that ``prior`` (PRIORS,) leaves to be estimated."""
-    return UNKNOWNS if prior[2] > 0.0 else _WITHOUT_TONE
+def displace_samples(lens, samples, count, pose):
+    """Move each sample to where the lens of ``pose`` (15,) displaces it."""
+    corner = 0.5 * math.hypot(lens[3], lens[4])
+    for c in range(count):
+        sample = samples[c]
+        across, down = sample.u - lens[1], sample.v - lens[2]
+        scale = pose[FOCAL] + pose[DISTORTION] * (across * across + down * down) / (corner * corner * corner)
+        sample.u += scale * across + pose[POINT_U]
+        sample.v += (scale + pose[ASPECT]) * down + pose[POINT_V]
 
 
 @kernel
-def _add_prior(normal, right, x, prior):
+def unknowns_of(prior, which):
+    """Write the unknowns that are estimated with ``prior`` (PRIORS,) to which (UNKNOWNS,); return how many."""
+    known = 0
+    for i in range(UNKNOWNS):
+        if i < GROWTH or prior[i - GROWTH + 1] > 0.0:
+            which[known] = i
+            known += 1
+    return known
+
+
+@kernel
+def _add_prior(normal, right, x, prior, which, known):
     """Add the prior information (PRIORS,), which matters only for what the edges leave open.
 
-    The passive angles, the growth and the terms of the tone curve are small.
+    The passive angles are small, and so are the camera's unknowns.
     """
     for i in range(2):
         weight = 1.0 / (prior[0] * prior[0] * x[2] * x[2])
         normal[i, i] += weight
         right[i] -= weight * x[i]
-    for i in range(6, unknowns_of(prior)):
-        sigma = prior[min(i - 5, PRIORS - 1)]
+    for i in range(GROWTH, known):
+        sigma = prior[which[i] - GROWTH + 1]
         weight = 1.0 / (sigma * sigma)
         normal[i, i] += weight
-        right[i] -= weight * x[i]
+        right[i] -= weight * x[which[i]]
 
 
 @kernel
 def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
-    """Improve ``pose`` (9,): d, m, phi, rad, growth and tone, px, by the shifts of the samples.
+    """Improve ``pose`` (15,): d, m, phi, rad, and the camera's unknowns, by the shifts of the samples.
 
-    normal: (9, 9), overwritten by the normal matrix of the edges alone.
+    normal: (15, 15), overwritten by the normal matrix of the edges alone.
 
     Samples with good = 1 are used. robust: px; above 0, samples have equal weight times Tukey's weight of that
     scale; at 0 the inverse of their variance. Return whether the pose is determined (with the prior).
     """
     a = docking_view.attitude(pose[3:6])
-    known = unknowns_of(prior)
-    slopes, row = np.empty((3, 3, 3)), np.empty(UNKNOWNS)
-    right, step, full = np.empty(known), np.empty(known), np.empty((known, known))
+    which = np.empty(UNKNOWNS, np.int64)
+    known = unknowns_of(prior, which)
+    slopes, row, own = np.empty((3, 3, 3)), np.empty(UNKNOWNS), np.empty(known)
+    right, step, part, full = np.empty(known), np.empty(known), np.empty((known, known)), np.empty((known, known))
     for _ in range(turns):
         a = docking_view.attitude(pose[3:6])
         attitude_derivatives(pose[3:6], slopes)
         for i in range(known):
             right[i] = 0.0
-        for i in range(UNKNOWNS):
-            for j in range(UNKNOWNS):
-                normal[i, j] = 0.0
+            for j in range(known):
+                part[i, j] = 0.0
         for c in range(count):
             sample = samples[c]
             if sample.good != 1:
                 continue
             u, v = point_row(lens, a, slopes, pose[:3], sample.y1, sample.y2, sample.y3, sample.nu, sample.nv, row)
-            camera_row(sample, row)
+            camera_row(lens, sample, u, v, row)
             left = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
-            for i in range(6, UNKNOWNS):
+            for i in range(GROWTH, UNKNOWNS):
                 left -= row[i] * pose[i]
             if not math.isfinite(left):
                 return False
@@ -140,22 +169,29 @@ def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
                 inside = 1.0 - (left / robust) ** 2
                 weight = inside * inside if inside > 0.0 else 0.0
             for i in range(known):
-                right[i] += weight * row[i] * left
+                own[i] = row[which[i]]
+                right[i] += weight * own[i] * left
                 for j in range(i + 1):
-                    normal[i, j] += weight * row[i] * row[j]
+                    part[i, j] += weight * own[i] * own[j]
         for i in range(known):
             for j in range(i):
-                normal[j, i] = normal[i, j]
+                part[j, i] = part[i, j]
         for i in range(known):
             for j in range(known):
-                full[i, j] = normal[i, j]
-        _add_prior(full, right, pose, prior)
+                full[i, j] = part[i, j]
+        _add_prior(full, right, pose, prior, which, known)
         if not cholesky.solve_system(full, right, step):
             return False
         for i in range(known):
-            pose[i] += step[i]
+            pose[which[i]] += step[i]
         if not (pose[2] > 0.01 and abs(step[3]) < 1.0 and abs(step[4]) < 1.0 and abs(step[5]) < 1.0):
             return False
+    for i in range(UNKNOWNS):
+        for j in range(UNKNOWNS):
+            normal[i, j] = 0.0
+    for i in range(known):
+        for j in range(known):
+            normal[which[i], which[j]] = part[i, j]
     return True
 
 
@@ -172,6 +208,6 @@ def residuals(lens, samples, count, pose, left):
             x = docking_view.to_camera(a, pose[:3], p)
             u, v = docking_view.project_point(lens[0], lens[1], lens[2], x)
             left[c] = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
-            camera_row(sample, row)
-            for i in range(6, UNKNOWNS):
+            camera_row(lens, sample, u, v, row)
+            for i in range(GROWTH, UNKNOWNS):
                 left[c] -= row[i] * pose[i]

@@ -93,11 +93,13 @@ def test_a_shifted_pose_is_found_again(atv: Scene) -> None:
     at = np.array([0.2, -0.3, 5.0, -0.08, -0.06, 0.1])
     renderer = TargetRenderer(atv, conditions=Conditions(noise=PixelNoise(read=1.0)))
     image = renderer.image(at[:3], at[3:], 0.0, np.random.default_rng(1))
-    start = np.append(at + np.array((1e-3, -1e-3, 3e-3, 1e-4, -1e-4, 5e-4)), np.zeros(3))
+    start = np.append(at + np.array((1e-3, -1e-3, 3e-3, 1e-4, -1e-4, 5e-4)), np.zeros(pose.UNKNOWNS - 6))
     of = target_features(atv.camera, atv.target)
     found = fitted(atv, image, start[:6], 0.85, np.array([1.1, 0.0]))
     normal = np.zeros((pose.UNKNOWNS, pose.UNKNOWNS))
-    assert pose.fit_pose(of.lens, found, len(found), start, 0.0, np.array([0.1, 0.1, 0.0, 0.0]), 4, normal)
+    assert pose.fit_pose(
+        of.lens, found, len(found), start, 0.0, np.array([0.1, 0.1] + [0.0] * (pose.PRIORS - 2)), 4, normal
+    )
     sigmas = np.sqrt(np.diag(np.linalg.inv(normal[:7, :7])))[:6]
     assert np.all(np.abs(start[:6] - at) < 4.0 * sigmas + 1e-5)
 

@@ -29,7 +29,7 @@ def motion() -> np.ndarray:
 
 
 def frame(t_s: float, pose: np.ndarray, normal: np.ndarray, number: int = 0) -> FrameResult:
-    """Return a frame with ``pose`` (7,) and its ``normal`` (7, 7); the tone curve is straight."""
+    """Return a frame with ``pose`` (7,) and its ``normal`` (7, 7), of a camera that only lets edges grow."""
     full, whole = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     full[:7, :7], whole[:7] = normal, pose
     prior = np.array([0.0] * 7 + [1e12] * (UNKNOWNS - 7))
@@ -66,7 +66,9 @@ def test_errors_of_the_carried_motion_match_its_covariance(rng: np.random.Genera
         fit, own = MotionFit(UNIFORM, atv), np.append(np.zeros(6), growth * rng.normal())
         for portion in range(4):
             times = 0.1 * np.arange(10 * portion, 10 * portion + 10)
-            poses = [np.append(motion()[0::2] + t * motion()[1::2], 0.0) + own + root @ rng.normal(size=7) for t in times]
+            poses = [
+                np.append(motion()[0::2] + t * motion()[1::2], 0.0) + own + root @ rng.normal(size=7) for t in times
+            ]
             found = fit.fit([frame(t, pose, normal) for t, pose in zip(times, poses, strict=True)], times[-1])
         assert found is not None
         squares += ratio(found, times[-1]) ** 2 / runs
