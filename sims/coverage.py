@@ -2,9 +2,9 @@
 
 python sims/coverage.py [--portions 400] [--poses 300] [--seed N] [--workers N]
 
-The fraction of errors within two sigmas, in per cent; 90 to 98 are allowed. Continuous portions carry their motion over,
-so that errors of neighbours are alike: their fractions are less certain than those of independent ones. Exit code 1 if a
-column with at least 100 values is outside.
+The fraction of errors within two sigmas, in per cent; 90 to 98 are allowed. Continuous portions carry their motion
+over, so that errors of neighbours are alike: their fractions are less certain than those of independent ones. Exit code
+1 if a column with at least 100 values is outside.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """Vision unit and docking monitor on images with the errors of real lenses, sensors, calibrations and scene files.
 
-python sims/disturbances.py vmu|monitor|all [--seeds 3] [--count N] [--row TEXT] [--workers N] [--json FILE] [--page FILE]
+python sims/disturbances.py vmu|monitor|all [--seeds 3] [--count N] [--row TEXT] [--workers N] [--json FILE]
+    [--page FILE] [--again]
 
 The images are those of renderers of their own. One line per row: frames solved or portions measured per seed, gross
-errors (beyond 3 deg or 1 % of the range, and beyond 4 sigma), error over sigma, 2-sigma coverage, statuses of the refused
-images, processor time per pair or portion, and what is not as expected. Calibrations of the vision unit (1 sigma): very
-good is 0.05 px, 0.02 % of the focal length, 0.003 deg, 0.03 mm, LEDs to 0.05 mm; usual is 0.2 px, 0.1 %, 0.02 deg, 0.1 mm,
-LEDs to 0.1 mm. The monitor's portions are at 3 to 12 m, each of a new monitor.
+errors (beyond 3 deg or 1 % of the range, and beyond 4 sigma), error over sigma, 2-sigma coverage, statuses of the
+refused images, processor time per pair or portion, and what is not as expected. Calibrations of the vision unit (1
+sigma): very good is 0.05 px, 0.02 % of the focal length, 0.003 deg, 0.03 mm, LEDs to 0.05 mm; usual is 0.2 px, 0.1 %,
+0.02 deg, 0.1 mm, LEDs to 0.1 mm. The monitor's portions are at 3 to 12 m, each of a new monitor.
 
 --json FILE is written after each row and seed; rows that it has with the same count are not repeated, unless --again.
 --page FILE: replace the tables between its markers by those of all results. Exit code 1 if a row is not as expected.
@@ -34,7 +35,7 @@ TABLES: dict[str, tuple[dict[str, Row | MonitorRow], int]] = {
     "vmu": ({row.name: row for row in ROWS}, 40),
     "monitor": ({row.name: row for row in MONITOR_ROWS}, 20),
 }
-HEAD = "| row | {} | gross | error over sigma, rms | within 2 sigma, % | refused | ms | |\n|---|---|---|---|---|---|---|---|"
+HEAD = "| row | {} | gross | error over sigma, rms | within 2 sigma, % | refused | ms | |\n" + 8 * "|---" + "|"
 Key = tuple[str, str, int, int]  # unit, row, count, seed
 
 
@@ -136,7 +137,7 @@ def main() -> int:
     with ProcessPoolExecutor(chosen.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         waiting = {pool.submit(solve, key): key for key in left}
         for done in as_completed(waiting):
-            unit, name, count, seed = waiting[done]
+            unit, name, count, _seed = waiting[done]
             results.add(waiting[done], done.result())
             if all((unit, name, count, k) in results.found for k in range(chosen.seeds)):
                 print(results.line(unit, name, count, results.verdicts()[unit, name, count]), flush=True)

@@ -29,7 +29,7 @@ _LARGEST_PASSIVE: Final = 0.2  # rad: largest parallax of the cross relative to 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A first pose (15,): d, m, phi, rad, a camera without errors; whether it is based on the cross on the disc; score, 0..1."""
+    """A first pose (15,) of a camera without errors; whether it is based on the cross on the disc; score, 0..1."""
 
     pose: Floats
     near: bool

@@ -2,13 +2,13 @@
 
 The motion is ``d = z + z' t``, ``phi = v + v' t``, with t from the portion's last frame. Each frame gives its pose
 with the full normal matrix of its edges, so the fit is equivalent to one of all edges of all frames together. The
-estimate of the previous portion is carried over and weighted by q (d) and q' (phi), that of the camera's unknowns by their
-correlation time. An unknown acceleration of given size is included; without it a smooth sway would make
-the covariance too small.
+estimate of the previous portion is carried over and weighted by q (d) and q' (phi), that of the camera's unknowns by
+their correlation time. An unknown acceleration of given size is included; without it a smooth sway would make the
+covariance too small.
 
 Frames that scatter about their motion are explained, if their likelihood is much larger then, by a vibration of the
-camera (a random displacement of each image), by images lost unnoticed, by fields in the other order, or by a single wild
-frame, which is left out. What remains widens all sigmas; other times of the frames are accepted only if nothing remains.
+camera (a random rotation in each frame), by images lost unnoticed, by fields in the other order, or by a single wild
+frame, which is left out. What remains widens all sigmas; other times of the frames are accepted only if nothing does.
 """
 
 from __future__ import annotations
@@ -308,7 +308,7 @@ def _at_most(covariance: Floats) -> Floats:
 
 
 def _with_jitter(frame: FrameResult, jitter: float) -> tuple[Floats, Floats, float]:
-    """Return the information (15, 15) of a frame whose pointing has a random error of ``jitter``, rad, beside its edges'.
+    """Return the information (15, 15) of a frame whose pointing has a random error of ``jitter``, rad.
 
     Also the share (15, 15) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
     """

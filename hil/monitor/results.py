@@ -128,8 +128,8 @@ class FrameResult:
     """Measurement of one frame. detection: for the screen; its status is near, far, no_target or rejected_<why>.
 
     reason: why it was not used, as text. pose: (15,), d, m, phi, rad, and the unknowns of the camera
-    (``kernels/pose.py``). normal: (15, 15), of the edges alone; prior: (15,), the diagonal of the prior on the pose. sums: (4,) of ``measure.square_sums``. noise: grey values,
-    1 sigma of a pixel at grey value 100.
+    (``kernels/pose.py``). normal: (15, 15), of the edges alone; prior: (15,), the diagonal of the prior on the pose.
+    sums: (4,) of ``measure.square_sums``. noise: grey values, 1 sigma of a pixel at grey value 100.
     """
 
     detection: FrameDetection

@@ -21,13 +21,16 @@ class Expectation:
     """What a user may expect of a row.
 
     solved: least fraction of images with a result. refused: statuses that name the cause, of a row whose images should
-    give no result unless it is right within its sigmas. drawn: whether the errors are drawn from the tolerances that are
-    stated; where the real error is smaller or always the same, sigmas may be too wide.
+    give no result unless it is right within its sigmas. drawn: whether the errors are drawn from the tolerances that
+    are stated; where the real error is smaller or always the same, sigmas may be too wide.
     """
 
     solved: float = 0.95
     refused: tuple[str, ...] = ()
     drawn: bool = True
+
+
+USUAL_ROW = Expectation()
 
 
 @dataclass

@@ -16,7 +16,7 @@ from hil.config.scene import CameraTolerances, Scene
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import QUANTITIES, Result
 from hil.monitor.sources import VideoFrame
-from tests.support.disturbances import Expectation, SeedResult
+from tests.support.disturbances import USUAL_ROW, Expectation, SeedResult
 from tests.support.tv_pixels import TvCamera, TvTarget
 
 Array = npt.NDArray[np.float64]
@@ -85,7 +85,7 @@ class MonitorRow:
     lost: int = 0
     said_fields: str = "whole"
     plate_m: float = 0.0
-    expected: Expectation = Expectation()
+    expected: Expectation = USUAL_ROW
 
     def scene(self) -> Scene:
         """Return the scene file of the lab."""

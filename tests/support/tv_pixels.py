@@ -29,11 +29,11 @@ _COARSE = 4  # rows and columns of a plain grid
 class TvCamera:
     """Real camera and sensor. f_share, aspect: relative errors of the focal length and of the pixels' height.
 
-    distortion: k1. gamma: exponent of the levels. s_curve: strength of a smooth step mixed in. jitter_px: 1 sigma of the
-    displacement of each frame by a rotation of the camera. fields: "" for whole frames, else which field is exposed first, the other half a
-    period later. shadow: depth of a shadow beside the cross, 0..1. plate_behind_m: of the plate behind the disc.
-    coarse: pixels are integrated in steps of a quarter of a pixel and blurred afterwards, which displaces edges by about
-    0.02 px.
+    distortion: k1. gamma: exponent of the levels. s_curve: strength of a smooth step mixed in. jitter_px: 1 sigma of
+    the displacement of each frame by a rotation of the camera. fields: "" for whole frames, else which field is exposed
+    first, the other half a period later. shadow: depth of a shadow beside the cross, 0..1. plate_behind_m: of the plate
+    behind the disc. coarse: pixels are integrated in steps of a quarter of a pixel and blurred afterwards, which
+    displaces edges by about 0.02 px.
     """
 
     f_share: float = 0.0

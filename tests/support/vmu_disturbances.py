@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.unit import Solution, VisionUnit
-from tests.support.disturbances import Expectation, SeedResult
+from tests.support.disturbances import USUAL_ROW, Expectation, SeedResult
 from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene, turned
 
 LENS = {"fx": 1200.0, "fy": 1200.0, "width": 1024, "height": 1024, "distortion": (-0.08, 0.02, 3e-4, -2e-4, 0.0)}
@@ -181,7 +181,7 @@ class Row:
     late: bool = False
     lead_in: int = 0
     """frames of a good track before the disturbance, not counted"""
-    expected: Expectation = Expectation()
+    expected: Expectation = USUAL_ROW
 
     def run(self, count: int, seed: int) -> Tally:
         """Return the tally of ``count`` frames."""

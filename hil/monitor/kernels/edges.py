@@ -1,7 +1,7 @@
 """Edge measurement: fit of the blurred profile to the pixels of each edge sample, to a fraction of a pixel.
 
-Pixels at full scale are censored: they only say that the light is not below it. The profile exceeds full scale where
-the image is overexposed, and its shift follows from the pixels of the slope that are not clipped.
+Pixels at full scale are censored: the light is not below it. The profile exceeds full scale where the image is
+overexposed, and its shift follows from the pixels of the slope that are not clipped.
 """
 
 from __future__ import annotations
@@ -206,8 +206,8 @@ def _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor
 def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, row, normal, right, factor, step):
     """Improve the first ``known`` parameters ``x`` (4,) of a profile by its pixels.
 
-    Return the weighted square sum of the residuals and the number of pixels that are not clipped; -1 without a solution.
-    normal, right and factor are those of the last step.
+    Return the weighted square sum of the residuals, and the number of pixels that are not clipped or -1 without a
+    solution. normal, right and factor are those of the last step.
     """
     near_white = WHITE - math.sqrt(noise[0] + noise[1] * WHITE)
     cut = False

@@ -1,14 +1,14 @@
 """Pose of the camera from the measured shifts of edges: Gauss-Newton on d and phi with the exact projection.
 
-More unknowns are those of the camera, each with a prior; one with a prior of 0 is not estimated. The edges' growth, px, is
-the displacement common to all borders of parts, outwards from the geometry: cameras and renderers have one (irradiation,
-thresholds, rounding), and if neglected it biases the range. A tone curve that is not straight displaces a blurred edge
-towards its darker side, in proportion to its step D and to the curve's bend at its middle level m, a polynomial of it:
+More unknowns are those of the camera, each with a prior; one with a prior of 0 is not estimated. The edges' growth, px,
+is the displacement common to all borders of parts, outwards from the geometry: cameras and renderers have one
+(irradiation, thresholds, rounding), and if neglected it biases the range. A tone curve that is not straight displaces a
+blurred edge towards its darker side, in proportion to its step D and to the curve's bend at its middle level m:
 
     shift = D / 128 * (a + b w + c w^2),  w = 1 - m / 128,  a, b and c in px
 
-The lens displaces the image at (u, v) from the principal point by e (u, v) + (p, q) + k r^2 / R^3 (u, v) + (0, s v): focal
-length, principal point, distortion of k px at the corner R, height of the pixels.
+The lens displaces the image at (u, v) from the principal point by e (u, v) + (p, q) + k r^2 / R^3 (u, v) + (0, s v):
+focal length, principal point, distortion of k px at the corner R, height of the pixels.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from hil.monitor.kernels.edges import WHITE
 
 GROWTH, TONE, FOCAL, ASPECT, POINT_U, POINT_V, DISTORTION = 6, 7, 10, 11, 12, 13, 14
 UNKNOWNS = 15
-"""d, m, phi, rad, then those of the camera: growth and three terms of the tone curve, px, focal length and height of the
-pixels, relative, principal point and distortion, px."""
+"""d, m, phi, rad, then those of the camera: growth and three terms of the tone curve, px, focal length and height of
+the pixels, relative, principal point and distortion, px."""
 PRIORS = 1 + UNKNOWNS - GROWTH
 """1 sigma of d1/d3 and d2/d3, rad, and of each unknown of the camera; 0: it is not estimated."""
 HALF_SCALE = 128.0

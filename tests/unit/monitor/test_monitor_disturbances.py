@@ -44,20 +44,20 @@ def test_clipped_pixels_displace_no_edge() -> None:
     [
         (Expectation(), {}, ""),
         (Expectation(), {"gross": 1}, "1 gross errors"),
-        (Expectation(), {"solved": 30, "statuses": dict(ok=30, ambiguous=10)}, "less than 95 % solved"),
+        (Expectation(), {"solved": 30, "statuses": {"ok": 30, "ambiguous": 10}}, "less than 95 % solved"),
         (Expectation(), {"ratios": [0.5] * 100}, "more than 98 % within 2 sigma"),
         (Expectation(drawn=False), {"ratios": [0.5] * 100}, ""),
         (Expectation(), {"ratios": [0.5] * 80 + [2.5] * 20}, "less than 90 % within 2 sigma"),
         (
             Expectation(refused=("rejected_sync",)),
-            {"solved": 10, "statuses": dict(ok=10, rejected_sync=20, rejected_geometry=10)},
+            {"solved": 10, "statuses": {"ok": 10, "rejected_sync": 20, "rejected_geometry": 10}},
             "less than 90 % of the refused images name the cause",
         ),
-        (Expectation(refused=("rejected_sync",)), {"solved": 2, "statuses": dict(ok=2, rejected_sync=38)}, ""),
+        (Expectation(refused=("rejected_sync",)), {"solved": 2, "statuses": {"ok": 2, "rejected_sync": 38}}, ""),
     ],
 )
 def test_verdict_names_what_is_not_as_expected(expected: Expectation, results: dict[str, object], why: str) -> None:
-    good = {"frames": 40, "solved": 40, "statuses": dict(ok=40), "ratios": [0.5] * 95 + [2.5] * 5}
+    good = {"frames": 40, "solved": 40, "statuses": {"ok": 40}, "ratios": [0.5] * 95 + [2.5] * 5}
     assert judge(expected, [SeedResult(**(good | results))]).why == why  # type: ignore[arg-type]
 
 
