@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 import numpy as np
 
-from tests.support.disturbances import SeedResult, Verdict, judge
+from tests.support.disturbance_verdicts import SeedResult, Verdict, judge
 from tests.support.monitor_disturbances import MONITOR_ROWS, MonitorRow
 from tests.support.vmu_disturbances import ROWS, Row
 
@@ -105,7 +105,7 @@ class Results:
 
 
 def write_page(results: Results, page: Path) -> None:
-    """Replace what stands between the markers ``<!-- UNIT -->`` and ``<!-- end -->`` of ``page``."""
+    """Replace the text between the markers ``<!-- UNIT -->`` and ``<!-- end -->`` of ``page``."""
     text = page.read_text()
     for unit in TABLES:
         before, rest = text.split(f"<!-- {unit} -->\n")

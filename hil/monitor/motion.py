@@ -72,7 +72,7 @@ class MotionSolution:
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """Explanation of a portion: its frames, their times, s, from the last one, jitter, px, and what it says of time."""
+    """Explanation of a portion: its frames, their times, s, from the last one, jitter, px, and errors of time."""
 
     frames: tuple[FrameResult, ...]
     times: tuple[float, ...]
@@ -82,7 +82,7 @@ class _Hypothesis:
 
     @property
     def timing(self) -> str:
-        """Return what it says of the times of the frames, "" if they are as stated."""
+        """Return the difference of the frames' times from those stated as text, "" without one."""
         words = ["fields exchanged"] if self.exchanged else []
         return ", ".join(words + ([f"{self.lost} images lost"] if self.lost else []))
 
@@ -310,7 +310,7 @@ def _at_most(covariance: Floats) -> Floats:
 def _with_jitter(frame: FrameResult, jitter: float) -> tuple[Floats, Floats, float]:
     """Return the information (15, 15) of a frame whose pointing has a random error of ``jitter``, rad.
 
-    Also the share (15, 15) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
+    Also the fraction (15, 15) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
     """
     if jitter == 0.0:
         return frame.normal, np.zeros((UNKNOWNS, UNKNOWNS)), 0.0

@@ -16,7 +16,7 @@ from hil.config.scene import CameraTolerances, Scene
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import QUANTITIES, Result
 from hil.monitor.sources import VideoFrame
-from tests.support.disturbances import USUAL_ROW, Expectation, SeedResult
+from tests.support.disturbance_verdicts import USUAL_ROW, Expectation, SeedResult
 from tests.support.tv_pixels import TvCamera, TvTarget
 
 Array = npt.NDArray[np.float64]

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.unit import Solution, VisionUnit
-from tests.support.disturbances import USUAL_ROW, Expectation, SeedResult
+from tests.support.disturbance_verdicts import USUAL_ROW, Expectation, SeedResult
 from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene, turned
 
 LENS = {"fx": 1200.0, "fy": 1200.0, "width": 1024, "height": 1024, "distortion": (-0.08, 0.02, 3e-4, -2e-4, 0.0)}

@@ -170,13 +170,13 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
 
 @kernel
 def allowed_pixels(sample):
-    """Return the square sum that is expected of a sample's pixels, with an error of the profile beside their noise."""
+    """Return the square sum that is expected of a sample's pixels, by their noise and an error of the profile."""
     return sample.pixels + MODEL_ERROR_PX * MODEL_ERROR_PX * sample.steepness
 
 
 @kernel
 def _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor, step, sample):
-    """Measure a bar by one of its borders if that fits much better: a shadow or a glare lies beside the other one."""
+    """Measure a bar by one of its borders if that fits much better: a shadow or a glare is next to the other one."""
     least = sample.misfit / allowed_pixels(sample) if sample.good == 1 else math.inf
     own, levels = np.empty(n), np.empty(n)
     for way in (1.0, -1.0):

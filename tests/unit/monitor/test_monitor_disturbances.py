@@ -9,7 +9,7 @@ import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import CameraTolerances
-from tests.support.disturbances import Expectation, SeedResult, judge
+from tests.support.disturbance_verdicts import Expectation, SeedResult, judge
 from tests.support.monitor_disturbances import MONITOR_ROWS, MonitorRow
 
 BY_NAME = {row.name: row for row in MONITOR_ROWS}

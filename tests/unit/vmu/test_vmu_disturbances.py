@@ -13,7 +13,7 @@ from hil.vmu.geometry import considered_covariance
 from hil.vmu.kernels.chain import COMMON
 from hil.vmu.kernels.records import SHARED
 from hil.vmu.unit import VisionUnit
-from tests.support.disturbances import judge
+from tests.support.disturbance_verdicts import judge
 from tests.support.vmu_disturbances import EXACT, ROWS, USUAL, Row, known_geometry, real_bench, somewhere
 from tests.support.vmu_pixels import PixelOptics
 
