@@ -310,7 +310,7 @@ def _at_most(covariance: Floats) -> Floats:
 def _with_jitter(frame: FrameResult, jitter: float) -> tuple[Floats, Floats, float]:
     """Return the information (15, 15) of a frame whose pointing has a random error of ``jitter``, rad.
 
-    Also the fraction (15, 15) of the edges' right-hand side that it takes away, and ln of the growth of the determinant.
+    Also the fraction (15, 15) of the edges' right-hand side that it removes, and ln of the determinant's growth.
     """
     if jitter == 0.0:
         return frame.normal, np.zeros((UNKNOWNS, UNKNOWNS)), 0.0
