@@ -205,9 +205,9 @@ class MotionFit:
                 yield replace(chosen, times=tuple(times), lost=len(lost)), _TIMING
         worst = int(np.argmax(found.squares))
         if len(chosen.frames) > 3 and found.squares[worst] > max(_WILD_FRAME, 8.0 * float(np.median(found.squares))):
-            frames, times = list(chosen.frames), list(chosen.times)
-            del frames[worst], times[worst]
-            yield replace(chosen, frames=tuple(frames), times=tuple(times)), _DROPPED
+            kept = [k for k in range(len(chosen.frames)) if k != worst]
+            frames, at = tuple(chosen.frames[k] for k in kept), tuple(chosen.times[k] for k in kept)
+            yield replace(chosen, frames=frames, times=at), _DROPPED
 
     def _solve(self, chosen: _Hypothesis, t_s: float) -> _Fit | None:
         frames = chosen.frames
