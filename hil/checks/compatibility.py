@@ -161,7 +161,10 @@ def _jerk_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
 
 
 def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each axis group whose wire cannot carry the exchanges: the file's, else one per setpoint."""
+    """Return a problem for each wire that cannot carry its messages.
+
+    These are the frames of the vision unit, and the exchanges of each axis group: the file's, else one per setpoint.
+    """
     axes_hz, step_s = rig.value.bench.axes_rate_hz, scenario.value.step_s
     if axes_hz is not None:
         source, key, value, setpoints_hz = rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", axes_hz, axes_hz
@@ -179,6 +182,11 @@ def _wire_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
         elif own_hz is None and setpoints_hz > most_hz and name != "target_manipulator":
             text = f"{value:g}: {setpoints_hz:g} setpoints per second, {carries}; rig.{own} limits the exchanges"
             problems.append(Problem(source, key, text))
+    vmu = rig.value.vmu
+    most_hz = vmu.entry.setpoints_hz(vmu) if vmu.has_wires else math.inf
+    if vmu.rate_hz > most_hz:
+        text = f"{vmu.rate_hz:g}: the wire of vmu ({vmu.driver}) carries {most_hz:.0f} frames per second"
+        problems.append(Problem(rig.where("vmu.rate_hz"), "rig.vmu.rate_hz", text))
     return problems
 
 

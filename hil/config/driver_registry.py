@@ -109,7 +109,8 @@ class DriverEntry:
     has_processes: whether the driver, of a vision unit, has processes of its own: the loop reads their memory, without
     the I/O process between.
     emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
-    setpoints_hz: most setpoints per second that the wire of an axis group carries, inf if its speed does not matter.
+    setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
+    if its speed does not matter.
     """
 
     device: Device

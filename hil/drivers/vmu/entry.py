@@ -7,9 +7,11 @@ from typing import Final
 from hil.config.cameras import VisionCameras
 from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.load import load_frame
-from hil.config.rig import Vmu
+from hil.config.rig import Vmu, VmuLine
 from hil.config.vmu_frame import BUILT_IN
 from hil.errors import BadInput
+
+_BITS_PER_BYTE: Final = 10
 
 
 def _check_files(vmu: Vmu) -> list[str]:
@@ -21,6 +23,14 @@ def _check_files(vmu: Vmu) -> list[str]:
     return frame.value.warnings()
 
 
+def _frames_hz(vmu: Vmu) -> float:
+    """The unit sends one frame after the other."""
+    from hil.drivers.vmu.frame_codec import frame_codec  # on use: it is large
+
+    line = vmu.rs422 or VmuLine()
+    return line.baud / (_BITS_PER_BYTE * frame_codec(line.frames).size)
+
+
 ENTRY: Final = DriverEntry(
     "vmu",
     "rs422",
@@ -29,6 +39,7 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("rs422.port", "serial")],
     check_files=_check_files,
     identity=lambda vmu: vmu.identity.model_dump(exclude_none=True),
+    setpoints_hz=_frames_hz,
 )
 
 CAMERAS: Final = DriverEntry(

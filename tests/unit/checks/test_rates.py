@@ -52,6 +52,12 @@ MOCK = "mock"
             "rig.turntable.exchange_rate_max_hz",
             "2000: the wire of turntable (cia402) carries",
         ),
+        (
+            "emulated",
+            ("rig.vmu.rate_hz=1000.0",),
+            "rig.vmu.rate_hz",
+            "1000: the wire of vmu (rs422) carries",
+        ),
     ],
 )
 def test_rate_that_cannot_be_kept_is_rejected(rig: str, settings: tuple[str, ...], key: str, words: str) -> None:
