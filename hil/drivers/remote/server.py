@@ -27,6 +27,7 @@ LOOP_SILENCE_MAX_S: Final = 0.05
 FIFO_PRIORITY: Final = 60
 """Below the loop's, above everything else: the loop's commands must be sent."""
 _COUNTERS_EVERY: Final = 50  # periods
+_BEAT_WALL_S: Final = 0.004  # least time between two heartbeats: a setpoint may start a period at any time
 
 
 def raise_priority() -> None:
@@ -87,7 +88,7 @@ class DeviceServer:
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set."""
         periods = 0
-        stepped_s = time.monotonic()
+        stepped_s = beat_s = time.monotonic()
         while not stop.is_set():
             ready, _, _ = select.select([self._wake], [], [], self._period_wall_s)
             if ready:
@@ -96,7 +97,9 @@ class DeviceServer:
             wall_s = time.monotonic()
             self._pauses.note(wall_s - stepped_s - self._period_wall_s, wall_s)
             now_s = self.clock.now_s()
-            self._beat.write(self._heartbeat, now_s)
+            if wall_s - beat_s >= _BEAT_WALL_S:
+                beat_s = wall_s
+                self._beat.write(self._heartbeat, now_s)
             self.step(now_s)
             stepped_s = time.monotonic()
             periods += 1
