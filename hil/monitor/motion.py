@@ -9,6 +9,11 @@ covariance too small.
 Frames that scatter about their motion are explained, if their likelihood is much larger then, by a vibration of the
 camera (a random rotation in each frame), by images lost unnoticed, by fields in the other order, or by a single wild
 frame, which is left out. What remains widens all sigmas; other times of the frames are accepted only if nothing does.
+
+Growth and tone curve are estimated. The errors of the lens are considered: frames estimate them, which tells the errors
+of the edges from those of the lens, but a motion that relies on such estimates would be as good as the edges' model only.
+It takes the lens as stated, and its covariance includes the effect of the lens's tolerances, which is the same in all
+portions.
 """
 
 from __future__ import annotations
@@ -23,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.config.scene import Scene
-from hil.monitor.kernels.pose import GROWTH, UNKNOWNS
+from hil.monitor.kernels.pose import FOCAL, GROWTH, UNKNOWNS
 from hil.monitor.results import FrameResult
 from hil.monitor.settings import MonitorSettings
 
@@ -32,6 +37,8 @@ Floats = NDArray[np.float64]
 _CAMERA: Final = UNKNOWNS - GROWTH
 _CARRIED: Final = 12 + _CAMERA  # motion and camera
 _STATES: Final = _CARRIED + 6  # with accelerations
+_LENS: Final = slice(12 + FOCAL - GROWTH, _CARRIED)
+_FREE: Final = np.r_[0 : 12 + FOCAL - GROWTH, _CARRIED:_STATES]  # all states but those of the lens
 _FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: initial
 _WILD_FRAME: Final = 60.0  # chi-square of a frame's six pose components about the motion beyond which it may be dropped
 _SIGNIFICANT: Final = 3.0
@@ -89,12 +96,16 @@ class _Hypothesis:
 
 @dataclass(frozen=True)
 class _Carried:
-    """Motion and camera after a portion: x (21,), the covariance assumed by the next fit and the true one, (21, 21)."""
+    """Motion and camera after a portion: x (21,), the covariance assumed by the next fit and the true one, (21, 21).
+
+    by_lens: (21, 5), errors by one unit of each error of the lens, which ``true`` does not contain.
+    """
 
     t_s: float
     x: Floats
     assumed: Floats
     true: Floats
+    by_lens: Floats
 
 
 @dataclass(frozen=True)
@@ -216,6 +227,7 @@ class MotionFit:
         information, right = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
         designs = [_design(t) for t in chosen.times]
         normals, spread = [], 0.0
+        fixed = [_with_stated_lens(frame) for frame in frames]
         for frame, rows in zip(frames, designs, strict=True):
             # each frame's own prior is removed again, so that it counts once per portion
             edges = (frame.normal + np.diag(frame.prior)) @ frame.pose
@@ -226,9 +238,10 @@ class MotionFit:
             right += rows.T @ (edges - share @ edges)
         held = self._held(frames)
         known = _inverse(assumed)
-        total = known + held + information
+        total = (known + held + information)[np.ix_(_FREE, _FREE)]
+        inverse = np.zeros((_STATES, _STATES))
         try:
-            inverse = _inverse(total)
+            inverse[np.ix_(_FREE, _FREE)] = _inverse(total)
         except np.linalg.LinAlgError:
             return None
         if not np.all(np.isfinite(inverse)):
@@ -236,7 +249,8 @@ class MotionFit:
         theta = inverse @ (known @ mean + right)
         edges2, common, excess = _edge_squares(frames)
         squares = np.array([
-            _square(frame, normal, rows @ theta) for frame, normal, rows in zip(frames, normals, designs, strict=True)
+            _square(frame, pose, normal, rows @ theta)
+            for frame, pose, normal, rows in zip(frames, fixed, normals, designs, strict=True)
         ])  # fmt: skip
         motion2, doubt = _motion_square(squares)
         scattered = motion2 > edges2 * (1.0 + _SIGNIFICANT * doubt)
@@ -244,21 +258,34 @@ class MotionFit:
         noise = edges2 if excess == 0.0 else 1.0
         factor = noise * widened + len(frames) * excess
         covariance = inverse @ (known @ true @ known + held + factor * information) @ inverse
+        by_lens = inverse @ (known @ self._carried_by_lens(t_s) + information[:, _LENS])
+        reported = covariance + by_lens @ self._camera[FOCAL - GROWTH :, FOCAL - GROWTH :] @ by_lens.T
         normal12 = _inverse(inverse[:12, :12])
         if self._settings.motion == "printed":  # 3.2 as printed: sigma^2 B^-1 with the divisor of K frames alone
-            covariance = max(float(np.nan_to_num(motion2, nan=edges2)), 1e-6) * inverse
+            reported = covariance = max(float(np.nan_to_num(motion2, nan=edges2)), 1e-6) * inverse
         consistent = edges2 < 2.0 and excess == 0.0 and not scattered and not chosen.timing
         solution = MotionSolution(
-            Motion(t_s, theta[:12].copy(), normal12, covariance[:12, :12].copy()),
+            Motion(t_s, theta[:12].copy(), normal12, reported[:12, :12].copy()),
             len(frames), edges2, common, motion2, consistent, chosen.jitter_px, chosen.timing,
         )  # fmt: skip
         carried = _Carried(
-            t_s, theta[:_CARRIED].copy(), inverse[:_CARRIED, :_CARRIED].copy(), covariance[:_CARRIED, :_CARRIED].copy()
+            t_s, theta[:_CARRIED].copy(), inverse[:_CARRIED, :_CARRIED].copy(),
+            covariance[:_CARRIED, :_CARRIED].copy(), by_lens[:_CARRIED],
         )  # fmt: skip
+        for matrix in (carried.assumed, carried.true):
+            matrix[_LENS, _LENS] = self._camera[FOCAL - GROWTH :, FOCAL - GROWTH :]
         scale = np.sqrt(np.diag(total))
         determinant = 2.0 * float(np.log(scale).sum()) + float(np.linalg.slogdet(total / np.outer(scale, scale))[1])
         cost = float(squares.sum()) / noise + spread + determinant
         return _Fit(solution, carried, squares, float(np.nan_to_num(motion2 / noise, nan=1.0)), cost, scattered)
+
+    def _carried_by_lens(self, t_s: float) -> Floats:
+        """Return the errors (27, 5) of the carried motion at ``t_s`` by one unit of each error of the lens."""
+        out = np.zeros((_STATES, _CARRIED - _LENS.start))
+        if self._carried is not None:
+            out[:_CARRIED] = self._carried.by_lens
+            out[:12] = transition(t_s - self._carried.t_s) @ out[:12]
+        return out
 
     def _held(self, frames: Sequence[FrameResult]) -> Floats:
         """Return the information (27, 27) that the passive angles are small, for frames without a cross.
@@ -318,7 +345,7 @@ def _with_jitter(frame: FrameResult, jitter: float) -> tuple[Floats, Floats, flo
     inner = np.eye(2) / jitter**2 + pointing[3:5]
     share = np.zeros((UNKNOWNS, UNKNOWNS))
     share[:, 3:5] = pointing @ np.linalg.inv(inner)
-    loose = _without_camera(frame.normal + np.diag(frame.prior))[3:5, 3:5]
+    loose = _without_camera((frame.normal + np.diag(frame.prior))[:FOCAL, :FOCAL])[3:5, 3:5]
     return (
         frame.normal - share[:, 3:5] @ pointing.T,
         share,
@@ -343,16 +370,28 @@ def _edge_squares(frames: Sequence[FrameResult]) -> tuple[float, float, float]:
     return points, common, largest - 1.0 if any(too_large) else 0.0
 
 
+def _with_stated_lens(frame: FrameResult) -> Floats:
+    """Return the pose (15,) of a frame for a lens without errors."""
+    lens = frame.pose[FOCAL:]
+    if not lens.any():
+        return frame.pose
+    full = frame.normal + np.diag(frame.prior)
+    out = np.zeros(UNKNOWNS)
+    out[:FOCAL] = frame.pose[:FOCAL] + np.linalg.solve(full[:FOCAL, :FOCAL], full[:FOCAL, FOCAL:] @ lens)
+    return out
+
+
 def _without_camera(full: Floats) -> Floats:
-    """Return the information (6, 6) of ``full`` (15, 15) on the pose, those of the camera eliminated."""
+    """Return the information (6, 6) of ``full`` (n, n) on the pose, those of the camera eliminated."""
     loose: Floats = full[:6, :6] - full[:6, 6:] @ np.linalg.solve(full[6:, 6:], full[6:, :6])
     return loose
 
 
-def _square(frame: FrameResult, normal: Floats, at: Floats) -> float:
-    """Return chi-square of the frame's six pose components about the motion, those of the camera eliminated."""
-    gap = (frame.pose - at)[:6]
-    return float(gap @ _without_camera(normal + np.diag(frame.prior)) @ gap)
+def _square(frame: FrameResult, pose: Floats, normal: Floats, at: Floats) -> float:
+    """Return chi-square of a frame's pose (15,), six components, about the motion; those of the camera eliminated."""
+    gap = (pose - at)[:6]
+    full = normal + np.diag(frame.prior)
+    return float(gap @ _without_camera(full[:FOCAL, :FOCAL]) @ gap)
 
 
 def _motion_square(squares: Floats) -> tuple[float, float]:

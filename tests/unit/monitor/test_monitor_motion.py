@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import Scene
-from hil.monitor.kernels.pose import UNKNOWNS
+from hil.monitor.kernels.pose import FOCAL, UNKNOWNS
 from hil.monitor.motion import MotionFit, MotionSolution, transition
 from hil.monitor.results import FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
@@ -118,3 +120,27 @@ def test_a_wild_frame_is_left_out(rng: np.random.Generator, atv: Scene) -> None:
     assert found is not None
     assert (found.frames, found.timing) == (9, "")
     assert np.abs(ratio(found, times[-1])).max() < 4.0
+
+
+def test_error_of_the_lens_is_in_the_covariance_and_does_not_average_out(rng: np.random.Generator, atv: Scene) -> None:
+    """A relative error of the focal length is one of the range; that a frame has estimated it makes no difference."""
+    sigma = 0.01
+    stated = atv.camera.tolerances.model_copy(update={"focal_fraction": sigma})
+    scene = atv.model_copy(update={"camera": atv.camera.model_copy(update={"tolerances": stated})})
+    fit, w, found = MotionFit(UNIFORM, scene), motion(), None
+    for portion in range(3):
+        times, frames = 0.1 * np.arange(10 * portion, 10 * portion + 10), []
+        for t in times:
+            one = frame(t, np.append(w[0::2] + t * w[1::2], 0.0), np.diag(FINE**-2.0))
+            rows = np.eye(UNKNOWNS)[:7]
+            rows[2, FOCAL] = -(w[4] + t * w[5])  # measured is d3 - focal d3
+            normal = rows.T @ np.diag(FINE**-2.0) @ rows
+            prior = one.prior.copy()
+            prior[FOCAL] = sigma**-2.0
+            estimated = np.linalg.solve(normal + np.diag(prior), normal @ one.pose)
+            frames.append(replace(one, pose=estimated, normal=normal, prior=prior))
+        found = fit.fit(frames, times[-1])
+    assert found is not None
+    range_m = w[4] + times[-1] * w[5]
+    assert found.motion.w[4] == pytest.approx(range_m, abs=1e-6)
+    assert np.sqrt(found.motion.covariance[4, 4]) == pytest.approx(sigma * range_m, rel=0.02)
