@@ -10,10 +10,9 @@ Frames that scatter about their motion are explained, if their likelihood is muc
 camera (a random rotation in each frame), by images lost unnoticed, by fields in the other order, or by a single wild
 frame, which is left out. What remains widens all sigmas; other times of the frames are accepted only if nothing does.
 
-Growth and tone curve are estimated. The errors of the lens are considered: frames estimate them, which tells the errors
-of the edges from those of the lens, but a motion that relies on such estimates would be as good as the edges' model only.
-It takes the lens as stated, and its covariance includes the effect of the lens's tolerances, which is the same in all
-portions.
+Growth and tone curve are estimated. The errors of the lens are considered: frames estimate them, so that they do not
+appear as errors of the edges, but a motion that relies on such estimates would be as good as the edges' model only. It
+takes the lens as stated, and its covariance includes the effect of the lens's tolerances, the same in all portions.
 """
 
 from __future__ import annotations
