@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _DONE, _NOT_SHOWN = 0, 1
 _ENGINES: Final = ("cpu", "cuda")
 _LEAST_ROWS: Final = 10
+_CONTRIBUTORS: Final = 10  # largest rank correlations that are printed
 _LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of --rare by --method
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
@@ -452,7 +453,10 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
     console.print(
         f"pass        {_rate_text(summary['pass_rate']['passed'])}, Wilson {summary['confidence']:.0%}", highlight=False
     )
-    console.print(f"all parts   {_rate_text(summary['pass_rate']['passed_all_parts'])}", highlight=False)
+    for name, rate in summary["pass_rate"].items():
+        if name != "passed":
+            part = name.removesuffix("_passed").removeprefix("passed_").replace("_", " ")
+            console.print(f"{part:<12}{_rate_text(rate)}", highlight=False)
     for name, unit in (("ready_time_s", "s"), ("propellant_kg", "kg"), ("firings", "")):
         spread = summary["percentiles"][name]
         if spread["n"]:
@@ -469,7 +473,7 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
         text = f"{found['id']}: {found['verdict']}: {limit_text(found)}: {result_text(found)}"
         console.print(text, highlight=False, soft_wrap=True, markup=False)
     for outcome, ranking in summary["sensitivity"].items():
-        strong = [row for row in ranking if row["significant"]][:4]
+        strong = [row for row in ranking if row["significant"]][:_CONTRIBUTORS]
         text = (
             ", ".join(f"{row['dispersion']} {row['rank_correlation']:+.2f}" for row in strong) or "nothing significant"
         )

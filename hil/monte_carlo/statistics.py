@@ -20,7 +20,10 @@ SPREAD_OF: Final = (
     "ready_time_s", "control_margin", "propellant_kg", "firings", "corridor_margin_m", "closing_margin_mps",
     "nearest_m", "view_margin_px",
 )  # fmt: skip
-SENSITIVE: Final = ("control_margin", "propellant_kg", "ready_time_s", "corridor_margin_m", "closing_margin_mps")
+SENSITIVE: Final = (
+    "passed", "passed_all_parts", "control_margin", "propellant_kg", "ready_time_s", "corridor_margin_m",
+    "closing_margin_mps",
+)  # fmt: skip
 _REASONS: Final = 20
 
 

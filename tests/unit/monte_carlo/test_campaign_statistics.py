@@ -60,6 +60,7 @@ def test_summary_finds_worst_case_failures_and_what_the_outcome_hangs_on(
     assert first["rank_correlation"] == pytest.approx(1.0)
     assert abs(second["rank_correlation"]) < 0.3
     assert found["percentiles"]["propellant_kg"]["n"] == 119
+    assert [len(found["sensitivity"][name]) for name in ("passed", "passed_all_parts")] == [2, 2]
 
 
 def test_comparison_is_made_case_by_case(tmp_path: Path, rng: np.random.Generator) -> None:
