@@ -24,7 +24,13 @@ import numpy as np
 import hil
 from hil.maths import chi_square
 
-BUDGET: Final[dict[str, float]] = {}
+BUDGET: Final[dict[str, float]] = {
+    "rig.vmu.bench_sigma_m": 0.0002,
+    "rig.vmu.bench_sigma_deg": 0.0023,
+    "gnc.navigation.budget.bench_sigma_m": 0.0002,
+    "gnc.navigation.budget.bench_sigma_deg": 0.0023,
+    "gnc.navigation.budget.vision_correlation_time_s": 20.0,
+}
 """Error of the bench with rendered or real cameras, as docs/explanation/error-budget.md derives it."""
 TAIL: Final = 0.0005  # of the 99.9 % band, on either side
 SETTLED_S: Final = 5.0  # from the first pose on, until the filters have converged

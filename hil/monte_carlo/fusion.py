@@ -48,6 +48,25 @@ def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np
     return params
 
 
+def _with_sizes_of_the_sensors(scenario: Scenario) -> Scenario:
+    """Return ``scenario`` whose filters assume the IMU's true noise."""
+    imu, gnc = scenario.imu, scenario.gnc
+    akf = gnc.akf.model_copy(
+        update={
+            "form": "multiplicative",
+            "gyro_noise_degps": imu.gyro_noise_degps,
+            "gyro_drift_noise_degps2": imu.gyro_drift_noise_degps2,
+        }
+    )
+    pkf = gnc.pkf.model_copy(
+        update={
+            "accelerometer_noise_mps2": imu.accelerometer_noise_mps2,
+            "accelerometer_bias_noise_mps3": imu.accelerometer_bias_noise_mps3,
+        }
+    )
+    return scenario.model_copy(update={"gnc": gnc.model_copy(update={"akf": akf, "pkf": pkf})})
+
+
 class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
@@ -58,16 +77,21 @@ class Study:
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = gnc_params.navigation(scenario).fusion
-        self._filters.orbit.eccentricity = 0.0
+        self._optimal = gnc_params.navigation(_with_sizes_of_the_sensors(scenario)).fusion
+        self._filters.orbit.eccentricity = self._optimal.orbit.eccentricity = 0.0
         self._imu = dynamics_params.imu(scenario)
         self._line = gnc_params.guidance(scenario)
         self._seed = seed
 
     def run(self, number: int, result: np.record, trace: Array | None = None, noisy: bool = True) -> None:
-        """Do run ``number``; write STUDY_RESULT. trace: (n, 12), filled for the first n cycles."""
+        """Do run ``number``; write STUDY_RESULT. trace: (n, 12), filled for the first n cycles.
+
+        noisy: if not, the covariance of the optimal filter is that of the result, whatever the filters assume.
+        """
+        filters = self._filters if noisy else self._optimal
         run_study(
             self._study,
-            self._filters,
+            filters,
             self._imu,
             self._line,
             new(GUIDANCE_STATE),
@@ -76,7 +100,7 @@ class Study:
             new(IMU),
             new(POSE),
             new(FUSION_STATE),
-            new_memory(self._filters),
+            new_memory(filters),
             np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number,))),
             1 if noisy else 0,
             result,

@@ -211,3 +211,11 @@ def test_all_bad_options_are_told_at_once(capsys: pytest.CaptureFixture[str]) ->
     assert execute(["fusion", "--runs", "0", "--seed", "-1", "--workers", "-1", "--json", "/no/such/f.json"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert [line.split(":")[0] for line in lines] == ["--runs", "--seed", "--workers", "--json"]
+
+
+def test_bound_does_not_move_with_the_filters_that_it_judges() -> None:
+    settings = ("gnc.pkf.accelerometer_noise_mps2=3e-4", "gnc.akf.gyro_noise_degps=3e-6")
+    shipped, other = (np.array(Study(of, "swapped", 0).bound().variance) for of in ((), settings))
+    np.testing.assert_array_equal(other, shipped)
+    worse = np.array(Study(("imu.accelerometer_noise_mps2=3e-4",), "swapped", 0).bound().variance)
+    assert np.all(worse[:3] > 1.2 * shipped[:3])
