@@ -5,7 +5,7 @@ Axes are numbered as in BENCH_PARAMS: rails x y z in m, gimbals roll pitch yaw i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -21,12 +21,18 @@ _AT_REST = np.zeros(3)
 
 @dataclass(frozen=True, slots=True)
 class ControlBounds:
-    """Bounds of the motion that control may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2."""
+    """Bounds of the motion that control may add to the plan, each (3,), in c: m/s, rad/s, m/s^2, rad/s^2.
+
+    swing_mps, swing_mps2: (n,), of the rails in addition, at each of the n times, where the target is rotated and a
+    rotation of the chaser is a motion about the target.
+    """
 
     speed: Array
     rate: Array
     acceleration: Array
     slewing: Array
+    swing_mps: Array = field(default_factory=lambda: np.zeros(1))
+    swing_mps2: Array = field(default_factory=lambda: np.zeros(1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +101,10 @@ def envelope(
     own_rate = turned @ control.rate
     planned_rate = np.hstack([np.abs(v_CT_H), np.zeros((n, 3))])
     fastest = planned_rate + own_rate
-    fastest[:, :3] += to_h @ control.speed
+    fastest[:, :3] += to_h @ control.speed + control.swing_mps[:, None]
     hardest = turned @ control.slewing
     centripetal = np.linalg.norm(params.lever_arm) * float(control.rate @ control.rate)
-    hardest[:, :3] += to_h @ control.acceleration + centripetal
+    hardest[:, :3] += to_h @ control.acceleration + centripetal + control.swing_mps2[:, None]
     hardest[:, 3:] += own_rate[:, 3:] ** 2
     room = fastest**2 / (2.0 * params.acceleration_max)
     return Envelope(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
+from hil.bench.manipulator import Motion, shown_motion, start_angles
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
 from hil.config.load import Loaded, load_scene
@@ -35,10 +36,12 @@ _MEMORY_STEPS_MAX = (
 
 def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_deg: Sequence[float]) -> np.record:
     """Return AXES, at rest, for the chaser at ``position_m`` in H with the 3-2-1 angles ``attitude_deg``."""
-    axes = new(AXES)
-    rest = np.zeros(3)
+    axes, rest, r = new(AXES), np.zeros(3), np.array(position_m)
     q = euler.to_quaternion(np.radians(attitude_deg), euler.YAW_PITCH_ROLL)
-    axes_of_pose(bench_params.bench(rig, scenario.step_s), np.array(position_m), rest, q, rest, axes)
+    if (params := bench_params.manipulator(rig)) is not None:
+        angles = start_angles(params, bench_params.manipulator_limits(rig, scenario.step_s), q)
+        r, _, q, _ = shown_motion(params, angles, rest, Motion(r, rest, q, rest))
+    axes_of_pose(bench_params.bench(rig, scenario.step_s), r, rest, q, rest, axes)
     return axes
 
 
@@ -142,6 +145,9 @@ def check_rates(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     if rate_hz is not None and abs(rate_hz * step_s * rig.value.telemetry_cycles(step_s) - 1.0) > _RATIO_TOLERANCE:
         text = f"{rate_hz:g}: allowed is the cycle's rate, {1.0 / step_s:g} Hz, divided by a whole number"
         problems.append(Problem(rig.where(key), f"rig.{key}", text))
+    if rig.value.rotated_target is not None and rig.value.ticks(scenario.value.step_s) > 1:
+        text = f"{axes_hz:g}: does not go with rotary_manipulator, allowed {1.0 / step_s:g}, the cycle's rate"
+        problems.append(Problem(rig.where("bench.axes_rate_hz"), "rig.bench.axes_rate_hz", text))
     return problems or [*_wire_problems(scenario, rig), *_jerk_problems(scenario, rig)]
 
 

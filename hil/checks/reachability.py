@@ -6,21 +6,24 @@ Each axis and each kind of limit gets one problem at most, at the moment at whic
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from hil.bench import reachability
+from hil.bench import manipulator, reachability
 from hil.checks.planned_trajectory import PlanSample, control_bounds, moments
 from hil.config.load import Loaded
-from hil.config.rig import BENCH_AXES, Rig
+from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import Problem
+from hil.maths import quat
 from hil.params import bench as bench_params
 from hil.params import vision as vision_params
 
 _ROUNDING = 1e-9
+_LEAST_SPAN_S = 1e-3
 _DEGREES = math.degrees(1.0)
 
 
@@ -32,6 +35,10 @@ class Demands:
     attitudes: list[reachability.Attitude]
     margin_m: Array
     axes: reachability.Envelope
+    relative: list[PlanSample]
+    """The plan relative to the target; if that is rotated, ``plan`` is what is left for the chaser's rig."""
+    target_rad: Array
+    """Angles of the rotary manipulator, (n, 3); zero without one."""
 
 
 def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
@@ -40,15 +47,58 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     Raises ValueError where the thruster layout cannot move an axis.
     """
     bench = bench_params.bench(rig, scenario.step_s)
-    plan = moments(scenario)
-    free = control_bounds(scenario)
+    relative, free = moments(scenario), control_bounds(scenario)
+    plan, target_rad, swing = _divided(scenario, rig, relative)
     band = math.radians(scenario.reachability.attitude_margin_deg)
     known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.rotation) for m in plan}}
     attitudes = [known[tuple(m.rotation)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
-    margin = position_margin(scenario, np.array([m.far_m for m in plan]))
+    margin = position_margin(scenario, np.array([m.far_m for m in plan])) + band * swing[:, None]
+    rate, slewing = float(np.linalg.norm(free.rate)), float(np.linalg.norm(free.slewing))
+    free = replace(free, swing_mps=swing * rate, swing_mps2=swing * (slewing + rate * rate))
     axes = reachability.envelope(bench, attitudes, r, v, margin, free)
-    return Demands(plan, attitudes, margin, axes)
+    return Demands(plan, attitudes, margin, axes, relative, target_rad)
+
+
+def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list[PlanSample], Array, Array]:
+    """Return what is left of ``plan`` for the chaser's rig, the manipulator's angles (n, 3), rad, and its arms (n,), m.
+
+    An arm is the distance at which a rotation of the chaser moves the rails; all are zero without a rotary manipulator.
+    The manipulator takes the relative rotation of a sample as far as its travel allows, and that of the plan's motion
+    as far as its rates allow.
+    """
+    params = bench_params.manipulator(rig)
+    if params is None:
+        return plan, np.zeros((len(plan), 3)), np.zeros(len(plan))
+    limits = bench_params.manipulator_limits(rig, scenario.step_s)
+    left, target_rad, arms = [], np.empty((len(plan), 3)), np.empty(len(plan))
+    near = np.zeros(3)
+    for k, (sample, rate) in enumerate(zip(plan, _rates(plan), strict=True)):
+        q = quat.from_rotation_vector(sample.rotation)
+        angles, rates = manipulator.wanted_angles(params, q, rate, near)
+        within = np.clip(angles, limits.low[3:], limits.high[3:])
+        rates = np.where(within == angles, np.clip(rates, -limits.rate_max[3:], limits.rate_max[3:]), 0.0)
+        motion = manipulator.Motion(sample.r_CT_H, sample.v_CT_H, q, rate)
+        shown = manipulator.shown_motion(params, within, rates, motion)
+        left.append(replace(sample, r_CT_H=shown.r, v_CT_H=shown.v, rotation=quat.to_rotation_vector(shown.q)))
+        target_rad[k], arms[k] = within, np.linalg.norm(sample.r_CT_H + params.arm)
+        near = within if sample.abort_s is None else near
+    return left, target_rad, arms
+
+
+def _rates(plan: list[PlanSample]) -> list[Array]:
+    """Return the rate (3,), rad/s, in c, at which the plan rotates from each sample on; zero in aborts."""
+    found = [np.zeros(3) for _ in plan]
+    own = [k for k, sample in enumerate(plan) if sample.abort_s is None]
+    for before, after in pairwise(own):
+        span_s = plan[after].t_s - plan[before].t_s
+        if span_s > _LEAST_SPAN_S:
+            turn = quat.multiply(
+                quat.from_rotation_vector(plan[after].rotation),
+                quat.conjugate(quat.from_rotation_vector(plan[before].rotation)),
+            )
+            found[before] = quat.to_rotation_vector(turn) / span_s
+    return found
 
 
 def check_reachability(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
@@ -149,8 +199,12 @@ class _Findings:
         """Add one problem if an LED leaves an image."""
         camera, leds = vision_params.camera(self._rig)
         asked, mounting = self._asked, vision_params.mounting(self._rig)
-        r = np.array([m.r_CT_H for m in self._plan])
-        planned, least = reachability.view(self._bench, mounting, camera, leds, asked.attitudes, r, asked.margin_m)
+        # of the relative pose, whichever axes show it
+        r, attitudes = np.array([m.r_CT_H for m in asked.relative]), asked.attitudes
+        if asked.target_rad.any():
+            band = math.radians(self._scenario.value.reachability.attitude_margin_deg)
+            attitudes = [reachability.attitude(self._bench, m.rotation, band) for m in asked.relative]
+        planned, least = reachability.view(self._bench, mounting, camera, leds, attitudes, r, asked.margin_m)
         k = int(np.argmin(least))
         if least[k] < 0.0:
             self._say(
@@ -199,7 +253,14 @@ class _Findings:
     def _when(self, k: int) -> str:
         moment = self._plan[k]
         begun = "" if moment.abort_s is None else f", in an abort begun at {moment.abort_s:.1f} s"
-        return f"at {moment.t_s:.1f} s{begun}"
+        return f"at {moment.t_s:.1f} s{begun}{self._beside(k)}"
+
+    def _beside(self, k: int) -> str:
+        """Return where the rotary manipulator is at moment ``k``, whose travel leaves the rest to the chaser's rig."""
+        if self._rig.rotated_target is None:
+            return ""
+        at = zip(GIMBAL_NAMES, np.degrees(self._asked.target_rad[k]), strict=True)
+        return f" with rotary_manipulator at {', '.join(f'{name} {angle:.1f}' for name, angle in at)} deg"
 
     def _say(self, key: str, text: str) -> None:
         self.problems.append(Problem(self._scenario.where(key), key, text))

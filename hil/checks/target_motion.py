@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.config.load import Loaded
-from hil.config.rig import BENCH_AXES, Rig
+from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, Array, new
 from hil.errors import Problem
@@ -71,13 +71,22 @@ def _beyond_rig(scenario: Scenario, rig: Rig, plan: Plan, rates: Array) -> str:
     """Return what the rig cannot show of a chaser that coasts, "" if it can show all."""
     bench = bench_params.bench(rig, scenario.step_s)
     far_m = max(float(np.linalg.norm(r)) for r, _, _ in plan)
-    rate = float(np.linalg.norm(rates, axis=1).max())
+    fastest = rate = float(np.linalg.norm(rates, axis=1).max())
+    beside = ""
+    if rig.rotated_target is not None:
+        limits = bench_params.manipulator_limits(rig, scenario.step_s).rate_max[3:]
+        slowest = int(np.argmin(limits))  # the tumble may be about any axis
+        rate = max(0.0, fastest - float(limits[slowest]))
+        key = f"rig.rotary_manipulator.{GIMBAL_NAMES[slowest]}.rate_max_degps"
+        shown = f"{math.degrees(fastest):.3g} deg/s less {math.degrees(limits[slowest]):g} deg/s by {key}"
+        beside = f" ({shown}, which shows the rest)"
     for axis in (1, 2, 0, 3, 4, 5):
         asked, unit, scale = (rate * far_m, "m", 1.0) if axis < 3 else (rate, "deg", math.degrees(1.0))
         if asked > bench.rate_max[axis]:
+            axes = "the lab" if beside else "the target's axes"
             return (
-                f"a chaser that coasts at {far_m:.2f} m would move at {asked * scale:.3g} {unit}/s in the target's "
-                f"axes, allowed {bench.rate_max[axis] * scale:g} {unit}/s by rig.{BENCH_AXES[axis]}.rate_max_{unit}ps"
+                f"a chaser that coasts at {far_m:.2f} m would move at {asked * scale:.3g} {unit}/s in {axes}{beside}, "
+                f"allowed {bench.rate_max[axis] * scale:g} {unit}/s by rig.{BENCH_AXES[axis]}.rate_max_{unit}ps"
             )
     return ""
 

@@ -12,7 +12,7 @@ from hil.config.renamed_keys import with_first_names
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.core.files import sha256_of
 
-_TABLES: Final = ("kind", "bench", "rails", "turntable", "io", "safety", "target_manipulator")
+_TABLES: Final = ("kind", "bench", "rails", "turntable", "io", "safety", "target_manipulator", "rotary_manipulator")
 
 
 def motion_digest(rig: Rig) -> str:
@@ -27,8 +27,11 @@ def motion_digest(rig: Rig) -> str:
         ("rails", RAIL_NAMES, "jerk_max_mps3"),
         ("turntable", GIMBAL_NAMES, "jerk_max_degps3"),
         ("target_manipulator", RAIL_NAMES, "jerk_max_mps3"),
+        ("rotary_manipulator", GIMBAL_NAMES, "jerk_max_degps3"),
     ):
         if table[device] is None:
+            if device == "rotary_manipulator":
+                del table[device]  # added later: a sign-off from before stays valid
             continue
         if table[device]["exchange_rate_max_hz"] is None:
             del table[device]["exchange_rate_max_hz"]  # added later: a sign-off from before stays valid
@@ -49,16 +52,21 @@ def motion_digest(rig: Rig) -> str:
             del rails["map"]["following_error"]  # name of a fault
     if guard := rig.guard.model_dump(mode="json", exclude_defaults=True):
         table["guard"] = guard  # likewise: with its defaults it does not count
-    if rig.turntable.ascii is not None:
-        protocol = load_protocol(rig.turntable.ascii.protocol).value
-        dump = with_first_names("Protocol", protocol.model_dump(mode="json"))
-        if dump["emulator"]["torque_off"] is None:
-            dump["emulator"]["torque_off"] = 2  # its first default
-        del dump["faults"]["following_error"]  # likewise
-        table["turntable"]["ascii"]["protocol"] = dump
+    for device, gimbals in (("turntable", rig.turntable), ("rotary_manipulator", rig.rotary_manipulator)):
+        if gimbals is not None and gimbals.ascii is not None:
+            table[device]["ascii"]["protocol"] = _protocol(gimbals.ascii.protocol)
     _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _protocol(name: str) -> dict[str, Any]:
+    """Return the contents of a protocol file. Raises BadInput if it cannot be read."""
+    dump = with_first_names("Protocol", load_protocol(name).value.model_dump(mode="json"))
+    if dump["emulator"]["torque_off"] is None:
+        dump["emulator"]["torque_off"] = 2  # its first default
+    del dump["faults"]["following_error"]  # likewise
+    return dump
 
 
 def _put_files_for_paths(table: dict[str, Any]) -> None:

@@ -34,7 +34,9 @@ LEAD_MAX_S = 0.2
 EXCHANGES_MAX_HZ = 250.0
 AVERAGING_MAX_S = 1.0
 Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
+MIDDLE_AXIS_MAX_DEG = 85.0  # of a rotary manipulator
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
+GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
 
 
@@ -43,7 +45,7 @@ class BenchGeometry(ConfigModel):
 
     lever_arm_m: Triple
     """In c: turntable's centre of rotation to the point that represents the chaser's reference point."""
-    gimbal_order: Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"] = "zyx"
+    gimbal_order: GimbalOrder = "zyx"
     """Gimbals from outer to inner; "zyx" is yaw, pitch, roll."""
     camera_position_m: Triple = (0.6, 0.0, 0.0)
     """In c: chaser's reference point to the left camera."""
@@ -457,6 +459,36 @@ class Turntable(AxisGroupTable):
         return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
+class RotaryManipulator(Turntable):
+    """Manipulator of the target: three gimbals that rotate it, which show the relative rotation as far as they can."""
+
+    without_wires: ClassVar = ("mock", "none")
+
+    following_error_max_deg: Positive = 0.5
+    """Largest following error at rest."""
+    following_error_per_speed_s: NotNegative = 0.1
+    """Its increase per commanded rate."""
+    lever_arm_m: Triple = (0.0, 0.0, 0.0)
+    """In H: centre of rotation to the target's reference point."""
+    gimbal_order: GimbalOrder = "zyx"
+    """Gimbals from outer to inner; "zyx" is yaw, pitch, roll."""
+
+    @model_validator(mode="after")
+    def _middle_axis_stays_off_the_pole(self) -> Self:
+        name = {"x": "roll", "y": "pitch", "z": "yaw"}[self.gimbal_order[1]]
+        low, high = getattr(self, name).travel_deg
+        if max(-low, high) > MIDDLE_AXIS_MAX_DEG:
+            raise ValueError(
+                f"{name}.travel_deg [{low:g}, {high:g}]: the middle gimbal, allowed -{MIDDLE_AXIS_MAX_DEG:g} to "
+                f"{MIDDLE_AXIS_MAX_DEG:g}: at 90 deg the other two rotate about the same axis"
+            )
+        for each in self.axis_names:
+            low, high = getattr(self, each).travel_deg
+            if not low <= 0.0 <= high:
+                raise ValueError(f"{each}.travel_deg [{low:g}, {high:g}]: must contain 0, where H is parallel to L")
+        return self
+
+
 class RigCamera(ConfigModel):
     """Both cameras of the vision unit."""
 
@@ -560,6 +592,7 @@ class Rig(ConfigModel):
     monitor_camera: MonitorCamera = MonitorCamera()
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
+    rotary_manipulator: RotaryManipulator | None = None
     sign_off: SignOff | None = None
 
     @property
@@ -569,9 +602,26 @@ class Rig(ConfigModel):
         return None if target is None or target.driver == "none" else target
 
     @property
+    def rotated_target(self) -> RotaryManipulator | None:
+        """Rotary manipulator of the target; None without one."""
+        target = self.rotary_manipulator
+        return None if target is None or target.driver == "none" else target
+
+    @property
+    def target_axes(self) -> TargetManipulator | RotaryManipulator | None:
+        """Axes that move the target, device ``target``; None without any."""
+        return self.moved_target or self.rotated_target
+
+    @property
     def has_io(self) -> bool:
         """Whether the bench has a coupler of digital lines."""
         return self.io is not None and self.io.driver != "none"
+
+    @model_validator(mode="after")
+    def _one_thing_moves_the_target(self) -> Self:
+        if self.moved_target is not None and self.rotated_target is not None:
+            raise ValueError('rotary_manipulator.driver: does not go with target_manipulator, allowed "none"')
+        return self
 
     @model_validator(mode="after")
     def _drivers_suit_the_kind(self) -> Self:
@@ -615,7 +665,7 @@ class Rig(ConfigModel):
     @property
     def holding_brakes(self) -> list[Brake]:
         """Brakes of all gravity-loaded axes."""
-        tables = (self.rails, self.turntable, self.moved_target)
+        tables = (self.rails, self.turntable, self.target_axes)
         return [brake for table in tables if table is not None for brake in table.holding_brakes]
 
     @property
@@ -646,6 +696,8 @@ class Rig(ConfigModel):
         tables["vmu"] = self.vmu
         if self.moved_target is not None:
             tables["target_manipulator"] = self.moved_target
+        if self.rotated_target is not None:
+            tables["rotary_manipulator"] = self.rotated_target
         return tables
 
     def wires(self) -> list[Wire]:

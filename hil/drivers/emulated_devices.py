@@ -91,12 +91,12 @@ def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
     """Return what is emulated in a process each: devices, and parts of devices as ``DEVICE.PART``."""
     parts = rig.vmu.entry.emulated_parts
     vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"]
-    more = {"io": rig.has_io, "target": rig.moved_target is not None, "monitor": scenario.monitor.source == "camera"}
+    more = {"io": rig.has_io, "target": rig.target_axes is not None, "monitor": scenario.monitor.source == "camera"}
     return ("rails", "turntable", *vision, *(device for device, is_there in more.items() if is_there))
 
 
 def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    names = {"target_manipulator": "target"}
+    names = dict.fromkeys(("target_manipulator", "rotary_manipulator"), "target")
     tables = {key: table.connected(names.get(key, key), addresses) for key, table in rig.device_tables().items()}
     return rig.model_copy(update=tables)

@@ -9,6 +9,6 @@ from hil.drivers.base import AxisGroup, PoseSource
 
 def make_drivers(rig: Rig, clock: WallClock) -> tuple[AxisGroup, AxisGroup, PoseSource, AxisGroup | None]:
     """Return the drivers of rails, turntable and vision unit, and of the target's axes if the target is moved."""
-    target = rig.moved_target.make_driver(clock, "target") if rig.moved_target else None
+    target = rig.target_axes.make_driver(clock, "target") if rig.target_axes else None
     rails, turntable = rig.rails.make_driver(clock, "rails"), rig.turntable.make_driver(clock, "turntable")
     return rails, turntable, rig.vmu.make_driver(clock), target

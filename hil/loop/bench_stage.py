@@ -4,16 +4,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
 from hil.bench import kinematics, stopping
+from hil.bench.manipulator import Motion
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks
 from hil.errors import DeviceError
 from hil.models.profile import along_line, duration
 from hil.safety.monitor import SafetyMonitor
+
+
+class Manipulator(Protocol):
+    """Axes of the target that share the motion with rails and turntable."""
+
+    def seed(self, now_s: float) -> None:
+        """Seed the setpoints with the encoder positions, at rest."""
+
+    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> Motion:
+        """Return what the chaser's rig has to show of a pose at rest, before a run."""
+
+    def follow(self, relative: Motion, now_s: float) -> Motion:
+        """Send the next setpoint; return what is left for the chaser's rig."""
+
+    def relate_setpoint(self, axes: np.record) -> None:
+        """Replace setpoints of rails and turntable, AXES, by those relative to the target."""
+
+    def brake(self, now_s: float) -> bool:
+        """Send the next setpoint of a braking ramp; return whether it still moves."""
+
+    def at_rest(self, now_s: float) -> bool:
+        """Return whether the axes are at rest according to their encoders."""
 
 
 class BenchStage:
@@ -42,6 +66,9 @@ class BenchStage:
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
         self.emergency_input = emergency_input
         self.local_enable: Callable[[float], bool] | None = None
+        self.manipulator: Manipulator | None = None
+        """Of the target, which moves with the chaser's rig; None if the target stands still."""
+        self._left = kernel_record(new(AXES))  # of the last demanded pose, what the manipulator leaves
         self.motion = kernel_record(new(kinematics.MOTION))
         """Positions and rates of the last setpoints."""
         self.feedback: tuple[AxisFeedback, AxisFeedback]
@@ -123,6 +150,8 @@ class BenchStage:
         kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self.motion)
         self.commanded_s = math.nan
         self.tick, self.span.known, self.limited_in_row = 0, 0, 0
+        if self.manipulator is not None:
+            self.manipulator.seed(now_s)
 
     def seed_for_run(self, now_s: float, feedback: np.record) -> None:
         """``seed`` if all axes are homed, within their travel and off their limit switches; SafetyTrip otherwise."""
@@ -135,15 +164,34 @@ class BenchStage:
         """Write the axis positions and rates, without limits, for a pose of the chaser."""
         kinematics.axes_of_pose(self.params, r_CT_H, v_CT_H, q_CH, w_CH_C, out)
 
+    def start_axes(self, truth: np.record, out: np.record) -> None:
+        """Write the axis positions (AXES), at rest, of the start pose in ``truth``."""
+        r, q, rest = truth.r_CT_H, truth.q_CH, np.zeros(3)
+        if self.manipulator is not None:
+            r, _, q, _ = self.manipulator.shown_at_rest(r, q)
+        self.axes_of(r, rest, q, rest, out)
+
     def follow(self, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record) -> None:
         """Send the first setpoint on the way to the pose in ``truth`` at the end of this cycle.
 
         Writes the accepted one into ``setpoint``.
         """
         self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self.wanted)
+        if self.manipulator is not None:
+            self._follow_with(self.manipulator, truth, w_CH_C, now_s, setpoint)
+            return
         if self.ticks > 1:
             kinematics.extend_span(self.span, self.wanted, self._cycle_s)
         self.follow_on(now_s, setpoint)
+
+    def _follow_with(
+        self, manipulator: Manipulator, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record
+    ) -> None:
+        """``follow`` with a target that moves: ``wanted`` and ``setpoint`` are relative to it, what is sent is not."""
+        left = manipulator.follow(Motion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C), now_s)
+        self.axes_of(left.r, left.v, left.q, left.w, self._left)
+        self.command(self._left, now_s, setpoint)
+        manipulator.relate_setpoint(setpoint)
 
     def follow_on(self, now_s: float, setpoint: np.record) -> None:
         """Send the setpoint of the present tick of the cycle: where the axes have to be at the next one."""
@@ -177,9 +225,9 @@ class BenchStage:
         limits = self.params if params is None else params
         if limits is not self._limits:
             self._set_limits(limits)
-        moving = stopping.brake_step(limits, self.motion, self._next)
+        moving = bool(stopping.brake_step(limits, self.motion, self._next))
         self._send(now_s, setpoint)
-        return bool(moving)
+        return (self.manipulator is not None and self.manipulator.brake(now_s)) or moving
 
     def _set_limits(self, limits: np.record) -> None:
         """Set the limits within which the axes catch up after a gap, from BENCH_PARAMS."""
@@ -198,7 +246,8 @@ class BenchStage:
 
     def at_rest(self, now_s: float, feedback: np.record) -> bool:
         """Return whether all axes are at rest according to their encoders."""
-        return self.safety.interlock_seed(now_s, feedback) is None
+        still = self.safety.interlock_seed(now_s, feedback) is None
+        return still and (self.manipulator is None or self.manipulator.at_rest(now_s))
 
     def home(self, now_s: float) -> None:
         """Start homing of each axis that needs it."""

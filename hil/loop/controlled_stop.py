@@ -21,7 +21,7 @@ from hil.drivers.base import AxisGroup
 from hil.errors import BenchError
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
-from hil.loop.target_stage import PlacedTarget
+from hil.loop.target_stage import TargetAxes
 from hil.safety.alarms import Alarm, speed_text
 
 REACTION_S: Final = 0.12
@@ -46,11 +46,14 @@ class Ramp:
     """Speeds of the three axes of a device during a stop, against the ramp that each must follow.
 
     deceleration (3,): of the ramps, m/s2 or rad/s2. rest: speed below which an axis counts as at rest, also the
-    tolerance of the ramp, m/s or rad/s. stopped_s: bench time of the command.
+    tolerance of the ramp, m/s or rad/s. stopped_s: bench time of the command. rotates: they rotate, rad and rad/s.
     """
 
-    def __init__(self, axes: AxisGroup, deceleration: Array, rest: float, stopped_s: float) -> None:
+    def __init__(
+        self, axes: AxisGroup, deceleration: Array, rest: float, stopped_s: float, rotates: bool = False
+    ) -> None:
         self.axes = axes
+        self._rotates = rotates
         self.rested_s = stopped_s
         """Bench time since which all axes are at rest; inf while one moves."""
         self._deceleration = deceleration
@@ -91,9 +94,9 @@ class Ramp:
         axis = int(self._off_since_s.argmin())
         if now_s - self._off_since_s[axis] < OFF_RAMP_S:
             return None
-        device, allowed = self.axes.name, self._allowed(now_s)[axis]
-        limit = f"{speed_text(device, allowed)} on its ramp"
-        value = speed_text(device, allowed + excess[axis])
+        allowed = self._allowed(now_s)[axis]
+        limit = f"{speed_text(allowed, self._rotates)} on its ramp"
+        value = speed_text(allowed + excess[axis], self._rotates)
         return Alarm(now_s, self.axes.axis_names[axis], "speed in a stop", value, limit)
 
     def _allowed(self, now_s: float) -> Array:
@@ -170,11 +173,12 @@ class ControlledStop:
         deceleration = bench.params.acceleration_max
         ramps = [
             Ramp(bench.rails, deceleration[:3], limits.rest_mps, now_s),
-            Ramp(bench.turntable, deceleration[3:], limits.rest_radps, now_s),
+            Ramp(bench.turntable, deceleration[3:], limits.rest_radps, now_s, rotates=True),
         ]
         target = self._loop.target
-        if isinstance(target, PlacedTarget):
-            ramps.append(Ramp(target.axes, target.acceleration_max, limits.rest_mps, now_s))
+        if isinstance(target, TargetAxes):
+            rest = limits.rest_radps if target.rotates else limits.rest_mps
+            ramps.append(Ramp(target.axes, target.acceleration_max, rest, now_s, target.rotates))
         return ramps
 
     def _stands(self, now_s: float) -> bool:

@@ -143,9 +143,10 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
     loop.bench.read(bench_s, now.feedback)  # 1  encoders
     loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop
+    loop.target.check(bench_s)  #    target at its commanded place
+    loop.target.relate(now.feedback)  #    axes of the chaser relative to those of the target
     if loop.guard is not None:
         loop.guard.check(bench_s, run_zero_s, now.truth, now.feedback)  #    bench guard
-    loop.target.check(bench_s)  #    target at its commanded place
     loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
     if loop.guard is not None:
         loop.guard.compare(loop.vision)

@@ -164,8 +164,8 @@ class MotionSequencer:
 
     def place(self) -> None:
         """Move the target to its place, then all axes slowly to the start pose; wait until they are at rest there."""
-        target, truth, at_rest = new(AXES), self.loop.now.truth, np.zeros(3)
-        self.loop.bench.axes_of(truth.r_CT_H, at_rest, truth.q_CH, at_rest, target)
+        target = new(AXES)
+        self.loop.bench.start_axes(self.loop.now.truth, target)
         self.begin()
         tick = self.seed_for_run()
         self.modes.go(Mode.PLACING)

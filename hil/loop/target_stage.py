@@ -8,8 +8,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil.config.rig import TargetManipulator
-from hil.core.messages import Homing
+from hil.config.rig import AxisGroupTable, TargetManipulator
+from hil.core.messages import Array, Homing
 from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
@@ -18,7 +18,7 @@ from hil.models.profile import along_smooth_line, duration
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
-_SETTLED_M: Final = 0.001
+_SETTLED: Final = 0.001  # m or rad
 
 
 class TargetStage(Protocol):
@@ -35,6 +35,9 @@ class TargetStage(Protocol):
 
     def check(self, now_s: float) -> None:
         """Raise SafetyTrip if the target is not at its place, DeviceError on failure."""
+
+    def relate(self, axes: np.record) -> None:
+        """Replace positions of rails and turntable, AXES, by those relative to the target, if it moves in a run."""
 
     def stop(self, now_s: float) -> None:
         """Stop the device. Never raises."""
@@ -55,6 +58,8 @@ class FixedTarget:
 
     def check(self, now_s: float) -> None: ...
 
+    def relate(self, axes: np.record) -> None: ...
+
     def stop(self, now_s: float) -> None: ...
 
     def disable(self, now_s: float) -> None: ...
@@ -62,18 +67,19 @@ class FixedTarget:
     def close(self) -> None: ...
 
 
-class PlacedTarget:
-    """Target on the three linear axes (m) of ``config``."""
+class TargetAxes:
+    """Target on three axes, m or rad: placed before the run is armed."""
 
-    def __init__(self, axes: AxisGroup, config: TargetManipulator) -> None:
+    def __init__(self, axes: AxisGroup, config: AxisGroupTable, place: Array) -> None:
         self.axes = axes
-        self._place = np.array(config.place_m)
-        self._held_within_m = config.held_within_m
-        linear = (config.x, config.y, config.z)
-        limits = [(axis.rate_max_mps, axis.acceleration_max_mps2) for axis in linear]
-        self._smooth_s = np.array([axis.averaging_s for axis in linear])
-        self._speed, self._acceleration = FRACTION_OF_LIMITS * np.array(limits).T
-        self.acceleration_max = np.array(limits)[:, 1]
+        self.rotates = config.si_per_unit != 1.0
+        """Whether they rotate, rad, rather than move along lines, m."""
+        self.place_at = place
+        """Position (3,) that ``place`` moves to."""
+        limits = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
+        self._smooth_s = np.array([axis.averaging_s for axis in config.axes])
+        self._speed, self._acceleration = FRACTION_OF_LIMITS * limits[:, 2], FRACTION_OF_LIMITS * limits[:, 3]
+        self.acceleration_max = limits[:, 3]
 
     def open(self, now_s: float) -> None:
         """Open the axes; they hold their positions."""
@@ -86,14 +92,14 @@ class PlacedTarget:
         for name, homing in zip(self.axes.axis_names, feedback.homing, strict=True):
             if homing is not Homing.DONE:
                 raise SafetyTrip(name, "homing", homing.name.lower().replace("_", " "), "done before a run")
-        start, distance = feedback.position.copy(), self._place - feedback.position
+        start, distance = feedback.position.copy(), self.place_at - feedback.position
         if isinstance(self.axes, LimitsSetpoints):
             self.axes.set_limits(Move.RESERVE * self._speed, Move.RESERVE * self._acceleration)
         moved_s = 0.0
         limits = list(zip(np.abs(distance), self._speed, self._acceleration, self._smooth_s, strict=True))
         duration_s = max(duration(length, speed, up, up) + smooth_s for length, speed, up, smooth_s in limits)
         position, motion, along = np.empty(3), np.empty(3), np.empty(2)
-        while moved_s <= duration_s or self._off(now_s) > _SETTLED_M:
+        while moved_s <= duration_s or self._off(now_s) > _SETTLED:
             if moved_s > duration_s + _SETTLE_S:
                 raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
             for i, (length, speed, up, smooth_s) in enumerate(limits):
@@ -103,16 +109,7 @@ class PlacedTarget:
             self.axes.send(position, motion, now_s)
             now_s = tick().now_s
             moved_s += step_s  # a late cycle delays the move
-        self.axes.send(self._place, np.zeros(3), now_s)
-
-    def check(self, now_s: float) -> None:
-        """Raise SafetyTrip if an axis is further from its place than ``held_within_m``."""
-        error = np.abs(self.axes.read(now_s).position - self._place)
-        worst = int(error.argmax())
-        if not error[worst] <= self._held_within_m:
-            limit = f"{self._held_within_m:g} m"
-            name = self.axes.axis_names[worst]
-            raise SafetyTrip(name, "distance from commanded place", f"{error[worst]:.4f} m", limit)
+        self.axes.send(self.place_at, np.zeros(3), now_s)
 
     def stop(self, now_s: float) -> None:
         """Stop the axes."""
@@ -127,4 +124,24 @@ class PlacedTarget:
         self.axes.close()
 
     def _off(self, now_s: float) -> float:
-        return float(np.abs(self.axes.read(now_s).position - self._place).max())
+        return float(np.abs(self.axes.read(now_s).position - self.place_at).max())
+
+
+class PlacedTarget(TargetAxes):
+    """Target on the three linear axes (m) of ``config``, held at its place during the run."""
+
+    def __init__(self, axes: AxisGroup, config: TargetManipulator) -> None:
+        super().__init__(axes, config, np.array(config.place_m))
+        self._held_within_m = config.held_within_m
+
+    def check(self, now_s: float) -> None:
+        """Raise SafetyTrip if an axis is further from its place than ``held_within_m``."""
+        error = np.abs(self.axes.read(now_s).position - self.place_at)
+        worst = int(error.argmax())
+        if not error[worst] <= self._held_within_m:
+            limit = f"{self._held_within_m:g} m"
+            name = self.axes.axis_names[worst]
+            raise SafetyTrip(name, "distance from commanded place", f"{error[worst]:.4f} m", limit)
+
+    def relate(self, axes: np.record) -> None:
+        """Change nothing: the target stands."""

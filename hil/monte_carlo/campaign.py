@@ -70,10 +70,9 @@ class CampaignJob:
     def _check(self) -> None:
         build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0))
         rig, problems = self._rig.value, check_requirements(self.scenario)
-        if rig.moved_target is not None:
-            problems.append(
-                Problem(self._rig.where("target_manipulator"), "rig.target_manipulator", "not supported by campaigns")
-            )
+        if rig.target_axes is not None:
+            key = "target_manipulator" if rig.moved_target is not None else "rotary_manipulator"
+            problems.append(Problem(self._rig.where(key), f"rig.{key}", "not supported by campaigns"))
         if self.scenario.value.vmu.source != "model":
             text = f'"{self.scenario.value.vmu.source}": campaigns use the model of the vision unit, allowed "model"'
             problems.append(Problem(self.scenario.where("vmu.source"), "vmu.source", text))

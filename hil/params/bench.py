@@ -9,7 +9,8 @@ import numpy as np
 from hil.bench.bench_guard import BENCH_GUARD_PARAMS, SLOW_MPS
 from hil.bench.guard import GUARD
 from hil.bench.kinematics import BENCH_PARAMS
-from hil.config.rig import Rig
+from hil.bench.manipulator import MANIPULATOR
+from hil.config.rig import GimbalAxis, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.params.bodies import bodies
@@ -23,19 +24,47 @@ def bench(rig: Rig, step_s: float) -> np.record:
     params = new(BENCH_PARAMS)
     params.dt_s = step_s / rig.ticks(step_s)
     params.lever_arm = rig.bench.lever_arm_m
-    params.order = ["xyz".index(letter) for letter in rig.bench.gimbal_order]
+    params.order = _order(rig.bench.gimbal_order)
     rails = (rig.rails.x, rig.rails.y, rig.rails.z)
     gimbals = (rig.turntable.roll, rig.turntable.pitch, rig.turntable.yaw)
-    params.low = [*(a.travel_m[0] for a in rails), *(math.radians(a.travel_deg[0]) for a in gimbals)]
-    params.high = [*(a.travel_m[1] for a in rails), *(math.radians(a.travel_deg[1]) for a in gimbals)]
-    params.rate_max = [*(a.rate_max_mps for a in rails), *(math.radians(a.rate_max_degps) for a in gimbals)]
-    params.acceleration_max = [
-        *(a.acceleration_max_mps2 for a in rails),
-        *(math.radians(a.acceleration_max_degps2) for a in gimbals),
-    ]
-    params.lead = [a.lead_s for a in (*rails, *gimbals)]
-    params.averaged = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in (*rails, *gimbals)]
+    params.low[:3], params.high[:3] = [a.travel_m[0] for a in rails], [a.travel_m[1] for a in rails]
+    params.rate_max[:3] = [a.rate_max_mps for a in rails]
+    params.acceleration_max[:3] = [a.acceleration_max_mps2 for a in rails]
+    _set_gimbals(params, gimbals)
+    params.lead[:3] = [a.lead_s for a in rails]
+    params.averaged[:3] = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in rails]
     return params
+
+
+def manipulator(rig: Rig) -> np.record | None:
+    """Return MANIPULATOR of the rig's rotary manipulator; None without one."""
+    if (config := rig.rotated_target) is None:
+        return None
+    params = new(MANIPULATOR)
+    params.order, params.arm = _order(config.gimbal_order), config.lever_arm_m
+    return params
+
+
+def manipulator_limits(rig: Rig, step_s: float) -> np.record:
+    """Return BENCH_PARAMS with the limits of the rotary manipulator in place of the turntable's; its rails stand."""
+    assert rig.rotated_target is not None
+    params = new(BENCH_PARAMS)
+    params.dt_s = step_s
+    params.low[:3], params.high[:3], params.rate_max[:3], params.acceleration_max[:3] = -1.0, 1.0, 1.0, 1.0
+    _set_gimbals(params, (rig.rotated_target.roll, rig.rotated_target.pitch, rig.rotated_target.yaw))
+    return params
+
+
+def _order(letters: str) -> list[int]:
+    return ["xyz".index(letter) for letter in letters]
+
+
+def _set_gimbals(params: np.record, gimbals: tuple[GimbalAxis, GimbalAxis, GimbalAxis]) -> None:
+    params.low[3:], params.high[3:] = np.radians([a.travel_deg for a in gimbals]).T
+    params.rate_max[3:] = np.radians([a.rate_max_degps for a in gimbals])
+    params.acceleration_max[3:] = np.radians([a.acceleration_max_degps2 for a in gimbals])
+    params.lead[3:] = [a.lead_s for a in gimbals]
+    params.averaged[3:] = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in gimbals]
 
 
 def axis_guard(rig: Rig, step_s: float) -> np.record:

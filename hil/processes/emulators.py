@@ -63,7 +63,7 @@ def make_emulator(configuration: Message) -> Emulator:
         from hil.setup.emulated_cameras import emulated_television
 
         return emulated_television(scenario, rig, seed, board, clock)
-    table: DeviceTable | None = getattr(rig, "target_manipulator" if device == "target" else device)
+    table: DeviceTable | None = rig.target_axes if device == "target" else getattr(rig, device)
     assert table is not None
     emulator: Emulator
     if device == "io":

@@ -98,6 +98,7 @@ def summarise(
             "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
         },
         "clocks": outcome.measured.get("clocks"),
+        "manipulator": outcome.measured.get("manipulator"),
         "sign_off": sign_off_summary(rig),
         "waived": [waiver.as_json() for waiver in waivers(rig)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],

@@ -73,9 +73,9 @@ def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
     return Alarm(t_s, "bench", "error", str(error), "none", str(error))
 
 
-def speed_text(device: str, speed: float) -> str:
-    """Return the speed of an axis, m/s or rad/s, in the unit of alarms: deg/s for the turntable."""
-    return f"{math.degrees(speed):.2f} deg/s" if device == "turntable" else f"{speed:.3f} m/s"
+def speed_text(speed: float, rotates: bool) -> str:
+    """Return the speed of an axis, m/s or rad/s, in the unit of alarms: deg/s for one that rotates."""
+    return f"{math.degrees(speed):.2f} deg/s" if rotates else f"{speed:.3f} m/s"
 
 
 class AlarmLog:

@@ -175,8 +175,9 @@ class SafetyMonitor:
         for device, (check, feedback) in enumerate(zip(self._speed_checks, (rails, turntable), strict=True)):
             if (found := check.update(feedback)) is not None:
                 axis, reported, moved = found
-                name = ("rails", "turntable")[device]
-                value, limit = f"{speed_text(name, reported)} reported", f"{speed_text(name, moved)} by its position"
+                rotates = device == 1
+                value = f"{speed_text(reported, rotates)} reported"
+                limit = f"{speed_text(moved, rotates)} by its position"
                 return Alarm(now_s, self._axis_names[3 * device + axis], "speed", value, limit)
         return None
 

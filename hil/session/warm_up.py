@@ -73,6 +73,7 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.safety_io.open(SimulatedRate(SimulatedClock(), job.tick_s))
     now = loop.now
     loop.bench.open(0.0)
+    loop.target.open(0.0)
     loop.vision.source.open(0.0)
     loop.bench.read(0.0, now.feedback)
     loop.bench.safety.modes.mode = Mode.RUNNING

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.bench.manipulator import relative_axes
 from hil.cameras.pose_sensor import PoseSensor, make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
@@ -38,6 +39,7 @@ from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.cycle import CycleData, Loop
 from hil.loop.fault_stages import AxisFaults, FrameFaults
 from hil.loop.guard_stage import GuardStage
+from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.model_stage import ModelDssStage
 from hil.loop.monitor_stage import MonitorStage, monitor_noise, monitor_record
 from hil.loop.motion_sequences import ProgressCallback
@@ -46,7 +48,7 @@ from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.stages import DssStage, VisionStage
-from hil.loop.target_stage import PlacedTarget
+from hil.loop.target_stage import FixedTarget, PlacedTarget, TargetStage
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
@@ -175,7 +177,10 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         _links(rig, rails, turntable, source),
     )
     stage = BenchStage(rails, turntable, bench, safety, ticks=job.ticks, cycle_s=scenario.step_s)
-    monitor = _docking_monitor(job, stage)
+    moved = _target_stage(job, rig, target)
+    if isinstance(moved, RotatedTarget):
+        stage.manipulator = moved
+    monitor = _docking_monitor(job, rig, devices, stage)
     loop = Loop(
         dss=_dss(job.truth, job.seed),
         bench=stage,
@@ -206,14 +211,13 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
-    if target is not None and rig.moved_target is not None:
-        loop.target = PlacedTarget(target, rig.moved_target)
+    loop.target = moved
     loop.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
-    return Runner(
+    runner = Runner(
         loop,
         rate,
         context.scheduling or DefaultScheduling(),
@@ -232,19 +236,42 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         context.on_progress,
         context.operator,
     )
+    if isinstance(moved, RotatedTarget):
+        runner.meters["manipulator"] = moved.numbers
+    return runner
 
 
-def _docking_monitor(job: Job, bench: BenchStage) -> MonitorStage | None:
+def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
+    """Return what carries the target: nothing that moves, axes that place it, or axes that rotate it in the run."""
+    if axes is None:
+        return FixedTarget()
+    if rig.moved_target is not None:
+        return PlacedTarget(axes, rig.moved_target)
+    step_s, params = job.scenario.value.step_s, bench_params.manipulator(rig)
+    assert rig.rotated_target is not None
+    assert params is not None
+    start = dynamics_params.initial_truth(job.truth).q_CH
+    bench, limits = bench_params.bench(rig, step_s), bench_params.manipulator_limits(rig, step_s)
+    return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
+
+
+def _docking_monitor(job: Job, rig: Rig, devices: Devices, bench: BenchStage) -> MonitorStage | None:
     """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
     params = monitor_record(job.scenario.value, job.truth, job.seed)
     if not params.acts:
         return None
 
+    manipulator, target = bench_params.manipulator(rig), devices.target
+
     def axes() -> tuple[Array, Array]:
         if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
-            return np.asarray(bench.rails.servo().position), np.asarray(bench.turntable.servo().position)
-        rails, turntable = bench.feedback
-        return rails.position, turntable.position
+            found = np.asarray(bench.rails.servo().position), np.asarray(bench.turntable.servo().position)
+        else:
+            found = bench.feedback[0].position, bench.feedback[1].position
+        if isinstance(bench.manipulator, RotatedTarget):
+            at = target.servo().position if isinstance(target, MockAxes) else bench.manipulator.feedback.position
+            return relative_axes(bench.params, manipulator, *found, at)
+        return found
 
     return MonitorStage(params, bench.params, axes, monitor_noise(job.seed))
 
@@ -367,11 +394,16 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = No
     turntable = MockAxes("turntable", turntable_config)
     sensor = make_pose_sensor(scenario, rig, seed, images)
 
+    target = MockAxes("target", rig.target_axes) if rig.target_axes else None
+    bench, manipulator = bench_params.bench(rig, scenario.step_s), bench_params.manipulator(rig)
+
     def pose_at(t_s: float) -> PoseFrame | None:
-        return sensor.measure(rails.position_at(t_s), turntable.position_at(t_s), t_s)
+        axes = rails.position_at(t_s), turntable.position_at(t_s)
+        if manipulator is not None and target is not None:
+            axes = relative_axes(bench, manipulator, *axes, target.position_at(t_s))
+        return sensor.measure(*axes, t_s)
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
-    target = MockAxes("target", rig.moved_target) if rig.moved_target else None
     frames = transport(scenario.vmu, seed)
     return Mocks(Devices(rails, turntable, MockVmu(rig.vmu, pose_at, frames), io, target), sensor, frames)
 

@@ -35,7 +35,7 @@ def python_only(job: Job) -> str:
         and job.truth.monitor.source == "rendered",
         "shadow filter": scenario.gnc.shadow.enabled,
         "parts of the plant in FMUs": bool(job.truth.models),
-        "a target on axes": rig.moved_target is not None,
+        "a target on axes": rig.target_axes is not None,
         # each cycle could end with an alarm
         "setpoints that expire within two cycles": rig.safety.command_age_max_s < 2.0 * scenario.step_s,
     }

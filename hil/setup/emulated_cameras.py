@@ -28,6 +28,7 @@ from hil.params import monitor as monitor_params
 from hil.params import vision as vision_params
 from hil.setup.assembly import start_axes
 from hil.setup.docking_monitor import MONITOR_ADDRESS
+from hil.setup.emulated_vision import seen_axes
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.sources import ImageFolder
 
@@ -44,10 +45,10 @@ def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisSt
     start = start_axes(scenario, rig)
     cameras.image(camera, start.rail_m, start.gimbal_rad, warm_up)
 
+    seen = seen_axes(scenario, rig, board)
+
     def image_at(t_s: float) -> np.ndarray:
-        rails, _ = board.read("rails", t_s)
-        gimbals, _ = board.read("turntable", t_s)
-        return cameras.image(camera, rails, gimbals, noise)
+        return cameras.image(camera, *seen(t_s), noise)
 
     return image_at
 
@@ -80,8 +81,10 @@ def emulated_television(
         d, phi = view(mounting, r, q)
         return renderer.frame(0, lambda _: (d, phi), noise).image
 
+    seen = seen_axes(scenario, rig, board)
+
     def image_at(t_s: float) -> np.ndarray:
-        return image_of(board.read("rails", t_s)[0], board.read("turntable", t_s)[0])
+        return image_of(*seen(t_s))
 
     start = start_axes(scenario, rig)
     image_of(start.rail_m, start.gimbal_rad)  # compiles

@@ -8,15 +8,22 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
+from hil.bench.manipulator import relative_axes
 from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.camera_images import ThreadedImageSink
-from hil.core.messages import PoseFrame
+from hil.core.messages import Array, PoseFrame
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.vmu.transport import Transport
 from hil.frmn.image_memory import ImageMemory
+from hil.params import bench as bench_params
 from hil.setup.assembly import start_axes
+
+SeenAxes = Callable[[float], tuple[Array, Array]]
+"""Rails, m, and turntable, rad, (3,) each, that show at a bench time what the cameras see."""
 
 
 class EmulatedVision(NamedTuple):
@@ -25,6 +32,21 @@ class EmulatedVision(NamedTuple):
     pose_at: Callable[[float], PoseFrame | None]
     transport: Transport
     at_end: Callable[[], None]
+
+
+def seen_axes(scenario: Scenario, rig: Rig, board: SharedAxisState) -> SeenAxes:
+    """Return what the cameras of a bench see of the axes of ``board``, relative to the target where it is rotated."""
+    bench, manipulator = bench_params.bench(rig, scenario.step_s), bench_params.manipulator(rig)
+
+    def seen(t_s: float) -> tuple[Array, Array]:
+        rails, gimbals = board.read("rails", t_s)[0], board.read("turntable", t_s)[0]
+        if manipulator is None:
+            return rails, gimbals
+        return relative_axes(bench, manipulator, rails, gimbals, board.read("target", t_s)[0])
+
+    if manipulator is not None:
+        relative_axes(bench, manipulator, np.zeros(3), np.zeros(3), np.zeros(3))  # compiles
+    return seen
 
 
 def emulated_vision(
@@ -39,9 +61,9 @@ def emulated_vision(
     for k in range(3):  # the search in whole images, then windows
         warm_up.measure(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
 
+    seen = seen_axes(scenario, rig, board)
+
     def pose_at(t_s: float) -> PoseFrame | None:
-        rails, _ = board.read("rails", t_s)
-        gimbals, _ = board.read("turntable", t_s)
-        return sensor.measure(rails, gimbals, t_s)
+        return sensor.measure(*seen(t_s), t_s)
 
     return EmulatedVision(pose_at, transport(scenario.vmu, seed), images.close if images else lambda: None)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.field_of_view import camera_errors
+from hil.bench.manipulator import relative_axes
 from hil.config.rig import Rig
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE
@@ -30,6 +31,7 @@ class TrueAxesWatch:
         self._rows, self._board, self._now_s = rows, board, now_s
         self._bench = kernel_record(bench_params.bench(rig, step_s))
         self._mounting = kernel_record(vision_params.mounting(rig))
+        self._manipulator = bench_params.manipulator(rig)
         self._errors = np.zeros(1), np.zeros(1)
         self._n, self._squares, self._largest = 0, np.zeros(2), np.zeros(2)
         self._compare(np.zeros(1, CYCLE), 0.0)  # compiles the kernel outside the cycle
@@ -53,7 +55,8 @@ class TrueAxesWatch:
         }
 
     def _compare(self, row: np.ndarray, bench_s: float) -> None:
-        rails, gimbals = (self._board.read(device, bench_s)[0] for device in ("rails", "turntable"))
+        rails, gimbals, target = (self._board.read(device, bench_s)[0] for device in ("rails", "turntable", "target"))
+        rails, gimbals = relative_axes(self._bench, self._manipulator, rails, gimbals, target)
         truth = row["truth"]
         camera_errors(
             self._bench, self._mounting, rails[None], gimbals[None], truth["r_CT_H"], truth["q_CH"], *self._errors

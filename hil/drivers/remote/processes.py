@@ -73,7 +73,7 @@ class IoProcesses:
             RemoteTurntable("turntable", rig.turntable, link),
             rig.vmu.make_driver(self._clock) if rig.vmu.entry.has_processes else RemotePoses(rig.vmu, link),
             lines,
-            RemoteAxes("target", rig.moved_target, link) if rig.moved_target is not None else None,
+            RemoteAxes("target", rig.target_axes, link) if rig.target_axes is not None else None,
         )
 
     def close(self) -> None:
