@@ -18,7 +18,7 @@ RIG = "mock-manipulator"
 def test_approach_shown_by_nine_axes_is_that_shown_by_six() -> None:
     poses = {}
     for rig in (RIG, "mock"):
-        with build.runner(make_job(4.0, ("initial.attitude_deg=[8, -6, 12]",), rig=rig, compiled=False)) as runner:
+        with build.runner(make_job(4.0, ("initial.attitude_deg=[8, -6, 12]",), rig=rig)) as runner:
             outcome = runner.run()
             assert outcome.stop == "completed"
             poses[rig] = outcome.history
@@ -35,7 +35,7 @@ def test_approach_shown_by_nine_axes_is_that_shown_by_six() -> None:
 
 
 def test_manipulator_that_stands_still_trips_and_is_stopped_with_the_bench() -> None:
-    with build.runner(make_job(4.0, ("initial.attitude_deg=[8, -6, 12]",), rig=RIG, compiled=False)) as runner:
+    with build.runner(make_job(4.0, ("initial.attitude_deg=[8, -6, 12]",), rig=RIG)) as runner:
         target = runner.loop.target
         assert isinstance(target, RotatedTarget)
         follow = target.follow
@@ -60,7 +60,7 @@ def test_target_that_tumbles_faster_than_both_machines_show_is_refused_with_both
 
 
 def test_error_of_a_manipulator_names_axis_value_and_limit() -> None:
-    with build.runner(make_job(1.0, rig=RIG, compiled=False)) as runner:
+    with build.runner(make_job(1.0, rig=RIG)) as runner:
         target = runner.loop.target
         assert isinstance(target, RotatedTarget)
         target.open(0.0)
