@@ -209,7 +209,6 @@ def test_emulated_cameras_have_one_interface(capsys: pytest.CaptureFixture[str])
     [
         ('pixel_format="Mono12"', "vmu.left: pixel format 'Mono12': the camera has "),
         ('trigger_source="Line7"', "vmu.left: trigger source 'Line7': the camera has "),
-        ('trigger_source="Line1"', "trigger at Line1?"),
     ],
 )
 def test_cameras_that_cannot_be_used_are_one_line(setting: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
