@@ -31,7 +31,7 @@ _REST = np.zeros(3)
 _UNITS = np.eye(3)
 
 
-class Motion(NamedTuple):
+class ChaserMotion(NamedTuple):
     """Pose and motion of the chaser, in H or in L: r (3,), m, v (3,), m/s, q (4,), and its rate w (3,), rad/s, in c."""
 
     r: Array
@@ -49,14 +49,14 @@ def angle_rate(params: np.record, angles: Array, rates: Array) -> Array:
     return found
 
 
-def shown_motion(params: np.record, angles: Array, rates: Array, relative: Motion) -> Motion:
+def shown_motion(params: np.record, angles: Array, rates: Array, relative: ChaserMotion) -> ChaserMotion:
     """Return the motion of the chaser in L for that relative to the target, at angles, rad, and their rates, rad/s.
 
     L has its origin where the target's reference point is at angles of zero.
     """
     q_hl, w_HL_H = euler.to_quaternion(angles, params.order), angle_rate(params, angles, rates)
     arm = relative.r + params.arm
-    return Motion(
+    return ChaserMotion(
         quat.transform_back(q_hl, arm) - params.arm,
         quat.transform_back(q_hl, relative.v + np.cross(w_HL_H, arm)),
         quat.multiply(relative.q, q_hl),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
-from hil.bench.manipulator import Motion, shown_motion, start_angles
+from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
 from hil.config.load import Loaded, load_scene
@@ -40,7 +40,7 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
     q = euler.to_quaternion(np.radians(attitude_deg), euler.YAW_PITCH_ROLL)
     if (params := bench_params.manipulator(rig)) is not None:
         angles = start_angles(params, bench_params.manipulator_limits(rig, scenario.step_s), q)
-        r, _, q, _ = shown_motion(params, angles, rest, Motion(r, rest, q, rest))
+        r, _, q, _ = shown_motion(params, angles, rest, ChaserMotion(r, rest, q, rest))
     axes_of_pose(bench_params.bench(rig, scenario.step_s), r, rest, q, rest, axes)
     return axes
 

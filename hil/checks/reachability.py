@@ -78,7 +78,7 @@ def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list
         angles, rates = manipulator.wanted_angles(params, q, rate, near)
         within = np.clip(angles, limits.low[3:], limits.high[3:])
         rates = np.where(within == angles, np.clip(rates, -limits.rate_max[3:], limits.rate_max[3:]), 0.0)
-        motion = manipulator.Motion(sample.r_CT_H, sample.v_CT_H, q, rate)
+        motion = manipulator.ChaserMotion(sample.r_CT_H, sample.v_CT_H, q, rate)
         shown = manipulator.shown_motion(params, within, rates, motion)
         left.append(replace(sample, r_CT_H=shown.r, v_CT_H=shown.v, rotation=quat.to_rotation_vector(shown.q)))
         target_rad[k], arms[k] = within, np.linalg.norm(sample.r_CT_H + params.arm)

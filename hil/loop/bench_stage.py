@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from hil.bench import kinematics, stopping
-from hil.bench.manipulator import Motion
+from hil.bench.manipulator import ChaserMotion
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks
@@ -24,10 +24,10 @@ class Manipulator(Protocol):
     def seed(self, now_s: float) -> None:
         """Seed the setpoints with the encoder positions, at rest."""
 
-    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> Motion:
+    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> ChaserMotion:
         """Return what the chaser's rig has to show of a pose at rest, before a run."""
 
-    def follow(self, relative: Motion, now_s: float) -> Motion:
+    def follow(self, relative: ChaserMotion, now_s: float) -> ChaserMotion:
         """Send the next setpoint; return what is left for the chaser's rig."""
 
     def relate_setpoint(self, axes: np.record) -> None:
@@ -188,7 +188,7 @@ class BenchStage:
         self, manipulator: Manipulator, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record
     ) -> None:
         """``follow`` with a target that moves: ``wanted`` and ``setpoint`` are relative to it, what is sent is not."""
-        left = manipulator.follow(Motion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C), now_s)
+        left = manipulator.follow(ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C), now_s)
         self.axes_of(left.r, left.v, left.q, left.w, self._left)
         self.command(self._left, now_s, setpoint)
         manipulator.relate_setpoint(setpoint)

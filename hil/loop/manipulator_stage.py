@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import kinematics, manipulator, stopping
-from hil.bench.manipulator import Motion
+from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import RotaryManipulator
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
@@ -84,12 +84,12 @@ class RotatedTarget(TargetAxes):
         if isinstance(self.axes, LimitsSetpoints):
             self.axes.set_limits(self._limits.rate_max[3:], self._limits.acceleration_max[3:])
 
-    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> Motion:
+    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> ChaserMotion:
         """Return what the chaser's rig has to show of a pose at rest, with the manipulator at its place."""
         rest = np.zeros(3)
-        return manipulator.shown_motion(self.params, self.place_at, rest, Motion(r_CT_H, rest, q_CH, rest))
+        return manipulator.shown_motion(self.params, self.place_at, rest, ChaserMotion(r_CT_H, rest, q_CH, rest))
 
-    def follow(self, relative: Motion, now_s: float) -> Motion:
+    def follow(self, relative: ChaserMotion, now_s: float) -> ChaserMotion:
         """Send the next setpoint on the way to the motion relative to the target at the end of this cycle.
 
         Returns what is left for the chaser's rig: the motion in L.

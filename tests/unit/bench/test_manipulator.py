@@ -1,4 +1,4 @@
-"""Motion divided between the target's rotary manipulator and the chaser's rig: together exactly the wanted one."""
+"""ChaserMotion divided between the target's rotary manipulator and the chaser's rig: together exactly the wanted one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.bench import manipulator
-from hil.bench.manipulator import MANIPULATOR, Motion
+from hil.bench.manipulator import MANIPULATOR, ChaserMotion
 from hil.config.load import load_rig
 from hil.core.messages import Array, new
 from hil.errors import BadInput
@@ -29,8 +29,8 @@ def params_of(order: tuple[int, ...], arm: Array) -> np.record:
     return params
 
 
-def shown(params: np.record, angles: Array, rates: Array, r: Array, v: Array, q: Array, w: Array) -> Motion:
-    return manipulator.shown_motion(params, angles, rates, Motion(r, v, q, w))
+def shown(params: np.record, angles: Array, rates: Array, r: Array, v: Array, q: Array, w: Array) -> ChaserMotion:
+    return manipulator.shown_motion(params, angles, rates, ChaserMotion(r, v, q, w))
 
 
 @given(st.sampled_from(ORDERS), ANGLES, VECTORS, VECTORS, VECTORS)
