@@ -1,4 +1,4 @@
-"""ChaserMotion divided between the target's rotary manipulator and the chaser's rig: together exactly the wanted one."""
+"""Motion divided between the target's rotary manipulator and the chaser's rig: together exactly the wanted one."""
 
 from __future__ import annotations
 
