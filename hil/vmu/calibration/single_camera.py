@@ -142,7 +142,7 @@ def fit_camera(corners: dict[str, Array], size: tuple[int, int], board: Board) -
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _LensFit:
     """Camera matrix, lens, sigmas of the matrix' four numbers, and RMS residual of each image, px."""
 
     matrix: Array
@@ -151,7 +151,7 @@ class _Fit:
     residual_px: Array
 
 
-def _fit(corners: Sequence[Array], size: tuple[int, int], board: Board) -> _Fit:
+def _fit(corners: Sequence[Array], size: tuple[int, int], board: Board) -> _LensFit:
     objects = [board.points().astype(np.float32)] * len(corners)
     images = [found.astype(np.float32) for found in corners]
     try:
@@ -160,7 +160,7 @@ def _fit(corners: Sequence[Array], size: tuple[int, int], board: Board) -> _Fit:
         )
     except cv2.error as error:
         raise BadInput.single("VIEWS", "", "the images do not determine the camera; tilt the board") from error
-    return _Fit(
+    return _LensFit(
         np.asarray(matrix, dtype=float),
         np.asarray(lens, dtype=float).ravel()[:5],
         np.asarray(sigmas, dtype=float).ravel()[:4],
