@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
+from hil.loop.rate_keeper import Tick
 from hil.loop.target_stage import TargetAxes
 
 
@@ -49,6 +51,11 @@ class RotatedTarget(TargetAxes):
         self._expected, self._expected_rate = self.place_at, np.zeros(3)
         self._largest = np.zeros((3, 3))  # angle, rate, following error
 
+    def place(self, tick: Callable[[], Tick], step_s: float) -> None:
+        """Move all axes slowly to the angles of the start pose and wait until they are at rest there."""
+        super().place(tick, step_s)
+        self._stand_at(self.place_at)
+
     def check(self, now_s: float) -> None:
         """Read the axes; raise SafetyTrip if one is too far from its setpoint or on a limit switch."""
         self.feedback = feedback = self.axes.read(now_s)
@@ -78,9 +85,7 @@ class RotatedTarget(TargetAxes):
 
     def seed(self, now_s: float) -> None:
         """Seed the setpoints with the encoder positions, at rest."""
-        position = self.axes.read(now_s).position
-        kinematics.start_motion(np.zeros(3), position, self._motion)
-        self._expected, self._expected_rate = position, np.zeros(3)
+        self._stand_at(self.axes.read(now_s).position)
         if isinstance(self.axes, LimitsSetpoints):
             self.axes.set_limits(self._limits.rate_max[3:], self._limits.acceleration_max[3:])
 
@@ -111,6 +116,11 @@ class RotatedTarget(TargetAxes):
     def at_rest(self, now_s: float) -> bool:
         """Return whether the axes are at rest according to their encoders."""
         return bool(np.abs(self.axes.read(now_s).rate).max() <= self._rest_radps)
+
+    def _stand_at(self, position: Array) -> None:
+        """Begin the next motion, and expect the axes, at ``position`` (3,)."""
+        kinematics.start_motion(np.zeros(3), position, self._motion)
+        self._expected, self._expected_rate = position, np.zeros(3)
 
     def _send(self, now_s: float) -> None:
         out = self._next

@@ -53,6 +53,19 @@ def test_manipulator_that_stands_still_trips_and_is_stopped_with_the_bench() -> 
     assert np.abs(target.feedback.rate).max() < 1e-6
 
 
+def test_manipulator_at_its_place_is_expected_there_and_a_hold_does_not_move_it() -> None:
+    with build.runner(make_job(1.0, START, rig=RIG)) as runner:
+        target, rate = runner.loop.target, runner.rate
+        assert isinstance(target, RotatedTarget)
+        target.open(0.0)
+        target.seed(0.0)
+        target.place(rate.wait, 0.02)
+        for _ in range(50):
+            assert not target.brake(rate.wait().now_s)
+            target.check(rate.now_s())
+    assert np.degrees(np.abs(target.feedback.position)).max() > 5.0
+
+
 def test_target_that_tumbles_faster_than_both_machines_show_is_refused_with_both_limits() -> None:
     settings = ("target.rate_degps=[1.5, 2.0, 25.0]", "chaser.thrusters.force_n=2000")
     with pytest.raises(BadInput) as refused:
