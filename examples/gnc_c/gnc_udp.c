@@ -5,10 +5,12 @@
  *     ./gnc_udp 127.0.0.1 24500               # on this one: address and port of hil dss
  *
  * The datagrams are those of docs/reference/wire-formats.md: a header of 32 bytes, a struct of hil_gnc.h and a tag by the
- * key of the link. This program sends hello until the bench replies, then replies to each setup and each input with one output.
+ * key of the link. This program sends hello until the bench replies, then replies to each setup, which
+ * comes in two datagrams, and each input with one output.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <netdb.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -22,7 +24,11 @@
 
 enum { VERSION = 2, HEADER = 32, LARGEST = 1472, SILENT = 10 /* time-outs of 0.1 s, then hello is sent again */ };
 enum { HELLO = 1, CELL = 2, GOODBYE = 4, REFUSED = 5 };
-enum { SETUP = 1, INPUT = 2, OUTPUT = 3 };
+enum { SETUP = 1, INPUT = 2, OUTPUT = 3, ORBIT = 24 };
+enum { /* hil_gnc_setup comes in two datagrams: its first bytes, and those of orbit and motion of the target */
+    FIRST = offsetof(hil_gnc_setup, eccentricity),
+    REST = sizeof(hil_gnc_setup) - FIRST
+};
 enum { ROLE_GNC = 2, OFFERS = 1, WANTS = 2 };
 
 typedef struct { /* layout of the datagram's header, without gaps */
@@ -84,8 +90,9 @@ static void send_datagram(int kind, int cell, const void *payload, size_t size)
 
 static void send_hello(void)
 {
-    hello h = {ROLE_GNC, 3, "gnc_udp", {{OUTPUT, sizeof(hil_gnc_output), 0, OFFERS},
-                                        {SETUP, sizeof(hil_gnc_setup), 0, WANTS},
+    hello h = {ROLE_GNC, 4, "gnc_udp", {{OUTPUT, sizeof(hil_gnc_output), 0, OFFERS},
+                                        {SETUP, FIRST, 0, WANTS},
+                                        {ORBIT, REST, 0, WANTS},
                                         {INPUT, sizeof(hil_gnc_input), 0, WANTS}}};
     send_datagram(HELLO, 0, &h, sizeof h);
 }
@@ -131,7 +138,8 @@ int main(int argc, char **argv)
     void *gnc = NULL;
     int64_t cycle = -1;
     int32_t mode = -1;
-    int silent = 0;
+    int silent = 0, begun = 0;
+    hil_gnc_setup setup;
     hil_gnc_output output;
     char reason[HIL_GNC_REASON_BYTES] = "";
 
@@ -157,9 +165,14 @@ int main(int argc, char **argv)
         }
         if (h.kind != CELL)
             continue;
-        if (h.cell == SETUP && size == sizeof(hil_gnc_setup)) {
-            hil_gnc_setup setup;
-            memcpy(&setup, payload, sizeof setup);
+        if (h.cell == SETUP && size == FIRST) {
+            memcpy(&setup, payload, FIRST);
+            begun = 1;
+            continue; /* the rest follows */
+        }
+        if (h.cell == ORBIT && size == REST && begun) {
+            memcpy((char *)&setup + FIRST, payload, REST);
+            begun = 0;
             hil_gnc_close(gnc);
             gnc = hil_gnc_open(&setup, reason);
             if (gnc == NULL) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -74,9 +75,9 @@ def fault(name: str, **keys: Any) -> dict[str, Any]:
     return table | MORE.get(name, {}) | keys
 
 
-def fly(*faults: dict[str, Any], duration_s: float = END_S) -> np.ndarray:
+def fly(*faults: dict[str, Any], duration_s: float = END_S, settings: Sequence[str] = ()) -> np.ndarray:
     """Return the rows of a run of scheme-1 with these faults."""
-    settings = (*WITHOUT_GUARD, *_monitor(*faults), _settings(*faults))
+    settings = (*WITHOUT_GUARD, *_monitor(*faults), *settings, _settings(*faults))
     with build.runner(make_job(duration_s, settings)) as runner:
         return runner.run().history
 
@@ -122,6 +123,8 @@ def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name:
 @pytest.mark.parametrize("name", sorted(set(KINDS) - {"vmu.sigma_scale", *NO_DISAGREEMENT}))
 def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.ndarray, name: str) -> None:
     found = fly(fault(name))
+    if with_monitor := _monitor(fault(name)):
+        healthy = fly(settings=with_monitor)
     before = healthy["t_s"] < AT_S - 1e-9
     assert_same_bits(found[before], healthy[before])
     differs = found[~before].tobytes() != healthy[~before].tobytes()

@@ -85,7 +85,9 @@ def test_recording_has_the_interface_of_a_run_and_is_replayed(tmp_path: Path) ->
     replay = recording.replay(overrides={"gnc.pkf.accelerometer_noise_mps2": 1e-3})
     assert {difference.field for difference in replay.differences} >= {"navigation.r_CT_H", "navigation.sigma_r_m"}
     assert not replay.identical
-    assert replay.navigation["recorded"] == run.summary["navigation"] != replay.navigation["replayed"]
+    recorded, navigation = replay.navigation["recorded"], run.summary["navigation"]
+    assert recorded != replay.navigation["replayed"]
+    assert recorded == {name: navigation[name] for name in recorded}
     assert (replay.run.navigation.sigma_r_m[-1] > run.navigation.sigma_r_m[-1]).all()
     with pytest.raises(hil.errors.BadInput, match=r"overrides: vmu\.latency_s=0\.2: cannot be changed in a replay"):
         recording.replay(overrides={"vmu.latency_s": 0.2})
