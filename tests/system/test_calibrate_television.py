@@ -47,6 +47,7 @@ def test_camera_is_found_within_its_sigmas() -> None:
     assert fit.sigma_px.max() < 1.0
 
 
+@pytest.mark.slow
 def test_scene_file_has_the_camera_and_what_a_pinhole_does_not_have_as_tolerances(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,7 +61,7 @@ def _none_left(pids: dict[str, int]) -> bool:
 @pytest.mark.parametrize("turntable", ["cia402", pytest.param("ascii", marks=pytest.mark.slow)])
 def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "28", "--json", str(path))
+    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "28", "--speed", "2", "--json", str(path))
     with _started(*typed(*NEAR), *arguments) as (process, pids):
         out, err = process.communicate(timeout=120)
     result = json.loads(path.read_text())
