@@ -180,7 +180,7 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     moved = _target_stage(job, rig, target)
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
-    monitor = _docking_monitor(job, rig, devices, stage)
+    monitor = _docking_monitor(job, devices, stage)
     loop = Loop(
         dss=_dss(job.truth, job.seed),
         bench=stage,
@@ -255,22 +255,22 @@ def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
 
 
-def _docking_monitor(job: Job, rig: Rig, devices: Devices, bench: BenchStage) -> MonitorStage | None:
+def _docking_monitor(job: Job, devices: Devices, bench: BenchStage) -> MonitorStage | None:
     """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
     params = monitor_record(job.scenario.value, job.truth, job.seed)
     if not params.acts:
         return None
 
-    manipulator, target = bench_params.manipulator(rig), devices.target
+    target, rotated = devices.target, bench.manipulator
 
     def axes() -> tuple[Array, Array]:
         if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
             found = np.asarray(bench.rails.servo().position), np.asarray(bench.turntable.servo().position)
         else:
             found = bench.feedback[0].position, bench.feedback[1].position
-        if isinstance(bench.manipulator, RotatedTarget):
-            at = target.servo().position if isinstance(target, MockAxes) else bench.manipulator.feedback.position
-            return relative_axes(bench.params, manipulator, *found, at)
+        if isinstance(rotated, RotatedTarget):
+            at = target.servo().position if isinstance(target, MockAxes) else rotated.feedback.position
+            return relative_axes(bench.params, rotated.params, *found, at)
         return found
 
     return MonitorStage(params, bench.params, axes, monitor_noise(job.seed))

@@ -25,12 +25,10 @@ def keys(summary: dict[str, Any], groups: set[str]) -> set[str]:
     """Return the keys of a summary; those in ``groups`` with their inner keys, without a group that is null."""
     found = set()
     for key, value in summary.items():
-        if key in groups and value is None:
-            continue
-        if key in groups:
-            found |= {f"{key}.{inner}" for inner in value}
-        else:
+        if key not in groups:
             found.add(key)
+        elif value is not None:
+            found |= {f"{key}.{inner}" for inner in value}
     return found
 
 

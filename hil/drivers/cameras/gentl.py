@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
-from hil.drivers.cameras.node_map import NodeMap, reason, vendor_module
+from hil.drivers.cameras.node_map import NodeMap, link_lost, reason, vendor_module
 from hil.errors import DeviceError, LinkLost
 
 PATH: Final = "GENICAM_GENTL64_PATH"
@@ -34,33 +34,32 @@ class GentlCamera:
         self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
     ) -> None:
         self._name = name
-        self._error = _library(name).errors
+        library = _library(name)
+        self._errors = library.errors
         self._bits = BITS[settings.pixel_format]
         self._size = size
         self._camera: Any = None
-        self._producers = _producers(name)
+        self._producers = _producers(name, library)
         try:
-            devices = self._producers.device_info_list
-            device = next((d for d in devices if identifier in [_text(d, key, self._error) for key in _NAMES]), None)
-            if device is None:
-                raise LinkLost(name, f"no camera {identifier!r}")
-            self._camera = self._producers.create(device)
-            self._camera.num_buffers = _BUFFERS
-            self._nodes = _node_map(name, self._camera.remote_device.node_map)
-            self._nodes.set_up(settings, size, rate_hz)
-        except self._error as cause:
-            self.close()
-            raise LinkLost(name, reason(cause)) from cause
+            with link_lost(name, self._errors):
+                devices = self._producers.device_info_list
+                device = next(
+                    (d for d in devices if identifier in [_text(d, key, self._errors) for key in _NAMES]), None
+                )
+                if device is None:
+                    raise LinkLost(name, f"no camera {identifier!r}")
+                self._camera = self._producers.create(device)
+                self._camera.num_buffers = _BUFFERS
+                self._nodes = _node_map(name, library, self._camera.remote_device.node_map)
+                self._nodes.set_up(settings, size, rate_hz)
         except BaseException:
             self.close()
             raise
 
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""
-        try:
+        with link_lost(self._name, self._errors, "acquisition"):
             self._camera.start()
-        except self._error as cause:
-            raise LinkLost(self._name, f"acquisition: {reason(cause)}") from cause
 
     def trigger(self) -> None:
         """Command one exposure. Raises DeviceError."""
@@ -69,24 +68,22 @@ class GentlCamera:
     def receive(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame, None if there is none within ``timeout_s`` of wall time. Raises DeviceError."""
         camera = self._camera
-        try:
+        with link_lost(self._name, self._errors):
             camera.timeout_period_on_update_event_data_call = max(1, round(1e3 * timeout_s))
             buffer = camera.try_fetch(timeout=timeout_s, is_raw=True)
             if buffer is None:
                 return None
             try:
-                return CameraFrame(self._image(buffer), buffer.frame_id, _stamp_s(buffer, self._error))
+                return CameraFrame(self._image(buffer), buffer.frame_id, _stamp_s(buffer, self._errors))
             finally:
                 buffer.parent.queue_buffer(buffer)
-        except self._error as cause:
-            raise LinkLost(self._name, reason(cause)) from cause
 
     def _image(self, buffer: Any) -> np.ndarray:
         found = int(buffer.width), int(buffer.height)
         check_size(self._name, found, self._size)
         pixel_bytes = 1 if self._bits == 8 else 2
-        row = found[0] * pixel_bytes + _whole(buffer, "padding_x", self._error)
-        data = np.frombuffer(buffer.raw_buffer, np.uint8, offset=_whole(buffer, "image_offset", self._error))
+        row = found[0] * pixel_bytes + _whole(buffer, "padding_x", self._errors)
+        data = np.frombuffer(buffer.raw_buffer, np.uint8, offset=_whole(buffer, "image_offset", self._errors))
         if len(data) < row * found[1]:
             raise DeviceError(self._name, f"image of {len(data)} bytes, expected {row * found[1]}")
         rows = data[: row * found[1]].reshape(found[1], row)[:, : found[0] * pixel_bytes]
@@ -101,7 +98,7 @@ class GentlCamera:
         camera, self._camera = self._camera, None
         for end in (camera.destroy if camera is not None else None, self._producers.reset):
             if end is not None:
-                with contextlib.suppress(*self._error):
+                with contextlib.suppress(*self._errors):
                     end()
 
 
@@ -109,8 +106,8 @@ def found_gentl() -> list[CameraInfo]:
     """Return the cameras of all producers; none without ``PATH``. Raises DeviceError without harvesters."""
     if not os.environ.get(PATH):
         return []
-    producers = _producers("cameras")
-    errors = _library("cameras").errors
+    library = _library("cameras")
+    producers, errors = _producers("cameras", library), library.errors
     try:
         return [
             CameraInfo(
@@ -146,9 +143,8 @@ def _library(name: str) -> _Library:
         raise DeviceError(name, f"interface gentl needs the packages harvesters and genicam: {cause}") from cause
 
 
-def _producers(name: str) -> Any:
+def _producers(name: str, library: _Library) -> Any:
     """Return a Harvester with the producers of ``PATH`` and the cameras that they find. Raises DeviceError."""
-    library = _library(name)
     folders = [Path(folder) for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]
     files = sorted(path for folder in folders for path in folder.glob("*.cti"))
     if not files:
@@ -171,8 +167,8 @@ def _text(device: Any, key: str, error: tuple[type[Exception], ...]) -> str:
         return ""
 
 
-def _node_map(name: str, nodes: Any) -> NodeMap:
-    genapi = _library(name).genapi
+def _node_map(name: str, library: _Library, nodes: Any) -> NodeMap:
+    genapi = library.genapi
 
     def find(feature: str) -> Any:
         try:

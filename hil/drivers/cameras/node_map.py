@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Final
 
 from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import check_size
-from hil.errors import DeviceError
+from hil.errors import DeviceError, LinkLost
 
 _OFFSETS: Final = ("OffsetX", "OffsetY")
 _SIZES: Final = ("Width", "Height")
@@ -152,6 +153,15 @@ def vendor_module(name: str) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return importlib.import_module(name)
+
+
+@contextmanager
+def link_lost(name: str, errors: tuple[type[Exception], ...], what: str = "") -> Iterator[None]:
+    """Raise LinkLost of the camera ``name`` in place of the library's ``errors``. what: start of its text."""
+    try:
+        yield
+    except errors as cause:
+        raise LinkLost(name, f"{what}: {reason(cause)}" if what else reason(cause)) from cause
 
 
 def reason(cause: Exception) -> str:

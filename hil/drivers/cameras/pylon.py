@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
-from hil.drivers.cameras.node_map import NodeMap, reason, vendor_module
+from hil.drivers.cameras.node_map import NodeMap, link_lost, reason, vendor_module
 from hil.errors import DeviceError, LinkLost
 
 _BUFFERS: Final = 8
@@ -26,51 +26,47 @@ class PylonCamera:
     ) -> None:
         self._name = name
         self._pylon, genicam = _library(name)
-        self._error: type[Exception] = genicam.GenericException
+        self._errors: tuple[type[Exception], ...] = (genicam.GenericException,)
         self._bits = BITS[settings.pixel_format]
         self._size = size
         self._camera: Any = None
         factory = self._pylon.TlFactory.GetInstance()
         try:
-            device = next((found for found in factory.EnumerateDevices() if identifier in _names(found)), None)
-            if device is None:
-                raise LinkLost(name, f"no camera {identifier!r}")
-            self._camera = self._pylon.InstantCamera(factory.CreateDevice(device))
-            self._camera.MaxNumBuffer.Value = _BUFFERS
-            self._camera.Open()
-            nodes = self._camera.GetNodeMap()
-            self._nodes = NodeMap(name, lambda feature: _available(genicam, nodes, feature), self._error)
-            self._nodes.set_up(settings, size, rate_hz)
-            self._tick_s = _NS
-            if self._nodes.has("GevTimestampTickFrequency"):
-                self._tick_s = 1.0 / self._nodes.whole("GevTimestampTickFrequency")
-        except self._error as cause:
-            self.close()
-            raise LinkLost(name, reason(cause)) from cause
+            with link_lost(name, self._errors):
+                device = next((found for found in factory.EnumerateDevices() if identifier in _names(found)), None)
+                if device is None:
+                    raise LinkLost(name, f"no camera {identifier!r}")
+                self._camera = self._pylon.InstantCamera(factory.CreateDevice(device))
+                self._camera.MaxNumBuffer.Value = _BUFFERS
+                self._camera.Open()
+                nodes = self._camera.GetNodeMap()
+                self._nodes = NodeMap(
+                    name, lambda feature: _available(genicam, nodes, feature), genicam.GenericException
+                )
+                self._nodes.set_up(settings, size, rate_hz)
+                self._tick_s = _NS
+                if self._nodes.has("GevTimestampTickFrequency"):
+                    self._tick_s = 1.0 / self._nodes.whole("GevTimestampTickFrequency")
         except BaseException:
             self.close()
             raise
 
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""
-        try:
+        with link_lost(self._name, self._errors, "acquisition"):
             self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
-        except self._error as cause:
-            raise LinkLost(self._name, f"acquisition: {reason(cause)}") from cause
 
     def trigger(self) -> None:
         """Command one exposure, once the camera can take it. Raises DeviceError."""
         camera = self._camera
-        try:
+        with link_lost(self._name, self._errors, "software trigger"):
             if camera.CanWaitForFrameTriggerReady():
                 camera.WaitForFrameTriggerReady(_TRIGGER_READY_MS, self._pylon.TimeoutHandling_ThrowException)
-        except self._error as cause:
-            raise LinkLost(self._name, f"software trigger: {reason(cause)}") from cause
         self._nodes.execute("TriggerSoftware")
 
     def receive(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame, None if there is none within ``timeout_s`` of wall time. Raises DeviceError."""
-        try:
+        with link_lost(self._name, self._errors):
             result = self._camera.RetrieveResult(round(1e3 * timeout_s), self._pylon.TimeoutHandling_Return)
             if not result or not result.IsValid():
                 if self._camera.IsCameraDeviceRemoved():
@@ -82,8 +78,6 @@ class PylonCamera:
                 return CameraFrame(image, result.BlockID, ticks * self._tick_s if ticks else math.nan)
             finally:
                 result.Release()
-        except self._error as cause:
-            raise LinkLost(self._name, reason(cause)) from cause
 
     def _image(self, result: Any) -> np.ndarray:
         raw = np.asarray(result.Array)
@@ -98,7 +92,7 @@ class PylonCamera:
         """Stop and release the camera. Idempotent, never raises."""
         camera, self._camera = self._camera, None
         if camera is not None:
-            with contextlib.suppress(self._error):
+            with contextlib.suppress(*self._errors):
                 camera.StopGrabbing()
                 camera.Close()
 
