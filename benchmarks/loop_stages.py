@@ -86,10 +86,16 @@ def decide(params, state, n):
 
 
 @kernel
-def errors(state, n):
+def errors(params, state, n):
     out = stack.vector(2)
     for _ in range(n):
-        navigation.normalised_errors(state.gnc.navigation.fusion.filters, state.now.truth, state.now.imu, out)
+        navigation.normalised_errors(
+            state.gnc.navigation.fusion.filters,
+            params.gnc.navigation.fusion.orbit,
+            state.now.truth,
+            state.now.imu,
+            out,
+        )
 
 
 @kernel
@@ -161,7 +167,7 @@ def main() -> None:
         + best_ns(flight, lambda n: receive_poses(p, s, frames, frames.copy(), poses, arrivals, n)) / a_pose,
         "filters, prediction": (alone := best_ns(flight, lambda n: predict(p, s, samples, memory, poses, n))),
         "filters, poses": (best_ns(flight, lambda n: fuse(p, s, samples, memory, poses, n)) - alone) / a_pose,
-        "consistency of the filters": best_ns(flight, lambda n: errors(s, n)) / a_pose,
+        "consistency of the filters": best_ns(flight, lambda n: errors(p, s, n)) / a_pose,
         "guidance, supervision, control": best_ns(flight, lambda n: decide(p, s, n)),
         "stats": best_ns(flight, lambda n: cycle_stats(p, s, stats, n)),
         "truth": best_ns(flight, lambda n: move_truth(p, field, s, n)),

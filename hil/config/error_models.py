@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hil.config.model import ConfigModel, NotNegative, Positive, Triple
+from hil.config.model import ConfigModel, NotNegative, NotNegativeTriple, Positive, Triple
 
 RelativeError = Annotated[float, Field(gt=-0.5, lt=0.5)]
 RelativeErrors = tuple[RelativeError, RelativeError, RelativeError]
@@ -14,7 +14,6 @@ Rotation = Annotated[float, Field(ge=-30.0, le=30.0)]
 Misalignment = tuple[Rotation, Rotation, Rotation]
 SmallAngle = Annotated[float, Field(ge=0.0, le=10.0)]
 RelativeSigma = Annotated[float, Field(ge=0.0, le=0.5)]
-NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 LAG_MAX_S = 1.0
 Lag = Annotated[float, Field(ge=0.0, le=LAG_MAX_S)]

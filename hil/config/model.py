@@ -27,6 +27,7 @@ NotNegative = Annotated[float, Field(ge=0.0)]
 Name = Annotated[str, StringConstraints(max_length=100), AfterValidator(_printable)]
 """Text for a page, a terminal and the name of a file."""
 Triple = tuple[float, float, float]
+NotNegativeTriple = tuple[NotNegative, NotNegative, NotNegative]
 Matrix3 = tuple[Triple, Triple, Triple]
 AngleTriple = tuple[
     Annotated[float, Field(gt=-180.0, le=180.0)],

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import ConfigModel, NotNegative, Positive, Triple
+from hil.config.model import ConfigModel, NotNegativeTriple, Positive, Triple
 from hil.config.model_fmu import ModelFmu
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
@@ -52,8 +52,8 @@ class Ephemeris(ConfigModel):
     """Error of the eccentricity."""
     true_anomaly_error_deg: Degrees = 0.0
     """Error of the true anomaly at the start."""
-    rate_sigma_degps: NotNegative = 0.0
-    """Standard deviation, per axis, of the rate of H beyond that of the orbit; harmonics of the Moon: 5e-6."""
+    rate_sigma_degps: NotNegativeTriple = (0.0, 0.0, 0.0)
+    """Standard deviations of the rate of H beyond that of the orbit, in H; harmonics of the Moon: 0, 1.3e-6, 9e-6."""
     along_track_error_m: float = 0.0
     """Error of the position along the orbit at the start, in addition."""
 

@@ -22,6 +22,9 @@ AKF_PARAMS = np.dtype(
         ("sigma_drift", "f8"),  # rad/s^2, eq. (7): drift[k+1] = drift[k] + dt * w
         ("initial_drift", "f8", 3),  # rad/s
         ("initial_drift_sigma", "f8"),  # rad/s
+        # error of the known rate of H, in H, which is a part of the drift
+        ("rate_sigma", "f8", 3),  # rad/s, initial
+        ("rate_noise", "f8", 3),  # rad/s^2, as sigma_drift
         ("gate", "f8"),  # largest NIS that is accepted
     ],
     align=True,
@@ -52,6 +55,22 @@ def start(params, pose, state):
         state.w_CH_C[i] = 0.0
         for j in range(3):
             state.p[i, j] = pose.covariance_attitude[i, j]
+    add_in_chaser_axes(params.rate_sigma, 1.0, pose.q_CH, state.p[3:6, 3:6])
+
+
+@kernel
+def add_in_chaser_axes(sigma, scale, q, p):
+    """Add ``A(q) diag((scale sigma)^2) A(q)^T`` to ``p`` (3, 3); sigma: (3,), in H."""
+    unit, column = stack.vector(3), stack.vector(3)
+    for k in range(3):
+        if sigma[k] != 0.0:
+            for i in range(3):
+                unit[i] = 0.0
+            unit[k] = scale * sigma[k]
+            quat.transform_into(q, unit, column)
+            for i in range(3):
+                for j in range(3):
+                    p[i, j] += column[i] * column[j]
 
 
 @kernel
@@ -153,6 +172,7 @@ def predict_covariance(params, state):
     for i in range(3):
         p[i, i] += gyro
         p[3 + i, 3 + i] += drift
+    add_in_chaser_axes(params.rate_noise, params.dt_s, state.x[0:4], p[3:6, 3:6])
 
 
 @kernel

@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.gnc.akf import add_in_chaser_axes
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.maths.kalman import propagate_covariance, update_three
@@ -122,6 +123,7 @@ def start(params, pose, state):
         p[3 + i, 3 + i] = params.initial_drift_sigma**2
         for j in range(3):
             p[i, j] = pose.covariance_attitude[i, j]
+    add_in_chaser_axes(params.rate_sigma, 1.0, pose.q_CH, p[3:6, 3:6])
     from_multiplicative(x, p, state)
 
 
@@ -172,6 +174,7 @@ def predict(params, state, measured_rate, hill):
         noise[i, i] += gyro
     for i in range(3):
         noise[4 + i, 4 + i] = (params.dt_s * params.sigma_drift) ** 2
+    add_in_chaser_axes(params.rate_noise, params.dt_s, state.x[0:4], noise[4:7, 4:7])
     propagate_covariance(state.p, phi, noise)
     quat.second_column_into(state.x[0:4], along_y)
     for i in range(3):

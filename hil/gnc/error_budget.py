@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.gnc.akf import add_in_chaser_axes
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.kalman import invert_symmetric_3
@@ -194,7 +195,8 @@ def start(budget, pose, noise, akf, pkf, state):
             state.p[i, j] = 0.0
     for i in range(3):
         state.p[_V + i, _V + i], state.p[_BIAS + i, _BIAS + i] = pkf.p[3 + i, 3 + i], pkf.p[6 + i, 6 + i]
-        state.p[_DRIFT + i, _DRIFT + i] = akf.p[3 + i, 3 + i]
+        for j in range(3):
+            state.p[_DRIFT + i, _DRIFT + j] = akf.p[3 + i, 3 + j]
     # columns: white noise of rotation and position (6), then as the joint errors
     response = stack.matrix(15, 46)
     h, a, expected = stack.matrix(3, 46), stack.matrix(3, 3), stack.vector(3)
@@ -329,7 +331,7 @@ def predict(budget, of_akf, of_pkf, a, force, rate, akf, pkf, state):
         for k in range(FILTER_ERRORS, n):
             p[m, k] *= kept * budget.kept[k]
         p[m, m] += budget.variance[m] * (1.0 - kept * kept)
-    _add_noise(budget, of_akf, of_pkf, p)
+    _add_noise(budget, of_akf, of_pkf, akf.x, p)
     for i in range(3):
         k = budget.accelerometer_instability + i
         if budget.accelerometer_instability != 0:
@@ -343,8 +345,9 @@ def predict(budget, of_akf, of_pkf, a, force, rate, akf, pkf, state):
 
 
 @kernel
-def _add_noise(budget, of_akf, of_pkf, p):
+def _add_noise(budget, of_akf, of_pkf, attitude, p):
     """Add the noise of a step: white noise of both sensors, random walks, and the fresh part of the instabilities."""
+    add_in_chaser_axes(of_akf.rate_noise, of_akf.dt_s, attitude, p[_DRIFT : _DRIFT + 3, _DRIFT : _DRIFT + 3])
     g = of_pkf.hill_response
     accelerometer = of_pkf.sigma_accelerometer**2
     for i in range(6):

@@ -10,8 +10,9 @@ from hil.core.jit import kernel
 from hil.gnc import akf, fusion, integrity, pkf, vision_only
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
+from hil.gnc.target_orbit import frame_rate
 from hil.gnc.vision_only import VISION_ONLY_PARAMS, VISION_ONLY_STATE
-from hil.maths import stack
+from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import normalised_square
 
@@ -142,13 +143,21 @@ def _write_vision_only(state, out):
 
 
 @kernel
-def normalised_errors(filters, truth, imu, out):
+def normalised_errors(filters, orbit, truth, imu, out):
     """Write the NEES of the position filter (9 states) and of the attitude filter (6) into ``out`` (2,).
 
-    filters: FILTERS, of the moment of ``truth``. ``imu`` holds the true drift and bias.
+    filters: FILTERS, of the moment of ``truth``. orbit: their TARGET_ORBIT. ``imu`` holds the true drift and bias. A
+    drift of the gyros and an error of the known rate of H are one to the filter: its drift is compared with their sum.
     """
     from_akf, from_pkf = stack.vector(6), stack.vector(9)
-    akf.error(filters.akf, truth.q_CH, imu.drift_C, from_akf)
+    known, drift = stack.vector(3), stack.vector(3)
+    frame_rate(orbit, truth.t_s, known)
+    for i in range(3):
+        known[i] = truth.w_HI_H[i] - known[i]
+    quat.transform_into(truth.q_CH, known, drift)
+    for i in range(3):
+        drift[i] += imu.drift_C[i]
+    akf.error(filters.akf, truth.q_CH, drift, from_akf)
     for i in range(3):
         from_pkf[i] = truth.r_CT_H[i] - filters.pkf.x[i]
         from_pkf[3 + i] = truth.v_CT_H[i] - filters.pkf.x[3 + i]

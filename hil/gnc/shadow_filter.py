@@ -113,7 +113,7 @@ class ShadowFilter:
         xi = _xi(pose.q_CH)
         self._attitude.P = np.zeros((7, 7))
         self._attitude.P[:4, :4] = 0.25 * xi @ pose.covariance_attitude @ xi.T
-        self._attitude.P[4:, 4:] = a.initial_drift_sigma**2 * np.eye(3)
+        self._attitude.P[4:, 4:] = a.initial_drift_sigma**2 * np.eye(3) + to_c @ np.diag(a.rate_sigma**2) @ to_c.T
         self._position = KalmanFilter(dim_x=9, dim_z=3, dim_u=3)
         self._position.x = np.concatenate([-to_c.T @ pose.z_TC_C, np.zeros(3), p.initial_bias])
         spread = _cross(pose.z_TC_C) @ pose.covariance_attitude @ _cross(pose.z_TC_C).T
@@ -139,7 +139,8 @@ class ShadowFilter:
         spread = 0.5 * dt * _xi(q)
         noise = np.zeros((7, 7))
         noise[:4, :4] = self._akf_params.sigma_gyro**2 * spread @ spread.T
-        noise[4:, 4:] = (dt * self._akf_params.sigma_drift) ** 2 * np.eye(3)
+        a, to_c = self._akf_params, _matrix(q)
+        noise[4:, 4:] = dt**2 * (a.sigma_drift**2 * np.eye(3) + to_c @ np.diag(a.rate_noise**2) @ to_c.T)
         ekf.x = np.concatenate([q, ekf.x[4:]])
         ekf.P = transition @ ekf.P @ transition.T + noise
         middle = before + q

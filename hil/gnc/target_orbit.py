@@ -64,6 +64,19 @@ def _rate(orbit, nu):
 
 
 @kernel
+def frame_rate(orbit, t_s, out):
+    """Write the rate of H (3,), rad/s, in H, at ``t_s`` of the run; orbit: TARGET_ORBIT."""
+    if orbit.tumble.rotates != 0:
+        aside = stack.vector(3)
+        tumble_rate(orbit.tumble, t_s, out, aside)
+        return
+    e, rate = orbit.eccentricity, orbit.mean_motion
+    if e != 0.0:
+        rate = _rate(orbit, true_anomaly(e, orbit.mean_anomaly + orbit.mean_motion * t_s))
+    out[0], out[1], out[2] = 0.0, -rate, 0.0
+
+
+@kernel
 def move_hill_frame(orbit, start_s, dt, out):
     """Write the motion of H (HILL_STEP) over the step of ``dt`` that starts at ``start_s`` of the run."""
     n = orbit.mean_motion

@@ -25,6 +25,7 @@ class BuiltinGnc(Approach):
         self.params = kernel_record(params)
         self.state = kernel_record(new(GNC_STATE))
         self._filters = kernel_record(self.state.navigation.fusion.filters)
+        self._orbit = kernel_record(self.params.navigation.fusion.orbit)
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor: FilterMonitor = filter_monitor
         self.memory = new_memory(params.navigation.fusion)
@@ -110,7 +111,7 @@ class BuiltinGnc(Approach):
         Valid until the next call.
         """
         if self.fused_now:
-            navigation.normalised_errors(self._filters, truth, imu, self._nees)
+            navigation.normalised_errors(self._filters, self._orbit, truth, imu, self._nees)
         else:
             self._nees[:] = np.nan
         return self._nees

@@ -85,6 +85,7 @@ class UdpGnc(ExternalGnc):
         self._idle_s = self._checked_from_s = -math.inf
         self._sent_orders: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # not replied to yet, and the cycle of sending
         self._reference = new(REFERENCE)
+        self._orbit = self.params.navigation.fusion.orbit
         self._samples = np.zeros(1, IMU_SAMPLES)
         self._past_truth, self._past_imu = CycleBuffer(TRUTH), CycleBuffer(IMU)
         link.complaints.subscribe(self._log_complaint)
@@ -224,7 +225,7 @@ class UdpGnc(ExternalGnc):
         of, self._buffers.filters_of = self._buffers.filters_of, -1
         if of >= 0 and 0 <= self.cycle - of < KEPT_CYCLES:
             then = self._past_truth.at(of), self._past_imu.at(of)
-            navigation.normalised_errors(self._buffers.filters, *then, self._nees)
+            navigation.normalised_errors(self._buffers.filters, self._orbit, *then, self._nees)
         return self._nees
 
     def close(self) -> None:

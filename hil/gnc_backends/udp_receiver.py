@@ -16,6 +16,7 @@ from hil.frmn.link import Arrival, Link
 from hil.frmn.mailboxes import GNC_FILTERS, GNC_FLIGHT
 from hil.gnc import navigation
 from hil.gnc.fusion import FILTERS
+from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.gnc_backends import udp_records
 from hil.gnc_backends.external import printable
 from hil.gnc_backends.udp_stats import LinkStats
@@ -47,7 +48,7 @@ class ReceiveBuffers:
         self._filter_bytes = self._filters.view(np.uint8).data
         udp_records.read_flight(self.navigation, self.command, self.navigation, self.command)
         udp_records.read_filters(self._received_filters, self.filters)
-        navigation.normalised_errors(self.filters, new(TRUTH), new(IMU), np.empty(2))
+        navigation.normalised_errors(self.filters, new(TARGET_ORBIT), new(TRUTH), new(IMU), np.empty(2))
 
     @staticmethod
     def output_in(arrival: Arrival) -> np.ndarray:

@@ -71,7 +71,7 @@ class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
-        circular = ("gnc.ephemeris.rate_sigma_degps=0.0", *settings)  # the motion of the study is Hill's
+        circular = ("gnc.ephemeris.rate_sigma_degps=[0,0,0]", *settings)  # the motion of the study is Hill's
         scenario = load_scenario("scheme-2", circular).value
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz

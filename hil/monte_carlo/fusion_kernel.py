@@ -191,6 +191,7 @@ def run_study(
     guidance.reference(line, guidance_state, 0.0, point)
     copy_into(truth.r_CT_H, point.r_CT_H)
     copy_into(truth.q_CH, _attitude(study, 0.0))
+    truth.w_HI_H[1] = -params.orbit.mean_motion
     draws = np.zeros(15)
     noise = np.zeros(18)
     if noisy != 0:
@@ -224,7 +225,7 @@ def run_study(
                 result.nis_akf += state.nis_attitude
                 n_nis += 1
         if snapshot < 4 and cycle == round(SNAPSHOTS_S[snapshot] / dt):
-            normalised_errors(state.filters, truth, imu, nees)
+            normalised_errors(state.filters, params.orbit, truth, imu, nees)
             result.nees_pkf[snapshot] = nees[0]
             result.nees_akf[snapshot] = nees[1]
             snapshot += 1

@@ -88,14 +88,16 @@ def navigation(scenario: Scenario) -> np.record:
     akf = fusion.akf
     akf.dt_s = scenario.sample_s
     akf.sigma_gyro = math.radians(gnc.akf.gyro_noise_degps)
-    # an error of the rate of H is a drift to the filter: a first-order Gauss-Markov process over the orbit
-    rate_noise = gnc.ephemeris.rate_sigma_degps * math.sqrt(2.0 * fusion.orbit.mean_motion / scenario.sample_s)
-    akf.sigma_drift = math.radians(math.hypot(gnc.akf.gyro_drift_noise_degps2, rate_noise))
+    # an error of the rate of H changes smoothly over the orbit, in the run by (n T)^2 of its variance; in a run of many
+    # orbits it is a first-order Gauss-Markov process
+    n = fusion.orbit.mean_motion
+    growth = n * min(2.0, n * scenario.duration_s)  # 1/s
+    akf.rate_sigma = np.radians(gnc.ephemeris.rate_sigma_degps)
+    akf.rate_noise = akf.rate_sigma * math.sqrt(growth / scenario.sample_s)
+    akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
     akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
     akf.gate = _gate(gnc.navigation.gate_sigma)
-    akf.initial_drift_sigma = math.radians(
-        math.hypot(gnc.akf.initial_drift_sigma_degps, gnc.ephemeris.rate_sigma_degps)
-    )
+    akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
     pkf = fusion.pkf
     pkf.dt_s = scenario.sample_s
     rate = _AT_REST_RADPS if fusion.orbit.tumble.rotates else fusion.orbit.mean_motion

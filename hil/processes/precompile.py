@@ -47,7 +47,8 @@ def _compile_gnc() -> None:
 
     gnc = make_gnc(load_scenario("scheme-1").value)
     gnc.step(0.0, CycleData(), _NoPoses())
-    navigation.normalised_errors(gnc.state.navigation.fusion.filters, new(TRUTH), new(IMU), np.empty(2))
+    fusion, orbit = gnc.state.navigation.fusion, gnc.params.navigation.fusion.orbit
+    navigation.normalised_errors(fusion.filters, orbit, new(TRUTH), new(IMU), np.empty(2))
 
 
 def _compile_loop() -> None:

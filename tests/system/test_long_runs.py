@@ -152,7 +152,7 @@ def test_parts_of_a_run_in_real_time_are_evaluated_in_a_thread(monkeypatch: pyte
     assert found["verdict"]["security"]["passed"]
 
 
-AS_MODELLED = ("truth.gravity_degree=0", "gnc.ephemeris.rate_sigma_degps=0.0")
+AS_MODELLED = ("truth.gravity_degree=0", "gnc.ephemeris.rate_sigma_degps=[0,0,0]")
 """The truth as the filters model it: in hours the rate of H that the GNC lacks exceeds the bound of the attitude."""
 
 

@@ -380,13 +380,15 @@ def _mirror_thrusters(params, state, now_s):
 
 
 @kernel
-def _check_consistency(state):
+def _check_consistency(params, state):
     """Write the NEES of both filters in cycles in which they took a pose, nan otherwise."""
     now = state.now
     now.nees_position = now.nees_attitude = np.nan
     if state.gnc.fused != 0:
         nees = stack.vector(2)
-        navigation.normalised_errors(state.gnc.navigation.fusion.filters, now.truth, now.imu, nees)
+        navigation.normalised_errors(
+            state.gnc.navigation.fusion.filters, params.gnc.navigation.fusion.orbit, now.truth, now.imu, nees
+        )  # fmt: skip
         now.nees_position, now.nees_attitude = nees[0], nees[1]
 
 
@@ -552,7 +554,7 @@ def run_loop(
             elif not library_step(params.gnc, state, poses, arrived, k, t_s):
                 return GNC_FAILED
             _mirror_thrusters(params, state, now_s)
-            _check_consistency(state)
+            _check_consistency(params, state)
             now.t_s = t_s
             now.commanded_s = now.sampled_s[0] = now.sampled_s[1] = now_s - state.zero_s
             if params.counts != 0:

@@ -151,6 +151,12 @@ class Reference:
         own[AT["bias"]] = self.params.pkf.initial_bias_sigma**2
         own[AT["drift"]] = self.params.akf.initial_drift_sigma**2
         self.p += np.diag(own)
+        self.p[AT["drift"], AT["drift"]] += self.in_c(self.params.akf.rate_sigma)
+
+    def in_c(self, sigma: Array) -> Array:
+        """Return the covariance (3, 3) in c of errors with standard deviations ``sigma`` (3,) in H."""
+        a = quat.to_matrix(self.q)
+        return a @ np.diag(sigma**2) @ a.T
 
     def moved(self, imu: np.record, e: Array) -> tuple[Array, Array]:
         """Return true attitude and states (N,) after a step, if the errors before it are ``e``."""
@@ -198,8 +204,9 @@ class Reference:
         akf, pkf = self.params.akf, self.params.pkf
         for name, sigma in (("turn", akf.sigma_gyro), ("drift", akf.sigma_drift), ("bias", pkf.sigma_bias)):
             noise[AT[name], AT[name]] += (self.dt * sigma) ** 2 * np.eye(3)
-        self.p = phi @ self.p @ phi.T + noise
         self.q, self.x = q, x
+        noise[AT["drift"], AT["drift"]] += self.dt**2 * self.in_c(akf.rate_noise)
+        self.p = phi @ self.p @ phi.T + noise
 
     def update(self, pose: np.record) -> tuple[float, float]:
         """Fuse a pose, attitude first; return the NIS of position and attitude."""

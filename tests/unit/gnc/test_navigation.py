@@ -15,6 +15,7 @@ from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
 from hil.dynamics.vision import add_noise
 from hil.gnc import fusion, navigation
 from hil.gnc.navigation import VISION_ALONE
+from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat
 from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
@@ -156,7 +157,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
     hill_rate, samples = np.array([0.0, -params.fusion.orbit.mean_motion, 0.0]), np.zeros(1, IMU).view(np.recarray)
     truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)
     poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
-    truth.q_CH = [0.0, 0.0, 0.0, 1.0]
+    truth.q_CH, truth.w_HI_H = [0.0, 0.0, 0.0, 1.0], hill_rate
     t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
     total = {mark: np.zeros(2) for mark in marks}
     for _ in range(runs):
@@ -181,7 +182,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
             navigation.navigate(params, state, memory, samples, poses, int(k % 8 == 0), out)
             if k in total:
                 held = state.fusion.filters
-                navigation.normalised_errors(held, truth, imu, two)
+                navigation.normalised_errors(held, params.fusion.orbit, truth, imu, two)
                 total[k] += two
                 joint = np.block([[held.pkf.p, held.pkf.c], [held.pkf.c.T, held.akf.p]])
                 sigma = np.sqrt(np.diag(joint))
@@ -192,15 +193,20 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
 
 
 def test_normalised_errors_are_those_of_nine_and_six_states(params: np.record, rng: np.random.Generator) -> None:
-    filters, truth, imu, found = new(fusion.FILTERS), new(TRUTH), new(IMU), np.empty(2)
+    filters, orbit, truth = new(fusion.FILTERS), new(TARGET_ORBIT), new(TRUTH)
+    imu, found = new(IMU), np.empty(2)
     parts = [root @ root.T for root in (rng.standard_normal((9, 9)), rng.standard_normal((6, 6)))]
     filters.pkf.p, filters.akf.p = parts
     error, turn = rng.standard_normal(9), np.array([0.02, -0.01, 0.03])
     filters.pkf.x, filters.akf.x = rng.standard_normal(9), [0.0, 0.0, 0.0, 1.0, 0.1, 0.2, 0.3]
     truth.r_CT_H, truth.v_CT_H, imu.bias_C = (filters.pkf.x + error).reshape(3, 3)
     truth.q_CH, imu.drift_C = Rotation.from_rotvec(turn).as_quat(), [0.2, 0.2, 0.1]
-    navigation.normalised_errors(filters, truth, imu, found)
-    six = np.array([*turn, 0.1, 0.0, -0.2])
+    # at apoapsis, where the area that the orbit sweeps gives (1 - e)^2 / (1 - e^2)^1.5 of the mean motion
+    orbit.mean_motion, orbit.eccentricity, truth.t_s, e = 1e-3, 0.09, 1e3 * math.pi, 0.09
+    unknown = [0.0, 0.0, 0.3]
+    truth.w_HI_H = np.array([0.0, -1e-3 * (1.0 - e) ** 2 / (1.0 - e * e) ** 1.5, 0.0]) + unknown
+    six = np.array([*turn, *(np.array([0.1, 0.0, -0.2]) + Rotation.from_rotvec(turn).inv().apply(unknown))])
+    navigation.normalised_errors(filters, orbit, truth, imu, found)
     np.testing.assert_allclose(found, [error @ np.linalg.solve(parts[0], error), six @ np.linalg.solve(parts[1], six)])
 
 

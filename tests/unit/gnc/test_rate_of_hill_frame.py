@@ -2,35 +2,58 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import hil
 from hil.config.load import load_scenario
+from hil.core.messages import POSE, Array, new
+from hil.gnc import akf, akf_additive
 from hil.params.gnc import navigation
 
+SIGMAS = [0.0, 1e-6, 9e-6]
 
-def test_without_it_the_drift_of_the_gyros_is_all() -> None:
-    akf = navigation(load_scenario("scheme-1", ["gnc.ephemeris.rate_sigma_degps=0.0"]).value).fusion.akf
-    assert akf.sigma_drift == np.radians(8.33e-8)
-    assert akf.initial_drift_sigma == np.radians(1e-5)
+
+def rate_errors(scenario: str, *places: dict[str, float]) -> Array:
+    """Return what the rate of H differs by from a circle's, (n, 3), deg/s, at the starts of runs."""
+    orbital = navigation(load_scenario(scenario).value).fusion.orbit.mean_motion
+    runs = [hil.run(scenario, duration_s=0.1, overrides=place) for place in places]
+    return np.array([np.degrees(run.truth.w_HI_H[-1] + [0.0, orbital, 0.0]) for run in runs])
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 250.0])
-def test_its_variance_grows_as_that_of_a_process_over_the_orbit_at_any_rate_of_the_filter(rate_hz: float) -> None:
-    settings = ["gnc.ephemeris.rate_sigma_degps=5e-6", f"imu.rate_hz={rate_hz}"]
+@pytest.mark.parametrize("duration_s", [400.0, 86_400.0])
+def test_its_variance_grows_as_over_the_orbit_at_any_rate_of_the_filter(rate_hz: float, duration_s: float) -> None:
+    settings = [f"gnc.ephemeris.rate_sigma_degps={SIGMAS}", f"imu.rate_hz={rate_hz}", f"duration_s={duration_s}"]
     fusion = navigation(load_scenario("scheme-1", settings).value).fusion
-    per_second = rate_hz * (np.degrees(fusion.akf.sigma_drift) * fusion.akf.dt_s) ** 2
-    assert per_second == pytest.approx(2.0 * (5e-6) ** 2 * fusion.orbit.mean_motion, rel=0.01)
-    assert np.degrees(fusion.akf.initial_drift_sigma) == pytest.approx(np.hypot(1e-5, 5e-6))
+    n, noise = fusion.orbit.mean_motion, np.degrees(fusion.akf.rate_noise) * fusion.akf.dt_s
+    growth = min((n * duration_s) ** 2, 2.0 * n * duration_s)
+    np.testing.assert_allclose(duration_s * rate_hz * noise**2, np.square(SIGMAS) * growth, rtol=1e-9)
 
 
-def test_the_shipped_one_is_what_the_harmonics_add() -> None:
-    scenario = load_scenario("scheme-1").value
-    orbital = navigation(scenario).fusion.orbit.mean_motion
-    apart = []
-    for raan_deg in (0.0, 70.0, 140.0):
-        for anomaly_deg in (0.0, 120.0, 240.0):
-            place = {"orbit.raan_deg": raan_deg, "orbit.true_anomaly_deg": anomaly_deg}
-            run = hil.run("scheme-1", duration_s=0.1, overrides=place)
-            apart.append(np.degrees(run.truth.w_HI_H[-1] + [0.0, orbital, 0.0]))
-    rms = np.sqrt(np.mean(np.square(apart)))
-    assert 0.5 * rms < scenario.gnc.ephemeris.rate_sigma_degps < 2.0 * rms
+def test_it_adds_to_the_covariance_of_the_drift_in_the_axes_of_the_chaser(rng: np.random.Generator) -> None:
+    params, pose = navigation(load_scenario("scheme-1").value).fusion.akf, new(POSE)
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
+    pose.q_CH, pose.covariance_attitude = turn.as_quat(), 1e-9 * np.eye(3)
+    to_c = turn.as_matrix().T
+    starts = to_c @ np.diag(params.rate_sigma**2) @ to_c.T + params.initial_drift_sigma**2 * np.eye(3)
+    own, additive = new(akf.AKF_STATE), new(akf_additive.AKF_ADDITIVE_STATE)
+    akf.start(params, pose, own)
+    akf_additive.start(params, pose, additive)
+    for found in (own.p[3:, 3:], additive.p[4:, 4:]):
+        np.testing.assert_allclose(found, starts, rtol=1e-12, atol=1e-25)
+    own.phi = np.eye(6)
+    akf.predict_covariance(params, own)
+    noise = to_c @ np.diag(params.rate_noise**2) @ to_c.T + params.sigma_drift**2 * np.eye(3)
+    np.testing.assert_allclose(own.p[3:, 3:] - starts, params.dt_s**2 * noise, rtol=1e-3, atol=1e-25)
+
+
+def test_the_shipped_ones_are_what_harmonics_add() -> None:
+    places = [
+        {"orbit.raan_deg": raan_deg, "orbit.true_anomaly_deg": anomaly_deg}
+        for raan_deg in (0.0, 70.0, 140.0)
+        for anomaly_deg in (0.0, 120.0, 240.0)
+    ]
+    for name in ("scheme-1", "leo-vbar"):
+        rms = np.sqrt(np.mean(rate_errors(name, *places) ** 2, axis=0))
+        assert rms[0] == 0.0
+        assert rms[2] == pytest.approx(load_scenario(name).value.gnc.ephemeris.rate_sigma_degps[2], rel=0.5)
