@@ -60,9 +60,10 @@ class SetpointLimiter:
         self._missed = self._missed or unanswered or elapsed_s > bridged_s
         if self._missed and not unanswered:
             self._missed = False
-            if self._rate != 0.0 and not self._behind:  # the drive has moved further, or has braked
+            begins = not self._behind or self._is_astray(now_s, measured, bridged_s)
+            if self._rate != 0.0 and begins:  # the drive has moved further, or has braked
                 _, self._position, self._rate = measured
-            if self._averaging_s > 0.0 and not self._behind:
+            if self._averaging_s > 0.0 and begins:
                 self._position += 0.5 * self._averaging_s * self._rate
                 self._mean = _SlidingMean(self._averaging_s, self._position, self._rate)
                 self._delivered_s = max(self._delivered_s, now_s - self._period_s)
@@ -80,6 +81,12 @@ class SetpointLimiter:
         else:
             self._position, self._rate = position, rate
         return self._position, self._rate
+
+    def _is_astray(self, now_s: float, measured: tuple[float, float, float], bridged_s: float) -> bool:
+        """Return whether the axis is further from the stream, while it catches up, than it moves in ``bridged_s``."""
+        delivered = self._position if self._mean is None else self._mean.value()[0]
+        place = measured[1] + measured[2] * (now_s - measured[0])
+        return abs(place - delivered) > self._rate_max * bridged_s
 
     def _catch_up_smoothly(
         self, mean: _SlidingMean, position: float, rate: float, step_s: float

@@ -38,12 +38,15 @@ def smooth(path: Path, span_s: float) -> Path:
     return mean
 
 
-def deliver(path: Path, gaps: list[tuple[float, float]], end_s: float = 7.0) -> tuple[np.ndarray, np.ndarray]:
+def deliver(
+    path: Path, gaps: list[tuple[float, float]], end_s: float = 7.0, averaging_s: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return what is delivered, (n, 3) of time, position, rate, and the speed of an axis that follows it, (n,).
 
     gaps: from, to: no delivery in between. The axis is that of the rig file, in steps of 2 ms.
     """
-    limiter, axes = SetpointLimiter(SPEED_MAX, ACCELERATION_MAX), ServoAxes(load_rig("mock").value.rails)
+    limiter = SetpointLimiter(SPEED_MAX, ACCELERATION_MAX, averaging_s)
+    axes = ServoAxes(load_rig("mock").value.rails)
     axes.position[:] = 0.0
     axes.hold()
     limiter.restart(0.0, 0.0)
@@ -77,6 +80,15 @@ def test_an_axis_catches_up_within_the_limits_of_its_move(begin_s: float, gap_s:
     assert speeds[resumed:].max() < 1.1 * SPEED_MAX  # of which a tenth is the ripple of the servo in regular motion
     assert speeds[resumed + 100 :].min() > -0.03  # does not pass the goal
     assert rows[-1, 1:].tolist() == list(ramp(rows[-1, 0]))
+
+
+@pytest.mark.parametrize("second_s", [0.1, 0.19, 0.38])
+@pytest.mark.parametrize("averaging_s", [0.0, 0.1])
+def test_a_gap_while_an_axis_catches_up_is_caught_up_as_well(second_s: float, averaging_s: float) -> None:
+    path = smooth(ramp, averaging_s) if averaging_s else ramp
+    rows, speeds = deliver(path, [(2.0, 2.1), (2.3, 2.3 + second_s)], averaging_s=averaging_s)
+    assert speeds[round((2.3 + second_s) / STEP_S) * 10 :].max() < 1.1 * SPEED_MAX
+    assert rows[-1, 1:] == pytest.approx(ramp(rows[-1, 0]), abs=1e-9)
 
 
 def test_a_jump_of_the_setpoint_after_a_standstill_is_a_ramp() -> None:
