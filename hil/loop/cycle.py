@@ -162,6 +162,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.health_alarms.update(bench_s, int(now.navigation.health))
     loop.record(k)  # 8  record of the cycle at t_s
+    loop.target.record(t_s, run_zero_s, loop.bench)
     loop.dss.step(k, now.truth, now.command, now.imu, now.samples)  # 9, 10 truth over this cycle, virtual IMU
     w_CH_C = loop.dss.rate_against_hill(now.truth)
     loop.bench.follow(now.truth, w_CH_C, bench_s, now.setpoint)  # 11 setpoints for rails and turntable

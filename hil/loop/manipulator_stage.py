@@ -12,9 +12,12 @@ from hil.bench import kinematics, manipulator, stopping
 from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import RotaryManipulator
 from hil.core.kernel_record import kernel_record
+from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
+from hil.frmn.ring import NoTelemetry, Telemetry
+from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.target_stage import TargetAxes
 
@@ -39,6 +42,10 @@ class RotatedTarget(TargetAxes):
         self.params = params
         self.feedback = AxisFeedback(0.0, np.zeros(3), np.zeros(3))
         """From the last ``check``."""
+        self.sink: Telemetry = NoTelemetry()
+        """Receives the physical axes in each cycle, as a row of MANIPULATOR_SAMPLE."""
+        self._sample = np.zeros(1, MANIPULATOR_SAMPLE)
+        self._accepted = self.place_at
         self._bench, self._limits = bench, kernel_record(limits)
         self._error_max = math.radians(config.following_error_max_deg)
         self._error_per_speed_s = config.following_error_per_speed_s
@@ -77,6 +84,18 @@ class RotatedTarget(TargetAxes):
     def relate_setpoint(self, axes: np.record) -> None:
         """``relate`` for setpoints, of the last cycle."""
         self._relate(axes, self._expected)
+
+    def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
+        """Send the last setpoints of all axes, and the encoders that this cycle has read, to the sink."""
+        row, (rails, turntable) = self._sample, chaser.feedback
+        row["t_s"], row["sampled_s"] = t_s, self.feedback.t_s - run_zero_s
+        row["setpoint"]["angle_rad"], row["setpoint"]["rate_radps"] = self._accepted, self._expected_rate
+        row["feedback"]["angle_rad"], row["feedback"]["rate_radps"] = self.feedback.position, self.feedback.rate
+        row["chaser_setpoint"] = chaser.accepted
+        seen = row["chaser_feedback"]
+        seen["rail_m"], seen["rail_mps"] = rails.position, rails.rate
+        seen["gimbal_rad"], seen["gimbal_radps"] = turntable.position, turntable.rate
+        self.sink.put(row)
 
     def numbers(self) -> dict[str, Any]:
         """Return the largest angles, rates and following errors of roll, pitch and yaw, for the JSON."""
@@ -120,13 +139,15 @@ class RotatedTarget(TargetAxes):
     def _stand_at(self, position: Array) -> None:
         """Begin the next motion, and expect the axes, at ``position`` (3,)."""
         kinematics.start_motion(np.zeros(3), position, self._motion)
-        self._expected, self._expected_rate = position, np.zeros(3)
+        self._accepted = self._expected = position
+        self._expected_rate = np.zeros(3)
 
     def _send(self, now_s: float) -> None:
         out = self._next
         accepted = self.axes.send(out.gimbal_rad, out.gimbal_radps, now_s)
         self._expected_rate = out.gimbal_radps.copy()
         # an axis that follows its setpoint ``lead`` late is there
+        self._accepted = accepted
         self._expected = accepted - self._limits.lead[3:] * self._expected_rate
 
     def _relate(self, axes: np.record, target_rad: Array) -> None:

@@ -12,7 +12,7 @@ from hil.config.rig import AxisGroupTable, TargetManipulator
 from hil.core.messages import Array, Homing
 from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
-from hil.loop.bench_stage import Move
+from hil.loop.bench_stage import BenchStage, Move
 from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_smooth_line, duration
 
@@ -39,6 +39,12 @@ class TargetStage(Protocol):
     def relate(self, axes: np.record) -> None:
         """Replace positions of rails and turntable, AXES, by those relative to the target, if it moves in a run."""
 
+    def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
+        """Record the physical axes, with those of ``chaser``, at ``t_s`` of the run, if the target moves in it.
+
+        run_zero_s: bench time of the run's time zero.
+        """
+
     def stop(self, now_s: float) -> None:
         """Stop the device. Never raises."""
 
@@ -59,6 +65,8 @@ class FixedTarget:
     def check(self, now_s: float) -> None: ...
 
     def relate(self, axes: np.record) -> None: ...
+
+    def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None: ...
 
     def stop(self, now_s: float) -> None: ...
 
@@ -145,3 +153,6 @@ class PlacedTarget(TargetAxes):
 
     def relate(self, axes: np.record) -> None:
         """Change nothing: the target stands."""
+
+    def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
+        """Record nothing: the target stands."""

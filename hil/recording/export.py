@@ -24,10 +24,11 @@ TABLES: Final = {
     "/monitor/portions": "portions",
     "/imu": "imu",
     "/axes": "axes",
+    schema.MANIPULATOR: "manipulator",
     foxglove.LOG_TOPIC: "log",
 }
 """Topic -> name of its table; the cycles go to the given file, the others next to it."""
-_OPTIONAL: Final = ("/monitor/portions", "/imu", "/axes")  # most runs have none of these
+_OPTIONAL: Final = ("/monitor/portions", "/imu", "/axes", schema.MANIPULATOR)  # most runs have none of these
 
 _CSV_ROWS: Final = 1000
 
@@ -52,7 +53,8 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
 
     ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, results of a docking
     monitor in ``OUT-portions``, samples of IMU and axes that are faster than the cycle in ``OUT-imu`` and
-    ``OUT-axes``. Works on recordings of any version, by the layout in their schemas. Raises BadInput.
+    ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``. Works on recordings of any
+    version, by the layout in their schemas. Raises BadInput.
     """
     if form == "parquet":
         _pyarrow()

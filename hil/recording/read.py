@@ -26,6 +26,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
+from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
@@ -266,8 +267,9 @@ class Recorded:
     """A recorded run.
 
     cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. imu_samples, axes_samples: of
-    IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. log: entries of the log as recorded.
-    summary: as of ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
+    IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. manipulator_samples: of
+    MANIPULATOR_SAMPLE, empty without a rotary manipulator. log: entries of the log as recorded. summary: as of
+    ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
     """
 
     path: Path
@@ -285,6 +287,7 @@ class Recorded:
     """Attachments: name -> text."""
     imu_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, IMU_SAMPLE))
     axes_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, AXES_SAMPLE))
+    manipulator_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, MANIPULATOR_SAMPLE))
     absent: frozenset[str] = frozenset()
     """Dotted names of the fields of CYCLE that the recording lacks."""
 
@@ -323,6 +326,7 @@ def _recorded(found: Contents) -> Recorded:
         found.files,
         _rows(found, "/imu"),
         _rows(found, "/axes"),
+        _rows(found, schema.MANIPULATOR),
         _absent(found, "/cycle"),
     )
 

@@ -18,6 +18,7 @@ import numpy as np
 from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
+from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
@@ -41,6 +42,7 @@ RING_DTYPES: Final = {
     "portions": PORTION,
     "imu_samples": IMU_SAMPLE,
     "axes_samples": AXES_SAMPLE,
+    "manipulator_samples": MANIPULATOR_SAMPLE,
 }
 """Name of a ring in ``RecordingSinks`` -> its record."""
 

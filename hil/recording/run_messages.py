@@ -30,11 +30,20 @@ def json_schema(content: Mapping[str, Any]) -> MessageSchema:
     return MessageSchema(content["title"], "jsonschema", json.dumps(content).encode())
 
 
+def record_channel(topic: str) -> tuple[str, str, MessageSchema]:
+    """Return topic, encoding and schema of a channel of packed records."""
+    name, fields = schema.RECORDS[topic]
+    return topic, schema.RECORD_ENCODING, MessageSchema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
+
+
 def fixed_channels() -> Iterator[tuple[str, str, MessageSchema]]:
-    """Yield topic, encoding and schema of each channel that every run has; those of images come with their images."""
-    for topic, (name, fields) in schema.RECORDS.items():
-        content = MessageSchema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
-        yield topic, schema.RECORD_ENCODING, content
+    """Yield topic, encoding and schema of each channel that every run has; those of images come with their images.
+
+    That of a rotary manipulator is opened for a rig with one.
+    """
+    for topic in schema.RECORDS:
+        if topic != schema.MANIPULATOR:
+            yield record_channel(topic)
     for topic, table in (*foxglove.SCHEMAS.items(), (foxglove.SCENE_TOPIC, foxglove_scene.SCENE_SCHEMA)):
         yield topic, "json", json_schema(table)
 
@@ -82,14 +91,18 @@ class RunMessages(ABC):
             "portions": self.write_portions,
             "imu_samples": lambda rows: self._write_samples("/imu", rows),
             "axes_samples": lambda rows: self._write_samples("/axes", rows),
+            "manipulator_samples": lambda rows: self._write_samples(schema.MANIPULATOR, rows),
         }
 
     def begin(self, files: Mapping[str, str]) -> None:
-        """Take over the rig's rate for viewers; write target, chaser and corridor for a 3-D view.
+        """Take over the rig's rate for viewers and its manipulator; write target, chaser and corridor for a 3-D view.
 
         files: attachments of the recording, name -> text.
         """
-        self._json_each_s = _telemetry_period_s(files)
+        rig = json.loads(files.get("rig.json", "{}"))
+        self._json_each_s = _telemetry_period_s(rig)
+        if (rig.get("rotary_manipulator") or {}).get("driver", "none") != "none":
+            self._open_channel(*record_channel(schema.MANIPULATOR))
         time_ns = self._time_ns(0.0)
         if (scene := foxglove_scene.scene_of(files, time_ns)) is not None:
             self._add(foxglove.SCENE_TOPIC, foxglove.encoded(scene), time_ns)
@@ -153,13 +166,12 @@ class RunMessages(ABC):
         self._write_samples("/monitor/portions", rows)
 
     def _write_samples(self, topic: str, rows: np.ndarray) -> None:
-        """Write samples of IMU or axes that are faster than the cycle."""
+        """Write samples, each at its time of the run."""
         for row in rows:
             self._add(topic, row.tobytes(), self._time_ns(float(row["t_s"])))
 
 
-def _telemetry_period_s(files: Mapping[str, str]) -> float:
-    """Return the period of the messages for viewers, s, by the rig in the attachments ``files``."""
-    rig = json.loads(files.get("rig.json", "{}"))
+def _telemetry_period_s(rig: Mapping[str, Any]) -> float:
+    """Return the period of the messages for viewers, s, of the table of a rig."""
     rate_hz = rig.get("telemetry", {}).get("rate_hz")
     return _JSON_EACH_S if rate_hz is None else 1.0 / rate_hz

@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.core.fields import Fields, leaf_fields, record_dtype
 from hil.core.files import parse_json
+from hil.core.manipulator_records import MANIPULATOR_SAMPLE_FIELDS
 from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, IMU_SAMPLE_FIELDS
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
@@ -43,14 +44,16 @@ operator (action at the console), fault (switched on an emulator)."""
 GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
 """Attachments: cameras and targets as assumed by vision unit and docking monitor."""
 
+MANIPULATOR: Final = "/manipulator"
 RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),
     "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),
     "/monitor/portions": ("hil.Portion", PORTION_FIELDS),
     "/imu": ("hil.ImuSample", IMU_SAMPLE_FIELDS),
     "/axes": ("hil.AxesSample", AXES_SAMPLE_FIELDS),
+    MANIPULATOR: ("hil.ManipulatorSample", MANIPULATOR_SAMPLE_FIELDS),
 }
-"""Topic -> name of its schema and fields of its messages."""
+"""Topic -> name of its schema and fields of its messages. A run without a rotary manipulator lacks its topic."""
 
 
 def flat_fields(dtype: np.dtype, prefix: str = "", start: int = 0) -> Iterator[dict[str, Any]]:

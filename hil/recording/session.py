@@ -158,6 +158,8 @@ def required_sinks(job: Job) -> set[str]:
         required.add("imu_samples")
     if job.ticks > 1:
         required.add("axes_samples")
+    if job.rig.value.rotated_target is not None:
+        required.add("manipulator_samples")
     if scenario.vmu.source == "rendered" and wanted:
         required.add("images")
     if scenario.monitor.has_images:
@@ -167,8 +169,10 @@ def required_sinks(job: Job) -> set[str]:
 
 def ring_slots(job: Job) -> dict[str, int]:
     """Return the number of rows of each ring of a paced run of ``job``, by its name in ``RecordingSinks``."""
+    cycles = max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s))
     return {
-        "cycles": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.step_s)),
+        "cycles": cycles,
+        "manipulator_samples": cycles,
         "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
         "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),
         **SLOTS,

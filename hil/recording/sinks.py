@@ -13,6 +13,7 @@ from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.runner import Runner
 from hil.recording.schema import LOG_ENTRY
 from hil.safety.alarms import Alarm
@@ -71,11 +72,11 @@ class EventRecorder:
 
 @dataclass
 class RecordingSinks:
-    """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE, PORTION, IMU_SAMPLE and AXES_SAMPLE rows, each with one writer.
+    """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE, PORTION and sample rows, each with one writer.
 
     images: of the vision unit; monitor_images, portions: of the docking monitor; imu_samples, axes_samples: of an IMU
-    and of axes that are faster than the cycle. run_time: receives the relation of
-    the run's time to bench time, for sources that have bench time only.
+    and of axes that are faster than the cycle; manipulator_samples: of all axes of a rig whose target is rotated.
+    run_time: receives the relation of the run's time to bench time, for sources that have bench time only.
     """
 
     cycles: Telemetry = field(default_factory=NoTelemetry)
@@ -86,6 +87,7 @@ class RecordingSinks:
     portions: Telemetry = field(default_factory=NoTelemetry)
     imu_samples: Telemetry = field(default_factory=NoTelemetry)
     axes_samples: Telemetry = field(default_factory=NoTelemetry)
+    manipulator_samples: Telemetry = field(default_factory=NoTelemetry)
     run_time: RunTime | None = None
 
     def attach(self, runner: Runner) -> EventRecorder:
@@ -97,6 +99,8 @@ class RecordingSinks:
             loop.dss.sample_sink = self.imu_samples
         if loop.bench.ticks > 1:
             loop.axes_sink = self.axes_samples
+        if isinstance(loop.target, RotatedTarget):
+            loop.target.sink = self.manipulator_samples
         if self.run_time is not None:
             loop.vision.on_run_zero = self.run_time.set_zero
         for events in (*loop.gnc.event_logs, runner.events):

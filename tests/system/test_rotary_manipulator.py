@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from hil.bench.manipulator import relative_axes
 from hil.core.modes import Mode
 from hil.errors import BadInput, SafetyTrip
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.maths import quat
+from hil.params import bench as bench_params
+from hil.recording import schema
+from hil.recording.header import header_of
+from hil.recording.read import contents, load
+from hil.recording.replay import replay
+from hil.recording.session import recording
+from hil.recording.writer import RunFile
 from hil.report.bench_error import judge_bench_error
 from hil.session import build
 from hil.session.build import check
@@ -85,3 +95,36 @@ def test_error_of_a_manipulator_names_axis_value_and_limit() -> None:
         target.axes.read(1.0)
         with pytest.raises(SafetyTrip, match=r"target\.pitch: following error \d\.\d+ deg, allowed 0\.500 deg"):
             target.check(1.0)
+
+
+def test_axes_of_both_machines_are_recorded_and_give_what_the_cycle_records(tmp_path: Path) -> None:
+    job = make_job(2.0, START, rig=RIG)
+    with recording(job, RIG, tmp_path, lambda _: None) as taken:
+        with build.runner(job, sinks=taken.sinks) as runner:
+            target, outcome = runner.loop.target, runner.run()
+        taken.break_off("test")
+    assert isinstance(target, RotatedTarget)
+    recorded = load(taken.path)
+    rows, cycles = recorded.manipulator_samples, recorded.cycles
+    np.testing.assert_array_equal(rows["t_s"], cycles["t_s"])
+    assert len(rows) == len(outcome.history) == 101
+    bench = bench_params.bench(job.rig.value, job.scenario.value.step_s)
+    for row, cycle in zip(rows, cycles, strict=True):
+        seen = row["chaser_feedback"]
+        same = relative_axes(bench, target.params, seen["rail_m"], seen["gimbal_rad"], row["feedback"]["angle_rad"])
+        np.testing.assert_array_equal(same, (cycle["feedback"]["rail_m"], cycle["feedback"]["gimbal_rad"]))
+    lead_rad = np.abs(rows["setpoint"]["angle_rad"][1:] - rows["feedback"]["angle_rad"][1:]).max()
+    assert 0.0 < np.degrees(lead_rad) < 0.5
+    moved = np.diff(rows["setpoint"]["angle_rad"], axis=0) / job.scenario.value.step_s
+    np.testing.assert_allclose(rows["setpoint"]["rate_radps"][1:], moved, atol=np.radians(0.2))
+    assert np.abs(rows["chaser_setpoint"]["rail_m"] - rows["chaser_feedback"]["rail_m"]).max() < 0.01
+    assert replay(recorded, recorded.scenario).identical
+
+
+@pytest.mark.parametrize(("rig", "extra"), [("mock", set()), (RIG, {schema.MANIPULATOR})])
+def test_only_the_recording_of_a_rig_with_a_manipulator_has_its_topic(
+    tmp_path: Path, rig: str, extra: set[str]
+) -> None:
+    file = RunFile(tmp_path / "run.mcap", header_of(make_job(1.0, rig=rig), rig, "run", 0))
+    file.finish({})
+    assert set(contents(file.path).layouts) == {"/cycle", "/vmu/frames", "/monitor/portions", "/imu", "/axes"} | extra

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.core import gnc_records, messages
-from hil.core.fields import Field, leaf_fields, markdown_table, record_dtype
+from hil.core import gnc_records, manipulator_records, messages
+from hil.core.fields import Field, Fields, leaf_fields, markdown_table, record_dtype
 from hil.core.messages import VMU_FRAME, PoseFrame
 from hil.monitor import results
 
@@ -59,6 +59,12 @@ def test_page_shows_the_layout_of_a_record(name: str) -> None:
     page = (ROOT / "docs" / "reference" / "records.md").read_text()
     table = markdown_table(getattr(results if name == "PORTION" else messages, f"{name}_FIELDS"))
     assert table in page, "write the text of hil.core.fields.markdown_table() to it"
+
+
+@pytest.mark.parametrize("fields", [manipulator_records.GIMBALS_FIELDS, manipulator_records.MANIPULATOR_SAMPLE_FIELDS])
+def test_page_shows_the_layout_of_the_axes_of_a_rotated_target(fields: Fields) -> None:
+    assert markdown_table(fields) in (ROOT / "docs" / "reference" / "records.md").read_text()
+    assert layout(manipulator_records.MANIPULATOR_SAMPLE) == (304, "2e37f8e27cd8")
 
 
 def test_nested_records_are_expanded_with_dotted_names() -> None:

@@ -1,0 +1,24 @@
+"""Record of the physical axes of a rig whose target is rotated: in a cycle's record they are relative to the target."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hil.core.fields import Field, record_dtype
+from hil.core.messages import AXES_FIELDS
+
+GIMBALS_FIELDS: Final = (
+    Field("angle_rad", "f8", 3, "rad", "", "roll, pitch, yaw of the rotary manipulator"),
+    Field("rate_radps", "f8", 3, "rad/s", "", "their rates"),
+)
+
+MANIPULATOR_SAMPLE_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "time of the run, that of the cycle's row"),
+    Field("setpoint", GIMBALS_FIELDS),
+    Field("feedback", GIMBALS_FIELDS),
+    Field("sampled_s", "f8", (), "s", "", "when the encoders had these values, time of the run"),
+    Field("chaser_setpoint", AXES_FIELDS),
+    Field("chaser_feedback", AXES_FIELDS),
+)
+MANIPULATOR_SAMPLE: Final = record_dtype(MANIPULATOR_SAMPLE_FIELDS)
+"""Last setpoints and newest encoder values of all nine axes in a cycle; chaser: rails and turntable, in the lab."""
