@@ -25,8 +25,11 @@ from hil.api.jobs import (
 from hil.api.requirements import RunRequirement, write_run_evidence
 from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
-from hil.config.rig import BENCH_AXES, Rig
+from hil.config.rig import BENCH_AXES, TARGET_AXES, Rig
 from hil.config.scenario import Scenario
+from hil.core.fields import record_dtype
+from hil.core.manipulator_records import GIMBALS_FIELDS
+from hil.core.messages import new
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
@@ -270,6 +273,21 @@ class Bench:
         found: np.record = runner.loop.now.feedback.copy()
         return found
 
+    def target_feedback(self) -> np.record:
+        """Return the newest encoder samples of the rotary manipulator: ``angle_rad``, ``rate_radps``, (3,) each.
+
+        Raises BenchError without one.
+        """
+        runner = self._operator.runner
+        if runner is None:
+            raise self._ended_error("read the encoders")
+        manipulator = runner.loop.bench.manipulator
+        if manipulator is None:
+            raise BenchError(f"bench: cannot read the target's encoders, {self._request.rig_name} rotates no target")
+        found = new(record_dtype(GIMBALS_FIELDS))
+        found.angle_rad, found.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
+        return found
+
     def home(self, timeout_s: float = 180.0) -> None:
         """Home the axes that need it."""
         self._command(OperatorCommand.HOME, Mode.STANDBY, timeout_s)
@@ -277,12 +295,13 @@ class Bench:
     def jog(self, axis: str, direction: int, duration_s: float) -> None:
         """Move one axis slowly, as long as an operator would press the key.
 
-        axis: ``rails.x`` to ``turntable.yaw``; direction: 1 or -1; duration_s: of the key, s. Raises BadInput.
+        axis: ``rails.x`` to ``turntable.yaw``, and ``target.roll`` to ``target.yaw`` of a rotary manipulator;
+        direction: 1 or -1; duration_s: of the key, s. Raises BadInput.
         """
-        if axis not in BENCH_AXES or direction not in (-1, 1) or not is_positive(duration_s):
-            text = (
-                f"{axis!r}, {direction!r}, {duration_s!r}: must be one of {', '.join(BENCH_AXES)}; 1 or -1; above 0 s"
-            )
+        rotated = self._job.rig.value.rotated_target is not None
+        axes = (*BENCH_AXES, *TARGET_AXES) if rotated else BENCH_AXES
+        if axis not in axes or direction not in (-1, 1) or not is_positive(duration_s):
+            text = f"{axis!r}, {direction!r}, {duration_s!r}: must be one of {', '.join(axes)}; 1 or -1; above 0 s"
             raise BadInput.single("jog", "", text)
         step = _Step("jog", None, lambda *_: False, duration_s + 10.0)
 

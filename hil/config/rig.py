@@ -27,6 +27,7 @@ from hil.config.sign_off import SignOff
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
 BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
+TARGET_AXES = tuple(f"target.{name}" for name in GIMBAL_NAMES)  # of a rotary manipulator
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]

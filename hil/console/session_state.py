@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.checks.waivers import waivers
-from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
+from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, RAIL_NAMES, TARGET_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.core.modes import Mode
@@ -21,6 +21,9 @@ _NIS_TAIL: Final = 0.0027  # probability beyond three sigma of a normal variable
 SILENT_S: Final = 2.0
 """The recorder reports ten times per second; after this time without a report it counts as dead."""
 _SHOWN_EVENTS: Final = 20
+_AXES_MAX: Final = len(BENCH_AXES) + len(TARGET_AXES)
+TARGET: Final = "target"
+"""Device of the rotary manipulator, as in the names of its axes."""
 
 
 class RecordingStatus:
@@ -135,9 +138,11 @@ class SessionState:
         if not self._number:
             return {}
         status, since_s = status_of(self._status), now_s - self._received_s
+        axes = _AXES_MAX if self._is_rotated else len(BENCH_AXES)
+        ages_s = {name: _number(status.age_s[i] + since_s) for i, name in enumerate(DEVICES)}
         return {
             "status_age_s": since_s,
-            "ages_s": {name: _number(status.age_s[i] + since_s) for i, name in enumerate(DEVICES)},
+            "ages_s": ages_s | ({TARGET: _number(status.target_age_s + since_s)} if self._is_rotated else {}),
             "bench_s": _number(status.bench_s),
             "run_s": _number(status.run_s),
             "share": _number(status.fraction),
@@ -145,14 +150,20 @@ class SessionState:
             "gimbal_deg": [_number(math.degrees(v)) for v in status.feedback.gimbal_rad],
             "rail_mps": [_number(v) for v in status.feedback.rail_mps],
             "gimbal_degps": [_number(math.degrees(v)) for v in status.feedback.gimbal_radps],
-            "homing": [int(v) for v in status.homing],
-            "limit": [int(v) for v in status.limit],
+            "homing": [int(v) for v in status.homing[:axes]],
+            "limit": [int(v) for v in status.limit[:axes]],
             "estop": None if status.estop == UNKNOWN else bool(status.estop),
             "frames": int(status.frames),
             "overruns": int(status.overruns),
             "skipped_periods": int(status.skipped_periods),
             "limited_cycles": int(status.limited_cycles),
+            **(_target(status) if self._is_rotated else {}),
         }
+
+    @property
+    def _is_rotated(self) -> bool:
+        """Whether the rig has a rotary manipulator."""
+        return len(self.bench.get("axes", ())) == _AXES_MAX
 
     def page(self) -> dict[str, Any]:
         """Return the slow part of the state."""
@@ -171,6 +182,18 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _target(status: np.record) -> dict[str, Any]:
+    """Return the axes of the rotary manipulator, and those of the chaser's rig relative to the target."""
+    return {
+        "target_deg": [_number(math.degrees(v)) for v in status.target_rad],
+        "target_degps": [_number(math.degrees(v)) for v in status.target_radps],
+        "relative": {
+            "rail_m": [_number(v) for v in status.relative.rail_m],
+            "gimbal_deg": [_number(math.degrees(v)) for v in status.relative.gimbal_rad],
+        },
+    }
+
+
 def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
     """Return the display format of the docking monitor's numbers; empty without a monitor."""
     if not scenario.monitor.has_images:
@@ -185,14 +208,19 @@ def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
     """Return the description of bench and run that a page needs to draw them."""
     rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
     gimbals = {f"turntable.{name}": [*getattr(rig.turntable, name).travel_deg] for name in GIMBAL_NAMES}
+    target = rig.rotated_target
+    turned = {}
+    if target is not None:
+        turned = {axis: [*getattr(target, axis.split(".")[1]).travel_deg] for axis in TARGET_AXES}
     guidance, corridor = scenario.gnc.guidance, scenario.gnc.corridor
     return {
-        "axes": rails | gimbals,
+        "axes": rails | gimbals | turned,
         "stale_s": {
             "rails": rig.rails.timeout_s,
             "turntable": rig.turntable.timeout_s,
             "vmu": rig.vmu.timeout_s,
             "io": rig.io.timeout_s if rig.io is not None and rig.has_io else None,
+            **({TARGET: target.timeout_s} if target else {}),
         },
         "lever_arm_m": rig.bench.lever_arm_m,
         "ring_m": rig.vmu.leds_m,

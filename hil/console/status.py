@@ -8,9 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from hil.bench.kinematics import write_axes
+from hil.bench.manipulator import relative_axes
 from hil.core.messages import AXES
 from hil.core.modes import Mode
 from hil.errors import BenchError
+from hil.loop.bench_stage import Manipulator
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
 
@@ -24,16 +27,20 @@ STATUS = np.dtype(
         ("bench_s", "f8"),
         ("run_s", "f8"),  # time of the run's last cycle
         ("fraction", "f8"),  # completed, of the present sequence, 0..1
-        ("feedback", AXES),
+        ("feedback", AXES),  # of a rig with a rotary manipulator in the lab, in each mode
         ("setpoint", AXES),
         ("age_s", "f8", len(DEVICES)),  # of the last data of each of DEVICES; nan if unknown
-        ("homing", "i8", 6),
-        ("limit", "i8", 6),
+        ("homing", "i8", 9),  # of rails, turntable, and rotary manipulator
+        ("limit", "i8", 9),
         ("estop", "i8"),  # 1 pressed, 0 released, UNKNOWN
         ("frames", "i8"),
         ("overruns", "i8"),
         ("skipped_periods", "i8"),
         ("limited_cycles", "i8"),
+        ("target_rad", "f8", 3),  # encoders of the rotary manipulator, as all that follow; zero without one
+        ("target_radps", "f8", 3),
+        ("target_age_s", "f8"),
+        ("relative", AXES),  # ``feedback`` relative to the target
     ],
     align=True,
 )
@@ -64,14 +71,27 @@ class StatusWriter:
         if hasattr(bench, "feedback"):
             rails, turntable = bench.feedback
             out.age_s[0], out.age_s[1] = now_s - rails.t_s, now_s - turntable.t_s
-            out.homing[:] = (*rails.homing, *turntable.homing)
-            out.limit[:] = (*rails.limit, *turntable.limit)
+            out.homing[:6] = (*rails.homing, *turntable.homing)
+            out.limit[:6] = (*rails.limit, *turntable.limit)
+            if bench.manipulator is not None:
+                self._read_manipulator(bench.manipulator, now_s)
             out.age_s[2] = self._age_of_frames(now_s)
             self._read_safety_io(now_s)
         rate = runner.rate
         out.overruns, out.skipped_periods = rate.overruns, rate.skipped_periods
         out.limited_cycles = bench.limited_cycles
         return self.record
+
+    def _read_manipulator(self, manipulator: Manipulator, now_s: float) -> None:
+        """Write the axes of the manipulator, and those of the chaser's rig in the lab and relative to the target."""
+        bench, out, target = self._runner.loop.bench, self._view, manipulator.feedback
+        rails, turntable = bench.feedback
+        write_axes(rails.position, rails.rate, turntable.position, turntable.rate, out.feedback)
+        out.target_rad, out.target_radps, out.target_age_s = target.position, target.rate, now_s - target.t_s
+        out.homing[6:], out.limit[6:] = target.homing, target.limit
+        out.relative.rail_m, out.relative.gimbal_rad = relative_axes(
+            bench.params, manipulator.params, rails.position, turntable.position, target.position
+        )
 
     def _age_of_frames(self, now_s: float) -> float:
         frames = self._runner.source.counters().get("frames", 0)

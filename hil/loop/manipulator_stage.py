@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from hil.bench import kinematics, manipulator, stopping
+from hil.bench.jog import Jog
 from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import RotaryManipulator
 from hil.core.kernel_record import kernel_record
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import AXES, Array, AxisFeedback, new
-from hil.drivers.base import AxisGroup, LimitsSetpoints
+from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints
 from hil.errors import SafetyTrip
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
@@ -41,11 +42,12 @@ class RotatedTarget(TargetAxes):
         super().__init__(axes, config, manipulator.start_angles(params, limits, q_CH))
         self.params = params
         self.feedback = AxisFeedback(0.0, np.zeros(3), np.zeros(3))
-        """From the last ``check``."""
+        """From the last ``read``."""
         self.sink: Telemetry = NoTelemetry()
         """Receives the physical axes in each cycle, as a row of MANIPULATOR_SAMPLE."""
         self._sample = np.zeros(1, MANIPULATOR_SAMPLE)
         self._accepted = self.place_at
+        self._jogged = False
         self._bench, self._limits = bench, kernel_record(limits)
         self._error_max = math.radians(config.following_error_max_deg)
         self._error_per_speed_s = config.following_error_per_speed_s
@@ -63,9 +65,19 @@ class RotatedTarget(TargetAxes):
         super().place(tick, step_s)
         self._stand_at(self.place_at)
 
+    @property
+    def axis_names(self) -> tuple[str, str, str]:
+        """Names of the axes, roll, pitch and yaw."""
+        return self.axes.axis_names
+
+    def read(self, now_s: float) -> None:
+        """Read the newest encoder values."""
+        self.feedback = self.axes.read(now_s)
+
     def check(self, now_s: float) -> None:
-        """Read the axes; raise SafetyTrip if one is too far from its setpoint or on a limit switch."""
-        self.feedback = feedback = self.axes.read(now_s)
+        """Read the axes; raise SafetyTrip if one is too far from its setpoint, or, but in a jog, on a limit switch."""
+        self.read(now_s)
+        feedback = self.feedback
         error = np.abs(feedback.position - self._expected)
         allowed = self._error_max + self._error_per_speed_s * np.abs(self._expected_rate)
         worst = int(np.argmax(error - allowed))
@@ -73,7 +85,7 @@ class RotatedTarget(TargetAxes):
             value, limit = (f"{math.degrees(each[worst]):.3f} deg" for each in (error, allowed))
             raise SafetyTrip(self.axes.axis_names[worst], "following error", value, limit)
         for name, switch in zip(self.axes.axis_names, feedback.limit, strict=True):
-            if switch:
+            if switch and not self._jogged:  # a jog respects it by itself: it may move off one
                 raise SafetyTrip(name, "limit switch", "low" if switch < 0 else "high", "none")
         np.maximum(self._largest, np.abs([feedback.position, feedback.rate, error]), out=self._largest)
 
@@ -125,6 +137,25 @@ class RotatedTarget(TargetAxes):
         kinematics.limit_setpoint(self._limits, self._motion, wanted, out)
         self._send(now_s)
         return manipulator.shown_motion(self.params, self._expected, self._expected_rate, relative)
+
+    def begin_jog(self, axis: int, direction: int, rate_fraction: float) -> Jog:
+        """Return a jog of ``axis``, 0..2, from the last ``seed``; beyond the travel it may move back."""
+        self._jogged = True
+        if isinstance(self.axes, Jogs):
+            self.axes.set_jogging(True)
+        return Jog(self._limits, 3 + axis, direction, True, self._motion.position, rate_fraction)
+
+    def jog(self, jog: Jog, now_s: float) -> None:
+        """Send the next setpoint of a jog while its key is pressed."""
+        jog.aim(self._motion, self._wanted)
+        kinematics.limit_setpoint(jog.params, self._motion, self._wanted, self._next)
+        self._send(now_s)
+
+    def end_jog(self) -> None:
+        """Limit the setpoints to the travel again."""
+        self._jogged = False
+        if isinstance(self.axes, Jogs):
+            self.axes.set_jogging(False)
 
     def brake(self, now_s: float) -> bool:
         """Send the next setpoint of a braking ramp; return whether it still moves."""

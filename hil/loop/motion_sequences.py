@@ -14,7 +14,7 @@ from hil.core.messages import AXES, HOMED, Homing, new
 from hil.core.modes import Mode
 from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, StopCommanded
 from hil.errors import SafetyTrip
-from hil.loop.bench_stage import Move
+from hil.loop.bench_stage import Manipulator, Move
 from hil.loop.cycle import Loop
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate, Tick
@@ -89,6 +89,8 @@ class MotionSequencer:
         self.loop.safety_io.check(now_s)
         self.loop.bench.read(now_s, self.loop.now.feedback)
         self.loop.bench.check(now_s, self.loop.now.feedback)
+        if self.loop.bench.manipulator is not None:
+            self.loop.bench.manipulator.read(now_s)
 
     def check_links(self, now_s: float) -> None:
         """Raise SafetyTrip if a device has lost too many packets recently."""
@@ -300,6 +302,9 @@ class MotionSequencer:
         if self.warning_s > 0.0:
             self._warn()
             tick, request = self._newest, self._operator.jog_request() or request
+        if bench.manipulator is not None and request.axis in bench.manipulator.axis_names:
+            self._jog_manipulator(bench.manipulator, request, tick)
+            return
         jog = self._begin_jog(request, tick)
         if jog is None:
             self._operator.end_jog()
@@ -350,6 +355,51 @@ class MotionSequencer:
         jog.aim(bench.motion, wanted)
         bench.command(wanted, tick.now_s, now.setpoint, jog.params)
         return True
+
+    def _jog_manipulator(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
+        """``jog`` of an axis that rotates the target, while the drives of rails and turntable hold their positions."""
+        try:
+            if rejection := self._jog_rejection(manipulator, request, tick):
+                self._operator.rejections.append(rejection)
+            else:
+                self._turn_target(manipulator, request, tick)
+        finally:
+            self._operator.end_jog()
+
+    def _jog_rejection(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> str:
+        """Return why the requested axis of the manipulator cannot be jogged, "" if it can."""
+        if request.direction not in (-1, 1):
+            return f"bench: cannot jog {request.axis} by {request.direction}"
+        alarm = self.safety.interlock_motion(tick.now_s, *self.loop.bench.feedback, self.loop.now.feedback)
+        if alarm is not None:  # of rails and turntable, whose travel is not widened
+            return alarm.text
+        homing = manipulator.feedback.homing[manipulator.axis_names.index(request.axis)]
+        return "" if homing is Homing.DONE else f"{request.axis}: homing not done, required before it is jogged"
+
+    def _turn_target(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
+        """Seed the setpoints, and jog until the key is released and all axes are at rest."""
+        bench, now = self.loop.bench, self.loop.now
+        axis = manipulator.axis_names.index(request.axis)
+        bench.seed(tick.now_s, now.feedback)
+        jog = manipulator.begin_jog(axis, request.direction, self.safety.limits.jog_rate_fraction)
+        jog.key.refresh(tick.now_s)
+        self.modes.go(Mode.JOGGING)
+        moving = True
+        try:
+            while moving or not bench.at_rest(tick.now_s, now.feedback):
+                self._poll_command(Mode.JOGGING)
+                if self._operator.jog_request() == request:
+                    jog.key.refresh(tick.now_s)
+                if jog.may_move(tick.now_s, manipulator.feedback.limit[axis]):
+                    manipulator.jog(jog, tick.now_s)
+                    moving = True
+                else:
+                    moving = manipulator.brake(tick.now_s) or jog.key.pressed(tick.now_s)
+                tick = self.tick()
+                manipulator.check(tick.now_s)
+        finally:
+            manipulator.end_jog()
+        self.modes.go(Mode.STANDBY)
 
     def _poll_command(self, mode: Mode) -> OperatorCommand | None:
         """Return the next pending command for ``mode``, or None. Raises StopCommanded for STOP."""

@@ -97,6 +97,34 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
     assert (entry["stop"], entry["cycles"]) == ("stopped by the operator", ended["cycles"])
 
 
+def test_axes_of_a_target_that_is_rotated_are_shown_and_jogged() -> None:
+    with console("--rig", "mock-manipulator") as c:
+        page = c.page("ann")
+        assert page.ask("take")["ok"]
+        assert page.ask("open", confirmed=True)["ok"]
+        page.until_mode("standby")
+        axes = page.page["bench"]["axes"]
+        assert list(axes)[6:] == ["target.roll", "target.pitch", "target.yaw"]
+        assert axes["target.pitch"] == [-80.0, 80.0]
+        page.until(lambda: page.now["homing"] == [2] * 9 and page.now["limit"] == [0] * 9, "nine axes")
+        assert page.now["target_deg"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+
+        def pressed() -> bool:
+            page.socket.send('{"do": "jog", "axis": "target.pitch", "direction": 1}')
+            return bool(page.now["target_deg"][1] > 0.3)
+
+        page.until(pressed, "a jog")
+        assert page.now["mode"] == "jogging"
+        assert page.now["target_degps"][1] == pytest.approx(1.0, abs=0.1)  # a tenth of 10 deg/s
+        page.until_mode("standby")
+        assert page.now["target_deg"][1] < 5.0
+        turned = page.now["relative"]["gimbal_deg"][1]  # what a target at angles of zero would see
+        assert turned == pytest.approx(page.now["gimbal_deg"][1] - page.now["target_deg"][1], abs=0.01)
+        assert page.ask("jog", axis="target.w", direction=1)["text"] == "bench: cannot jog target.w by 1"
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+
+
 @pytest.mark.slow
 def test_gnc_of_the_users_own_is_flown_held_and_aborted_from_the_page(tmp_path: Path) -> None:
     settings = typed(*NEAR, f"gnc.library={c_example(tmp_path)}")

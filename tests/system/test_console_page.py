@@ -333,6 +333,30 @@ def test_page_fits_the_small_screen_and_every_button_has_a_name(browser: Any, pi
         assert len(keys) == len(set(keys))
 
 
+def test_axes_of_a_target_that_is_rotated_fit_the_page_and_are_jogged(browser: Any, pictures: Path) -> None:
+    with console("--rig", "mock-manipulator") as c:
+        screen = open_screen(browser, c, pictures)
+        screen.press("t", "take")
+        screen.press("n", "open", confirm=True)
+        screen.until_mode("standby", 400.0)  # a first start compiles
+        screen.until("document.querySelectorAll('.axis').length === 9")
+        screen.page.keyboard.press("9")
+        assert screen.page.inner_text(".axis.chosen span") == "9 t.yaw"
+        screen.page.keyboard.down("ArrowLeft")
+        screen.until("window.hil.now.target_deg && window.hil.now.target_deg[2] < -0.5")
+        screen.picture("manipulator")
+        assert screen.page.inner_text(".axis.chosen .where b").endswith("\u00b0/s")
+        screen.page.keyboard.up("ArrowLeft")
+        screen.until_mode("standby")
+        assert screen.page.evaluate("document.getElementById('faults').getBoundingClientRect().bottom") <= 720
+        wide = "[...document.querySelectorAll('.axis .where')].filter(at => at.scrollWidth > at.clientWidth).length"
+        assert screen.page.evaluate(wide) == 0
+        assert "target" in screen.page.inner_text("#ages")
+        screen.press("x", "stop")
+        screen.until("!window.hil.now.open", 240.0)
+        assert screen.errors == []
+
+
 def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictures: Path, tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     lab.write_text(

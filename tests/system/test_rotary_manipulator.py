@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hil
 from hil.bench.manipulator import relative_axes
 from hil.core.modes import Mode
+from hil.drivers.mock_axes import MockAxes
 from hil.errors import BadInput, SafetyTrip
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.maths import quat
@@ -128,3 +130,61 @@ def test_only_the_recording_of_a_rig_with_a_manipulator_has_its_topic(
     file = RunFile(tmp_path / "run.mcap", header_of(make_job(1.0, rig=rig), rig, "run", 0))
     file.finish({})
     assert set(contents(file.path).layouts) == {"/cycle", "/vmu/frames", "/monitor/portions", "/imu", "/axes"} | extra
+
+
+def test_procedure_jogs_an_axis_of_the_manipulator_within_its_travel_while_the_other_axes_stand() -> None:
+    overrides = {"duration_s": 1.0, "rig.rotary_manipulator.pitch.travel_deg": [-80.0, 1.5]}
+    with hil.Bench(RIG, "scheme-1", overrides=overrides) as bench:
+        before = bench.feedback()
+        bench.jog("target.yaw", -1, 1.0)  # at a tenth of 10 deg/s, for 0.2 s more than the key
+        at = np.degrees(bench.target_feedback().angle_rad)
+        np.testing.assert_allclose(at, [0.0, 0.0, -1.2], atol=0.15)
+        bench.jog("target.pitch", 1, 3.0)
+        at = np.degrees(bench.target_feedback().angle_rad)
+        assert at[1] == pytest.approx(1.5, abs=0.01)
+        assert np.abs(bench.target_feedback().rate_radps).max() < 1e-6
+        for name in ("rail_m", "gimbal_rad"):
+            np.testing.assert_allclose(bench.feedback()[name], before[name], atol=1e-6)
+        assert bench.mode is Mode.STANDBY
+        bench.arm()
+        assert bench.start().stop == "completed"
+
+
+def test_jog_of_a_manipulator_needs_one_and_an_axis_that_is_homed() -> None:
+    with hil.Bench("mock", "scheme-1", overrides={"duration_s": 1.0}) as bench:
+        with pytest.raises(BadInput, match=r"must be one of rails\.x, .*, turntable\.yaw; 1 or -1"):
+            bench.jog("target.yaw", 1, 0.5)
+        with pytest.raises(hil.errors.BenchError, match="mock rotates no target"):
+            bench.target_feedback()
+    with hil.Bench(RIG, "scheme-1", overrides={"rig.rotary_manipulator.yaw.encoder": "incremental"}) as bench:
+        with pytest.raises(hil.errors.BenchError, match=r"target\.yaw: homing not done, required before it is jogged"):
+            bench.jog("target.yaw", 1, 0.5)
+        assert not bench.target_feedback().angle_rad.any()
+
+
+def test_switch_stops_a_jog_of_the_manipulator_and_a_jog_leads_off_it() -> None:
+    with build.runner(make_job(1.0, rig=RIG)) as runner, runner.axes_only() as sequencer:
+        target, operator = runner.loop.target, runner.operator
+        assert isinstance(target, RotatedTarget)
+        assert isinstance(target.axes, MockAxes)
+        target.axes.set_limit_switch(2, 1)
+
+        def jogged_deg(direction: int) -> float:
+            sequencer.tick()
+            before, until_s = target.feedback.position[2], runner.now_s() + 1.0
+            poll = operator.poll
+
+            def press(now_s: float) -> None:
+                poll(now_s)
+                if now_s < until_s:
+                    operator.jog("target.yaw", direction)
+
+            operator.poll = press  # type: ignore[method-assign]
+            operator.jog("target.yaw", direction)
+            operator.pending.clear()  # as the runner, which takes the command before it jogs
+            sequencer.jog()
+            operator.poll = poll  # type: ignore[method-assign]
+            return float(np.degrees(target.feedback.position[2] - before))
+
+        assert jogged_deg(1) == 0.0
+        assert jogged_deg(-1) == pytest.approx(-1.2, abs=0.15)

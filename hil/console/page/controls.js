@@ -95,7 +95,8 @@ export class Controls {
     const typing = /^(INPUT|SELECT)$/.test(event.target.tagName);
     if (event.key === "Escape" && typing) event.target.blur();
     if (typing) return;
-    if (/^[1-6]$/.test(event.key)) this.choose(Number(event.key) - 1);
+    const rows = document.querySelectorAll(".axis").length;
+    if (/^[1-9]$/.test(event.key) && Number(event.key) <= Math.max(6, rows)) this.choose(Number(event.key) - 1);
     else if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
       event.preventDefault();
       if (!event.repeat) this.jog(this.axis, event.key === "ArrowLeft" ? -1 : 1);
@@ -171,14 +172,19 @@ export class Controls {
     const none = open ? "this rig has no emulated devices" : "available while an emulated bench is open";
     $("fault_list").textContent = Object.keys(page.faults.menu).length ? on.map(([device, list]) => `${device}: ${list}`).join("; ") : none;
     $("fault_list").classList.toggle("none", !on.length);
-    if (page.bench.axes && document.querySelectorAll(".axis").length === 0) this.axes(Object.keys(page.bench.axes));
+    const names = Object.keys(page.bench.axes || {});
+    if (document.querySelectorAll(".axis").length !== names.length) this.axes(names);
   }
 
+  // Rows of the axes: of another rig with or without those of a target that is rotated.
   axes(names) {
+    for (const row of document.querySelectorAll(".axis")) row.remove();
+    if (this.axis >= names.length) this.axis = 0;
+    $("jog").firstChild.textContent = `Jog while held: 1..${names.length || 6}, then \u2190 \u2192`;
     names.forEach((name, i) => {
       const row = document.createElement("div");
-      row.className = i === this.axis ? "axis chosen" : "axis";
-      row.innerHTML = `<span>${i + 1} ${name.split(".")[1]}</span><span class="where"><b>-</b><i></i></span>`;
+      row.className = `axis ${i < 6 ? "" : "turned"} ${i === this.axis ? "chosen" : ""}`;
+      row.innerHTML = `<span>${i + 1} ${i < 6 ? "" : "t."}${name.split(".")[1]}</span><span class="where"><b>-</b><i></i></span>`;
       for (const [direction, sign] of [[-1, "\u2212"], [1, "+"]]) {
         const button = document.createElement("button");
         button.textContent = sign;
@@ -194,12 +200,16 @@ export class Controls {
 
   positions(now, page) {
     if (!now.rail_m) return;
-    const limits = Object.values(page.bench.axes), values = [...now.rail_m, ...now.gimbal_deg];
+    const limits = Object.values(page.bench.axes), values = [...now.rail_m, ...now.gimbal_deg, ...(now.target_deg || [])];
+    const rates = [...now.rail_mps, ...now.gimbal_degps, ...(now.target_degps || [])]; // shown of a target only
     document.querySelectorAll(".axis .where").forEach((where, i) => {
+      if (values[i] === undefined) return; // of the session before
       const [low, high] = limits[i], value = values[i];
       const note = now.limit[i] ? " on limit switch" : now.homing[i] === 2 ? "" : " not homed";
       where.firstChild.textContent = `${value === null ? "-" : value.toFixed(i < 3 ? 3 : 2)} ${i < 3 ? "m" : "\u00b0"}${note}`;
       where.classList.toggle("limit", Boolean(note));
+      if (i >= 6 && !note && value !== null) where.firstChild.textContent = `${value.toFixed(2)}\u00b0 ${(rates[i] ?? NaN).toFixed(1)}\u00b0/s`;
+      where.title = `${limits[i].join(" to ")} ${i < 3 ? "m" : "\u00b0"}`;
       where.lastChild.style.left = `${Math.min(97, Math.max(0, (100 * (value - low)) / (high - low)))}%`;
     });
   }

@@ -50,11 +50,12 @@ const view = new View(camera, link);
 window.hil = { store, link, camera, get now() { return now; }, get page() { return page; }, get frames() { return frames; } };
 
 function poseNow() {
+  const at = now.relative || now; // of a target that is rotated, relative to it
   const q = [0, 1, 2, 3].map((i) => store.last(`q_bench_${i}`));
-  if (now.rail_m && (isRunning(now.mode) || !now.open) && q.every(Number.isFinite)) return { r: store.vector("bench_m"), q, rail: now.rail_m };
+  if (now.rail_m && (isRunning(now.mode) || !now.open) && q.every(Number.isFinite)) return { r: store.vector("bench_m"), q, rail: at.rail_m };
   if (!now.rail_m || !page.bench.axes) return null;
   // outside a run there are no rows: pose from the newest encoder values, yaw pitch roll
-  const [roll, pitch, yaw] = now.gimbal_deg.map((v) => (v * Math.PI) / 360);
+  const [roll, pitch, yaw] = at.gimbal_deg.map((v) => (v * Math.PI) / 360);
   const s = [roll, pitch, yaw].map(Math.sin), k = [roll, pitch, yaw].map(Math.cos);
   const q_CH = [
     s[0] * k[1] * k[2] - k[0] * s[1] * s[2],
@@ -62,7 +63,7 @@ function poseNow() {
     k[0] * k[1] * s[2] - s[0] * s[1] * k[2],
     k[0] * k[1] * k[2] + s[0] * s[1] * s[2],
   ];
-  return { r: now.rail_m, q: q_CH, rail: now.rail_m };
+  return { r: at.rail_m, q: q_CH, rail: at.rail_m };
 }
 
 for (const event of ["keydown", "click", "pointermove"]) document.addEventListener(event, () => (drawn = -1));

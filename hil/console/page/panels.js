@@ -54,7 +54,7 @@ function statusText(now, page) {
 export function ages(now, page, link_age_s) {
   const stale = page.bench.stale_s || {};
   const entries = [
-    ...["rails", "turntable", "vmu", "io"].map((name) => [name, now.ages_s ? now.ages_s[name] : null, stale[name]]),
+    ...["rails", "turntable", ...("target" in stale ? ["target"] : []), "vmu", "io"].map((name) => [name, now.ages_s ? now.ages_s[name] : null, stale[name]]),
     ["loop", now.status_age_s ?? null, STATUS_OLD_S],
     ["link", link_age_s, STATUS_OLD_S],
   ];
