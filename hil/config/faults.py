@@ -5,17 +5,20 @@ A fault is a term of a device's error model that acts for a time.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hil.config.model import ConfigModel, NotNegative, Positive
+from hil.errors import one_line
 
 ALWAYS_S: Final = 1e9
 """End of a fault without ``until_s``."""
 
+_SHOWN: Final = 60  # characters of a value in an error
 Vector = Annotated[tuple[float, ...], Field(min_length=1, max_length=3)]
 Sensor = Literal["gyro", "accelerometer"]
 
@@ -37,18 +40,25 @@ class ErrorTerm:
     default: float | None = None
     options: tuple[str, ...] = ()
 
+    @property
+    def count(self) -> str:
+        """Number of components and unit of the value, for errors."""
+        return f"{'one number' if self.values == 1 else f'{self.values} numbers'}{self._in_unit}"
+
+    @property
+    def _in_unit(self) -> str:
+        return f" in {self.unit}" if self.unit not in ("", "1") else ""
+
     def problem(self, value: tuple[float, ...]) -> str:
         """Return what is wrong with ``value``, "" if it is allowed."""
-        count = "one number" if self.values == 1 else f"{self.values} numbers"
         shown = f"{value[0]:g}" if len(value) == 1 else str(list(value))
-        in_unit = f" in {self.unit}" if self.unit not in ("", "1") else ""
         if len(value) != self.values:
-            return f"value = {shown}: must be {count}{in_unit}"
+            return f"value = {shown}: must be {self.count}"
         size = math.hypot(*value) if self.values == 3 else None
         sizes = value if size is None else (size,)
         if not all(self.low <= entry <= self.high for entry in sizes):
             of = "the magnitude" if size is not None else "each number" if self.values > 1 else "it"
-            return f"value = {shown}: {of} must be {self.low:g} to {self.high:g}{in_unit}"
+            return f"value = {shown}: {of} must be {self.low:g} to {self.high:g}{self._in_unit}"
         return ""
 
 
@@ -207,6 +217,17 @@ class TimedFault(ConfigModel):
     stamp: Literal["exposure", "arrival"] | None = None
     """Time stamp of poses that come late; unless set, the exposure."""
 
+    @field_validator("value", mode="before")
+    @classmethod
+    def _value_is_of_the_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        """Name what the kind of fault takes, whatever type ``value`` has."""
+        numbers = value if isinstance(value, list | tuple) else [value]
+        if value is None or (1 <= len(numbers) <= 3 and all(_is_number(number) for number in numbers)):
+            return tuple(map(float, value)) if isinstance(value, list) else value
+        term = TERMS.get(_family_of(info.data.get("device", "")), {}).get(info.data.get("kind", ""))
+        allowed = term.count if term is not None and term.values else "a number, or a list of 1 to 3 numbers"
+        raise ValueError(f"{one_line(json.dumps(value, default=str), _SHOWN)}: must be {allowed}")
+
     @model_validator(mode="after")
     def _is_in_the_table(self) -> Self:
         kinds = TERMS.get(self.family)
@@ -238,10 +259,7 @@ class TimedFault(ConfigModel):
     @property
     def family(self) -> str:
         """Kind of device: a key of TERMS, otherwise the device's name."""
-        if self.device in AXES:
-            return "axis"
-        name, dot, _ = self.device.partition(".")
-        return name if (dot != "") == (name == "thruster") else self.device
+        return _family_of(self.device)
 
     @property
     def number(self) -> int:
@@ -265,6 +283,17 @@ class TimedFault(ConfigModel):
     def end_s(self) -> float:
         """End, in the run's time."""
         return ALWAYS_S if self.until_s is None else self.until_s
+
+
+def _family_of(device: str) -> str:
+    if device in AXES:
+        return "axis"
+    name, dot, _ = device.partition(".")
+    return name if (dot != "") == (name == "thruster") else device
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def devices() -> tuple[str, ...]:

@@ -48,6 +48,10 @@ _FILES_OF_KEYS = {
 _NEVER = ("\0",)
 
 _PROBLEMS_MAX = 20
+_TYPE_LABEL = re.compile(r"float|int|bool|str|constrained-\w+|[A-Z]\w*|.*\[.*")
+"""What pydantic adds to the location of an error in a value of several types: the type that it tried."""
+_MUST = "Input should be "
+_TOO_FEW = re.compile(r"^\w+ should have (.*?) after validation")
 
 _UNIT = re.compile(
     r"_(m|mm|cm|km|au|s|ms|us|d|kg|kgpm2|kgpm3|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|degps3|km3ps2|kg_m2)$"
@@ -317,7 +321,7 @@ def _problems(
     error: ValidationError, model: type[BaseModel], table: Table, source: str, origin: Mapping[str, str], prefix: str
 ) -> list[Problem]:
     problems = []
-    faults = [*error.errors(), *_unknown_in_devices(error, model, table)]
+    faults = [*_of_one_type(error.errors(), table), *_unknown_in_devices(error, model, table)]
     for fault in faults[:_PROBLEMS_MAX]:
         location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))
@@ -331,6 +335,48 @@ def _problems(
     if len(faults) > _PROBLEMS_MAX:
         problems.append(Problem(source, "", f"{len(faults) - _PROBLEMS_MAX} more errors"))
     return problems
+
+
+def _of_one_type(faults: Sequence[Any], table: Table) -> list[Any]:
+    """Return ``faults``, of a value that has none of the types of its key only those of the type that fits best."""
+    by_place: dict[tuple[str | int, ...], list[Any]] = {}
+    for number, fault in enumerate(faults):
+        at = _type_label_at(fault["loc"], table)
+        place = (number,) if at is None else ("value", *fault["loc"][:at])
+        by_place.setdefault(place, []).append(fault)
+    found: list[Any] = []
+    for place, alike in by_place.items():
+        found += alike if place[0] != "value" else _best_of_types(alike, len(place) - 1, table)
+    return found
+
+
+def _best_of_types(faults: Sequence[Any], at: int, table: Table) -> list[Any]:
+    """Return the faults of the type that fits best, without its label, which is at ``at`` of their locations."""
+    deepest = max(len(fault["loc"]) for fault in faults)
+    best = [
+        {**fault, "loc": (*fault["loc"][:at], *fault["loc"][at + 1 :])}
+        for fault in faults
+        if len(fault["loc"]) == deepest
+    ]
+    if deepest > at + 1:
+        return _of_one_type(best, table)
+    if special := [fault for fault in best if not fault["msg"].startswith(_MUST)]:
+        return special[:1]
+    allowed = dict.fromkeys(fault["msg"].removeprefix(_MUST) for fault in best)
+    return [{**best[0], "type": "types", "msg": f"{_MUST}{' or '.join(allowed)}"}]
+
+
+def _type_label_at(location: Sequence[str | int], table: Table) -> int | None:
+    """Return the index of the first label of a type in pydantic's ``location``, None without one."""
+    place: Any = table
+    for at, part in enumerate(location):
+        if isinstance(place, dict) and part in place:
+            place = place[part]
+        elif isinstance(part, str) and _TYPE_LABEL.fullmatch(part):
+            return at
+        else:
+            place = place[part] if isinstance(part, int) and isinstance(place, list) and part < len(place) else None
+    return None
 
 
 def _keys_of(location: Sequence[str | int], table: Table) -> list[str | int]:
@@ -370,6 +416,7 @@ def _message(fault: Any, model: type[BaseModel], location: list[str], table: Tab
     text = str(fault["msg"]).removeprefix("Value error, ")
     if kind == "value_error":
         return text
+    text = _TOO_FEW.sub(r"must have \1", text)
     text = text[0].lower() + text[1:]
     value = fault["input"]
     if kind == "finite_number":

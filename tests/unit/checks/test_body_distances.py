@@ -50,7 +50,7 @@ def test_plan_keeps_the_bench_apart_or_is_refused() -> None:
     [
         (MAST, 'all have on = "target", allowed is "target" together with one that moves'),
         (", ".join([MAST, *[camera(0.1)] * 9]), 'bodies: 9 with on = "chaser", allowed 8'),
-        ('{on = "chaser", vertices_m = []}', "keep_out.bodies[0].vertices_m: []: tuple should have at least 1 item"),
+        ('{on = "chaser", vertices_m = []}', "keep_out.bodies[0].vertices_m: []: must have at least 1 item, not 0"),
         (f'{MAST}, {{on = "chaser", vertices_m = [{", ".join(["[0.0, 0.0, 0.0]"] * 17)}]}}', "at most 16"),
         (f'{MAST}, {{on = "moon", vertices_m = [[0.0, 0.0, 0.0]]}}', "'chaser' or 'target'"),
         (f'{MAST}, {{on = "chaser", vertices_m = [[0.0, 0.0, nan]]}}', "finite"),

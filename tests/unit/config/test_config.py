@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from hil.config.load import load_rig, load_scenario, shipped
+from hil.config.load import load_fmu_mapping, load_rig, load_scenario, shipped
 from hil.config.rig import Rig
 from hil.errors import BadInput, Problem
 
@@ -136,6 +136,24 @@ def test_whole_numbers_are_taken_for_floats_and_become_floats(write: Write) -> N
 @pytest.mark.parametrize("value", ['"400.0"', "true", "[400.0]", "2024-05-17"])
 def test_what_is_no_number_is_not_taken_for_one(write: Write, value: str) -> None:
     assert set(scenario_problems(write(f"duration_s = {value}"))) == {"duration_s"}
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("3", ": 3: must be a valid string or a valid array or an object"),
+        ('["x", 3]', "[1]: 3: must be a valid string"),
+        ("[]", ": []: must have at least 1 item, not 0"),
+        ("{ variables = 3 }", ".variables: 3: must be a valid string or a valid array"),
+        ('{ variables = "x", order = 3 }', ".order: 3: must be 'scalar_last' or 'scalar_first'"),
+    ],
+)
+def test_value_of_none_of_its_key_s_types_is_one_line_without_their_names(write: Write, value: str, text: str) -> None:
+    file = write(f"[inputs]\nr_CT_H = {value}\n", extends=None)
+    with pytest.raises(BadInput) as caught:
+        load_fmu_mapping(file)
+    (problem,) = caught.value.problems
+    assert str(problem) == f"{file}: inputs.r_CT_H{text}"
 
 
 def test_vector_of_the_wrong_length_is_refused(write: Write) -> None:

@@ -40,6 +40,24 @@ def problem(text: str, rig: str = "mock", *settings: str) -> str:
         ('at_s=5.0, until_s=5.0, device="vmu", kind="no_pose"', "until_s = 5: must be later than at_s = 5"),
         ('at_s=1.0, device="vmu", kind="offset", value=0.3', "value = 0.3: must be 3 numbers in m"),
         ('at_s=1.0, device="vmu", kind="offset"', 'kind = "offset" needs value in m'),
+        *(
+            (
+                f'at_s=1.0, device="vmu", kind="offset", value={value}',
+                f"faults[0].value: {value}: must be 3 numbers in m",
+            )
+            for value in ('"0.3 m"', "true", "[]", '["a"]', "[[1, 2]]", '[0.1, "0.2 m", 0]', "[1, 2, 3, 4]")
+        ),
+        ('at_s=1.0, device="vmu", kind="offset", value={x = 1}', 'faults[0].value: {"x": 1}: must be 3 numbers in m'),
+        ('at_s=1.0, device="vmu", kind="offset", value=inf', "faults[0].value: Infinity: must be 3 numbers in m"),
+        ('at_s=1.0, device="vmu", kind="latency", value="20 ms"', 'faults[0].value: "20 ms": must be one number in s'),
+        ('at_s=1.0, device="vmu", kind="noise", value="2"', '"2": must be a number, or a list of 1 to 3 numbers'),
+        ('at_s="1 s", device="vmu", kind="no_pose"', 'faults[0].at_s: "1 s": must be a valid number'),
+        ('at_s=1.0, until_s=[2], device="vmu", kind="no_pose"', "faults[0].until_s: [2]: must be a valid number"),
+        ('at_s=1.0, device=3, kind="no_pose"', "faults[0].device: 3: must be a valid string"),
+        ('at_s=1.0, device="vmu", kind=["no_pose"]', 'faults[0].kind: ["no_pose"]: must be a valid string'),
+        ('at_s=1.0, device="vmu", kind="outlier", value=0.5, size_m="1 m"', 'size_m: "1 m": must be a valid number'),
+        ('at_s=1.0, device="imu", kind="stuck", sensor=1', "sensor: 1: must be 'gyro' or 'accelerometer'"),
+        ('at_s=1.0, device="vmu", kind="latency", value=0.1, stamp=true', "stamp: true: must be 'exposure' or"),
         ('at_s=1.0, device="vmu", kind="no_pose", value=1.0', 'value does not go with kind = "no_pose"'),
         ('at_s=1.0, device="vmu", kind="latency", value=2.0', "value = 2: it must be 0 to 1 in s"),
         ('at_s=1.0, device="vmu", kind="outlier", value=0.1', 'kind = "outlier" needs size_m'),

@@ -100,6 +100,8 @@ def test_seeds_of_cases_differ_between_cases_and_campaigns() -> None:
         ("dispersions.truth.gravity_degree={kind='normal', sigma=1.0}", ("gravity_degree", "decimal numbers")),
         ("dispersions.gnc.abort.at_s={kind='normal', sigma=1.0}", ("gnc.abort.at_s", "has no value")),
         ("dispersions.initial.position_m=3.0", ("initial.position_m", "must be a table")),
+        ("dispersions.initial.position_m.sigma=3 cm", ('_m.sigma: "3 cm": must be a valid number or a valid array',)),
+        ('dispersions.initial.position_m.sigma=[1.0, "3 cm", 0.0]', ('_m.sigma[1]: "3 cm": must be a valid number',)),
         ("dispersions.weather={}", ("dispersions.weather", "unknown key", "initial")),
     ],
 )
