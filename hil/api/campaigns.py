@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.campaign import RIG, CampaignJob, campaign_digest
 from hil.monte_carlo.dispersions import Design, case_seed
-from hil.monte_carlo.engines import LocalEngine
+from hil.monte_carlo.engines import ENGINES, engine_identity, engine_of
 from hil.monte_carlo.sobol_indices import sobol_point
 from hil.monte_carlo.stored_campaign import StoredCampaign
 from hil.session.warm_up import compile_kernels
@@ -40,6 +41,7 @@ def campaign(
     duration_s: float | None = None,
     overrides: Overrides | None = None,
     workers: int = 0,
+    engine: str = "cpu",
 ) -> Campaign:
     """Run many cases of a scenario with its dispersions on the mock rig, in the compiled loop.
 
@@ -59,31 +61,35 @@ def campaign(
     overrides
         Dotted keys or nested tables to values, as for ``hil.run``.
     workers
-        Number of processes; 0: one per core.
+        Number of processes, of threads that draw the noise for a GPU; 0: one per core.
+    engine
+        ``cpu``, or ``cuda``: a GPU of NVIDIA. Cases of both are not mixed in a folder.
 
     Raises
     ------
     BadInput
         Invalid arguments, with one line per error.
     CampaignStopped
-        The disk is full: completed cases are kept.
+        The disk is full, or cases of a GPU differ from those of the CPU: completed cases are kept.
     """
     check_counts(runs, workers)
+    if engine not in ENGINES:
+        raise BadInput.single("engine", "", f"{engine!r:.60}: must be one of {', '.join(ENGINES)}")
     with named_as_argument():
         job = job_of(scenario, RIG, overrides, seed, duration_s)
         checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)
     temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
     folder = Path(temporary.name if temporary else str(out))
-    engine = LocalEngine(workers)
-    try:
-        with checked.store(folder) as store:
-            checked.warm_up()
-            summary = checked.run(store, runs, engine, lambda _: None)
-            return Campaign(job, summary, store.table())
-    finally:
-        engine.close()
+    with ExitStack() as held:
         if temporary:
-            temporary.cleanup()
+            held.callback(temporary.cleanup)
+        with named_as_argument("--engine", "engine"):
+            runner = engine_of(engine, workers, [checked.scenario])
+        held.callback(runner.close)
+        store = held.enter_context(checked.store(folder, more=engine_identity(engine)))
+        checked.warm_up()
+        summary = checked.run(store, runs, runner, lambda _: None)
+        return Campaign(job, summary, store.table())
 
 
 class Campaign:

@@ -178,12 +178,12 @@ def is_positive(value: object) -> bool:
 
 
 @contextmanager
-def named_as_argument() -> Iterator[None]:
-    """Name the argument ``overrides`` in errors, not the option of the command line."""
+def named_as_argument(option: str = _OPTION, argument: str = _ARGUMENT) -> Iterator[None]:
+    """Name the argument ``overrides``, or another one, in errors, not the option of the command line."""
     try:
         yield
     except BadInput as error:
-        problems = [replace(p, source=_ARGUMENT) if p.source == _OPTION else p for p in error.problems]
+        problems = [replace(p, source=argument) if p.source == option else p for p in error.problems]
         raise BadInput(problems) from error.__cause__
 
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hil.monte_carlo.store import Store
 
 _DONE, _NOT_SHOWN = 0, 1
-_ENGINES: Final = ("cpu", "cuda")
 _LEAST_ROWS: Final = 10
 _CONTRIBUTORS: Final = 10  # largest rank correlations that are printed
 _LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of --rare by --method
@@ -42,11 +41,13 @@ class EngineOptions:
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
+        from hil.monte_carlo.engines import ENGINES
+
         found = at_least(workers=(self.workers, 0))
         if self.scheduler is not None and self.workers:
             found.append(Problem("--workers", "", "not together with --scheduler, which has its own workers"))
-        if self.engine not in _ENGINES:
-            found.append(Problem("--engine", "", f"{self.engine}: must be one of {', '.join(_ENGINES)}"))
+        if self.engine not in ENGINES:
+            found.append(Problem("--engine", "", f"{self.engine}: must be one of {', '.join(ENGINES)}"))
         elif self.on_gpu and self.scheduler is not None:
             found.append(Problem("--engine", "", "cuda: not together with --scheduler"))
         return found
@@ -58,18 +59,18 @@ class EngineOptions:
 
     @property
     def identity(self) -> dict[str, str]:
-        """Part of the identity of a campaign: results of a GPU are not mixed with those of a CPU."""
-        return {"engine": self.engine} if self.on_gpu else {}
+        """Part of the identity of a campaign."""
+        from hil.monte_carlo.engines import engine_identity
+
+        return engine_identity(self.engine)
 
     def start(self, campaigns: Sequence[CampaignJob]) -> Engine:
         """Return the engine that runs the cases of ``campaigns``. Raises BadInput."""
-        from hil.monte_carlo.engines import DaskEngine, LocalEngine
+        from hil.monte_carlo.engines import DaskEngine, engine_of
 
-        if self.on_gpu:
-            from hil.monte_carlo.cuda_engine import CudaEngine
-
-            return CudaEngine(self.workers, [each.scenario for each in campaigns])
-        return DaskEngine(self.scheduler) if self.scheduler else LocalEngine(self.workers)
+        if self.scheduler:
+            return DaskEngine(self.scheduler)
+        return engine_of(self.engine, self.workers, [each.scenario for each in campaigns])
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -24,6 +24,8 @@ from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
+from hil.config.load import Loaded
+from hil.config.scenario import Scenario
 from hil.core.child_process import die_with_parent
 from hil.errors import BadInput, CampaignStopped
 from hil.monte_carlo.batch import Case, Rows, Spec, run_batch
@@ -32,6 +34,8 @@ from hil.monte_carlo.outcome import failed_row
 
 Batch = tuple[int, int]
 """First case, and how many."""
+ENGINES: Final = ("cpu", "cuda")
+"""Engines of this computer: its cores, or a GPU of NVIDIA."""
 
 _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
@@ -56,6 +60,23 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Release the workers."""
+
+
+def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]]) -> Engine:
+    """Return the engine ``name`` of ENGINES for cases of ``scenarios``. Raises BadInput if it cannot run here.
+
+    workers: processes, on a GPU threads that draw the noise; 0: one per core.
+    """
+    if name == "cpu":
+        return LocalEngine(workers)
+    from hil.monte_carlo.cuda_engine import CudaEngine  # imports this module
+
+    return CudaEngine(workers, scenarios)
+
+
+def engine_identity(name: str) -> dict[str, str]:
+    """Return the part of a campaign's identity of its engine: results of a GPU are not mixed with those of a CPU."""
+    return {} if name == "cpu" else {"engine": name}
 
 
 def worker_count(workers: int) -> int:

@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
@@ -118,10 +118,10 @@ class Store:
         except (BadInput, ValueError) as error:
             raise BadInput.single("--out", "", f"{manifest}: cannot be read: {error}") from error
         if found != identity:
-            different = [key for key in identity if not isinstance(found, dict) or found.get(key) != identity[key]]
-            shown = ", ".join(f"{key} {_short(found.get(key))}" for key in different if isinstance(found, dict))
-            text = f"{self.folder}: holds another campaign ({shown}; asked for: "
-            text += ", ".join(f"{key} {_short(identity[key])}" for key in different) + "), give a new folder"
+            held = found if isinstance(found, dict) else {}
+            different = [key for key in {**identity, **held} if held.get(key) != identity.get(key)]
+            text = f"{self.folder}: holds another campaign ({_listed(held, different)}; asked for: "
+            text += f"{_listed(identity, different)}), give a new folder"
             raise BadInput.single("--out", "", text)
 
     def missing(self, runs: int) -> list[tuple[int, int]]:
@@ -273,6 +273,11 @@ def _locked(path: Path) -> int:
         os.close(descriptor)
         raise
     return descriptor
+
+
+def _listed(identity: dict[str, Any], keys: Iterable[str]) -> str:
+    """Return the keys that ``identity`` has, with their values."""
+    return ", ".join(f"{key} {_short(identity[key])}" if key in identity else f"no {key}" for key in keys)
 
 
 def _short(value: Any) -> str:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import hil
 from hil.cli.main import execute
-from hil.errors import CampaignStopped
+from hil.config.load import Loaded
+from hil.config.scenario import Scenario
+from hil.errors import BadInput, CampaignStopped
 from hil.monte_carlo import cuda_engine
 from hil.monte_carlo.cuda_engine import BOUND, compare_rows
+from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.outcome import NUMERIC, failed_row
 from tests.support.cuda_simulator import run_simulated
 
@@ -65,3 +71,28 @@ def test_missing_package_or_gpu_is_one_line(
     rare = ("--rare", "position_m_x > 0.01", "--method", "importance", "--runs", "400")
     assert execute(["campaign", "scheme-1", *rare, "--out", str(tmp_path / "out"), "--engine", "cuda"]) == 2
     assert "--method importance" in capsys.readouterr().err
+    with pytest.raises(BadInput, match=r"^engine: cuda: no GPU that can be used"):
+        hil.campaign("scheme-1", runs=3, out=tmp_path / "out", engine="cuda")
+    assert not (tmp_path / "out").exists()
+
+
+def test_campaign_in_python_takes_the_engine_and_does_not_mix_its_cases(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class OnCpu(LocalEngine):
+        """In place of a GPU."""
+
+        def __init__(self, threads: int, scenarios: Sequence[Loaded[Scenario]]) -> None:
+            assert [each.value.name for each in scenarios] == ["scheme-1"]
+            super().__init__(threads)
+
+        def summary(self) -> dict[str, Any]:
+            return {"engine": {"name": "cuda"}}
+
+    monkeypatch.setattr(cuda_engine, "CudaEngine", OnCpu)
+    out = tmp_path / "out"
+    found = hil.campaign("scheme-1", runs=1, out=out, duration_s=2.0, workers=1, engine="cuda")
+    assert found.summary["engine"] == {"name": "cuda"}
+    assert len(hil.campaign("scheme-1", runs=2, out=out, duration_s=2.0, workers=1, engine="cuda").cases) == 2
+    with pytest.raises(BadInput, match=r'another campaign \(engine "cuda"; asked for: no engine\)'):
+        hil.campaign("scheme-1", runs=2, out=out, duration_s=2.0, workers=1)
