@@ -136,14 +136,12 @@ def _region(roi: str | None, scene: Scene) -> Region | None:
 
     if roi is None:
         return None
-    width, height = scene.camera.width, scene.camera.height
-    allowed = f"must be u,v,width,height in whole px within the image of {width} x {height}, at least 32 x 32"
     try:
         left, top, wide, high = (int(part) for part in roi.split(","))
     except ValueError:
-        raise BadInput.single("--roi", "", f"{roi}: {allowed}") from None
-    if left < 0 or top < 0 or wide < 32 or high < 32 or left + wide > width or top + high > height:
-        raise BadInput.single("--roi", "", f"{roi}: {allowed}")
+        left, top, wide, high = 0, 0, 0, 0
+    if error := scene.camera.region_error((left, top, wide, high)):
+        raise BadInput.single("--roi", "", f"{roi}: {error}")
     return Region(left, top, left + wide, top + high)
 
 

@@ -8,6 +8,7 @@ measurement does not use it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
@@ -17,6 +18,7 @@ from hil.config.model import ConfigModel, Name, Positive
 LONGEST_M: Final = 100.0  # a longer part was probably given in millimetres
 LABELS_AT_MOST: Final = 16
 BOXES_AT_MOST: Final = 16
+REGION_PX_MIN: Final = 32
 
 Level = Annotated[float, Field(ge=0.0, le=255.0)]
 Length = Annotated[float, Field(gt=0.0, le=LONGEST_M)]
@@ -83,6 +85,17 @@ class SceneCamera(ConfigModel):
                 f" for an image of {self.width} x {self.height}"
             )
         return self
+
+    def region_error(self, box: Sequence[int]) -> str:
+        """Return what is allowed for a region of search (u, v, width, height), px, if ``box`` is none; else ""."""
+        u, v, width, height = box
+        inside = u >= 0 and v >= 0 and u + width <= self.width and v + height <= self.height
+        if inside and min(width, height) >= REGION_PX_MIN:
+            return ""
+        return (
+            f"must be u,v,width,height in whole px within the image of {self.width} x {self.height},"
+            f" at least {REGION_PX_MIN} x {REGION_PX_MIN}"
+        )
 
 
 class Disc(ConfigModel):

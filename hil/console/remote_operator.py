@@ -6,6 +6,7 @@ JSON object per packet of a socket pair.
 to the loop    {"order": "hold", "by": "ann", "id": 7}   {"acknowledge": 3, "by": "ann", "id": 8}: an alarm, true: all
                {"shelve": [3, 600.0], "by": "ann", "id": 9}
                {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
+               {"search": [120, 80, 300, 240], "by": "ann", "id": 9}: of the docking monitor, null: the whole image
                {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann", "has the command"]}
 to the console {"answer": 7, "text": ""}    {"alarms": [...]}    {"events": [...]}   and further ``OutgoingMessages``
 """
@@ -27,6 +28,7 @@ from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
 from hil.errors import SafetyTrip
 from hil.frmn.mailbox import Mailbox
+from hil.frmn.search_region import SearchRegion
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder
@@ -36,6 +38,7 @@ STATUS_PERIOD_WALL_S: Final = 0.05
 _PACKETS_PER_CYCLE: Final = 8
 _KEPT_MESSAGES: Final = 512
 _PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
+NO_MONITOR: Final = "bench: no docking monitor measures on images in this session"
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
 
@@ -100,12 +103,21 @@ class RemoteOperator(Operator):
         self._writer: StatusWriter
         self._recorder: EventRecorder | None = None
         self._adjustable: tuple[str, ...] = ()
+        self._search: SearchRegion | None = None
 
-    def attach(self, runner: Runner, recorder: EventRecorder | None = None, adjustable: tuple[str, ...] = ()) -> None:
+    def attach(
+        self,
+        runner: Runner,
+        recorder: EventRecorder | None = None,
+        adjustable: tuple[str, ...] = (),
+        search: SearchRegion | None = None,
+    ) -> None:
         """Attach the runner, before the first cycle.
 
-        recorder: records the operators' commands. adjustable: settings that may be changed.
+        recorder: records the operators' commands. adjustable: settings that may be changed. search: region of search
+        of the docking monitor.
         """
+        self._search = search
         self._runner = runner
         self._recorder = recorder
         self._adjustable = adjustable
@@ -178,6 +190,8 @@ class RemoteOperator(Operator):
             (number, lasting_s), by = message["shelve"], message.get("by", "")
             text = self._runner.safety.alarms.shelve(int(number), self._runner.now_s(), float(lasting_s), by)
             self._messages.send(answer=message["id"], text=text)
+        elif "search" in message:
+            self._messages.send(answer=message["id"], text=self._search_in(message["search"], message.get("by", "")))
         elif "adjust" in message:
             self._messages.send(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
         elif "order" in message:
@@ -187,6 +201,20 @@ class RemoteOperator(Operator):
                 self.submit(command)
             self._log_event("operator", message.get("by", ""), f"{command.value}{refusal and f': rejected: {refusal}'}")
             self._messages.send(answer=message["id"], text=refusal)
+
+    def _search_in(self, box: list[int] | None, operator: str) -> str:
+        """Set the docking monitor's region of search, u, v, width, height, px; return the reason of a rejection."""
+        if self._search is None:
+            return NO_MONITOR
+        text = "the whole image"
+        if box is None:
+            self._search.set(None)
+        else:
+            u, v, width, height = box
+            self._search.set((u, v, width, height))
+            text = f"{u},{v},{width},{height} px"
+        self._log_event("operator", operator, f"the docking monitor searches {text}")
+        return ""
 
     def _adjust(self, change: dict[str, Any], operator: str) -> str:
         """Apply a changed setting before the next cycle; return the reason of a rejection, "" if applied.

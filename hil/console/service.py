@@ -12,6 +12,7 @@ from hil.console.columns import COLUMNS, NAMES
 from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.message import ImageMessage
+from hil.console.remote_operator import NO_MONITOR
 from hil.console.session_manager import SessionManager
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
@@ -38,6 +39,7 @@ SECOND_PERSON_S: Final = 30.0
 """Time in which another person has to confirm a command that requires it, wall clock."""
 SEED_MAX: Final = 2**63 - 1
 _DEVICE_TEXT: Final = 200  # characters of a fault's line
+_REGION_TEXT: Final = 200
 
 
 def _alarm_number(command: dict[str, Any]) -> int | None:
@@ -46,6 +48,15 @@ def _alarm_number(command: dict[str, Any]) -> int | None:
     if number is not None and (isinstance(number, bool) or not isinstance(number, int)):
         raise RequestRejected(f"alarm {number!r}: allowed is its number")
     return number
+
+
+def _box(region: object) -> list[int] | None:
+    """Return the four whole numbers of ``region``, zeros if it has no such numbers; None for None."""
+    if region is None:
+        return None
+    if isinstance(region, list) and len(region) == 4 and all(type(number) is int for number in region):
+        return region
+    return [0, 0, 0, 0]
 
 
 @dataclass(frozen=True)
@@ -96,6 +107,9 @@ class ConsoleService(SessionManager):
             case "adjust":
                 self.lease.require(client.key)
                 return await self._adjust(client, command)
+            case "search":
+                self.lease.require(client.key)
+                await self._search(client, command.get("region"))
             case "watch":
                 client.camera = str(command.get("camera"))
             case "acknowledge":
@@ -229,6 +243,22 @@ class ConsoleService(SessionManager):
         done = f"rejected: {text}" if text else f"was {change.before:g}"
         self.log(f"{client.name}: {change.key} = {change.value:g}, {done}")
         return {"ok": not text, "text": text}
+
+    async def _search(self, client: Client, region: object) -> None:
+        """Set the docking monitor's region of search: [u, v, width, height], px, None for the whole image."""
+        if self.session is None or not self.session.ready:
+            raise RequestRejected("bench: cannot set a region of search, no session is open")
+        camera = self.television
+        if camera is None:
+            raise RequestRejected(NO_MONITOR)
+        box = _box(region)
+        if box is not None and (error := camera.region_error(box)):
+            raise RequestRejected(one_line(f"region {region!r}: {error}", _REGION_TEXT))
+        if text := await self.session.ask(search=box, by=client.name):
+            raise RequestRejected(text)
+        self.state.search = box
+        where = "the whole image" if box is None else f"{','.join(map(str, box))} px"
+        self.log(f"{client.name}: the docking monitor searches {where}")
 
     async def _acknowledge(self, client: Client, number: int | None) -> None:
         if number is not None and number not in {alarm.get("number") for alarm in self.state.alarms}:

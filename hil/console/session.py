@@ -71,7 +71,8 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
 
         with _recorded(choice, job, announce) as taken:
             with opened(job, operator, announce, taken.sinks if taken else None) as bench:
-                operator.attach(bench.runner, bench.event_recorder, job.scenario.value.console.adjustable)
+                adjustable = job.scenario.value.console.adjustable
+                operator.attach(bench.runner, bench.event_recorder, adjustable, bench.watched.search)
                 _send_hello(channel, bench, status, taken)
                 numbers = accumulate(bench.runner, job)
                 outcome = bench.runner.run()

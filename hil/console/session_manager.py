@@ -12,7 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scene
+from hil.config.scene import SceneCamera
 from hil.console.columns import console_rows
 from hil.console.fault_injection_panel import FaultInjectionPanel
 from hil.console.lease import Lease, RequestRejected
@@ -58,6 +59,8 @@ class SessionManager:
         self.wall_s = wall_s
         self.state = SessionState({}, "no session is open")
         self.tuner: Tuner | None = None
+        self.television: SceneCamera | None = None
+        """Camera of the docking monitor that measures on images, None without one."""
         self.tuning = asyncio.Lock()  # each change is based on the previous one
         self._reported: tuple[str, float] = ("", -math.inf)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -67,6 +70,8 @@ class SessionManager:
         job = choice.job()
         self.choice = choice
         self.tuner = Tuner(job)
+        monitor = job.scenario.value.monitor
+        self.television = load_scene(monitor.scene).value.camera if monitor.has_images else None
         self.state = SessionState(bench_description(job.rig.value, job.scenario.value), "starting")
         self.lease.timeout_s = job.rig.value.console.lease_s
         self.view.begin(job)

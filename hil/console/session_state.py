@@ -71,6 +71,8 @@ class SessionState:
         self.alarms: list[dict[str, Any]] = []
         self.events: list[dict[str, Any]] = []
         self.hold_reason = ""
+        self.search: list[int] | None = None
+        """Region of search of the docking monitor: u, v, width, height, px; None: the whole image."""
         self.ended: dict[str, Any] | None = None
         self.recording = RecordingStatus()
         self.closing = False
@@ -173,6 +175,7 @@ class SessionState:
             "events": self.events[-_SHOWN_EVENTS:],
             "word": self.status_text,
             "hold_reason": self.hold_reason,
+            "search": self.search,
             "ended": self.ended,
         }
 

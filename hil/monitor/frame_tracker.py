@@ -52,10 +52,22 @@ class FrameTracker:
         self._far = self._near.copy()
         self._far[[ACROSS, UPRIGHT, LABEL]] = 0
         self._whole = Region(0, 0, scene.camera.width, scene.camera.height)
+        self._search: Region | None = None
 
-    def expect(self, motion: Motion) -> None:
-        """Predict the pose of the next frames by ``motion``."""
+    def expect(self, motion: Motion | None) -> None:
+        """Predict the pose of the next frames by ``motion``, None: as that of the last one."""
         self._motion = motion
+
+    def search_in(self, region: Region | None) -> bool:
+        """Search in ``region`` alone from the next frame on, None: in the whole image.
+
+        Return whether the followed target is outside of it and is therefore no longer followed.
+        """
+        self._search = region or self._whole
+        if self._last is None or self._search.contains(*self._middle(self._last[1])):
+            return False
+        self._last = None
+        return True
 
     def process(self, frame: VideoFrame) -> FrameResult:
         """Return the measurement of ``frame``."""
@@ -87,10 +99,10 @@ class FrameTracker:
         return self._measure(frame, x, tracked=True)
 
     def _find(self, frame: VideoFrame) -> FrameResult | None:
-        """Search the operator's region, then the whole image (task 1a)."""
+        """Search the region that was set; else the initial one, then the whole image (task 1a)."""
         best: FrameResult | None = None
-        regions = [self._settings.region] if self._settings.region is not None and self._last is None else []
-        for region in [*regions, self._whole]:
+        first = [self._settings.region] if self._settings.region is not None and self._last is None else []
+        for region in [self._search] if self._search is not None else [*first, self._whole]:
             for result in self._find_in(frame, region):
                 if result.used:
                     return result
@@ -206,6 +218,13 @@ class FrameTracker:
         f, cx, cy = self._features.lens[:3]
         u, v = docking_view.project_point(f, cx, cy, p)
         return float(u), float(v), float(p[2])
+
+    def _middle(self, x: Floats) -> tuple[float, float]:
+        """Return u, v, px, of the disc's centre, without a disc of the outline's."""
+        target, centre = self._features.target, np.zeros(3)
+        if target.disc is None and target.outline is not None:
+            centre[:] = *target.outline.center_m, target.outline.offset_m
+        return self._point_at(x, centre)[:2]
 
     def _cross_at(self, x: Floats) -> tuple[float, float, float]:
         u, v, _ = self._point_at(x, np.array([0.0, 0.0, self._features.cross[0]]))

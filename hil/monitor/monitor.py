@@ -19,6 +19,7 @@ from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
 from hil.monitor.paper.motion import PaperMotionFit
+from hil.monitor.preprocess import Region
 from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, QUANTITIES, FrameResult, Result
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame, exposures_of
@@ -43,6 +44,7 @@ class DockingMonitor:
         self._frames: list[FrameResult] = []
         self._used_s = -np.inf
         self._images = 0
+        self._dropped = False
         self.last: FrameResult | None = None
 
     def feed(self, frame: VideoFrame | NDArray[np.uint8]) -> list[Result]:
@@ -58,8 +60,20 @@ class DockingMonitor:
         self._images += 1
         return [portion for each in exposures for portion in self._process(each)]
 
+    def search_in(self, region: Region | None) -> None:
+        """Search in ``region`` alone from the next frame on, px; None: in the whole image.
+
+        A target that is followed outside of it is dropped, with its motion; one inside is followed wherever it moves.
+        """
+        self._dropped = self._tracker.search_in(region) or self._dropped
+
     def _process(self, frame: VideoFrame) -> list[Result]:
         done: list[Result] = []
+        if self._dropped:
+            done += self.finish()
+            self._reset_motion()
+            self._tracker.expect(None)
+            self._dropped = False
         if self._frames and frame.t_s - self._frames[0].detection.t_s >= self.settings.portion_s - 1e-9:
             done.append(self._close())
         result = self._tracker.process(frame)
@@ -82,9 +96,7 @@ class DockingMonitor:
         if not used:
             return _nothing(frames, t_s)
         if used[0].detection.t_s - self._used_s > self.settings.lost_s:
-            self._motion.reset()
-            if self._paper is not None:
-                self._paper.reset()
+            self._reset_motion()
         # without the cross the paper has no relations: the exact ones are used in both cases
         fit = self._motion.fit(used, t_s)
         if self._paper is not None and status == NEAR:
@@ -97,6 +109,11 @@ class DockingMonitor:
         late[0::2] = self.scene.camera.tolerances.time_s * fit.motion.w[1::2]
         covariance = fit.motion.covariance + np.outer(late, late)
         return _result(frames, fit, status, covariance)
+
+    def _reset_motion(self) -> None:
+        self._motion.reset()
+        if self._paper is not None:
+            self._paper.reset()
 
 
 def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None:

@@ -36,6 +36,10 @@ class Region:
         """Lines."""
         return self.bottom - self.top
 
+    def contains(self, u: float, v: float) -> bool:
+        """Return whether the point (u, v), px, is in the region."""
+        return self.left <= u < self.right and self.top <= v < self.bottom
+
 
 @dataclass(frozen=True)
 class Prepared:

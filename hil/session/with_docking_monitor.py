@@ -12,6 +12,7 @@ from hil.core.operator_commands import Operator
 from hil.errors import DeviceError
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
+from hil.frmn.search_region import SearchRegion
 from hil.loop.monitor_stage import PortionSource
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
@@ -26,14 +27,19 @@ _PORTIONS = 64  # in the ring that the loop reads
 
 
 class MonitorResults:
-    """Results of the monitor: of_run returns those of the run that has ended, source those that arrive during it."""
+    """Results of the monitor: of_run returns those of the run that has ended, source those that arrive during it.
+
+    search: sets its region of search, None if it cannot be set.
+    """
 
     def __init__(
         self,
         of_run: Callable[[Outcome], MonitorOutcome | None],
         source: PortionSource | None = None,
         run_time: RunTime | None = None,
+        search: SearchRegion | None = None,
     ) -> None:
+        self.search = search
         self._of_run = of_run
         self._source = source
         self._run_time = run_time
@@ -76,14 +82,18 @@ def beside(
     live = scenario.monitor.source == "camera"
     rings = MonitorRings(telemetry, images, portions)
     times = LiveClock(clock.epoch_ns, clock.speed, run_time.descriptor) if live else None
+    search = SearchRegion.create()
     try:
-        with MonitorProcess(scenario, scene, job.rig.value, job.seed, rings, times) as process:
+        with MonitorProcess(scenario, scene, job.rig.value, job.seed, rings, times, search) as process:
             announce("starting the docking monitor; its first start compiles its kernels")
             process.wait_ready()
             announce(f"docking monitor process {process.pid}")
             zero = run_time if recorded_time is None else None
-            yield MonitorResults(lambda _: _results(process, scenario.monitor.scene), RingPortions(portions), zero)
+            yield MonitorResults(
+                lambda _: _results(process, scenario.monitor.scene), RingPortions(portions), zero, search
+            )
     finally:
+        search.close()
         if recorded_time is None:
             run_time.close()
         if recorded is None:

@@ -26,7 +26,9 @@ from hil.drivers.cameras.processes import CameraProcesses, raise_failure
 from hil.errors import DeviceError
 from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.frmn.search_region import Box, SearchRegion
 from hil.monitor.monitor import DockingMonitor
+from hil.monitor.preprocess import Region
 from hil.monitor.results import PORTION, Portion, portion_of, portion_row
 from hil.monitor.screen.overlay import annotated_shapes
 from hil.monitor.settings import MonitorSettings
@@ -71,16 +73,20 @@ _NO_SINKS: Final = MonitorSinks()
 
 
 class MonitorOfFrames:
-    """Docking monitor with its results."""
+    """Docking monitor with its results. search: region that an operator sets, None for none."""
+
+    search: SearchRegion | None = None
 
     def __init__(self, scenario: Scenario, scene: Scene, sinks: MonitorSinks = _NO_SINKS) -> None:
         self.outcome = MonitorOutcome(scenario.monitor.scene)
         self._monitor = DockingMonitor(scene, settings_of(scenario))
         self._images, self._portions = sinks
+        self._box: Box | None = None
         self._spent_s = 0.0
 
     def process(self, frame: VideoFrame, now_s: float) -> None:
         """Measure on a frame; now_s: time of the run."""
+        self._poll_search()
         start = time.perf_counter()
         portions = self._monitor.feed(frame)
         spent_s = time.perf_counter() - start
@@ -98,6 +104,16 @@ class MonitorOfFrames:
         self._keep(self._monitor.finish())
         return self.outcome
 
+    def _poll_search(self) -> None:
+        if self.search is None or not self.search.changed():
+            return
+        self._box = self.search.get()
+        if self._box is None:
+            self._monitor.search_in(None)
+            return
+        u, v, width, height = self._box
+        self._monitor.search_in(Region(u, v, u + width, v + height))
+
     def _keep(self, portions: Sequence[Portion]) -> None:
         for portion in portions:
             self.outcome.portions.append(portion)
@@ -110,7 +126,7 @@ class MonitorOfFrames:
             return
         image = frame.image if frame.field == WHOLE else np.repeat(frame.image, 2, axis=0)
         newest = self.outcome.portions[-1] if self.outcome.portions else None
-        shapes = annotated_shapes(look.detection, newest)
+        shapes = annotated_shapes(look.detection, newest, self._box)
         self._images.put(
             CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
         )
@@ -253,7 +269,7 @@ class MonitorRings(NamedTuple):
 class MonitorProcess:
     """The docking monitor in a child process; start it from a thread that lives as long as the bench.
 
-    times: of a live camera, which it starts.
+    times: of a live camera, which it starts. search: region that an operator sets.
     """
 
     def __init__(
@@ -264,6 +280,7 @@ class MonitorProcess:
         seed: int,
         rings: MonitorRings,
         times: LiveClock | None = None,
+        search: SearchRegion | None = None,
     ) -> None:
         slots = {name: (ring.descriptor, ring.slots) for name, ring in rings._asdict().items() if ring is not None}
         configuration = {
@@ -273,8 +290,10 @@ class MonitorProcess:
             "seed": seed,
             "rings": slots,
             "times": times,
+            "search": None if search is None else search.descriptor,
         }
         descriptors = [descriptor for descriptor, _ in slots.values()] + ([times.run_time] if times else [])
+        descriptors += [search.descriptor] if search is not None else []
         self._child = ChildProcess(NAME, "hil.processes.docking_monitor", configuration, descriptors)
 
     @property
@@ -323,10 +342,14 @@ def run_child(parent: Parent) -> None:
         sinks = sinks._replace(images=ImageEncoder(ring, policy))
     if "portions" in rings:
         sinks = sinks._replace(portions=Ring(rings["portions"][0], PORTION, rings["portions"][1], "portions"))
+    search = None if configuration["search"] is None else SearchRegion(configuration["search"])
     if configuration["times"] is not None:
-        _run_live(parent, MonitorOfFrames(scenario, scene, sinks), scene, rig)
+        live = MonitorOfFrames(scenario, scene, sinks)
+        live.search = search
+        _run_live(parent, live, scene, rig)
         return
     monitor = CameraMonitor(scenario, scene, rig, configuration["seed"], sinks)
+    monitor.search = search
     parent.send()
     while not parent.wait_end(_POLL_S):
         monitor.update(reader.read)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from hil.core.camera_images import IMAGE, overlay_shapes
 from hil.core.gnc_records import GncHealth
 from hil.core.messages import CYCLE
 from hil.errors import LinkLost
-from hil.frmn.ring import Ring
+from hil.frmn.ring import Reader, Ring
+from hil.frmn.search_region import SearchRegion
 from hil.monitor.results import PORTION
 from hil.report.docking_monitor import judge_monitor, monitor_lines
 from hil.session import build, with_docking_monitor
@@ -79,6 +81,46 @@ def test_the_process_sees_what_a_watch_of_the_recording_sees(
         assert (here.t_s, here.frames, here.status) == (there.t_s, there.frames, there.status)
         np.testing.assert_array_equal(here.values, there.values)
         np.testing.assert_array_equal(here.sigmas, there.sigmas)
+
+
+def test_the_process_searches_the_operators_region_and_shows_it(
+    scenario: Scenario, rig: Rig, history: np.ndarray
+) -> None:
+    ring, pictures, search = Ring.create(CYCLE, 2048), Ring.create(IMAGE, 16), SearchRegion.create()
+    search.set((0, 0, 120, 90))
+    try:
+        with MonitorProcess(
+            scenario, load_scene("atv").value, rig, 0, MonitorRings(ring, pictures), search=search
+        ) as process:
+            process.wait_ready()
+            ring.put(history[:1])
+            ring.put(history[50:51])
+            reader = pictures.reader()
+            first = _next(reader)
+            search.set(None)
+            for row in history[51:150, None]:
+                ring.put(row)
+            process.finish()
+        later = reader.read()
+    finally:
+        for each in (ring, pictures, search):
+            each.close()
+    assert first["status"] == b"no_target"
+    frame = [shape["from"] for shape in overlay_shapes(first) if shape["part"] == "search"]
+    assert frame == [[0.0, 0.0], [120.0, 0.0], [120.0, 90.0], [0.0, 90.0]]
+    assert later["status"][-1] == b"near"
+    assert not any(shape["part"] == "search" for shape in overlay_shapes(later[-1]))
+
+
+def _next(reader: Reader) -> np.void:
+    """Return the next row of ``reader``."""
+    end_s = time.monotonic() + 60.0
+    while True:
+        for row in reader.read():
+            found: np.void = row
+            return found
+        assert time.monotonic() < end_s, "no row"
+        time.sleep(0.02)
 
 
 def test_a_monitor_that_dies_is_told_by_name(scenario: Scenario, rig: Rig) -> None:

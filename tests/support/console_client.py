@@ -72,13 +72,14 @@ def console(*arguments: str, record: Path | None = None) -> Iterator[Console]:
 
 
 class Page:
-    """One client; ``now``, ``page`` and ``rows`` are what came last, and all rows of the session."""
+    """One client; ``now``, ``page``, ``picture`` and ``rows`` are what came last, and all rows of the session."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self.socket = socket
         self.now: dict[str, Any] = {}
         self.page: dict[str, Any] = {}
         self.rows = np.empty((0, len(INDEX)), "<f4")
+        self.picture: dict[str, Any] = {}
         self.refused = ""
         self.beats = True
         self._number = 0
@@ -95,6 +96,7 @@ class Page:
             return told
         header, rows, _ = unpack(message)
         self.now, self.page = header["now"], header.get("page", self.page)
+        self.picture = header.get("picture", self.picture)
         self.rows = rows if header["first"] == 0 else np.concatenate([self.rows, rows])
         if self.beats:
             self.socket.send('{"do": "beat"}')

@@ -125,6 +125,33 @@ def test_axes_of_a_target_that_is_rotated_are_shown_and_jogged() -> None:
         page.until(lambda: not page.now["open"], "the end")
 
 
+def test_region_of_search_goes_from_the_page_to_the_monitor_and_its_frame_comes_back(tmp_path: Path) -> None:
+    settings = typed(*NEAR, "monitor.source=rendered")
+    with console("--rig", "mock", "--set", "rig.console.lease_s=30", *settings, record=tmp_path) as c:
+        ann = c.page("ann")
+        start(ann)
+        assert ann.ask("watch", camera="monitor")["ok"]
+        assert "within the image of 768 x 576" in ann.ask("search", region=[0, 0, 5000, 100])["text"]
+        assert ann.ask("search", region=[0, 0, 96, 64])["ok"]
+        ann.until(lambda: ann.page["search"] == [0, 0, 96, 64], "the region")
+        ann.until(lambda: searched(ann) == [[0, 0], [96, 0], [96, 64], [0, 64]], "the frame")
+        ann.until(lambda: ann.picture["status"] == "no_target", "an empty region")
+        assert ann.ask("search", region=None)["ok"]
+        ann.until(lambda: ann.picture["status"] == "near" and not searched(ann), "the target")
+        assert ann.page["search"] is None
+        ann.order("stop")
+        ann.until(lambda: not ann.now["open"], "the end")
+    (file,) = tmp_path.rglob("*.mcap")
+    did = [entry["message"] for entry in load(file).log if entry["kind"] == "operator"]
+    assert "the docking monitor searches 0,0,96,64 px" in did
+    assert "the docking monitor searches the whole image" in did
+
+
+def searched(page: Page) -> list[list[float]]:
+    """Return the corners of the region of search on the newest picture."""
+    return [shape["from"] for shape in page.picture.get("overlay", []) if shape.get("part") == "search"]
+
+
 @pytest.mark.slow
 def test_gnc_of_the_users_own_is_flown_held_and_aborted_from_the_page(tmp_path: Path) -> None:
     settings = typed(*NEAR, f"gnc.library={c_example(tmp_path)}")

@@ -5,7 +5,7 @@ import { ledsInView } from "/page/scene.js";
 
 const GOOD = "#56b4e9", BAD = "#e69f00";
 // parts with their own colour; bad ones keep the colour of bad
-const PARTS = { region: "#a9b4c0", edge: "#009e73", cross: "#f0e442", number: "#f4f6f8" };
+const PARTS = { region: "#a9b4c0", search: "#cc79a7", edge: "#009e73", cross: "#f0e442", number: "#f4f6f8" };
 const NAMES = { "vmu.left": ["VMU left", "Left"], "vmu.right": ["VMU right", "Right"], monitor: ["Monitor", "Monitor"] };
 
 export const nameOf = (camera) => (NAMES[camera] || [camera])[0];
@@ -19,6 +19,8 @@ export class Camera {
     this.decoding = false;
     this.waiting = null;
     this.wanted = ""; // camera that this page watches
+    this.dragged = null; // rectangle that is being dragged, [[u, v], [u, v]] of two corners
+    this.place = null; // of the image on the canvas
   }
 
   clear() {
@@ -59,12 +61,13 @@ export class Camera {
     const picture = this.picture;
     if (picture) {
       const age_s = this.age_s(), stale = age_s > (bench.picture_stale_s || 1);
-      const put = this.fit(c, width, height, picture.width_px, picture.height_px);
+      const put = (this.place = this.fit(c, width, height, picture.width_px, picture.height_px));
       c.filter = stale ? "grayscale(1) brightness(0.6)" : "none";
       if (picture.image) c.drawImage(picture.image, ...put(-0.5, -0.5), ...put.size); // pixel centres at integers
       // the monitor's numbers are shown next to its image
       const shapes = picture.name === "monitor" ? picture.overlay.filter((shape) => shape.part !== "number") : picture.overlay;
       this.overlay(c, put, shapes, height);
+      if (this.dragged) this.rectangle(c, put, this.dragged);
       c.filter = "none";
       const at = picture.t_s === null ? "before the run" : `at ${picture.t_s.toFixed(2)} s`;
       const status = picture.status ? ` \u00b7 ${picture.status}` : "";
@@ -91,7 +94,24 @@ export class Camera {
     const put = (u, v) => [left + scale * (u + 0.5), top + scale * (v + 0.5)];
     put.size = [scale * across, scale * down];
     put.scale = scale;
+    put.corner = [left, top];
     return put;
+  }
+
+  // Point of the image, px, at a point of the canvas; pixels count from the upper left corner.
+  pointAt(x, y) {
+    const { corner, scale } = this.place, { width_px, height_px } = this.picture;
+    const within = (value, most) => Math.round(Math.min(Math.max(value, 0), most));
+    return [within((x - corner[0]) / scale, width_px), within((y - corner[1]) / scale, height_px)];
+  }
+
+  rectangle(c, put, [one, other]) {
+    const [x0, y0] = put(one[0] - 0.5, one[1] - 0.5), [x1, y1] = put(other[0] - 0.5, other[1] - 0.5);
+    c.strokeStyle = PARTS.search;
+    c.lineWidth = 2;
+    c.setLineDash([6, 4]);
+    c.strokeRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0));
+    c.setLineDash([]);
   }
 
   // Texts keep a readable size, one per line; a small image shows none.

@@ -46,7 +46,7 @@ const link = new Link({
   },
 });
 const controls = new Controls(link);
-const view = new View(camera, link);
+const view = new View(camera, controls);
 window.hil = { store, link, camera, get now() { return now; }, get page() { return page; }, get frames() { return frames; } };
 
 function poseNow() {

@@ -4,15 +4,22 @@ import { nameOf, shortNameOf } from "/page/camera.js";
 
 const $ = (id) => document.getElementById(id);
 const OLD_S = 3;
+const DRAG_PX = 6; // shorter ones are clicks
 
 export class View {
-  constructor(camera, link) {
+  constructor(camera, controls) {
     this.camera = camera;
-    this.link = link;
+    this.controls = controls;
+    this.link = controls.link;
     this.cameras = [];
+    this.start = null; // of a drag on the canvas
     $("camera_large").onclick = () => this.large();
     $("camera_next").onclick = () => this.next();
-    $("camera").onclick = () => this.large();
+    $("whole").onclick = () => controls.ask({ do: "search", region: null });
+    $("camera").addEventListener("pointerdown", (event) => this.press(event));
+    $("camera").addEventListener("pointermove", (event) => this.drag(event));
+    $("camera").addEventListener("pointerup", (event) => this.release(event));
+    $("camera").addEventListener("pointercancel", () => this.drop());
     $("view").addEventListener("keydown", (event) => {
       if (event.key === "Escape") this.large(false);
     });
@@ -21,6 +28,35 @@ export class View {
   large(wanted = !$("view").classList.contains("big")) {
     $("view").classList.toggle("big", wanted);
     $("camera_large").firstChild.textContent = wanted ? "Small" : "Large";
+  }
+
+  // On the docking monitor's image a drag selects the region of search; a click makes the view large or small.
+  press(event) {
+    if (event.button !== 0) return;
+    this.start = [event.offsetX, event.offsetY];
+    this.camera.canvas.setPointerCapture(event.pointerId);
+  }
+
+  drag(event) {
+    const shown = this.camera.picture && this.camera.picture.name === "monitor" && this.camera.place;
+    if (!this.start || !shown) return;
+    const [x, y] = this.start;
+    if (!this.camera.dragged && Math.hypot(event.offsetX - x, event.offsetY - y) < DRAG_PX) return;
+    this.camera.dragged = [this.camera.pointAt(x, y), this.camera.pointAt(event.offsetX, event.offsetY)];
+  }
+
+  release(event) {
+    if (!this.start) return;
+    this.drag(event);
+    const dragged = this.camera.dragged;
+    this.drop();
+    if (!dragged) return this.large();
+    const [[u0, v0], [u1, v1]] = dragged;
+    this.controls.ask({ do: "search", region: [Math.min(u0, u1), Math.min(v0, v1), Math.abs(u1 - u0), Math.abs(v1 - v0)] });
+  }
+
+  drop() {
+    this.start = this.camera.dragged = null;
   }
 
   next() {
@@ -45,6 +81,7 @@ export class View {
     }
     if (!this.cameras.length && this.camera.picture) this.camera.clear();
     $("camera_next").disabled = this.cameras.length < 2;
+    $("whole").hidden = $("whole").disabled = !page.search || !now.open;
     for (const button of $("camera_choice").children) button.ariaPressed = String(button.dataset.camera === this.watched());
     this.numbers(now, page.bench.monitor || [], store.portions.at(-1));
   }

@@ -14,7 +14,8 @@ from hil.core.camera_images import Shape
 from hil.monitor.results import FrameDetection, Portion
 
 REGION, CIRCLE, CROSS, EDGE, STATUS, NUMBER = "region", "circle", "cross", "edge", "status", "number"
-"""Parts: region of interest, outline and disc, bars of the cross, measured points, lines of text."""
+SEARCH: Final = "search"
+"""Parts: region of interest, outline and disc, bars of the cross, measured points, lines of text; region of search."""
 
 _DEG: Final = 180.0 / math.pi
 NUMBERS: Final = (  # quantity, label, unit, display units per SI unit, decimals
@@ -42,11 +43,7 @@ def shapes(seen: FrameDetection) -> list[Shape]:
     found: list[Shape] = []
     good = not is_bad(seen.status)
     if seen.region is not None:
-        u, v, width, height = seen.region
-        corners = [(u, v), (u + width, v), (u + width, v + height), (u, v + height)]
-        found += [
-            _line(one, other, good, REGION) for one, other in zip(corners, corners[1:] + corners[:1], strict=True)
-        ]
+        found += _frame(seen.region, good, REGION)
     for circle in (seen.outline, seen.disc):
         if circle is not None:
             found.append(
@@ -67,10 +64,13 @@ def caption(seen: FrameDetection) -> str:
     return f"{seen.status}   t = {seen.t_s:.2f} s   frame {seen.number}"
 
 
-def annotated_shapes(seen: FrameDetection, portion: Portion | None) -> list[Shape]:
+def annotated_shapes(
+    seen: FrameDetection, portion: Portion | None, search: tuple[float, float, float, float] | None = None
+) -> list[Shape]:
     """Return all shapes of a stand-alone image, the most important first.
 
-    portion: the latest one, whose values are listed below the status. Of many edges only every n-th is shown.
+    portion: the latest one, whose values are listed below the status. search: the operator's region of search, u, v,
+    width, height, px. Of many edges only every n-th is shown.
     """
     lines = [(caption(seen), not is_bad(seen.status), STATUS), *_numbers(portion)]
     found: list[Shape] = [
@@ -84,7 +84,8 @@ def annotated_shapes(seen: FrameDetection, portion: Portion | None) -> list[Shap
         {"kind": "circle", "at": [round(float(u), 1), round(float(v), 1)], "radius": 1.0, "good": True, "part": EDGE}
         for u, v in edges[::step]
     ]
-    return [*found, *shapes(seen), *points]
+    frame = [] if search is None else _frame(search, True, SEARCH)
+    return [*found, *frame, *shapes(seen), *points]
 
 
 def _numbers(portion: Portion | None) -> list[tuple[str, bool, str]]:
@@ -101,6 +102,13 @@ def _numbers(portion: Portion | None) -> list[tuple[str, bool, str]]:
 def is_bad(status: str) -> bool:
     """Return whether a frame or portion of ``status`` has no values."""
     return status == "no_target" or status.startswith("rejected")
+
+
+def _frame(box: tuple[float, float, float, float], good: bool, part: str) -> list[Shape]:
+    """Return the sides of the rectangle u, v, width, height, px."""
+    u, v, width, height = box
+    corners = [(u, v), (u + width, v), (u + width, v + height), (u, v + height)]
+    return [_line(one, other, good, part) for one, other in zip(corners, corners[1:] + corners[:1], strict=True)]
 
 
 def _line(one: tuple[float, float], other: tuple[float, float], good: bool, part: str) -> Shape:

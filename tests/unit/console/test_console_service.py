@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from hil.config.load import load_scene
 from hil.console.live_view import Client
 from hil.console.message import ImageMessage, pack, unpack
 from hil.console.service import CONFIRMATIONS, ConsoleService
@@ -51,6 +52,10 @@ def ask(service: ConsoleService, **command: Any) -> str:
         ({"do": "open", "seed": True}, "seed True: allowed an integer of 0 or more"),
         ({"do": "jog", "axis": "rails.x", "direction": 1}, "bench: cannot jog, no session is open"),
         (
+            {"do": "search", "region": [0, 0, 100, 100]},
+            "bench: cannot set a region of search, no session is open",
+        ),
+        (
             {"do": "fault", "device": "io", "line": "on drop"},
             "io: no emulated device with fault switches; present: none",
         ),
@@ -60,6 +65,41 @@ def test_impossible_request_is_rejected_with_its_reason(
     service: ConsoleService, command: dict[str, Any], words: str
 ) -> None:
     assert ask(service, **command) == words
+
+
+class AnsweringSession:
+    """An open session that takes every message."""
+
+    ready = True
+
+    def __init__(self) -> None:
+        self.asked: list[dict[str, Any]] = []
+
+    async def ask(self, **message: Any) -> str:
+        self.asked.append(message)
+        return ""
+
+
+def test_region_of_search_is_checked_sent_and_shown_to_all_pages(service: ConsoleService) -> None:
+    session = AnsweringSession()
+    service.session = session  # type: ignore[assignment]
+    none = "bench: no docking monitor measures on images in this session"
+    assert ask(service, do="search", region=[10, 20, 300, 200]) == none
+    service.television = load_scene("atv").value.camera
+    allowed = "must be u,v,width,height in whole px within the image of 768 x 576, at least 32 x 32"
+    for wrong in ([10, 20, 300], "all", [10, 20, 30, 200], [-1, 0, 100, 100], [700, 0, 100, 100], [0, 500, 100, 77],
+                  [0.5, 0, 100, 100], [True, 0, 100, 100], [0, 0, 10**30, 100], 7):  # fmt: skip
+        assert ask(service, do="search", region=wrong).endswith(allowed)
+        assert "\n" not in ask(service, do="search", region=wrong)
+    assert session.asked == []
+    assert ask(service, do="search", region=[10, 20, 300, 200]) == "ok"
+    assert session.asked == [{"search": [10, 20, 300, 200], "by": "ann"}]
+    assert service.state.page()["search"] == [10, 20, 300, 200]
+    assert service.log_lines[-1]["text"] == "ann: the docking monitor searches 10,20,300,200 px"
+    assert ask(service, do="search") == "ok"
+    assert (session.asked[-1]["search"], service.state.page()["search"]) == (None, None)
+    stranger = asyncio.run(service.execute(Client("b" * 16, "bob"), {"do": "search", "region": None}))
+    assert not stranger["ok"]
 
 
 def test_every_command_that_moves_the_bench_requires_confirmation_and_none_that_stops_it() -> None:

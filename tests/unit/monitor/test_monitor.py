@@ -14,7 +14,7 @@ from hil.config.scene import PixelNoise, Scene
 from hil.errors import BadInput
 from hil.monitor.kernels.quantities import quantities
 from hil.monitor.monitor import DockingMonitor
-from hil.monitor.preprocess import bimodal_threshold
+from hil.monitor.preprocess import Region, bimodal_threshold
 from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
 from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
@@ -263,3 +263,36 @@ def test_plain_images_are_frames_at_the_rate_of_the_scene(name: str) -> None:
         by_image.feed(np.zeros((32, 32), np.uint8))
     with pytest.raises(BadInput, match=r"image: float64 of shape \(32, 32\): must be "):
         by_image.feed(np.zeros((32, 32)))  # type: ignore[arg-type]
+
+
+def test_region_of_search_confines_the_search_and_drops_a_target_outside(atv: Scene) -> None:
+    """The target is at (371, 302); what is inside of the region is followed wherever it moves."""
+    w = motion_at(5.0)
+    frames = list(film(TargetRenderer(atv, conditions=PLAIN), flight_of(w), 40, np.random.default_rng(1)))
+    monitor = DockingMonitor(atv)
+
+    def statuses(first: int, last: int) -> set[str]:
+        found = set()
+        for frame in frames[first:last]:
+            monitor.feed(frame)
+            assert monitor.last is not None
+            found.add(monitor.last.status)
+        return found
+
+    assert statuses(0, 5) == {"near"}
+    monitor.search_in(Region(0, 0, 200, 200))
+    (cut,) = monitor.feed(frames[5])
+    assert (cut.frames, cut.t_s) == (5, frames[4].t_s)  # the portion of the dropped target ends
+    assert statuses(6, 20) == {"no_target"}
+    monitor.search_in(Region(250, 180, 500, 420))
+    assert statuses(20, 24) == {"near"}
+    monitor.search_in(Region(300, 200, 440, 400))
+    assert monitor.last is not None
+    tracked = monitor.feed(frames[24]) or monitor.last.tracked
+    assert tracked
+    monitor.search_in(Region(0, 0, 200, 200))
+    assert statuses(25, 28) == {"no_target"}
+    monitor.search_in(None)
+    assert statuses(28, 40) == {"near"}
+    (portion,) = monitor.finish()
+    assert np.all(np.abs(ratios(portion, w)) < 4.5)
