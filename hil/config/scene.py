@@ -18,6 +18,7 @@ from hil.config.model import ConfigModel, Name, Positive
 LONGEST_M: Final = 100.0  # a longer part was probably given in millimetres
 LABELS_AT_MOST: Final = 16
 BOXES_AT_MOST: Final = 16
+CORNERS_AT_MOST: Final = 32
 REGION_PX_MIN: Final = 32
 
 Level = Annotated[float, Field(ge=0.0, le=255.0)]
@@ -187,16 +188,99 @@ class Box(ConfigModel):
 
 
 class Outline(ConfigModel):
-    """Circular silhouette of the ship against the sky; ``offset_m`` along y3, negative behind the disc."""
+    """Silhouette of the ship against the sky: a circle, or a polygon with straight edges.
 
-    radius_m: Length
-    """Radius."""
+    ``offset_m`` along y3, negative behind the disc.
+    """
+
+    radius_m: Length | None = None
+    """Radius of a circle."""
     center_m: Point = (0.0, 0.0)
-    """Centre."""
+    """Centre of a circle."""
+    corners_m: Annotated[tuple[Point, ...], Field(max_length=CORNERS_AT_MOST)] = ()
+    """Corners of a polygon, in order along its border, instead of ``radius_m``."""
     offset_m: Annotated[float, Field(ge=-LONGEST_M, le=0.0)] = 0.0
     """Along y3; negative behind the disc."""
     level: Level = 120.0
     """Grey value in rendered images."""
+
+    @model_validator(mode="after")
+    def _is_circle_or_polygon(self) -> Self:
+        corners = self.corners_m
+        if (self.radius_m is None) != bool(corners):
+            raise ValueError("radius_m and corners_m: give one of them, of a circle or of a polygon")
+        if not corners:
+            return self
+        if self.center_m != (0.0, 0.0):
+            raise ValueError(f"center_m = {list(self.center_m)}: is the centre of a circle, not for corners_m")
+        if len(corners) < 3:
+            raise ValueError(f"corners_m with {len(corners)} corners: must be 3 or more")
+        for i, edge in enumerate(self._edges):
+            if edge[0] == edge[1]:
+                raise ValueError(f"corners_m[{i}] = {list(edge[0])}: must not be equal to the next corner")
+            for k, other in enumerate(self._edges[:i]):
+                if i - k not in (1, len(corners) - 1) and _cross(edge, other):
+                    raise ValueError(f"corners_m: the edges from corners_m[{k}] and corners_m[{i}] must not cross")
+        if abs(self._doubled_area) < 1e-6:
+            raise ValueError("corners_m: the corners must not lie on one line")
+        return self
+
+    @property
+    def _edges(self) -> list[tuple[Point, Point]]:
+        corners = self.corners_m
+        return [(one, corners[(i + 1) % len(corners)]) for i, one in enumerate(corners)]
+
+    @property
+    def _doubled_area(self) -> float:
+        """Twice the area of the polygon, m^2, negative if its corners run from y2 to y1."""
+        return sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in self._edges)
+
+    @property
+    def ordered_corners_m(self) -> tuple[Point, ...]:
+        """Corners of the polygon from y1 to y2, m."""
+        return self.corners_m if self._doubled_area > 0.0 else self.corners_m[::-1]
+
+    @property
+    def middle_m(self) -> Point:
+        """Centre of the circle or centroid of the polygon, m."""
+        if not self.corners_m:
+            return self.center_m
+        parts = [(one, two, one[0] * two[1] - two[0] * one[1]) for one, two in self._edges]
+        x, y = (sum((one[i] + two[i]) * part for one, two, part in parts) for i in (0, 1))
+        return x / (3.0 * self._doubled_area), y / (3.0 * self._doubled_area)
+
+    @property
+    def mean_radius_m(self) -> float:
+        """Radius of the circle, or of the circle of the polygon's area, m."""
+        return math.sqrt(0.5 * abs(self._doubled_area) / math.pi) if self.radius_m is None else self.radius_m
+
+    @property
+    def clearance_m(self) -> float:
+        """Distance of the axis y3 from the polygon's border, m; negative if the axis is outside."""
+        # the ray from the axis along y1 crosses the border an odd number of times if the axis is inside
+        inside = False
+        for (x0, y0), (x1, y1) in self._edges:
+            if (y0 > 0.0) != (y1 > 0.0) and x0 - y0 * (x1 - x0) / (y1 - y0) > 0.0:
+                inside = not inside
+        least = min(_from_origin(*edge) for edge in self._edges)
+        return least if inside else -least
+
+
+def _from_origin(one: Point, two: Point) -> float:
+    """Return the distance of the origin from the straight edge between two points."""
+    dx, dy = two[0] - one[0], two[1] - one[1]
+    share = min(max(-(one[0] * dx + one[1] * dy) / (dx * dx + dy * dy), 0.0), 1.0)
+    return math.hypot(one[0] + share * dx, one[1] + share * dy)
+
+
+def _cross(edge: tuple[Point, Point], other: tuple[Point, Point]) -> bool:
+    """Return whether two straight edges have a point in common."""
+
+    def side(p: Point, q: Point, r: Point) -> float:
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    (a, b), (c, d) = edge, other
+    return side(a, b, c) * side(a, b, d) <= 0.0 and side(c, d, a) * side(c, d, b) <= 0.0
 
 
 class Target(ConfigModel):
@@ -254,7 +338,9 @@ class Target(ConfigModel):
                 raise ValueError(f"boxes[{number}] at x_m = {box.x_m:g}, y_m = {box.y_m:g}: must not lie over {radius}")
         if self.outline is not None:
             inner = math.hypot(*self.outline.center_m) + disc.radius_m
-            if self.outline.radius_m <= inner:
+            if self.outline.corners_m and self.outline.clearance_m <= disc.radius_m:
+                raise ValueError(f"outline.corners_m: must lie around {radius}")
+            if self.outline.radius_m is not None and self.outline.radius_m <= inner:
                 raise ValueError(
                     f"outline.radius_m = {self.outline.radius_m:g}: must be more than {inner:g}, around {radius}"
                 )

@@ -6,6 +6,7 @@ bright or bright on dark, and is confirmed only by the measurement.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -16,6 +17,7 @@ from hil.monitor.features import TargetFeatures
 from hil.monitor.kernels.circle_detection import CircleCandidate, find_circles
 from hil.monitor.kernels.patterns import LARGEST_ROLL, Pattern, best_pattern, boxes_pattern, cross_pattern
 from hil.monitor.kernels.pose import UNKNOWNS
+from hil.monitor.polygon_detection import PolygonCandidate, find_polygons
 from hil.monitor.preprocess import Prepared, Region
 
 Floats = NDArray[np.float64]
@@ -24,6 +26,7 @@ _LEAST_SCORE: Final = 0.55
 _CIRCLES: Final = 16
 _GOOD: Final = 0.8
 _ENOUGH: Final = 3  # good hypotheses after which the search ends
+_LARGEST_TURN: Final = math.radians(4.0)  # of the boxes relative to an outline with corners
 _LARGEST_PASSIVE: Final = 0.2  # rad: largest parallax of the cross relative to the disc's centre
 
 
@@ -46,6 +49,10 @@ class TargetDetector:
         self._boxes: Pattern | None = None
         if target.outline is not None and target.boxes:
             self._boxes = boxes_pattern(target)
+        self._corners: Floats | None = None
+        if target.outline is not None and target.outline.corners_m:
+            relative = np.array(target.outline.corners_m) - np.array(target.outline.middle_m)
+            self._corners = relative / target.outline.mean_radius_m
 
     def hypotheses(self, prepared: Prepared, region: Region, first_line: float, line_step: float) -> list[Hypothesis]:
         """Return first poses, the best first.
@@ -54,6 +61,11 @@ class TargetDetector:
         """
         left, top = float(region.left), first_line + line_step * region.top
         found: list[Hypothesis] = []
+        if self._corners is not None:
+            for shape in find_polygons(prepared, left, top, line_step, self._corners):
+                guess = self._as_polygon(shape, prepared, left, top, line_step)
+                if guess is not None:
+                    found.append(guess)
         for circle in find_circles(prepared, left, top, line_step)[:_CIRCLES]:
             for one in (self._as_disc, self._as_ship):
                 guess = one(circle, prepared, left, top, line_step)
@@ -101,7 +113,7 @@ class TargetDetector:
     ) -> Hypothesis | None:
         """Return the pose along the target's axis if the circle may be the ship's outline with its boxes."""
         target = self._features.target
-        if target.outline is None:
+        if target.outline is None or target.outline.radius_m is None:
             return None
         f = float(self._features.lens[0])
         depth = f * target.outline.radius_m / circle.radius
@@ -124,8 +136,36 @@ class TargetDetector:
         pose = self._pose(circle, 0.0, 0.0, d3, target.outline.offset_m, roll, target.outline.center_m)
         return Hypothesis(pose, False, score * circle.coverage**0.25)
 
+    def _as_polygon(
+        self, shape: PolygonCandidate, prepared: Prepared, left: float, top: float, line_step: float
+    ) -> Hypothesis | None:
+        """Return the pose along the target's axis if the shape may be the ship's outline with its boxes."""
+        outline, boxes = self._features.target.outline, self._features.target.boxes
+        assert outline is not None
+        f = float(self._features.lens[0])
+        depth = f * outline.mean_radius_m / shape.radius
+        roll, score = shape.roll, 1.0 - 4.0 * shape.misfit
+        if self._boxes is not None:
+            nearer = depth + outline.offset_m - boxes[0].offset_m
+            if nearer < 0.1 * depth:
+                return None
+            c, s, out = math.cos(roll), math.sin(roll), np.zeros(3)
+            points = self._boxes.points_m @ np.array([[c, s], [-s, c]])
+            found = best_pattern(
+                prepared.image, left, top, line_step, points, self._boxes.classes, np.array([shape.u, shape.v]),
+                f / nearer, 0.06 * shape.radius, 2, 1, _LARGEST_TURN, out,
+            )  # fmt: skip
+            if abs(found) < _LEAST_SCORE:
+                return None
+            roll, score = roll + float(out[2]), score * abs(found)
+        d3 = depth + outline.offset_m
+        if d3 < 0.2:
+            return None
+        pose = self._pose(shape, 0.0, 0.0, d3, outline.offset_m, roll, outline.middle_m)
+        return Hypothesis(pose, False, score)
+
     def _pose(
-        self, circle: CircleCandidate, d1: float, d2: float, d3: float, offset: float, roll: float,
+        self, circle: CircleCandidate | PolygonCandidate, d1: float, d2: float, d3: float, offset: float, roll: float,
         centre: tuple[float, float] = (0.0, 0.0),
     ) -> Floats:  # fmt: skip
         """Return the pose at d with that roll that projects point ``centre`` at ``offset`` to the circle's centre."""

@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 DISC, ACROSS, UPRIGHT, PLATE, OUTLINE, LABEL, BOX = range(7)
 """Features; box i has the number BOX + i."""
 
+_EDGE_GROUP = 1000  # beyond the numbers of the features
 
 CIRCLE = np.dtype(
     [("y1", "f8"), ("y2", "f8"), ("y3", "f8"), ("radius", "f8"), ("feature", "i8"), ("group", "i8")], align=True
@@ -59,9 +60,13 @@ def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
     borders: list[tuple[float, ...]] = []
     if target.disc is not None:
         circles.append((0.0, 0.0, 0.0, target.disc.radius_m, DISC, DISC))
-    if target.outline is not None:
+    if target.outline is not None and target.outline.radius_m is not None:
         c1, c2 = target.outline.center_m
         circles.append((c1, c2, target.outline.offset_m, target.outline.radius_m, OUTLINE, OUTLINE))
+    elif target.outline is not None:
+        edges = _polygon(target.outline.ordered_corners_m, target.outline.offset_m)
+        lines += edges
+        borders += edges
     if target.labels is not None:
         for number, (c1, c2) in enumerate(target.labels.centers_m):
             circles.append((c1, c2, 0.0, target.labels.radius_m, LABEL, -1 - number))
@@ -97,6 +102,12 @@ def _rectangle(x: float, y: float, width: float, height: float, y3: float, featu
     x0, x1, y0, y1 = x - 0.5 * width, x + 0.5 * width, y - 0.5 * height, y + 0.5 * height
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
     return [(*a, *b, y3, 0.0, feature, feature) for a, b in pairwise(corners)]
+
+
+def _polygon(corners: tuple[tuple[float, float], ...], y3: float) -> list[tuple[float, ...]]:
+    """Return the edges of the outline, a group each: near a corner the other edge is another border."""
+    pairs = pairwise([*corners, corners[0]])
+    return [(*a, *b, y3, 0.0, OUTLINE, _EDGE_GROUP + number) for number, (a, b) in enumerate(pairs)]
 
 
 def _table(rows: list[tuple[float, ...]], kind: np.dtype[np.void]) -> NDArray[np.void]:

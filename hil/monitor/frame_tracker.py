@@ -206,6 +206,7 @@ class FrameTracker:
         detection = FrameDetection(
             frame.number, frame.t_s, mode, (low[0], low[1], high[0] - low[0], high[1] - low[1]), places[used],
             self._cross_at(x) if mode == NEAR else None, self._circle_at(x, near=True), self._circle_at(x, near=False),
+            self._corners_at(x),
         )  # fmt: skip
         return FrameResult(
             detection, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
@@ -223,7 +224,7 @@ class FrameTracker:
         """Return u, v, px, of the disc's centre, without a disc of the outline's."""
         target, centre = self._features.target, np.zeros(3)
         if target.disc is None and target.outline is not None:
-            centre[:] = *target.outline.center_m, target.outline.offset_m
+            centre[:] = *target.outline.middle_m, target.outline.offset_m
         return self._point_at(x, centre)[:2]
 
     def _cross_at(self, x: Floats) -> tuple[float, float, float]:
@@ -233,13 +234,20 @@ class FrameTracker:
     def _circle_at(self, x: Floats, near: bool) -> tuple[float, float, float] | None:
         target = self._features.target
         part = target.disc if near else target.outline
-        if part is None:
+        if part is None or part.radius_m is None:
             return None
         centre = np.zeros(3)
         if target.outline is not None and not near:
             centre[:] = *target.outline.center_m, target.outline.offset_m
         u, v, depth = self._point_at(x, centre)
         return u, v, float(self._features.lens[0] * part.radius_m / depth)
+
+    def _corners_at(self, x: Floats) -> Floats:
+        """Return the corners (n, 2) of the outline, px; n is 0 for a circle."""
+        outline = self._features.target.outline
+        if outline is None or not outline.corners_m:
+            return np.empty((0, 2))
+        return np.array([self._point_at(x, np.array([*corner, outline.offset_m]))[:2] for corner in outline.corners_m])
 
     def _no_result(self, frame: VideoFrame, status: str, reason: str) -> FrameResult:
         detection = FrameDetection(frame.number, frame.t_s, status)

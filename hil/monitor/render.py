@@ -105,7 +105,9 @@ def parts_of(target: Target) -> list[Part]:
     """Return the target's parts, back to front."""
     found: list[Part] = []
     if target.outline is not None:
-        corners = circle(target.outline.radius_m, target.outline.center_m)
+        corners = np.array(target.outline.corners_m)
+        if target.outline.radius_m is not None:
+            corners = circle(target.outline.radius_m, target.outline.center_m)
         found.append(Part(corners, target.outline.offset_m, target.outline.level))
     found += [
         Part(rectangle(box.width_m, box.height_m, (box.x_m, box.y_m)), box.offset_m, box.level) for box in target.boxes

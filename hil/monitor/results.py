@@ -61,7 +61,7 @@ class FrameDetection:
 
     status: "near", "far", "no_target" or "rejected_<why>". region: (u, v, width, height) of the region of interest.
     edges: (n, 2), the measured points. cross: (u, v, angle): its centre, and the slope of the bar across, rad,
-    anticlockwise. disc, outline: (u, v, radius) of the circles.
+    anticlockwise. disc, outline: (u, v, radius) of the circles. corners: (n, 2), of an outline with corners.
     """
 
     number: int
@@ -72,6 +72,7 @@ class FrameDetection:
     cross: tuple[float, float, float] | None = None
     disc: tuple[float, float, float] | None = None
     outline: tuple[float, float, float] | None = None
+    corners: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,14 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
-from hil.config.scene import Scene
+from hil.config.scene import Outline, Scene
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.uint8]
 FINE = 8
 """Samples of each quarter of a pixel on an edge, a Fibonacci lattice: each has a row and a column of its own."""
 _TURNS = 5  # the lattice's generator
+_FINER = (89, 55)  # samples and generator of the finer one
 _COARSE = 4  # rows and columns of a plain grid
 
 
@@ -33,7 +34,8 @@ class TvCamera:
     the displacement of each frame by a rotation of the camera. fields: "" for whole frames, else which field is exposed
     first, the other half a period later. shadow: depth of a shadow beside the cross, 0..1. plate_behind_m: of the plate
     behind the disc. coarse: pixels are integrated in steps of a quarter of a pixel and blurred afterwards, which
-    displaces edges by about 0.02 px.
+    displaces edges by about 0.02 px. finer: eleven times as many samples, for long straight edges, which the usual ones
+    displace by about 0.003 px.
     """
 
     f_share: float = 0.0
@@ -47,6 +49,7 @@ class TvCamera:
     shadow: float = 0.0
     plate_behind_m: float = 0.0
     coarse: bool = False
+    finer: bool = False
     blur_px: float = 0.8
     noise_levels: float = 2.0
 
@@ -91,7 +94,7 @@ class TvTarget:
             level[v, u] = self._levels(u[:, None] + du, v[:, None] + dv, d, phi).mean(axis=1)
             return np.asarray(gaussian_filter(level, blur, mode="nearest"))
         parts = np.repeat(np.repeat(level.astype(np.float32), 2, axis=0), 2, axis=1)
-        du, dv = _lattice()
+        du, dv = _lattice(*(_FINER if self._camera.finer else (FINE, _TURNS)))
         for row in range(2):
             for column in range(2):
                 at_u, at_v = u[:, None] + 0.5 * column - 0.25 + 0.5 * du, v[:, None] + 0.5 * row - 0.25 + 0.5 * dv
@@ -122,8 +125,7 @@ class TvTarget:
 
         if target.outline is not None:
             p, q = plane(target.outline.offset_m)
-            paint(np.hypot(p - target.outline.center_m[0], q - target.outline.center_m[1]) < target.outline.radius_m,
-                  target.outline.level)  # fmt: skip
+            paint(_inside(target.outline, p, q), target.outline.level)
         for box in sorted(target.boxes, key=lambda box: box.offset_m):
             p, q = plane(box.offset_m)
             paint((abs(p - box.x_m) < 0.5 * box.width_m) & (abs(q - box.y_m) < 0.5 * box.height_m), box.level)
@@ -147,10 +149,21 @@ class TvTarget:
         return level
 
 
-def _lattice() -> tuple[Array, Array]:
+def _inside(outline: Outline, p: Array, q: Array) -> npt.NDArray[np.bool_]:
+    """Return where points of its plane are inside of ``outline``."""
+    if outline.radius_m is not None:
+        return np.asarray(np.hypot(p - outline.center_m[0], q - outline.center_m[1]) < outline.radius_m)
+    crossed = np.zeros(p.shape, bool)
+    for (x0, y0), (x1, y1) in zip(outline.corners_m, outline.corners_m[1:] + outline.corners_m[:1], strict=True):
+        if y0 != y1:
+            crossed ^= ((q < y0) != (q < y1)) & (p < x0 + (q - y0) * (x1 - x0) / (y1 - y0))
+    return crossed
+
+
+def _lattice(count: int, turns: int) -> tuple[Array, Array]:
     """Return the places of the samples in a square."""
-    k = np.arange(FINE)
-    return (k + 0.5) / FINE - 0.5, (k * _TURNS % FINE + 0.5) / FINE - 0.5
+    k = np.arange(count)
+    return (k + 0.5) / count - 0.5, (k * turns % count + 0.5) / count - 0.5
 
 
 def _grid() -> tuple[Array, Array]:

@@ -50,7 +50,7 @@ def cross_pattern(target: Target) -> Pattern:
 def boxes_pattern(target: Target) -> Pattern:
     """Return points on the boxes (+1) and around them (-1), relative to the outline's middle."""
     assert target.outline is not None
-    c1, c2 = target.outline.center_m
+    c1, c2 = target.outline.middle_m
     rows, classes = [], []
     for box in target.boxes:
         grid = np.linspace(-0.42, 0.42, 5)

@@ -44,6 +44,8 @@ def shapes(seen: FrameDetection) -> list[Shape]:
     good = not is_bad(seen.status)
     if seen.region is not None:
         found += _frame(seen.region, good, REGION)
+    corners = [(float(u), float(v)) for u, v in seen.corners]
+    found += [_line(one, other, good, CIRCLE) for one, other in zip(corners, corners[1:] + corners[:1], strict=True)]
     for circle in (seen.outline, seen.disc):
         if circle is not None:
             found.append(
@@ -65,7 +67,9 @@ def caption(seen: FrameDetection) -> str:
 
 
 def annotated_shapes(
-    seen: FrameDetection, portion: Portion | None, search: tuple[float, float, float, float] | None = None
+    seen: FrameDetection,
+    portion: Portion | None,
+    search: tuple[float, float, float, float] | None = None,
 ) -> list[Shape]:
     """Return all shapes of a stand-alone image, the most important first.
 
