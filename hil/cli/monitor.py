@@ -111,7 +111,8 @@ def monitor(
         each = stack.enter_context(_CsvFile(frames, _FRAME_COLUMNS)) if frames is not None else None
         painter = stack.enter_context(_painter(screen, loaded.value, source.name)) if screen is not None else None
         bar = stack.enter_context(ProgressBar(console, "compiling the kernels that are not cached"))
-        for frame, look, done in process_frames(DockingMonitor(loaded.value, settings), source):
+        watched = DockingMonitor(loaded.value, settings)
+        for frame, look, done in process_frames(watched, source):
             looks.append(look)
             if each is not None:
                 each.write(_frame_row(look))
@@ -122,7 +123,7 @@ def monitor(
                 table.write(_row(portion))
             if source.image_count:
                 bar.show("frames", min(len(looks) / source.image_count, 1.0))
-    summary = _summary(portions, looks)
+    summary = _summary(portions, looks) | {"warning": watched.warning}
     if json is not None:
         write_json(summary, json)
     if json != "-" and out != "-":
@@ -282,5 +283,7 @@ def _render(summary: dict[str, Any], portions: list[Any], console: Console) -> N
             cells.append(f"{value:.{digits}f} ± {sigma:.{digits}f}" if math.isfinite(value) else "-")
         rows.add_row(*cells)
     console.print(rows)
+    if summary["warning"]:
+        console.print(f"Warning: {summary['warning']}", highlight=False)
     for reason, count in summary["rejected"].items():
         console.print(f"{count} frames not used: {reason}", highlight=False)

@@ -13,6 +13,7 @@ from hil.models import docking_view
 from hil.monitor import validation
 from hil.monitor.detector import TargetDetector
 from hil.monitor.features import ACROSS, LABEL, UPRIGHT, target_features
+from hil.monitor.field_check import FieldDifference
 from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.kernels.pose import GROWTH, UNKNOWNS
@@ -21,7 +22,7 @@ from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
 from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import VideoFrame
+from hil.monitor.sources import LOWER, UPPER, VideoFrame, lines_of
 
 Floats = NDArray[np.float64]
 
@@ -190,6 +191,30 @@ class FrameTracker:
         self._state = state
         self._last = (frame.t_s, x.copy())
         return self._measured(frame, x, mode, tracked, samples, noise)
+
+    def field_difference(self, frame: VideoFrame, result: FrameResult) -> FieldDifference | None:
+        """Return the difference of the poses by the odd and the even lines of a whole frame, measured as ``result``.
+
+        None if one of the two cannot be measured.
+        """
+        model, poses, covariances = self._features, [], []
+        samples, left = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE), np.zeros(_MOST_SAMPLES)
+        normal, sums = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
+        for field in (UPPER, LOWER):
+            x, state = result.pose.copy(), self._state.copy()
+            status, _ = measure.measure(
+                np.ascontiguousarray(frame.image[lines_of(field)]), float(field == LOWER), 2.0, model.lens,
+                model.circles, model.lines, model.borders, x, state, self._tuning,
+                self._near if result.status == NEAR else self._far, samples, left, normal, sums,
+            )  # fmt: skip
+            if status != measure.MEASURED:
+                return None
+            # both fields have the same camera: its unknowns are those of the whole frame
+            full = normal + np.diag(result.prior)
+            camera = np.linalg.solve(full[:6, :6], full[:6, 6:] @ (x[6:] - result.pose[6:]))
+            poses.append(x[:6] + camera)
+            covariances.append(np.linalg.inv(full[:6, :6]))
+        return FieldDifference(poses[1] - poses[0], np.linalg.inv(covariances[0] + covariances[1]))
 
     def _measured(
         self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, samples: Any, noise: float

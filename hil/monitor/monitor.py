@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
+from hil.monitor.field_check import FieldCheck
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
@@ -24,6 +26,9 @@ from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, QUANTITIES
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame, exposures_of
 
+REJECTED_FIELDS: Final = "rejected_fields"
+TWO_FIELDS: Final = "two fields"
+_EACH_CHECKED: Final = 2  # of the frames of a portion
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
 
 
@@ -45,6 +50,7 @@ class DockingMonitor:
         self._used_s = -np.inf
         self._images = 0
         self._dropped = False
+        self._fields = FieldCheck(self.scene)
         self.last: FrameResult | None = None
 
     def feed(self, frame: VideoFrame | NDArray[np.uint8]) -> list[Result]:
@@ -77,11 +83,20 @@ class DockingMonitor:
         if self._frames and frame.t_s - self._frames[0].detection.t_s >= self.settings.portion_s - 1e-9:
             done.append(self._close())
         result = self._tracker.process(frame)
+        if not self._fields.decided and result.used and len(self._frames) % _EACH_CHECKED == 0:
+            self._fields.add(self._tracker.field_difference(frame, result))
+        if self.warning and not self._fields_are_stated:
+            result = _unsuited(result, self.warning)
         self.last = result
         self._frames.append(result)
         if len(self._frames) >= self.settings.portion_frames:
             done.append(self._close())
         return done
+
+    @property
+    def warning(self) -> str:
+        """What the images show to be wrong in the scene, "" if nothing; only frames that suit it are measured."""
+        return self._fields.warning
 
     def finish(self) -> list[Result]:
         """Return the portion of the remaining frames, if any."""
@@ -94,6 +109,7 @@ class DockingMonitor:
         far = [result for result in frames if result.status == FAR]
         used, status = (near, NEAR) if len(near) >= len(far) else (far, FAR)
         if not used:
+            self._fields.drop()
             return _nothing(frames, t_s)
         if used[0].detection.t_s - self._used_s > self.settings.lost_s:
             self._reset_motion()
@@ -102,13 +118,27 @@ class DockingMonitor:
         if self._paper is not None and status == NEAR:
             fit = self._paper.fit(used, t_s)
         if fit is None:
+            self._fields.drop()
             return _nothing(frames, t_s, "rejected_motion")
+        self._fields.update(fit.motion)
+        if self.warning and not self._fields_are_stated:
+            self._reset_motion()
+            self._tracker.expect(None)
+            return _nothing([_unsuited(result, self.warning) for result in frames], t_s)
         self._used_s = used[-1].detection.t_s
         self._tracker.expect(fit.motion)
         late = np.zeros(12)
         late[0::2] = self.scene.camera.tolerances.time_s * fit.motion.w[1::2]
         covariance = fit.motion.covariance + np.outer(late, late)
-        return _result(frames, fit, status, covariance)
+        portion = _result(frames, fit, status, covariance)
+        if self.warning:
+            portion = replace(portion, timing=", ".join(text for text in (portion.timing, TWO_FIELDS) if text))
+        return portion
+
+    @property
+    def _fields_are_stated(self) -> bool:
+        """Whether the scene's tolerance of time has what the fields do: half of their distance in time."""
+        return self.scene.camera.tolerances.time_s >= 0.25 / self.scene.fps * (1.0 - 1e-9)
 
     def _reset_motion(self) -> None:
         self._motion.reset()
@@ -125,6 +155,14 @@ def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None
 
 def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:
     return tuple(Counter(result.reason for result in frames if not result.used).most_common())
+
+
+def _unsuited(result: FrameResult, why: str) -> FrameResult:
+    """Return a frame that was measured under a wrong assumption as not used."""
+    if not result.used:
+        return result
+    detection = replace(result.detection, status=REJECTED_FIELDS)
+    return replace(result, detection=detection, reason=why, pose=np.full_like(result.pose, np.nan))
 
 
 def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -> Result:

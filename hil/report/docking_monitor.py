@@ -55,6 +55,7 @@ def judge_monitor(watched: MonitorOutcome, history: np.ndarray, scenario: Scenar
         "lag_s": watched.lag_s,
         "missed_rows": watched.missed_rows,
         "failure": watched.failure,
+        "warning": watched.warning,
         "quantities": {
             name: {
                 "truth": _figures(against_truth[:, i], sigmas[:, i]),
@@ -187,6 +188,8 @@ def monitor_lines(found: dict[str, Any]) -> list[str]:
     ]
     if found["failure"] or found["missed_rows"]:
         lines.append(f"            {found['failure'] or 'late'}, {found['missed_rows']} cycles missed")
+    if found["warning"]:
+        lines.append(f"            {found['warning']}")
     lines.append(
         f"            {'rms error (sigma, in 2 sigma)':24}{'monitor to truth':>27}{'monitor to encoders':>27}"
         f"{'vision unit to truth':>27}{'one to the other':>27}"

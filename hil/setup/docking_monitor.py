@@ -49,7 +49,8 @@ class MonitorOutcome:
     """Results of the docking monitor over a run.
 
     lag_s: longest time by which the newest row was ahead of a frame when that was processed. missed_rows: cycles that
-    were overwritten before they were read. failure: why the monitor ended early, "" if it did not.
+    were overwritten before they were read. failure: why the monitor ended early, "" if it did not. warning: what the
+    images show to be wrong in the scene, "" for nothing.
     """
 
     scene: str
@@ -60,6 +61,7 @@ class MonitorOutcome:
     lag_s: float = 0.0
     missed_rows: int = 0
     failure: str = ""
+    warning: str = ""
 
 
 class MonitorSinks(NamedTuple):
@@ -102,6 +104,7 @@ class MonitorOfFrames:
     def finish(self) -> MonitorOutcome:
         """Return the results, with the frames of an unfinished portion."""
         self._keep(self._monitor.finish())
+        self.outcome.warning = self._monitor.warning
         return self.outcome
 
     def _poll_search(self) -> None:
@@ -126,7 +129,7 @@ class MonitorOfFrames:
             return
         image = frame.image if frame.field == WHOLE else np.repeat(frame.image, 2, axis=0)
         newest = self.outcome.portions[-1] if self.outcome.portions else None
-        shapes = annotated_shapes(look.detection, newest, self._box)
+        shapes = annotated_shapes(look.detection, newest, self._box, self._monitor.warning)
         self._images.put(
             CameraImage(MONITOR, image, t_s=frame.t_s, number=frame.number, status=look.status, shapes=shapes)
         )

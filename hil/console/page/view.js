@@ -5,6 +5,7 @@ import { nameOf, shortNameOf } from "/page/camera.js";
 const $ = (id) => document.getElementById(id);
 const OLD_S = 3;
 const DRAG_PX = 6; // shorter ones are clicks
+const WARNINGS = { rejected_fields: "frames hold two fields: set fields in the scene" };
 
 export class View {
   constructor(camera, controls) {
@@ -103,6 +104,7 @@ export class View {
     const stale = !(age_s <= OLD_S);
     $("monitor").classList.toggle("stale", stale);
     $("monitor_status").textContent = portion ? `${portion.status.replace("_", " ")}, ${portion.frames} frames` : "docking monitor: no result yet";
+    $("monitor_warning").textContent = (portion && WARNINGS[portion.status]) || "";
     $("monitor_status").classList.toggle("bad", Boolean(portion && portion.frames === 0));
     $("monitor_age").textContent = portion ? `at ${portion.t_s.toFixed(2)} s${stale ? `, ${age_s.toFixed(0)} s ago` : ""}` : "";
     const body = $("monitor_numbers");

@@ -70,13 +70,16 @@ def annotated_shapes(
     seen: FrameDetection,
     portion: Portion | None,
     search: tuple[float, float, float, float] | None = None,
+    warning: str = "",
 ) -> list[Shape]:
     """Return all shapes of a stand-alone image, the most important first.
 
     portion: the latest one, whose values are listed below the status. search: the operator's region of search, u, v,
-    width, height, px. Of many edges only every n-th is shown.
+    width, height, px. warning: text below the status. Of many edges only every n-th is shown.
     """
     lines = [(caption(seen), not is_bad(seen.status), STATUS), *_numbers(portion)]
+    if warning:
+        lines.insert(1, (warning, False, STATUS))
     found: list[Shape] = [
         {"kind": "text", "at": [_LEFT_PX, _LINE_PX * (row + 1)], "text": text, "good": good, "part": part}
         for row, (text, good, part) in enumerate(lines)

@@ -185,6 +185,9 @@ def test_overlay_of_a_stand_alone_image_has_text_first_and_not_every_edge() -> N
     assert 90 < len(points) <= 120
     assert points[1] == [5.0, 5.0]
     assert all(shape["good"] for shape in found)
+    warned = annotated_shapes(seen, None, (10.0, 20.0, 100.0, 50.0), "frames hold two fields")
+    assert [shape["text"] for shape in warned if shape["kind"] == "text"][1] == "frames hold two fields"
+    assert [shape["to"] for shape in warned if shape["part"] == "search"][-1] == [10.0, 20.0]
     lost = annotated_shapes(FrameDetection(0, 0.0, "no_target"), None)
     assert [(shape["text"], shape["good"]) for shape in lost] == [("no_target   t = 0.00 s   frame 0", False)]
 
