@@ -146,5 +146,6 @@ def test_errors_of_an_outline_with_corners_agree_with_their_sigmas(shape: str) -
             assert portion.frames == 10
             ratios.append(found[np.isfinite(found)])
     every = np.concatenate(ratios)
-    assert 0.8 < float(np.sqrt(np.mean(every**2))) < 1.25
+    # 12 portions, with 7 independent values if near and 5 if far: 1 sigma of the root mean square is 0.083
+    assert abs(float(np.sqrt(np.mean(every**2))) - 1.0) < 0.25
     assert np.abs(every).max() < 5.0
