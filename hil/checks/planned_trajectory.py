@@ -14,6 +14,7 @@ import numpy as np
 from hil.bench.reachability import ControlBounds
 from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, Array, new
+from hil.dynamics.mass_properties import MASS_PROPERTIES, set_mass_properties
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import quat
@@ -63,13 +64,27 @@ def control_bounds(scenario: Scenario) -> ControlBounds:
     force = dss.thruster_direction[:n] * dss.thruster_force[:n, None]
     wrench = np.hstack([force, np.cross(dss.thruster_position[:n], force)])
     most = _THRUST_ALLOWANCE * np.maximum(np.maximum(wrench, 0.0).sum(axis=0), np.maximum(-wrench, 0.0).sum(axis=0))
-    inverse = dss.mode.inertia_inverse if dss.flexible_array and scenario.chaser.solar_array else dss.inertia_inverse
+    acceleration, slewing = _accelerations(dss, scenario.chaser.mass_kg, most)
     return ControlBounds(
         speed=control.correction_rate[:3] + burn[:3],
         rate=slew + burn[3:],
-        acceleration=most[:3] / scenario.chaser.mass_kg,
-        slewing=np.abs(inverse) @ most[3:],
+        acceleration=acceleration,
+        slewing=slewing,
     )
+
+
+def _accelerations(dss: np.record, mass_kg: float, most: Array) -> tuple[Array, Array]:
+    """Return bounds of acceleration, m/s^2, and angular acceleration, rad/s^2, under ``most`` (6,), N, N m."""
+    if not dss.mass.varies:
+        bends = dss.flexible_array and dss.modes.n > 0
+        inverse = dss.modes.inertia_inverse if bends else dss.inertia_inverse
+        return most[:3] / mass_kg, np.abs(inverse) @ most[3:]
+    mass = new(MASS_PROPERTIES)
+    set_mass_properties(dss, mass_kg, mass)
+    slewing = np.abs(mass.inertia_inverse) @ (most[3:] + np.abs(mass.lever) @ most[:3])
+    if not (dss.flexible_array and dss.modes.moves):
+        return most[:3] / mass_kg, slewing
+    return np.abs(mass.mass_inverse) @ most[:3] + np.abs(mass.lever.T) @ slewing, slewing
 
 
 def _planned_rate(scenario: Scenario) -> float:

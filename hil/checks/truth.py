@@ -8,6 +8,7 @@ from hil.config.body import CentralBody
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.dynamics.gravity_file import GravityFileError
+from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.errors import BadInput, Problem
 from hil.params import dynamics as dynamics_params
 
@@ -23,6 +24,7 @@ def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
         *_check_gravity(scenario, body),
         *_check_perturbations(scenario, body),
         *_check_solar_array(scenario),
+        *_check_propellant(scenario),
     ]
 
 
@@ -102,14 +104,48 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
             for name in ("solar_pressure", "flexible_array")
             if getattr(truth, name)
         ]
-    coupling = np.array(chaser.solar_array.mode_coupling)
-    rigid = np.array(chaser.inertia_kg_m2) - np.outer(coupling, coupling)
-    smallest = float(np.linalg.eigvalsh(rigid)[0])
+    modes = dynamics_params.bending_modes(chaser.solar_array)
+    turning, moving = (
+        np.array([getattr(mode, name) for mode in modes]) for name in ("coupling", "translation_coupling")
+    )
+    smallest = float(np.linalg.eigvalsh(np.array(chaser.inertia_kg_m2) - turning.T @ turning)[0])
+    if smallest <= 0.0:
+        key = "chaser.solar_array.mode_coupling"
+        text = (
+            f"{turning.tolist() if len(modes) > 1 else turning[0].tolist()}: the array would have more inertia than "
+            f"the vehicle: inertia_kg_m2 minus the square of the coupling must be positive definite, its smallest "
+            f"moment is {smallest:.4g} kg m^2"
+        )
+        return [Problem(scenario.where(key), key, text)]
+    if not moving.any():
+        return []
+    both = np.hstack([moving, turning])
+    hub = np.diag([chaser.mass_kg] * 3 + [0.0] * 3)
+    hub[3:, 3:] = chaser.inertia_kg_m2
+    smallest = float(np.linalg.eigvalsh(hub - both.T @ both)[0])
     if smallest > 0.0:
         return []
-    key = "chaser.solar_array.mode_coupling"
+    key = "chaser.solar_array.mode_translation_coupling"
     text = (
-        f"{coupling.tolist()}: the array would have more inertia than the vehicle: inertia_kg_m2 minus the square "
-        f"of the coupling must be positive definite, its smallest moment is {smallest:.4g} kg m^2"
+        f"{moving.tolist() if len(modes) > 1 else moving[0].tolist()}: the array would be heavier than the vehicle: "
+        f"mass and inertia minus the squares of the couplings must be positive definite, smallest eigenvalue "
+        f"{smallest:.4g}"
+    )
+    return [Problem(scenario.where(key), key, text)]
+
+
+def _check_propellant(scenario: Loaded[Scenario]) -> list[Problem]:
+    """Return a problem if the inertia would not be that of a body after all thrusters have fired for the whole run."""
+    chaser = scenario.value.chaser
+    gyration = np.array(chaser.propellant_gyration_m)
+    flow = len(chaser.thrusters.position_m) * chaser.thrusters.force_n / chaser.thrusters.specific_impulse_s
+    most_kg = min(chaser.mass_kg, scenario.value.duration_s * flow / STANDARD_GRAVITY_MPS2)
+    smallest = float(np.linalg.eigvalsh(np.array(chaser.inertia_kg_m2) - most_kg * np.diag(gyration**2))[0])
+    if smallest > 0.0:
+        return []
+    key = "chaser.propellant_gyration_m"
+    text = (
+        f"{gyration.tolist()}: without the {most_kg:.4g} kg that all thrusters use in {scenario.value.duration_s:g} s "
+        f"inertia_kg_m2 would have a moment of {smallest:.4g} kg m^2, every principal moment must be above 0"
     )
     return [Problem(scenario.where(key), key, text)]

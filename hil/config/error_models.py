@@ -83,6 +83,14 @@ class ThrusterErrors(ConfigModel):
     """Relative scatter of the impulse of a firing of the minimum on-time, from firing to firing."""
     half_pressure_kg: Positive | None = None
     """Propellant whose use halves supply pressure and thrust (blow-down, `truth.mass_loss`); unset: regulated."""
+    plume_target_radius_m: NotNegative = 0.0
+    """Radius of the target, a sphere that the plumes push; 0: they do not act."""
+    plume_target_mass_kg: Positive = 1000.0
+    """Mass of the target."""
+    plume_exponent: Annotated[float, Field(ge=0.0, le=100.0)] = 8.0
+    """Of the cosine of the angle from a plume's axis: 2 / (gamma - 1), with the ratio of specific heats."""
+    plume_dimming_fraction: Fraction = 0.0
+    """Fraction of the LEDs' light that is lost while one thruster's whole plume meets the target."""
 
 
 class ErrorBudget(ConfigModel):

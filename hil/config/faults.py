@@ -80,6 +80,8 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
                              0.0, 1.0, options=("stamp",)),
         "misidentified": ErrorTerm("LEDs are taken for those this many places further round the ring", 1, "1",
                                    "t", 1.0, 5.0, 1.0),
+        "dimmed": ErrorTerm("the LEDs lose this fraction of their light: noise and reported noise grow, too dim LEDs "
+                            "give no pose", 1, "1", "", 0.0, 1.0),
     },
     "imu": {
         "bias_step": ErrorTerm("the drift or bias changes by this value", 3, "deg/s or m/s^2", "c", 0.0, 100.0,
@@ -110,10 +112,12 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
     "target": {
         "jump": ErrorTerm("the target is displaced", 3, "m", "H", 0.0, 10.0),
         "drift": ErrorTerm("the target moves at this velocity", 3, "m/s", "H", 0.0, 1.0),
+        "plume": ErrorTerm("plumes push the target, a sphere of this radius", 1, "m", "", 0.0, 10.0),
     },
 }  # fmt: skip
 """Kind of device -> kind of fault -> term: for models, injection, tests and the generated reference."""
-TERMS["monitor"].update({kind: term for kind, term in TERMS["vmu"].items() if kind != "misidentified"})
+_OF_LEDS: Final = ("misidentified", "dimmed")
+TERMS["monitor"].update({kind: term for kind, term in TERMS["vmu"].items() if kind not in _OF_LEDS})
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,7 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "vmu.no_pose": _navigation("vision lost", "abort"),
     "vmu.sigma_scale": _within("suspect innovations, by their mean NIS, after 10 s to minutes"),
     "vmu.latency": _within("none with the stamp of the exposure; that of the arrival shifts innovations in motion"),
+    "vmu.dimmed": _within("vision lost, if too dim at their range; none before, as the report allows for the noise"),
     "imu.bias_step": _navigation("IMU or vision suspect, by innovations and thrusters", "abort, a hold if small"),
     "imu.scale_factor": _within("suspect innovations once the chaser accelerates or turns"),
     "imu.dropout": _navigation("IMU suspect: readings that repeat", "abort"),
@@ -190,6 +195,7 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "axis.oscillation": _guard("axis against the demand, from amplitudes of 0.6 mm or 0.03 deg on"),
     "target.jump": _guard("axis against the demand, if farther than the axes move in three cycles"),
     "target.drift": _both("axis against the demand, if faster than the axes can follow"),
+    "target.plume": _within("none: control allows for it as for stronger or weaker thrusters"),
 }
 """Device and kind of fault -> response."""
 

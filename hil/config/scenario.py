@@ -71,6 +71,8 @@ class Chaser(ConfigModel):
     """Nominal mass at the start."""
     inertia_kg_m2: Matrix3
     """Nominal inertia in c about the reference point."""
+    propellant_gyration_m: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+    """Radius of gyration of the propellant about each axis of c; what is used takes its inertia along, none if 0."""
     thrusters: Thrusters
 
     solar_array: SolarArray | None = None

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, NotNegativeTriple, Positive, Triple
 from hil.config.model_fmu import ModelFmu
+from hil.core.messages import MAX_MODES
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
 
@@ -58,8 +59,24 @@ class Ephemeris(ConfigModel):
     """Error of the position along the orbit at the start, in addition."""
 
 
+DampingRatio = Annotated[float, Field(ge=0.0, lt=1.0)]
+
+
+class BendingMode(ConfigModel):
+    """A further bending mode of the solar array."""
+
+    frequency_hz: Positive
+    """Frequency on a hub that does not move."""
+    damping: DampingRatio
+    """Damping ratio."""
+    coupling: Triple = (0.0, 0.0, 0.0)
+    """Coupling to the hub's rotation, in c, kg^1/2 m."""
+    translation_coupling: Triple = (0.0, 0.0, 0.0)
+    """Coupling to the hub's translation, in c, kg^1/2."""
+
+
 class SolarArray(ConfigModel):
-    """Flat plate fixed to the hub, in c, with one bending mode coupled to the rotation of the hub."""
+    """Flat plate fixed to the hub, in c, with bending modes coupled to the motion of the hub."""
 
     area_m2: Positive
     """Area."""
@@ -72,11 +89,15 @@ class SolarArray(ConfigModel):
     diffuse: Fraction
     """Fraction that is scattered; the rest is absorbed."""
     mode_frequency_hz: Positive
-    """Frequency of the bending mode on a hub without rotation."""
-    mode_damping: Annotated[float, Field(ge=0.0, lt=1.0)]
+    """Frequency of the first bending mode on a hub that does not move."""
+    mode_damping: DampingRatio
     """Damping ratio of the mode."""
     mode_coupling: Triple
-    """Coupling to the hub's rotation, kg^1/2 m."""
+    """Coupling to the hub's rotation, in c, kg^1/2 m."""
+    mode_translation_coupling: Triple = (0.0, 0.0, 0.0)
+    """Coupling to the hub's translation, in c, kg^1/2."""
+    further_modes: Annotated[dict[str, BendingMode], Field(max_length=MAX_MODES - 1)] = Field(default_factory=dict)
+    """Further bending modes by name."""
 
     @model_validator(mode="after")
     def _plate_is_possible(self) -> Self:
@@ -114,7 +135,7 @@ class Truth(ModelFmu):
     third_bodies: bool = False
     """Pull of the other bodies in the body file."""
     flexible_array: bool = False
-    """Bending mode of the solar array."""
+    """Bending modes of the solar array."""
     mass_loss: bool = True
     """Mass decreases by the propellant used."""
     misalignment_sigma_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0

@@ -27,6 +27,7 @@ MAX_POSES = 4  # that can arrive in one cycle
 MAX_FAULTS = 8  # of one kind of device in a run
 MAX_AIR_LAYERS = 32  # of an atmosphere
 MAX_THIRD_BODIES = 4
+MAX_MODES = 8  # of the solar array
 
 TRUTH_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "time of the truth"),
@@ -38,7 +39,7 @@ TRUTH_FIELDS: Final = (
     Field("v_T_I", "f8", 3, "m/s", "I", "target's velocity"),
     Field("q_HI", "f8", 4, "1", "I to H", "attitude of H, scalar last"),
     Field("w_HI_H", "f8", 3, "rad/s", "H", "H against inertial space"),
-    Field("eta", "f8", (), "m kg^1/2", "", "bending of the solar array"),
+    Field("eta", "f8", (), "m kg^1/2", "", "bending of the solar array, its first mode"),
     Field("eta_rate", "f8", (), "m kg^1/2/s", "", "its rate"),
     Field("mass_kg", "f8", (), "kg", "", "mass of the chaser"),
     Field("open_s", "f8", MAX_THRUSTERS, "s", "", "time for which each valve has been open, 0 closed"),

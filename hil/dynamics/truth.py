@@ -17,20 +17,29 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.core.messages import MAX_THRUSTERS
+from hil.core.messages import MAX_MODES, MAX_THRUSTERS
 from hil.dynamics import cached_gravity, orbit
 from hil.dynamics.cached_gravity import CACHED_GRAVITY
 from hil.dynamics.central_gravity import GRAVITY_PARAMS
 from hil.dynamics.eclipse import visible_sun
-from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
+from hil.dynamics.flexible_array import (
+    BENDING,
+    MODES,
+    add_bending,
+    add_bending_force,
+    bending,
+    bending_of_translation,
+)
 from hil.dynamics.hill import hill_acceleration
 from hil.dynamics.isolation import ISOLATION, close_isolated
 from hil.dynamics.mass_centre import add_lever_terms, shift
+from hil.dynamics.mass_properties import MASS_MODEL, MASS_PROPERTIES, set_mass_properties
 from hil.dynamics.orbit_forces import ORBIT_FORCES
+from hil.dynamics.plume import PLUME_MEMORY, PLUME_PARAMS, keep_share, push_of_plumes
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.target_attitude import ALIGNED, TARGET_ATTITUDE, move_target_axes
-from hil.dynamics.target_faults import TARGET_MEMORY, move_target
+from hil.dynamics.target_faults import TARGET_MEMORY, move_target, pushed_radius
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
 from hil.dynamics.thruster_faults import THRUST_MEMORY, step_real_valves
 from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
@@ -62,7 +71,7 @@ DSS_PARAMS = np.dtype(
         ("gravity", GRAVITY_PARAMS),
         ("forces", ORBIT_FORCES),
         ("plate", PLATE_PARAMS),
-        ("mode", MODE_PARAMS),
+        ("modes", MODES),
         ("sun_I", "f8", 3),  # unit vector to the Sun, inertial
         ("sun_angle", "f8"),  # rad, its apparent radius
         ("shadow_radius", "f8"),  # m, of the central body
@@ -71,19 +80,31 @@ DSS_PARAMS = np.dtype(
         ("isolation_closing_s", "f8"),
         ("target_faults", FAULTS),
         ("target_attitude", TARGET_ATTITUDE),
+        ("mass", MASS_MODEL),
+        ("plume", PLUME_PARAMS),
     ],
     align=True,
 )
 
 TRUTH_MEMORY = np.dtype(
-    [("gravity", CACHED_GRAVITY), ("thrust", THRUST_MEMORY), ("isolation", ISOLATION), ("target", TARGET_MEMORY)],
+    [
+        ("gravity", CACHED_GRAVITY),
+        ("thrust", THRUST_MEMORY),
+        ("isolation", ISOLATION),
+        ("target", TARGET_MEMORY),
+        ("bending", BENDING),
+        ("mass", MASS_PROPERTIES),
+        ("plume", PLUME_MEMORY),
+    ],
     align=True,
 )
 """What a step keeps for the next ones, zeroed before the first."""
 
-# the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral of the
-# pressure's specific force in c 16:19, eta 19, its rate 20, and in the nonlinear model r_T_I 21:24, v_T_I 24:27
+# the integrated state, in axes F: r 0:3, v 3:6, q_CF 6:10, w_CI_C 10:13, integral of w 13:16, integral in c of the
+# specific force beyond the thrust 16:19, eta of the first mode 19, its rate 20, in the nonlinear model r_T_I 21:24,
+# v_T_I 24:27, and eta and rate of each further mode
 _N = 27
+_STATES = _N + 2 * (MAX_MODES - 1)
 _SCRATCH = 4  # scratch vectors of a derivative
 
 
@@ -110,13 +131,28 @@ def _translate(params, gravity, y, dy, nadir_F):
 
 
 @kernel
-def _derivative(params, gravity, y, load, sun_F, scratch, dy):
+def _place_of_mode(mode):
+    """Return where the state has eta of ``mode``; its rate is the next."""
+    return 19 if mode == 0 else _N + 2 * (mode - 1)
+
+
+@kernel
+def _derivative(params, mass, gravity, y, load, sun_F, scratch, dy):
     """Write dy/dt.
 
-    gravity: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,), N m, both in c,
-    one over the mass, 1/kg, and the pressure of sunlight, Pa. sun_F: (3,), unit. scratch: (_SCRATCH, 3).
+    mass: MASS_PROPERTIES. gravity: see ``_translate``. load: specific thrust (3,), m/s^2, the thrust's torque (3,),
+    N m, both in c, one over the mass, 1/kg, and the pressure of sunlight, Pa. sun_F: (3,), unit vector. scratch:
+    (_SCRATCH, 3).
     """
     force, torque, direction, transformed = scratch[0], scratch[1], scratch[2], scratch[3]
+    modes = params.modes
+    n_modes = modes.n if params.flexible_array != 0 else 0
+    moves = n_modes > 0 and modes.moves != 0
+    inertia, inverse = params.inertia, params.inertia_inverse
+    if n_modes > 0:
+        inverse = modes.inertia_inverse
+    if params.mass.varies != 0:
+        inertia, inverse = mass.inertia, mass.inertia_inverse
     for i in range(3):
         force[i], torque[i] = load[i], load[3 + i]
         dy[16 + i] = 0.0
@@ -124,7 +160,7 @@ def _derivative(params, gravity, y, load, sun_F, scratch, dy):
     q = y[6:10]
     if params.gravity_gradient != 0:
         quat.transform_into(q, direction, transformed)
-        add_gravity_gradient(params.inertia, transformed, rate_squared, torque)
+        add_gravity_gradient(inertia, transformed, rate_squared, torque)
     if params.solar_pressure != 0:
         quat.transform_into(q, sun_F, transformed)
         pressure_force(params.plate, load[7], transformed, direction)
@@ -135,6 +171,33 @@ def _derivative(params, gravity, y, load, sun_F, scratch, dy):
         for i in range(3):
             dy[16 + i] = direction[i] * load[6]
             force[i] += dy[16 + i]
+    dy[19], dy[20] = 0.0, 0.0
+    if moves:
+        for i in range(3):
+            force[i] /= load[6]
+    for k in range(n_modes):
+        at = _place_of_mode(k)
+        # the spring, until the accelerations are known
+        dy[at + 1] = add_bending(modes, k, y[10:13], y[at], y[at + 1], torque)
+        if moves:
+            add_bending_force(modes, k, y[10:13], dy[at + 1], y[at + 1], force)
+    if moves:
+        for i in range(3):
+            torque[i] += mass.lever[i, 0] * force[0] + mass.lever[i, 1] * force[1] + mass.lever[i, 2] * force[2]
+    angular_acceleration(inertia, inverse, y[10:13], torque, dy[10:13])
+    if moves:
+        for i in range(3):
+            transformed[i] = 0.0
+            for j in range(3):
+                transformed[i] += mass.mass_inverse[i, j] * force[j] + mass.lever[j, i] * dy[10 + j]
+            dy[16 + i] = transformed[i] - load[i]
+        copy_into(force, transformed)
+    for k in range(n_modes):
+        at = _place_of_mode(k)
+        dy[at] = y[at + 1]
+        dy[at + 1] = bending(modes, k, dy[at + 1], dy[10:13])
+        if moves:
+            dy[at + 1] += bending_of_translation(modes, k, force)
     quat.transform_back_into(q, force, transformed)
     for i in range(3):
         dy[3 + i] += transformed[i]
@@ -145,41 +208,37 @@ def _derivative(params, gravity, y, load, sun_F, scratch, dy):
         for i in range(3):
             direction[i] += transformed[i] * params.orbit_rate
     quat.rate_of_change(q, direction, dy[6:10])
-    dy[19], dy[20] = 0.0, 0.0
-    spring = 0.0
-    inverse = params.inertia_inverse
-    if params.flexible_array != 0:
-        inverse = params.mode.inertia_inverse
-        spring = add_bending(params.mode, y[10:13], y[19], y[20], torque)
-    angular_acceleration(params.inertia, inverse, y[10:13], torque, dy[10:13])
-    if params.flexible_array != 0:
-        dy[19] = y[20]
-        dy[20] = bending(params.mode, spring, dy[10:13])
 
 
 @kernel
-def _integrate(params, gravity, y, load, sun_F, dt):
+def _integrate(params, mass, gravity, y, load, sun_F, dt):
     """Move ``y`` on by ``dt`` with one classical Runge-Kutta step, in place.
 
-    gravity: (3, 10) of ``cached_gravity.gravity_over_step``.
+    mass: MASS_PROPERTIES. gravity: (3, 10) of ``cached_gravity.gravity_over_step``.
     """
-    k = stack.matrix(4, _N)
-    trial = stack.vector(_N)
+    n = _N
+    if params.flexible_array != 0 and params.modes.n > 1:
+        n += 2 * (params.modes.n - 1)
+    k = stack.matrix(4, _STATES)
+    trial = stack.vector(_STATES)
     scratch = stack.matrix(_SCRATCH, 3)
-    copy_into(trial, y)
+    copy_into(trial[:n], y[:n])
     for stage in range(4):
         if stage > 0:
             part = dt if stage == 3 else 0.5 * dt
-            for i in range(_N):
+            for i in range(n):
                 trial[i] = y[i] + part * k[stage - 1, i]
-        _derivative(params, gravity[(stage + 1) // 2], trial, load, sun_F, scratch, k[stage])
-    for i in range(_N):
+        _derivative(params, mass, gravity[(stage + 1) // 2], trial, load, sun_F, scratch, k[stage])
+    for i in range(n):
         y[i] += dt / 6.0 * (k[0, i] + 2.0 * k[1, i] + 2.0 * k[2, i] + k[3, i])
 
 
 @kernel
-def _enter(params, truth, y):
-    """Write the integrated state for ``truth``: from H into F, from the reference point to the centre of mass."""
+def _enter(params, bent, truth, y):
+    """Write the integrated state for ``truth``: from H into F, from the reference point to the centre of mass.
+
+    bent: BENDING.
+    """
     r = y[0:3]
     v = y[3:6]
     w, a = stack.vector(3), stack.matrix(3, 3)
@@ -199,6 +258,9 @@ def _enter(params, truth, y):
     shift(q_ch, params.mass_centre, w, 1.0, r, v)
     copy_into(y[6:10], q_ch)
     y[19], y[20] = truth.eta, truth.eta_rate
+    for k in range(1, params.modes.n):
+        at = _place_of_mode(k)
+        y[at], y[at + 1] = bent.eta[k], bent.eta_rate[k]
     if params.relative_motion != HILL:
         copy_into(q_hi, truth.q_HI)
         w_HI = truth.w_HI_H
@@ -235,8 +297,11 @@ def _move_frame(params, acceleration, y, truth):
 
 
 @kernel
-def _leave(params, y, truth):
-    """Write the relative state of ``truth`` from the integrated one; the frame H is already that of the end."""
+def _leave(params, y, bent, truth):
+    """Write the relative state of ``truth`` from the integrated one; the frame H is already that of the end.
+
+    bent: BENDING.
+    """
     r = y[0:3]
     v = y[3:6]
     q_ch = y[6:10]
@@ -263,6 +328,31 @@ def _leave(params, y, truth):
         truth.r_CT_H[i] = r[i]
         truth.v_CT_H[i] = v[i]
     truth.eta, truth.eta_rate = y[19], y[20]
+    for k in range(1, params.modes.n):
+        at = _place_of_mode(k)
+        bent.eta[k], bent.eta_rate[k] = y[at], y[at + 1]
+
+
+@kernel
+def _push_target(params, radius, fraction, memory, truth, gravity, y):
+    """Add the change of a step by the plumes of the thrusters to ``y`` and to the target's acceleration in ``gravity``.
+
+    The push is constant in F over the step. radius: m, of the target. fraction: (n,), thrust over nominal thrust.
+    memory: PLUME_MEMORY. truth: TRUTH at the start of the step. gravity: see ``_integrate``.
+    """
+    dt = params.dt_s
+    push = stack.vector(3)
+    keep_share(params.plume, memory, truth.t_s, push_of_plumes(params, radius, fraction, truth, push))
+    if params.relative_motion != HILL:
+        quat.transform_back_into(truth.q_HI, push, push)
+    for i in range(3):
+        gained = dt * push[i]
+        y[i] -= 0.5 * dt * gained
+        y[3 + i] -= gained
+        if params.relative_motion != HILL:
+            y[21 + i] += 0.5 * dt * gained
+            y[24 + i] += gained
+            gravity[2, i] += push[i]
 
 
 @kernel
@@ -283,9 +373,13 @@ def step(params, field, memory, truth, on):
         )  # fmt: skip
     if memory.isolation.acts != 0:
         close_isolated(memory.isolation, params.isolation_closing_s, dt, fraction[:n])
+    radius = params.plume.radius
     if params.target_faults.n != 0:
         move_target(params.target_faults, memory.target, truth)
-    load, y, sun_f, w_before = stack.vector(8), stack.vector(_N), stack.vector(3), stack.vector(3)
+        radius = pushed_radius(params.target_faults, truth.t_s, radius)
+    if params.mass.varies != 0:
+        set_mass_properties(params, truth.mass_kg, memory.mass)
+    load, y, sun_f, w_before = stack.vector(8), stack.vector(_STATES), stack.vector(3), stack.vector(3)
     held, gravity, drag = stack.matrix(4, 3), stack.matrix(3, 10), stack.vector(3)
     wrench(
         fraction,
@@ -300,7 +394,7 @@ def step(params, field, memory, truth, on):
     load[7] = params.plate.pressure * truth.sunlight
     for i in range(3):
         load[i] /= truth.mass_kg
-    _enter(params, truth, y)
+    _enter(params, memory.bending, truth, y)
     copy_into(sun_f, params.sun_I)
     if params.relative_motion == HILL:
         quat.transform_into(truth.q_HI, sun_f, sun_f)
@@ -315,11 +409,13 @@ def step(params, field, memory, truth, on):
         if params.forces.acts != 0:
             quat.transform_into(y[6:10], memory.gravity.drag, drag)
         cached_gravity.gravity_over_step(params.gravity.gm, held, y, load, dt, gravity)
-    _integrate(params, gravity, y, load, sun_f, dt)
+    _integrate(params, memory.mass, gravity, y, load, sun_f, dt)
+    if radius > 0.0:
+        _push_target(params, radius, fraction, memory.plume, truth, gravity, y)
     truth.t_s += dt
     _move_frame(params, gravity[2], y, truth)
     copy_into(w_before, truth.w_CI_C)
-    _leave(params, y, truth)
+    _leave(params, y, memory.bending, truth)
     for i in range(3):
         truth.mean_rate_C[i] = y[13 + i] / dt
         truth.mean_force_C[i] = load[i] + y[16 + i] / dt

@@ -11,16 +11,17 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import VMU_FRAME
+from hil.dynamics.plume import share_at
 from hil.dynamics.vision_errors import misidentify, throw
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
 from hil.models.faults import AT, KIND, OPTION, SIZE, VALUE, is_active, normal
 
-NO_POSE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY, MISIDENTIFIED = range(9)
+NO_POSE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY, MISIDENTIFIED, DIMMED = range(10)
 AT_ARRIVAL = 1.0
 """Option of LATENCY: frames are stamped when they arrive."""
 
-_OUTLIER_LANE, _NOISE_LANE = 0, 8
+_OUTLIER_LANE, _NOISE_LANE, _PLUME_LANE = 0, 8, 1024
 
 VMU_MEMORY = np.dtype([("has_frame", "i8"), ("frame", VMU_FRAME)], align=True)
 """The last frame that was passed on."""
@@ -48,16 +49,47 @@ def _turn(rotation, frame):
 
 
 @kernel
-def _add_noise(faults, i, frame):
-    """Add noise that makes the reported one ``value`` times as large."""
-    excess = math.sqrt(faults.row[i, VALUE] ** 2 - 1.0)
+def _add_noise(excess, seed, lane, frame):
+    """Add noise that is ``excess`` times the reported one. lane: of random numbers, the first of six."""
     rotation = stack.vector(3)
-    lane = _NOISE_LANE + 16 * i
     for j in range(3):
         sigma_m, sigma_rad = math.sqrt(frame.covariance[j, j]), math.sqrt(frame.covariance[3 + j, 3 + j])
-        frame.t_v[j] += excess * sigma_m * normal(faults.seed, frame.counter, lane + j)
-        rotation[j] = excess * sigma_rad * normal(faults.seed, frame.counter, lane + 3 + j)
+        frame.t_v[j] += excess * sigma_m * normal(seed, frame.counter, lane + j)
+        rotation[j] = excess * sigma_rad * normal(seed, frame.counter, lane + 3 + j)
     _turn(rotation, frame)
+
+
+@kernel
+def _scale_covariance(factor, frame):
+    for j in range(6):
+        for k in range(6):
+            frame.covariance[j, k] *= factor
+
+
+@kernel
+def dim(lost, least_light, seed, lane, frame):
+    """Take the fraction ``lost`` of the LEDs' light away; return whether they are still visible.
+
+    Centres of spots have a variance in reciprocal proportion to the light, that of its shot noise; the unit, which
+    measures the light, reports it. least_light: 1/m^2, least light over the square of the distance, m, in terms of that
+    of an LED which is not dimmed. lane: see ``_add_noise``.
+    """
+    left = 1.0 - lost
+    if left < least_light * (frame.t_v[0] ** 2 + frame.t_v[1] ** 2 + frame.t_v[2] ** 2):
+        return False
+    _add_noise(math.sqrt(lost / left), seed, lane, frame)
+    _scale_covariance(1.0 / left, frame)
+    return True
+
+
+@kernel
+def see_through_plume(plume, memory, seed, zero_s, frame):
+    """Dim the LEDs of ``frame`` (VMU_FRAME) by the plumes at its exposure; return whether they are still visible.
+
+    plume: PLUME_PARAMS. memory: PLUME_MEMORY. seed: of the run. zero_s: bench time of the run's time zero.
+    """
+    lost = plume.dimming * share_at(plume, memory, frame.t_s - zero_s)
+    return lost <= 0.0 or dim(lost, plume.least_light, seed, _PLUME_LANE, frame)
 
 
 @kernel
@@ -95,11 +127,12 @@ def disturb_frame(faults, mounting, zero_s, memory, frame):
         elif kind == OUTLIER:
             throw(row[VALUE], row[SIZE], faults.seed, frame.counter, _OUTLIER_LANE + 32 * i, frame.t_v)
         elif kind == NOISE_SCALE:
-            _add_noise(faults, i, frame)
+            _add_noise(math.sqrt(row[VALUE] ** 2 - 1.0), faults.seed, _NOISE_LANE + 16 * i, frame)
         elif kind == SIGMA_SCALE:
-            for j in range(6):
-                for k in range(6):
-                    frame.covariance[j, k] *= row[VALUE] ** 2
+            _scale_covariance(row[VALUE] ** 2, frame)
+        elif kind == DIMMED:
+            if not dim(row[VALUE], row[SIZE], faults.seed, _NOISE_LANE + 16 * i, frame):
+                return False
         elif kind == MISIDENTIFIED:
             misidentify(row[VALUE], frame.q_vt)
         elif kind == LATENCY:

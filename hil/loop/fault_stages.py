@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 
 from hil.core.messages import VMU_FRAME, PoseFrame, new
-from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame
+from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
 from hil.models.axis_faults import NOMINAL_AXES, set_axis_faults
 from hil.models.camera_timing import TIME_SLACK_S
 
@@ -16,12 +16,14 @@ from hil.models.camera_timing import TIME_SLACK_S
 class FrameFaults:
     """Faults of the vision unit, applied to its frames in the order of their arrival.
 
-    faults: FAULTS. mounting: MOUNTING.
+    faults: FAULTS. mounting: MOUNTING. plume: PLUME_PARAMS, plume_memory: PLUME_MEMORY, as the truth keeps it.
     """
 
-    def __init__(self, faults: np.record, mounting: np.record) -> None:
+    def __init__(self, faults: np.record, mounting: np.record, plume: np.record, plume_memory: np.record) -> None:
         self.faults = faults
         self._mounting = mounting
+        self._plume, self._plume_memory = plume, plume_memory
+        self._dims = bool(plume.dimming > 0.0)
         self.memory = new(VMU_MEMORY)
         """VMU_MEMORY: the last frame."""
         self._row = np.zeros(1, VMU_FRAME)
@@ -44,6 +46,10 @@ class FrameFaults:
         """Return the frames that the loop receives by ``bench_s``, with ``frames``, which the unit has just sent."""
         for frame in frames:
             frame.write_to(self._row)
+            if self._dims and not see_through_plume(
+                self._plume, self._plume_memory, self.faults.seed, run_zero_s, self._record
+            ):
+                continue
             if disturb_frame(self.faults, self._mounting, run_zero_s, self.memory, self._record):
                 self._put(PoseFrame.from_record(self._record))
         due = []

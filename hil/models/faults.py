@@ -14,7 +14,8 @@ from hil.core.messages import MAX_FAULTS
 from hil.models.camera_timing import TIME_SLACK_S
 
 KIND, NUMBER, AT, UNTIL, VALUE, SIZE, OPTION = 0, 1, 2, 3, 4, 7, 8
-"""Columns of a row. NUMBER: of thruster or axis. VALUE: the first of three, SI. OPTION: sensor, or stamp."""
+"""Columns of a row. NUMBER: of thruster or axis. VALUE: the first of three, SI. SIZE: of an outlier, m, or the least
+light of visible LEDs, 1/m^2. OPTION: sensor, or stamp."""
 COLUMNS = 9
 
 FAULTS = np.dtype([("n", "i8"), ("seed", "i8"), ("row", "f8", (MAX_FAULTS, COLUMNS))], align=True)

@@ -10,7 +10,7 @@ import numpy as np
 from hil.config.body import CentralBody
 from hil.config.load import load_body
 from hil.config.scenario import Scenario
-from hil.config.truth import Orbit, SolarArray
+from hil.config.truth import BendingMode, Orbit, SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
 from hil.dynamics.central_gravity import acceleration, field_table
@@ -22,7 +22,7 @@ from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.errors import BadInput, Problem
 from hil.maths import euler, quat
-from hil.params.errors import imu_errors, thruster_errors
+from hil.params.errors import imu_errors, plume, thruster_errors
 from hil.params.faults import fault_rows
 from hil.params.target import start_attitude, target_attitude
 
@@ -100,12 +100,16 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params.thruster_errors = thruster_errors(scenario, seed)
     params.thruster_faults, params.target_faults = fault_rows(scenario, "thruster"), fault_rows(scenario, "target")
     params.target_attitude = target_attitude(scenario)
+    params.plume = plume(scenario)
     _set_thrusters(params, scenario, thruster_draws)
     _set_gravity(params, scenario)
     _set_sun(params, scenario)
     _set_orbit_forces(params.forces, scenario)
     if scenario.chaser.solar_array is not None:
         _set_array(params, scenario, scenario.chaser.solar_array)
+    gyration = np.array(scenario.chaser.propellant_gyration_m)
+    params.mass.full_kg, params.mass.gyration_squared = scenario.chaser.mass_kg, gyration**2
+    params.mass.varies = gyration.any() or (params.flexible_array and params.modes.moves)
     return params
 
 
@@ -187,11 +191,31 @@ def _set_array(params: np.record, scenario: Scenario, array: SolarArray) -> None
     params.plate.arm = np.array(array.centre_m) - params.mass_centre
     params.plate.specular = array.specular
     params.plate.diffuse = array.diffuse
-    coupling = np.array(array.mode_coupling)
-    params.mode.frequency = 2.0 * math.pi * array.mode_frequency_hz
-    params.mode.damping = array.mode_damping
-    params.mode.coupling = coupling
-    params.mode.inertia_inverse = np.linalg.inv(params.inertia - np.outer(coupling, coupling))
+    _set_modes(params.modes, bending_modes(array))
+    rigid = np.array(params.inertia)
+    for coupling in params.modes.coupling[: params.modes.n]:
+        rigid -= np.outer(coupling, coupling)
+    params.modes.inertia_inverse = np.linalg.inv(rigid)
+
+
+def bending_modes(array: SolarArray) -> tuple[BendingMode, ...]:
+    """Return all modes of ``array``, that of its own keys first."""
+    first = BendingMode(
+        frequency_hz=array.mode_frequency_hz,
+        damping=array.mode_damping,
+        coupling=array.mode_coupling,
+        translation_coupling=array.mode_translation_coupling,
+    )
+    return first, *array.further_modes.values()
+
+
+def _set_modes(params: np.record, modes: tuple[BendingMode, ...]) -> None:
+    """Write MODES but for the inertia."""
+    params.n = len(modes)
+    for k, mode in enumerate(modes):
+        params.frequency[k], params.damping[k] = 2.0 * math.pi * mode.frequency_hz, mode.damping
+        params.coupling[k], params.translation[k] = mode.coupling, mode.translation_coupling
+    params.moves = params.translation.any()
 
 
 def initial_truth(scenario: Scenario) -> np.record:

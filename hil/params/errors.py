@@ -11,11 +11,15 @@ from hil.config.model import Triple
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.dynamics.imu_errors import IMU_ERRORS
+from hil.dynamics.plume import PLUME_PARAMS
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
 from hil.dynamics.vision_errors import VISION_ERRORS
 from hil.maths import quat
 
 SEED_BITS: Final = 0x7FFF_FFFF_FFFF_FFFF
+LEAST_SNR: Final = 6.0
+"""Of a spot's light over its noise, from which on the vision unit sees it."""
+_PLUME_SPAN_S: Final = 0.02
 
 
 def vision_errors(scenario: Scenario, seed: int = 0) -> np.record:
@@ -56,8 +60,32 @@ def thruster_errors(scenario: Scenario, seed: int = 0) -> np.record:
     params.impulse_scatter = given.impulse_scatter_sigma
     params.half_pressure_kg = given.half_pressure_kg or 0.0
     params.mass_full_kg = scenario.chaser.mass_kg
-    params.enabled = any(value for value in given.model_dump().values())
+    delays = (given.delay_s, given.rise_s, given.tail_off_s)
+    params.enabled = any(delays) or given.impulse_scatter_sigma > 0.0 or given.half_pressure_kg is not None
     return params
+
+
+def plume(scenario: Scenario) -> np.record:
+    """Return PLUME_PARAMS."""
+    thrusters, params = scenario.chaser.thrusters, new(PLUME_PARAMS)
+    given = thrusters.errors
+    params.radius, params.target_mass = given.plume_target_radius_m, given.plume_target_mass_kg
+    params.exponent, params.thrust = given.plume_exponent, thrusters.force_n
+    params.dimming, params.least_light = given.plume_dimming_fraction, least_light(scenario)
+    params.span_s = max(_PLUME_SPAN_S, scenario.sample_s)
+    return params
+
+
+def least_light(scenario: Scenario) -> float:
+    """Return the least light of a visible LED, 1/m^2: that of an LED which is not dimmed, over its distance squared.
+
+    The spot of a point of light, a Gaussian of known width s, has the flux F with the variance ``4 pi s^2 v + F / e``
+    of read and background noise v per pixel and of shot noise, e electrons per level: the root of F = LEAST_SNR sigma.
+    """
+    images = scenario.vmu.images
+    per_pixel = images.read_noise_levels**2 + images.background_levels / images.electrons_per_level
+    dark, half = 4.0 * math.pi * images.psf_sigma_px**2 * per_pixel, 0.5 * LEAST_SNR**2 / images.electrons_per_level
+    return (half + math.sqrt(half * half + LEAST_SNR**2 * dark)) / images.led_flux_1m_levels
 
 
 def _gain(scale_error: Triple, misalignment_deg: Triple) -> Array:

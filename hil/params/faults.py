@@ -13,7 +13,7 @@ from hil.core.messages import new
 from hil.dynamics import imu_faults, target_faults, thruster_faults, vision_faults
 from hil.models import axis_faults
 from hil.models.faults import AT, FAULTS, KIND, NUMBER, OPTION, SIZE, UNTIL, VALUE
-from hil.params.errors import SEED_BITS
+from hil.params.errors import SEED_BITS, least_light
 
 _KERNELS: Final = {
     "vmu": vision_faults,
@@ -40,7 +40,7 @@ def fault_rows(scenario: Scenario, family: str, seed: int = 0) -> np.record:
         row[AT], row[UNTIL] = fault.at_s, fault.end_s
         values = np.array(fault.values) * _si_per_unit(fault)
         row[VALUE : VALUE + len(values)] = values
-        row[SIZE] = fault.size_m or 0.0
+        row[SIZE] = least_light(scenario) if fault.kind == "dimmed" else fault.size_m or 0.0
         row[OPTION] = _option(fault)
     return table
 

@@ -197,8 +197,10 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
         loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
     if rig.guard.enabled:
         loop.guard = GuardStage(bench_params.bench_guard(rig, scenario), loop.bench)
-    if any(fault.family == "vmu" for fault in job.truth.faults):
-        loop.vision.faults = FrameFaults(fault_rows(job.truth, "vmu", job.seed), vision_params.mounting(rig))
+    plume, plume_memory = loop.dss.params.plume, loop.dss.memory.plume
+    if any(fault.family == "vmu" for fault in job.truth.faults) or plume.dimming > 0.0:
+        faults = fault_rows(job.truth, "vmu", job.seed)
+        loop.vision.faults = FrameFaults(faults, vision_params.mounting(rig), plume, plume_memory)
     if any(fault.family == "axis" for fault in job.truth.faults):
         assert isinstance(rails, MockAxes)
         assert isinstance(turntable, MockAxes)

@@ -27,7 +27,7 @@ from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision import VISION_PARAMS, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
-from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame
+from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
 from hil.gnc import guidance, integrity, navigation
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
@@ -258,14 +258,18 @@ def _count_arrival(state, frame):
 
 @kernel
 def _disturb_frames(params, state, now_s, frames, delayed):
-    """Move the frames that have arrived by ``now_s`` into ``delayed``, with the faults of the vision unit."""
+    """Move the frames that have arrived by ``now_s`` into ``delayed``, with plumes and faults of the vision unit."""
+    plume = params.dss.plume
     while True:
         i = _next_arrival(frames, state.in_transit)
         if i < 0 or frames[i].received_s > now_s + TIME_SLACK_S:
             return
-        if _count_arrival(state, frames[i]) and disturb_frame(
-            params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frames[i]
-        ):
+        is_seen = _count_arrival(state, frames[i])
+        if is_seen and plume.dimming > 0.0:
+            is_seen = see_through_plume(
+                plume, state.truth_memory.plume, params.vmu_faults.seed, state.zero_s, frames[i]
+            )  # fmt: skip
+        if is_seen and disturb_frame(params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frames[i]):
             delayed[state.delayed] = frames[i]
             state.delayed += 1
         state.in_transit = _take_frame(frames, i, state.in_transit)
@@ -276,11 +280,11 @@ def _receive_poses(params, state, now_s, frames, delayed, poses, arrivals):
     """Write the poses that have arrived by ``now_s`` into ``poses`` (MAX_POSES,); return their number, -1 on timeout.
 
     Of more than MAX_POSES the last ones are kept. delayed: as many as ``frames``, received and not yet passed on; used
-    if the vision unit has faults. arrivals: of ARRIVAL, receives every frame; (0,) for none.
+    if the vision unit has faults or plumes dim its LEDs. arrivals: of ARRIVAL, receives every frame; (0,) for none.
     """
     arrived = 0
     logged = state.logged
-    has_faults = params.vmu_faults.n != 0
+    has_faults = params.vmu_faults.n != 0 or params.dss.plume.dimming > 0.0
     if has_faults:
         _disturb_frames(params, state, now_s, frames, delayed)
     queue = delayed if has_faults else frames
