@@ -71,7 +71,7 @@ UNITS: Final = {
 """Last words of a key -> unit."""
 NO_UNIT: Final = re.compile(
     r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
-    r"|direction|pole|zonal|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk)$"
+    r"|direction|pole|zonal|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk|exponent)$"
 )
 """Numbers without unit. New keys need a unit in their name, or one of these words."""
 NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {

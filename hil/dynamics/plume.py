@@ -96,7 +96,7 @@ def keep_share(plume, memory, t_s, share):
 
 @kernel
 def share_at(plume, memory, t_s):
-    """Return the share at ``t_s`` of the run, at most 1; 0 where none is kept."""
+    """Return the share at ``t_s`` of the run, at most 1; 0 at a time of which none is kept."""
     number = to_integer(math.floor(t_s / plume.span_s))
     if number > memory.newest + 1 or number <= memory.newest - _KEPT or number < 0:
         return 0.0

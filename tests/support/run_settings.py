@@ -71,5 +71,14 @@ ALL_ERRORS = (
     "chaser.thrusters.errors.tail_off_s=0.02",
     "chaser.thrusters.errors.impulse_scatter_sigma=0.1",
     "chaser.thrusters.errors.half_pressure_kg=1.0",
+    "chaser.thrusters.errors.plume_target_radius_m=0.6",
+    "chaser.thrusters.errors.plume_target_mass_kg=700.0",
+    "chaser.thrusters.errors.plume_dimming_fraction=0.9",
+    "chaser.propellant_gyration_m=[0.4, 0.5, 0.6]",
+    "chaser.solar_array.mode_translation_coupling=[1.0, 0.0, 4.0]",
+    "chaser.solar_array.further_modes.second.frequency_hz=0.7",
+    "chaser.solar_array.further_modes.second.damping=0.01",
+    "chaser.solar_array.further_modes.second.coupling=[0.0, 4.0, 1.0]",
+    "chaser.solar_array.further_modes.second.translation_coupling=[2.0, -1.0, 0.0]",
 )
-"""Settings with all terms of the error models."""
+"""Settings with all terms of the error models, and of the truth those that no shipped scenario has."""

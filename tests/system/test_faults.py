@@ -29,6 +29,7 @@ VALUES = {
     "vmu.noise_scale": 5.0,
     "vmu.sigma_scale": 3.0,
     "vmu.latency": 0.35,
+    "vmu.dimmed": 0.75,
     "imu.bias_step": [0.01, -0.02, 0.03],
     "imu.scale_factor": 1.1,
     "imu.noise_scale": 4.0,
@@ -47,6 +48,7 @@ VALUES = {
     "axis.oscillation": [0.005, 2.0],
     "target.jump": [0.1, 0.0, 0.0],
     "target.drift": [0.01, 0.02, 0.0],
+    "target.plume": 1.0,
 }
 NAMES = {"thruster": "thruster.2", "axis": "rails.x"}
 KINDS = [f"{family}.{kind}" for family, kinds in TERMS.items() for kind in kinds]
@@ -226,6 +228,23 @@ def test_noise_grows_and_sigma_does_not(healthy: np.ndarray) -> None:
     )
 
 
+def test_dimmed_leds_are_noisier_and_reported_so_until_they_are_lost(healthy: np.ndarray) -> None:
+    dim, usual = during(fly(fault("vmu.dimmed")))["pose"], during(healthy)["pose"]
+    ratio = dim["covariance_position"][:, 0, 0] / usual["covariance_position"][:, 0, 0]
+    assert np.median(ratio) == pytest.approx(4.0, rel=0.1)
+    assert not during(fly(fault("vmu.dimmed", value=0.99)))["pose"]["fresh"].any()  # 5 m away
+    assert during(fly(fault("vmu.dimmed", value=0.97)))["pose"]["fresh"].any()
+
+
+def test_lights_that_go_out_end_the_approach() -> None:
+    dark = fault("vmu.dimmed", at_s=20.0, until_s=100.0, value=1.0)
+    scenario, rig = load_scenario("scheme-1", (_settings(dark),)).value, load_rig("mock").value
+    stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
+    row = row_of(stats, stop, scenario, scenario)
+    assert (row["detected_by"], row["reaction"]) == ("navigation", "abort")
+    assert 20.0 <= row["detected_s"] <= 30.0
+
+
 def test_latency_ages_the_poses() -> None:
     rows = during(fly(fault("vmu.latency", stamp="exposure")))
     fresh = rows[rows["pose"]["fresh"] > 0]
@@ -280,3 +299,16 @@ def test_the_target_jumps_and_drifts_away(healthy: np.ndarray) -> None:
     assert np.allclose(jumped[onset], [-0.1, 0.0, 0.0], atol=1e-6)
     moved = fly(fault("target.drift"))["truth"]["v_CT_H"] - healthy["truth"]["v_CT_H"]
     assert np.allclose(moved[onset], [-0.01, -0.02, 0.0], atol=1e-6)
+
+
+def test_plumes_push_the_target_without_being_measured() -> None:
+    near = ("initial.position_m=[2.0, 0.0, 0.0]",)
+    # the chaser brakes with the thrusters whose plumes meet the target
+    away = {"at_s": 0.0, "until_s": END_S, "value": 3.0}
+    still, pushed = (fly(*faults, settings=near) for faults in ((), (fault("target.plume", **away),)))
+    fired = still["truth"]["thrust_fraction"][:, [0, 4, 8, 12]].any(axis=1)
+    first = int(fired.argmax())
+    gained = pushed["truth"]["v_CT_H"][first + 1] - still["truth"]["v_CT_H"][first + 1]
+    assert fired[first]
+    assert gained[0] > 1e-7
+    assert_same_bits(pushed["imu"][: first + 1], still["imu"][: first + 1])

@@ -109,3 +109,31 @@ def test_delay_of_more_steps_than_are_kept_is_rejected() -> None:
     assert str(problem) == (
         "--set: chaser.thrusters.errors.delay_s: 0.6: at most 128 steps of the truth are kept, 0.512 s"
     )
+
+
+def test_plumes_modes_and_propellant_are_dispersed_like_any_number() -> None:
+    settings = (
+        "chaser.solar_array.further_modes.second={frequency_hz = 0.7, damping = 0.01}",
+        *(
+            f'dispersions.chaser.{key}={{kind = "uniform", low = 0.1, high = 0.2}}'
+            for key in (
+                "propellant_gyration_m",
+                "solar_array.mode_translation_coupling",
+                "solar_array.further_modes.second.frequency_hz",
+                "thrusters.errors.plume_target_radius_m",
+            )
+        ),
+    )
+    design = Design(load_scenario("scheme-1", settings), 0)
+    truth, gnc = design.apply(design.values(3))
+    chaser, array = truth.chaser, truth.chaser.solar_array
+    assert array is not None
+    drawn = (
+        *chaser.propellant_gyration_m,
+        *array.mode_translation_coupling,
+        array.further_modes["second"].frequency_hz,
+        chaser.thrusters.errors.plume_target_radius_m,
+    )
+    assert all(0.1 < value < 0.2 for value in drawn)
+    assert len(set(drawn)) == 8
+    assert gnc.chaser.propellant_gyration_m == (0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.flexible_array import MODE_PARAMS, add_bending, bending
+from hil.dynamics.flexible_array import MODES, add_bending, bending
 from hil.dynamics.orbit import state_of_elements
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, SOLAR_PRESSURE_PA, pressure_force
@@ -132,9 +132,9 @@ def test_sunlight_accelerates_turns_and_is_felt_by_the_accelerometer(plain_1: Sc
 
 @pytest.fixture
 def mode() -> np.record:
-    mode = new(MODE_PARAMS)
-    mode.frequency, mode.coupling = 1.5, [7.0, -3.0, 2.0]
-    mode.inertia_inverse = np.linalg.inv(J - np.outer(mode.coupling, mode.coupling))
+    mode = new(MODES)
+    mode.n, mode.frequency[0], mode.coupling[0] = 1, 1.5, [7.0, -3.0, 2.0]
+    mode.inertia_inverse = np.linalg.inv(J - np.outer(mode.coupling[0], mode.coupling[0]))
     return mode
 
 
@@ -144,10 +144,10 @@ def test_hub_and_mode_satisfy_their_coupled_equations(mode: np.record, rng: np.r
     for _ in range(20):
         w, torque, eta, rate = rng.standard_normal(3), 10.0 * rng.standard_normal(3), *rng.standard_normal(2)
         load = torque.copy()
-        spring = add_bending(mode, w, eta, rate, load)
+        spring = add_bending(mode, 0, w, eta, rate, load)
         angular_acceleration(J, mode.inertia_inverse, w, load, dw)
-        bend = bending(mode, spring, dw)
-        d = mode.coupling
+        bend = bending(mode, 0, spring, dw)
+        d = mode.coupling[0]
         hub = J @ dw + np.cross(w, J @ w + d * rate) + d * bend - torque
         np.testing.assert_allclose(hub, 0.0, atol=1e-9)
         assert bend + 2 * 0.02 * 1.5 * rate + 1.5**2 * eta + d @ dw == pytest.approx(0.0, abs=1e-12)
@@ -156,20 +156,20 @@ def test_hub_and_mode_satisfy_their_coupled_equations(mode: np.record, rng: np.r
 def bent(plain_1: Scenario, damping: float) -> tuple[np.record, np.record]:
     scenario = with_truth(plain_1, flexible_array=True)
     params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
-    params.mode.damping = damping
+    params.modes.damping = damping
     truth.w_CI_C, truth.eta, truth.eta_rate = [0.03, -0.04, 0.05], 0.4, -0.2
     return params, truth
 
 
 def momentum(params: np.record, truth: np.record) -> np.ndarray:
     """Return the angular momentum of hub and array, (3,), N m s, inertial."""
-    inner = params.inertia @ truth.w_CI_C + params.mode.coupling * truth.eta_rate
+    inner = params.inertia @ truth.w_CI_C + params.modes.coupling[0] * truth.eta_rate
     return np.asarray(quat.to_matrix(truth.q_HI).T @ quat.to_matrix(truth.q_CH).T @ inner)
 
 
 def energy(params: np.record, truth: np.record) -> float:
-    hub = 0.5 * truth.w_CI_C @ params.inertia @ truth.w_CI_C + truth.eta_rate * params.mode.coupling @ truth.w_CI_C
-    return float(hub + 0.5 * truth.eta_rate**2 + 0.5 * (params.mode.frequency * truth.eta) ** 2)
+    hub = 0.5 * truth.w_CI_C @ params.inertia @ truth.w_CI_C + truth.eta_rate * params.modes.coupling[0] @ truth.w_CI_C
+    return float(hub + 0.5 * truth.eta_rate**2 + 0.5 * (params.modes.frequency[0] * truth.eta) ** 2)
 
 
 def test_undamped_bending_keeps_momentum_and_energy(plain_1: Scenario) -> None:
@@ -194,7 +194,7 @@ def test_damping_takes_energy_and_no_momentum(plain_1: Scenario) -> None:
 def test_torque_pulse_makes_the_array_swing_at_the_coupled_frequency(plain_1: Scenario) -> None:
     scenario = with_truth(plain_1, flexible_array=True)
     params, truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
-    params.mode.damping = 0.0
+    params.modes.damping = 0.0
     kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, firing(2, 7))
     assert truth.eta != 0.0
     swing = []
@@ -202,8 +202,8 @@ def test_torque_pulse_makes_the_array_swing_at_the_coupled_frequency(plain_1: Sc
         swing.append(float(truth.eta))
         kernels.step(params, NO_FIELD, new(TRUTH_MEMORY), truth, QUIET)
     spectrum = np.abs(np.fft.rfft(swing))
-    d = params.mode.coupling
-    coupled = params.mode.frequency / math.sqrt(1.0 - d @ params.inertia_inverse @ d)
+    d = params.modes.coupling[0]
+    coupled = params.modes.frequency[0] / math.sqrt(1.0 - d @ params.inertia_inverse @ d)
     assert np.fft.rfftfreq(3000, 0.02)[spectrum.argmax()] == pytest.approx(coupled / (2 * math.pi), abs=1.0 / 60.0)
 
 
