@@ -9,7 +9,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar, get_origin
 
@@ -58,6 +58,7 @@ _UNIT = re.compile(
 )
 
 
+@cache
 def configs_folder() -> Path:
     """Return the folder of the shipped configs: next to the package in a checkout, inside it if installed."""
     package = Path(__file__).resolve().parent.parent

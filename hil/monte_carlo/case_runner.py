@@ -208,7 +208,7 @@ class CaseRunner:
 
     def _clear(self) -> None:
         for block in (self._state_block, self._stats_block, self._memory, self._samples):
-            block[...] = np.zeros((), block.dtype)
+            block.view(np.uint8).fill(0)
         start_run_stats(self._stats)
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
