@@ -209,6 +209,7 @@ def test_emulated_cameras_have_one_interface(capsys: pytest.CaptureFixture[str])
     [
         ('pixel_format="Mono12"', "vmu.left: pixel format 'Mono12': the camera has "),
         ('trigger_source="Line7"', "vmu.left: trigger source 'Line7': the camera has "),
+        ('trigger_source="Line0"', "allowed 0.4 s; trigger at Line0?"),  # at which there is no signal
     ],
 )
 def test_cameras_that_cannot_be_used_are_one_line(setting: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -218,6 +219,24 @@ def test_cameras_that_cannot_be_used_are_one_line(setting: str, text: str, capsy
     assert execute(["run", "scheme-1", *typed(*settings), *options]) == SAFE_STOPPED
     (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("safe stop: "))
     assert text in line
+
+
+@pytest.mark.slow
+def test_a_camera_of_another_size_than_its_pair_is_one_line(
+    approach: tuple[Rig, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig, geometry = approach
+    size = rig.vmu.camera.width_px, rig.vmu.camera.height_px
+    smaller = size[0] // 2, size[1] // 2
+    with ExitStack() as stack:
+        for address, pixels in ((LEFT, size), (RIGHT, smaller)):
+            image = np.zeros(pixels[::-1], np.uint8)
+            stack.enter_context(emulated(address, lambda t_s, image=image: image, pixels))
+        options = ("--geometry", str(geometry), "--out", str(geometry.with_name("poses.csv")))
+        assert execute(["vmu", f"camera:{LEFT},{RIGHT}", *options]) == SAFE_STOPPED
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if "images of" in line)
+    expected = f"images of {smaller[0]} x {smaller[1]} px, the geometry has {size[0]} x {size[1]}"
+    assert line.endswith(f"vmu.right: {expected}")
 
 
 def test_a_missing_camera_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
