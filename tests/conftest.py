@@ -33,12 +33,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Assign each test to the group of one worker, so that expensive fixtures are made once.
 
     Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
-    module is a group of its own. A test that failed while the computer paused is run a second time.
+    module is a group of its own. A test that failed while the computer paused is run again, at most twice.
     """
     repeats = config.pluginmanager.hasplugin("rerunfailures")
     for item in items:
         if repeats:
-            item.add_marker(pytest.mark.flaky(reruns=1, condition=_PAUSED))
+            item.add_marker(pytest.mark.flaky(reruns=2, condition=_PAUSED))
         if item.get_closest_marker("wires"):
             item.add_marker(pytest.mark.xdist_group("wires"))
         elif not item.get_closest_marker("xdist_group"):
