@@ -43,6 +43,7 @@ POINT_COLUMNS: Final = (LEVEL, PARENT, SCALE)
 """Columns of a rare-event campaign's cases."""
 PER_LEVEL: Final = 1000
 _UNIT: Final = STEPS * BATCH  # of the cases per level: chains in whole batches
+_LARGE_FAMILY: Final = 0.5  # part of the event's samples that the terminal names
 _SHOWN: Final = 50  # failing cases in the summary
 _DRIVERS: Final = 10
 _LEAST_FACTOR, _FACTORS = 0.05, 96  # of a dispersion's spread
@@ -169,6 +170,7 @@ class RareCampaign:
             ],
             "extreme": sign * max(finite) if finite else None,
             "without_value": self._missing_values,
+            "largest_family": estimate.largest_family,
             "failing_cases": len(failing),
             "failing": [{"case": number, "value": sign * self._values[number]} for number in failing[:_SHOWN]],
             "drivers": self._drivers(estimate),
@@ -228,7 +230,9 @@ def verdict_line(rare: dict[str, Any]) -> str:
         return f"{event}: no estimate by {rare['method']}: {rare['verdict']}, {rare['failing_cases']} of {cases} met it"
     text = f"{event}: probability {rare['probability']:.3g} ({rare['low']:.2g} .. {rare['high']:.2g})"
     met = "always met, " if rare["probability"] == 1.0 else ""
-    return f"{text}, {met}c.o.v. {rare['cov']:.2f}, {cases}"
+    largest = rare.get("largest_family")
+    family = f"; {100.0 * largest:.0f} % of it descend from one case" if largest and largest > _LARGE_FAMILY else ""
+    return f"{text}, {met}c.o.v. {rare['cov']:.2f}, {cases}{family}"
 
 
 def _number(value: float | None) -> str:

@@ -96,6 +96,7 @@ class Estimate:
     """Result of a method. probability: None without an estimate, which is then at most ``upper``.
 
     samples, weights: numbers of the points that met the event, and their weights, with a sum of 1.
+    largest_family: part of the weights that descends from the same point of the first level.
     """
 
     verdict: str
@@ -107,6 +108,7 @@ class Estimate:
     levels: list[Level]
     samples: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     weights: Array = field(default_factory=lambda: np.zeros(0))
+    largest_family: float | None = None
 
 
 Method = Generator[list[NormalPoint], Array, Estimate]
@@ -134,6 +136,16 @@ def chain_correlation(indicator: np.ndarray) -> float:
         covariance = float((values[:, :-lag] * values[:, lag:]).mean()) - mean * mean
         found += 2.0 * (1.0 - lag / steps) * covariance / variance
     return max(0.0, found)
+
+
+def families_cov(shares: Array, size: int, levels: int) -> float:
+    """Return the coefficient of variation of an estimate by the families of its samples: Lee and Whiteley, eq. (9).
+
+    A. Lee, N. Whiteley, Biometrika 105 (2018) 609-625. shares: parts of the samples, (n,), that descend from the same
+    point of the first level; size: of each level.
+    """
+    growth = (size / (size - 1.0)) ** levels
+    return math.sqrt(max(0.0, 1.0 - growth * (1.0 - float(shares @ shares))))
 
 
 def method_generator(seed: int, level: int) -> np.random.Generator:

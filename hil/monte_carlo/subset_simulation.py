@@ -3,6 +3,9 @@
 S. K. Au and J. L. Beck, Probabilistic Engineering Mechanics 16 (2001) 263-277; the chains move by conditional sampling
 with an adaptive scale: I. Papaioannou et al., Probabilistic Engineering Mechanics 41 (2015) 89-103. All chains move
 together, so that the points do not depend on the order in which their values arrive.
+
+The coefficient of variation is the larger of two: of the levels' fractions with the correlation inside the chains, and
+of the families of the samples (``families_cov``), which also has the common ancestors of chains of later levels.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from hil.monte_carlo.rare_events import (
     Method,
     NormalPoint,
     chain_correlation,
+    families_cov,
     lognormal_interval,
     method_generator,
 )
@@ -56,9 +60,13 @@ class AdaptiveScale:
 
 @dataclass
 class _LevelSamples:
-    """Samples of a level: numbers of their points, values, and whether they are rows of chains, (chains, steps)."""
+    """Samples of a level: numbers of their points, of their ancestors in the first level, and values.
+
+    (per_level,), of a later level (chains, steps).
+    """
 
     points: np.ndarray
+    ancestors: np.ndarray
     values: Array
     acceptance: float = math.nan
 
@@ -73,7 +81,8 @@ class _LevelSamples:
 def subset_simulation(threshold: float, per_level: int, seed: int) -> Method:
     """Estimate the probability that a value is above ``threshold``; per_level: samples, a multiple of ``STEPS``."""
     chains = per_level // STEPS
-    samples = _LevelSamples(np.arange(per_level), (yield [NormalPoint(i, FRESH, 1.0, 0) for i in range(per_level)]))
+    numbers = np.arange(per_level)
+    samples = _LevelSamples(numbers, numbers, (yield [NormalPoint(i, FRESH, 1.0, 0) for i in range(per_level)]))
     used, levels, scale = per_level, list[Level](), AdaptiveScale()
     bound: float | None = None
     while np.count_nonzero(samples.values > threshold) < chains:
@@ -116,7 +125,8 @@ def _chains(
         number += len(seeds)
         accepted += int(np.count_nonzero(inside))
         scale.update(float(inside.mean()), step)
-    return _LevelSamples(points, values, accepted / (len(seeds) * (STEPS - 1)))
+    ancestors = np.repeat(samples.ancestors.ravel()[seeds, None], STEPS, axis=1)
+    return _LevelSamples(points, ancestors, values, accepted / (len(seeds) * (STEPS - 1)))
 
 
 def _estimate(
@@ -125,15 +135,19 @@ def _estimate(
     met = samples.values > threshold
     levels = [*levels, samples.level(bound, met)]
     probability = math.prod(level.fraction for level in levels)
+    _, counts = np.unique(samples.ancestors[met], return_counts=True)
+    shares = counts / counts.sum()
     cov = math.sqrt(sum(level.cov**2 for level in levels))
     if bound is None:
         rate = wilson(int(np.count_nonzero(met)), met.size)
         low, high = float(rate["low"]), float(rate["high"])
     else:
+        cov = max(cov, families_cov(shares, samples.values.size, len(levels)))
         low, high = lognormal_interval(probability, cov)
     numbers, times = np.unique(samples.points[met], return_counts=True)
     verdict = ALWAYS if bound is None and met.all() else ESTIMATED
-    return Estimate(verdict, probability, cov, high, low, used, levels, numbers, times / times.sum())
+    weights = times / times.sum()
+    return Estimate(verdict, probability, cov, high, low, used, levels, numbers, weights, float(shares.max()))
 
 
 def _without(

@@ -113,6 +113,19 @@ def test_one_in_a_million_in_25000_dimensions_is_within_30_percent() -> None:
     assert drawn > ONE_IN_A_MILLION
 
 
+def test_cov_shows_that_few_first_samples_found_the_second_cause_of_an_event() -> None:
+    def two_causes(u: Array) -> float:
+        return float(u[0]) if u[1] < 3.0 else 6.0 + float(u[2])
+
+    probability = norm.sf(3.0) * norm.cdf(1.0) + norm.cdf(3.0) * norm.sf(5.0)
+    found = [estimate(two_causes, 5.0, 1000, seed) for seed in range(60)]
+    estimates = np.array([e.probability for e in found])
+    cov = np.array([e.cov for e in found])
+    assert estimates.mean() == pytest.approx(probability, rel=0.25)
+    assert cov.mean() == pytest.approx(estimates.std(ddof=1) / estimates.mean(), rel=0.25)
+    assert np.mean([e.largest_family for e in found]) > 0.5
+
+
 @pytest.mark.parametrize(
     ("threshold", "verdict", "probability"),
     [(-9.0, ALWAYS, 1.0), (0.0, ESTIMATED, 0.5), (50.0, NEVER, None)],
