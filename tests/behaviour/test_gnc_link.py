@@ -44,7 +44,7 @@ def at_cycle(bench: Split, events: dict[int, object]) -> None:
 def test_loss_delay_reorder_and_duplicates_are_counted_and_flown_through() -> None:
     with (
         split_bench("scheme-1", 3.0, PATIENT, lock_step=False) as bench,
-        Relay(bench.link.address, loss=0.02, delay_s=0.005, jitter_s=0.03, duplicate=0.05) as relay,
+        Relay(bench.link.address, loss=0.06, delay_s=0.005, jitter_s=0.03, duplicate=0.05) as relay,
         gnc_thread("scheme-1", relay.address) as gnc,
     ):
         outcome = bench.fly()
