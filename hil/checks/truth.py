@@ -7,6 +7,7 @@ import numpy as np
 from hil.config.body import CentralBody
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
+from hil.core.messages import Array
 from hil.dynamics.gravity_file import GravityFileError
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.errors import BadInput, Problem
@@ -112,9 +113,8 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     if smallest <= 0.0:
         key = "chaser.solar_array.mode_coupling"
         text = (
-            f"{turning.tolist() if len(modes) > 1 else turning[0].tolist()}: the array would have more inertia than "
-            f"the vehicle: inertia_kg_m2 minus the square of the coupling must be positive definite, its smallest "
-            f"moment is {smallest:.4g} kg m^2"
+            f"{_shown(turning)}: the array would have more inertia than the vehicle: inertia_kg_m2 minus the square "
+            f"of the coupling must be positive definite, its smallest moment is {smallest:.4g} kg m^2"
         )
         return [Problem(scenario.where(key), key, text)]
     if not moving.any():
@@ -127,11 +127,16 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
         return []
     key = "chaser.solar_array.mode_translation_coupling"
     text = (
-        f"{moving.tolist() if len(modes) > 1 else moving[0].tolist()}: the array would be heavier than the vehicle: "
-        f"mass and inertia minus the squares of the couplings must be positive definite, smallest eigenvalue "
-        f"{smallest:.4g}"
+        f"{_shown(moving)}: the array would be heavier than the vehicle: mass and inertia minus the squares of the "
+        f"couplings must be positive definite, smallest eigenvalue {smallest:.4g}"
     )
     return [Problem(scenario.where(key), key, text)]
+
+
+def _shown(couplings: Array) -> list[float] | list[list[float]]:
+    """Return the couplings of all modes (n, 3), that of a single mode as the file has it."""
+    found: list[list[float]] = couplings.tolist()
+    return found if len(found) > 1 else found[0]
 
 
 def _check_propellant(scenario: Loaded[Scenario]) -> list[Problem]:

@@ -143,7 +143,7 @@ def _region(roi: str | None, scene: Scene) -> Region | None:
         left, top, wide, high = 0, 0, 0, 0
     if error := scene.camera.region_error((left, top, wide, high)):
         raise BadInput.single("--roi", "", f"{roi}: {error}")
-    return Region(left, top, left + wide, top + high)
+    return Region.of_box(left, top, wide, high)
 
 
 def _columns() -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
 from hil.errors import SafetyTrip
 from hil.frmn.mailbox import Mailbox
-from hil.frmn.search_region import SearchRegion
+from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder
@@ -206,14 +206,8 @@ class RemoteOperator(Operator):
         """Set the docking monitor's region of search, u, v, width, height, px; return the reason of a rejection."""
         if self._search is None:
             return NO_MONITOR
-        text = "the whole image"
-        if box is None:
-            self._search.set(None)
-        else:
-            u, v, width, height = box
-            self._search.set((u, v, width, height))
-            text = f"{u},{v},{width},{height} px"
-        self._log_event("operator", operator, f"the docking monitor searches {text}")
+        self._search.set(box)
+        self._log_event("operator", operator, f"the docking monitor searches {box_text(box)}")
         return ""
 
     def _adjust(self, change: dict[str, Any], operator: str) -> str:

@@ -17,6 +17,7 @@ from hil.console.session_manager import SessionManager
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 from hil.errors import BadInput, one_line
+from hil.frmn.search_region import box_text
 from hil.setup.assembly import Job
 
 CONFIRMATIONS: Final = {
@@ -257,8 +258,7 @@ class ConsoleService(SessionManager):
         if text := await self.session.ask(search=box, by=client.name):
             raise RequestRejected(text)
         self.state.search = box
-        where = "the whole image" if box is None else f"{','.join(map(str, box))} px"
-        self.log(f"{client.name}: the docking monitor searches {where}")
+        self.log(f"{client.name}: the docking monitor searches {box_text(box)}")
 
     async def _acknowledge(self, client: Client, number: int | None) -> None:
         if number is not None and number not in {alarm.get("number") for alarm in self.state.alarms}:

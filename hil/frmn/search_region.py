@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,11 @@ Box = tuple[int, int, int, int]
 
 _BOX: Final = np.dtype([("box", "i8", 4)])
 _MAILBOXES: Final = {"search": _BOX}
+
+
+def box_text(box: Sequence[int] | None) -> str:
+    """Return what is searched, for logs: the rectangle, None for the whole image."""
+    return "the whole image" if box is None else f"{','.join(map(str, box))} px"
 
 
 class SearchRegion:
@@ -38,7 +44,7 @@ class SearchRegion:
     def descriptor(self) -> int:
         return self._block.descriptor
 
-    def set(self, box: Box | None) -> None:
+    def set(self, box: Sequence[int] | None) -> None:
         """Set the region, None for the whole image. One writer; never waits."""
         self._row["box"] = box or (0, 0, 0, 0)
         self._block["search"].write(self._row, 0.0)

@@ -26,6 +26,11 @@ class Region:
     right: int
     bottom: int
 
+    @classmethod
+    def of_box(cls, u: int, v: int, width: int, height: int) -> Region:
+        """Return the region whose first pixel is (u, v), px."""
+        return cls(u, v, u + width, v + height)
+
     @property
     def width(self) -> int:
         """Columns."""

@@ -111,11 +111,7 @@ class MonitorOfFrames:
         if self.search is None or not self.search.changed():
             return
         self._box = self.search.get()
-        if self._box is None:
-            self._monitor.search_in(None)
-            return
-        u, v, width, height = self._box
-        self._monitor.search_in(Region(u, v, u + width, v + height))
+        self._monitor.search_in(None if self._box is None else Region.of_box(*self._box))
 
     def _keep(self, portions: Sequence[Portion]) -> None:
         for portion in portions:

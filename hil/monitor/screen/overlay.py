@@ -45,7 +45,7 @@ def shapes(seen: FrameDetection) -> list[Shape]:
     if seen.region is not None:
         found += _frame(seen.region, good, REGION)
     corners = [(float(u), float(v)) for u, v in seen.corners]
-    found += [_line(one, other, good, CIRCLE) for one, other in zip(corners, corners[1:] + corners[:1], strict=True)]
+    found += _closed(corners, good, CIRCLE)
     for circle in (seen.outline, seen.disc):
         if circle is not None:
             found.append(
@@ -114,7 +114,11 @@ def is_bad(status: str) -> bool:
 def _frame(box: tuple[float, float, float, float], good: bool, part: str) -> list[Shape]:
     """Return the sides of the rectangle u, v, width, height, px."""
     u, v, width, height = box
-    corners = [(u, v), (u + width, v), (u + width, v + height), (u, v + height)]
+    return _closed([(u, v), (u + width, v), (u + width, v + height), (u, v + height)], good, part)
+
+
+def _closed(corners: list[tuple[float, float]], good: bool, part: str) -> list[Shape]:
+    """Return the sides of the polygon with these corners, px."""
     return [_line(one, other, good, part) for one, other in zip(corners, corners[1:] + corners[:1], strict=True)]
 
 
