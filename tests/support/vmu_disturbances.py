@@ -171,7 +171,10 @@ Frames = Callable[[np.random.Generator, int], Iterable[Frame]]
 
 @dataclass(frozen=True)
 class Row:
-    """One row: what the lab's geometry file states, and the frames. tracked: solved one after the other."""
+    """One row: what the lab's geometry file states, and the frames. tracked: solved one after the other.
+
+    piece: frames of each approach, on a bench of its own; 0: every frame has a pose of its own.
+    """
 
     name: str
     stated: CalibrationErrors | None
@@ -179,16 +182,27 @@ class Row:
     tracked: bool = False
     swapped: bool = False
     late: bool = False
+    piece: int = 0
     lead_in: int = 0
     """frames of a good track before the disturbance, not counted"""
     expected: Expectation = USUAL_ROW
 
     def run(self, count: int, seed: int) -> Tally:
         """Return the tally of ``count`` frames."""
-        rng, tally = np.random.default_rng(seed), Tally()
-        unit = VisionUnit(known_geometry(self.stated))
+        tally, unit = Tally(), VisionUnit(known_geometry(self.stated))
+        left = count
+        while left > 0:
+            frames = min(self.piece or count, left)
+            unit.track.drop()
+            self._solve(unit, tally, np.random.default_rng([seed, left]), frames)
+            left -= frames
+        return tally
+
+    def _solve(self, unit: VisionUnit, tally: Tally, rng: np.random.Generator, count: int) -> None:
+        """Add ``count`` frames, those of one approach if the row has approaches."""
         previous: np.ndarray | None = None
-        for k, (scene, truth) in enumerate(self.frames(rng, count + self.lead_in)):
+        uncounted = self.lead_in + self.late  # the first late image has no predecessor
+        for k, (scene, truth) in enumerate(self.frames(rng, count + uncounted)):
             left, right = scene.pair(truth.turn, truth.t_v, rng)
             shown = (left, right)
             if self.swapped:
@@ -201,9 +215,8 @@ class Row:
                 unit.track.drop()
             start = time.process_time()
             solution = unit.solve(shown[0], shown[1], PERIOD_S * k)
-            if k >= self.lead_in:
+            if k >= uncounted:
                 tally.add(solution, truth, time.process_time() - start)
-        return tally
 
 
 def _each(errors: CalibrationErrors, optics: PixelOptics | None = None) -> Frames:
@@ -244,13 +257,11 @@ class ApartScene(PixelScene):
         return self.image(0, turn, t_v, rng), self.image(1, self.seen_right.turn, self.seen_right.t_v, rng)
 
 
-def approach(
-    errors: CalibrationErrors, speed_mps: float = 0.25, from_m: float = 6.0, right_later_s: float = 0.0
-) -> Frames:
-    """Return frames of one bench on a moving approach, seen every 0.16 s; the right camera ``right_later_s`` later."""
+def approach(errors: CalibrationErrors, speed_mps: float = 0.25, right_later_s: float = 0.0) -> Frames:
+    """Return frames of a bench and an approach from 2 to 6 m, every 0.16 s; the right image ``right_later_s`` later."""
 
     def frames(rng: np.random.Generator, count: int) -> Iterable[Frame]:
-        scene, phase = real_bench(errors, rng, PixelOptics()), rng.uniform(0.0, 6.0, 3)
+        scene, phase, from_m = real_bench(errors, rng, PixelOptics()), rng.uniform(0.0, 6.0, 3), rng.uniform(2.0, 6.0)
 
         def pose_at(t: float) -> Pose:
             z = max(from_m - speed_mps * t, 1.0)
@@ -305,6 +316,9 @@ _USUAL = Expectation(solved=0.9)
 _NOT_TOGETHER = Expectation(refused=("rejected_sync", "rejected_geometry_file"))
 _OTHER_GEOMETRY = Expectation(refused=("rejected_geometry_file",))
 
+_PIECE = 8
+_TEN_MS, _FRAME_LATE = approach(VERY_GOOD, right_later_s=0.01), approach(VERY_GOOD, right_later_s=-PERIOD_S)
+
 ROWS = (
     Row("clean, known exactly", EXACT, _each(EXACT)),
     Row("clean, very good calibration stated", VERY_GOOD, _each(EXACT), expected=_SAME),
@@ -322,15 +336,27 @@ ROWS = (
     Row("very good calibration", VERY_GOOD, _each(VERY_GOOD)),
     Row("usual calibration", USUAL, _each(USUAL), expected=_USUAL),
     Row("usual calibration, nothing stated", None, _each(USUAL), expected=_USUAL),
-    Row("very good calibration, tracked", VERY_GOOD, approach(VERY_GOOD), tracked=True),
-    Row("10 ms between the cameras", _APART, approach(VERY_GOOD, right_later_s=0.01)),
-    Row("10 ms between the cameras, tracked", _APART, approach(VERY_GOOD, right_later_s=0.01), tracked=True),
-    Row("10 ms apart, not stated", VERY_GOOD, approach(VERY_GOOD, right_later_s=0.01), expected=_NOT_TOGETHER),
-    Row("glint on a tracked ring", VERY_GOOD, _glint(12), tracked=True, lead_in=12, expected=Expectation(0.5)),
-    Row("right images one frame late", VERY_GOOD, approach(VERY_GOOD), late=True, expected=_NOT_TOGETHER),
-    Row("right images late, tracked", VERY_GOOD, approach(VERY_GOOD), late=True, tracked=True, expected=_NOT_TOGETHER),
-    Row("right images late, default tolerances", None, approach(USUAL), late=True, expected=_NOT_TOGETHER),
-    Row("right images late, stated", _FRAME_APART, approach(VERY_GOOD, right_later_s=-PERIOD_S), expected=_USUAL),
+    Row("very good calibration, tracked", VERY_GOOD, approach(VERY_GOOD), tracked=True, piece=_PIECE),
+    Row("10 ms between the cameras", _APART, _TEN_MS, piece=_PIECE),
+    Row("10 ms between the cameras, tracked", _APART, _TEN_MS, tracked=True, piece=_PIECE),
+    Row("10 ms apart, not stated", VERY_GOOD, _TEN_MS, piece=_PIECE, expected=_NOT_TOGETHER),
+    Row(
+        "glint on a tracked ring", VERY_GOOD, _glint(12), tracked=True, piece=_PIECE, lead_in=12,
+        expected=Expectation(0.5),
+    ),
+    Row(
+        "right images one frame late", VERY_GOOD, approach(VERY_GOOD), late=True, piece=_PIECE,
+        expected=_NOT_TOGETHER,
+    ),
+    Row(
+        "right images late, tracked", VERY_GOOD, approach(VERY_GOOD), late=True, tracked=True, piece=_PIECE,
+        expected=_NOT_TOGETHER,
+    ),
+    Row(
+        "right images late, default tolerances", None, approach(USUAL), late=True, piece=_PIECE,
+        expected=_NOT_TOGETHER,
+    ),
+    Row("right images late, stated", _FRAME_APART, _FRAME_LATE, piece=_PIECE, expected=_USUAL),
     Row("cameras swapped", VERY_GOOD, _each(VERY_GOOD), swapped=True, expected=_OTHER_GEOMETRY),
     Row("wrong ring", VERY_GOOD, _wrong_ring, expected=_OTHER_GEOMETRY),
     Row(

@@ -19,7 +19,7 @@ Image = npt.NDArray[np.uint8]
 
 FINE = 4
 """Samples along each side of a pixel."""
-_DISC = 48
+_DISC = 400
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 
 
