@@ -14,8 +14,8 @@ from hil.errors import DeviceError
 @pytest.mark.parametrize(
     ("interface", "module", "text"),
     [
-        ("pylon", "pypylon", "vmu.left: interface pylon needs the package pypylon: "),
-        ("gentl", "harvesters", "vmu.left: interface gentl needs the packages harvesters and genicam: "),
+        ("pylon", "pypylon.pylon", "vmu.left: interface pylon needs the package pypylon: "),
+        ("gentl", "harvesters.core", "vmu.left: interface gentl needs the packages harvesters and genicam: "),
     ],
 )
 def test_a_missing_library_is_named(
