@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
+from hil.vmu.kernels.match import chi_square_limit
 from hil.vmu.kernels.records import View
 from hil.vmu.pose import OPTICS_PX, Prediction, Solver, SolverSettings, attitude_sigma_deg, is_flat, matrix_of
 
@@ -29,6 +30,7 @@ _MARKED_COST = 20.0
 _FEW_DEGREES, _FEW_SIGMA = 6, 3.3
 _BRIGHTER = 1.3
 _SHIFTED = 4.5  # sigmas between the two images
+_APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
 _OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
 _LIGHTS = 4  # in an image in which as many LEDs should be seen
 _EDGE_PX = 4.0
@@ -72,7 +74,8 @@ class Identifier:
         if verdict.fit is None or not self._complete(view, verdict.fit):
             return None
         better = float(fits["score"].max()) > float(verdict.fit["score"]) + self._settings.decisive
-        return verdict if not better and np.abs(verdict.fit["shift"]).max() < _SHIFTED else None
+        together = np.abs(verdict.fit["shift"]).max() < _SHIFTED and fits_within_budget(verdict.fit)
+        return verdict if not better and together else None
 
     def _complete(self, view: View, fit: np.void) -> bool:
         """Return whether no light near the pattern remains that could be an LED without a spot.
@@ -139,7 +142,7 @@ class Identifier:
         """Return OK, or a status if the two images do not belong together.
 
         Either the right image as a whole is shifted, or one camera sees a pattern of the LEDs where the best pose does
-        not have it.
+        not have it, or each image alone fits much better than both together.
         """
         if np.abs(best["shift"]).max() > _SHIFTED:
             return NOT_TOGETHER if abs(best["shift"][1]) > _SHIFTED else GEOMETRY_FILE
@@ -151,7 +154,10 @@ class Identifier:
             if len(more):
                 singles.append((c, fits[more[np.argmax(fits["score"][more])]]))
         if not singles:
-            return NOT_TOGETHER if any(self._blind(view, best, c) for c in range(2)) else OK
+            if any(self._blind(view, best, c) for c in range(2)):
+                return NOT_TOGETHER
+            enough = int(best["points"]) >= np.minimum(view.counts, len(self._solver.scene.leds)).sum()
+            return OK if enough and fits_within_budget(best) else self._each_alone(view, best)
         alone = dict(singles)
         for c in range(2):
             alone.setdefault(c, best)
@@ -182,8 +188,11 @@ class Identifier:
         far = across * float(scene.lens[0]["fx"]) > _EPIPOLAR_PX * float(np.linalg.norm(left["t"]))
         return NOT_TOGETHER if far or across > abs(along) else GEOMETRY_FILE
 
-    def _each_alone(self, view: View) -> str:
-        """Return OK, or the status if each image alone shows a pattern of the LEDs, though both together do not."""
+    def _each_alone(self, view: View, both: np.void | None = None) -> str:
+        """Return OK, or the status if each image alone shows a pattern of the LEDs, though both together do not.
+
+        both: the pose of both together, if there is one: then each alone has to fit much better.
+        """
         if min(view.counts) < _OWN:
             return OK
         singles = []
@@ -195,6 +204,8 @@ class Identifier:
             if not len(fits):
                 return OK
             singles.append(fits[np.argmax(fits["score"])])
+        if both is not None and apart_ratio(both, singles) < _APART:
+            return OK
         return self._why_apart(singles[0], singles[1])
 
     def _by_spots(self, view: View, fits: np.ndarray) -> LedIdentification:
@@ -329,6 +340,29 @@ def distance_square(fit: np.void, prediction: Prediction) -> float:
     d = np.empty(6)
     difference(fit["r"], fit["t"], matrix_of(prediction.q_vt), prediction.t_v, d)
     return float(d @ np.linalg.solve(prediction.covariance + fit["covariance"], d))
+
+
+def fits_within_budget(fit: np.void) -> bool:
+    """Return whether the residuals need no more than noise and tolerances as stated."""
+    return bool(fit["misfit"] <= chi_square_limit(2 * int(fit["points"]) - 6))
+
+
+def apart_ratio(both: np.void, singles: Sequence[np.void]) -> float:
+    """Return the ratio of variances (F) of what both images together add to the residuals of each alone.
+
+    About 1 if the same errors cause both, such as a textured background; errors below those stated count as these.
+    Infinite if each alone explains its spots within the budget, and both together explain fewer.
+    """
+    alone, degrees = 0.0, 0
+    for fit in singles:
+        alone += float(fit["misfit"])
+        degrees += 2 * int(fit["points"]) - 6
+    added = 2 * int(both["points"]) - 6 - degrees
+    if int(both["points"]) < sum(int(fit["points"]) for fit in singles):
+        return math.inf if all(fits_within_budget(fit) for fit in singles) else 0.0
+    if degrees <= 0 or added <= 0:
+        return 0.0
+    return (float(both["misfit"]) - alone) / added / max(alone / degrees, 1.0)
 
 
 def covers(fit: np.void, rival: np.void) -> bool:

@@ -33,7 +33,7 @@ _FAR = 5.0  # sigmas
 _FLAT = 0.05  # thickness over extent
 _STRAY_FACTOR = 10.0  # density of stray lights near the target relative to the whole image
 OPTICS_PX = 0.15  # error of a spot that gates and search allow in any case
-_USUAL_MPS = 0.3  # speed of a target without a track
+_USUAL_MPS, _USUAL_RADPS, _USUAL_RANGE_M = 0.3, 0.05, 3.0  # of a target without a track
 _TYPICAL_RANGE_M = 1.5  # at which they assess the tolerances
 _TURNED = 2  # best hypotheses whose turns are compared
 _SAME_TURN = 0.35  # of the least distance of two LEDs: by how much a turn of the ring may miss one
@@ -104,7 +104,7 @@ class Solver:
         self._turns = list(ring_turns(self.scene.leds, self.normal_t))
 
     def consider_motion(self, motion: TargetMotion | None) -> None:
-        """Set the target's motion between the exposures of both cameras; None: unknown, of a usual speed.
+        """Set the target's motion between the exposures of both cameras; None: unknown, of usual rates.
 
         A target that moves between them is one at rest for a right camera that moves the other way.
         """
@@ -239,7 +239,9 @@ def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMo
     With rates v, w of a target at t, and a right camera at b with axes R, the right image of ``sync_s`` later is that
     of a camera turned by ``-R.T w sync_s`` and at ``b + (w x (t - b) - v) sync_s``.
     """
-    motion = motion or TargetMotion(np.zeros(3), np.zeros(6), np.diag([_USUAL_MPS**2] * 3 + [0.0] * 3))
+    motion = motion or TargetMotion(
+        np.array([0.0, 0.0, _USUAL_RANGE_M]), np.zeros(6), np.diag([_USUAL_MPS**2] * 3 + [_USUAL_RADPS**2] * 3)
+    )
     arm = motion.t_v + scene.rotation[1].T @ scene.translation[1]
     turn = np.array([[0.0, -arm[2], arm[1]], [arm[2], 0.0, -arm[0]], [-arm[1], arm[0], 0.0]])
     moved = np.block([[np.zeros((3, 3)), -scene.rotation[1]], [-np.eye(3), -turn]])

@@ -41,6 +41,7 @@ _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
 _BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # of the pixels: more than LEDs cover
 _WINDOW_LIMIT = 0.25  # of the image: larger windows are no faster than the whole image
+_USUAL_SHIFT = 2.0  # sigmas between the two images
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +277,7 @@ class VisionUnit:
                 self.track.fail()
                 return Solution(t_s, verdict.status, None, spots, (self._none, self._none))
             return self._predicted(t_s, verdict.status, spots)
-        fit = verdict.fit
+        fit = with_strained_tolerances(verdict.fit)
         self.track.update(t_s, fit)
         pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)
@@ -315,6 +316,20 @@ class VisionUnit:
 
     def _no_pose(self, t_s: float, status: str) -> Solution:
         return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
+
+
+def with_strained_tolerances(fit: np.void) -> np.void:
+    """Return ``fit`` with larger tolerances if its images are further apart than they usually are by those stated.
+
+    The part of the covariance that is not noise grows with the square of the shift between the images, so that a time
+    between them, or an error of the calibration, that is larger than stated is covered up to the limit of the shift.
+    """
+    strain = float(np.abs(fit["shift"]).max()) / _USUAL_SHIFT
+    if strain <= 1.0:
+        return fit
+    found = fit.copy()
+    found["covariance"] = fit["noise"] + strain**2 * (fit["covariance"] - fit["noise"])
+    return found
 
 
 def is_bright(image: np.ndarray | None) -> bool:
