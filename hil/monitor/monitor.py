@@ -107,7 +107,8 @@ class DockingMonitor:
         t_s = frames[-1].detection.t_s
         near = [result for result in frames if result.status == NEAR]
         far = [result for result in frames if result.status == FAR]
-        used, status = (near, NEAR) if len(near) >= len(far) else (far, FAR)
+        both = [result for result in frames if result.used]
+        used, status = (both, NEAR) if len(near) >= len(far) else (far, FAR)
         if not used:
             self._fields.drop()
             return _nothing(frames, t_s)
@@ -116,7 +117,7 @@ class DockingMonitor:
         # without the cross the paper has no relations: the exact ones are used in both cases
         fit = self._motion.fit(used, t_s)
         if self._paper is not None and status == NEAR:
-            fit = self._paper.fit(used, t_s)
+            fit = self._paper.fit(near, t_s)
         if fit is None:
             self._fields.drop()
             return _nothing(frames, t_s, "rejected_motion")
