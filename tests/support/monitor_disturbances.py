@@ -97,33 +97,37 @@ class MonitorRow:
 
     def run(self, portions: int, seed: int) -> MonitorTally:
         """Return the tally of ``portions`` portions, each of a new monitor."""
-        tally, scene = MonitorTally(), self.scene()
+        tally = MonitorTally()
         for number in range(portions):
-            rng = np.random.default_rng([seed, number])
-            camera, w = self.draw(rng), _motion(rng)
-            target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
-            left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
-            shown, found = 0, []
-            last_s, cost_s = 0.0, 0.0
-            for k in range(FRAMES + self.lost):
-                if k in left_out:
-                    continue
-                t_s = k / scene.fps
-                image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
-                start = time.process_time()
-                found += (
-                    monitor.feed(image)
-                    if self.said_fields != "whole"
-                    else monitor.feed(VideoFrame(shown, shown / scene.fps, image))
-                )
-                cost_s += time.process_time() - start
-                shown, last_s = shown + 1, t_s
-                if found:
-                    break
-            found += monitor.finish()
-            end_s = last_s if self.said_fields == "whole" else found[0].t_s
-            tally.add(found[0], _truth(w, end_s), cost_s)
+            self.add_portion(tally, number, seed)
         return tally
+
+    def add_portion(self, tally: MonitorTally, number: int, seed: int) -> None:
+        """Measure one portion by a new monitor."""
+        scene, rng = self.scene(), np.random.default_rng([seed, number])
+        camera, w = self.draw(rng), _motion(rng)
+        target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
+        left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
+        shown, found = 0, []
+        last_s, cost_s = 0.0, 0.0
+        for k in range(FRAMES + self.lost):
+            if k in left_out:
+                continue
+            t_s = k / scene.fps
+            image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
+            start = time.process_time()
+            found += (
+                monitor.feed(image)
+                if self.said_fields != "whole"
+                else monitor.feed(VideoFrame(shown, shown / scene.fps, image))
+            )
+            cost_s += time.process_time() - start
+            shown, last_s = shown + 1, t_s
+            if found:
+                break
+        found += monitor.finish()
+        end_s = last_s if self.said_fields == "whole" else found[0].t_s
+        tally.add(found[0], _truth(w, end_s), cost_s)
 
 
 def _motion(rng: np.random.Generator) -> Array:

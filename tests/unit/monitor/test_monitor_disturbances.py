@@ -10,7 +10,7 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import CameraTolerances
 from tests.support.disturbance_verdicts import Expectation, SeedResult, judge
-from tests.support.monitor_disturbances import MONITOR_ROWS, MonitorRow
+from tests.support.monitor_disturbances import MONITOR_ROWS, MonitorRow, MonitorTally
 
 BY_NAME = {row.name: row for row in MONITOR_ROWS}
 
@@ -37,6 +37,14 @@ def test_clipped_pixels_displace_no_edge() -> None:
     tally = BY_NAME["overexposed x1.6"].run(1, 4)
     assert (tally.measured, tally.gross) == (1, 0), tally.line()
     assert np.abs(np.concatenate(tally.ratios)).max() < 4.0
+
+
+def test_fields_in_the_wrong_order_are_noticed_where_only_one_kind_shows_the_cross() -> None:
+    """The fields without the cross belong to the same motion; without them all times are off alike."""
+    tally = MonitorTally()
+    BY_NAME["wrong field order"].add_portion(tally, 18, 0)  # at 10.4 m
+    assert tally.measured == 1, tally.line()
+    assert np.abs(np.concatenate(tally.ratios)).max() < 4.5
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,20 @@ import pytest
 from hil.config.vmu_geometry import VmuGeometry
 from hil.vmu.geometry import considered_covariance
 from hil.vmu.kernels.chain import COMMON
-from hil.vmu.kernels.records import SHARED
-from hil.vmu.unit import VisionUnit
+from hil.vmu.kernels.records import FIT, SHARED
+from hil.vmu.unit import VisionUnit, with_strained_tolerances
 from tests.support.disturbance_verdicts import judge
-from tests.support.vmu_disturbances import EXACT, ROWS, USUAL, Row, known_geometry, real_bench, somewhere
+from tests.support.vmu_disturbances import (
+    EXACT,
+    ROWS,
+    USUAL,
+    VERY_GOOD,
+    Row,
+    drawn_motion,
+    known_geometry,
+    real_bench,
+    somewhere,
+)
 from tests.support.vmu_pixels import PixelOptics
 
 BY_NAME = {row.name: row for row in ROWS}
@@ -68,6 +78,31 @@ def test_images_without_a_pose_have_the_status_of_their_cause(name: str, status:
     tally = BY_NAME[name].run(5, 2)
     assert tally.statuses[status] >= 3, tally.line()
     assert tally.solved == 0
+
+
+def test_images_that_fit_alone_but_not_together_are_refused_whatever_the_floor_of_the_spots() -> None:
+    """The floor, which is estimated from the residuals, must not explain what the motion between two images does."""
+    tally = BY_NAME["right images late, default tolerances"].run(24, 0)
+    assert tally.solved == 0, tally.line()
+    assert tally.statuses["rejected_sync"] + tally.statuses["rejected_geometry_file"] == 24
+
+
+def test_target_that_moves_between_the_images_has_the_sigmas_of_its_speed_and_rates() -> None:
+    """With a stated time between the cameras; without usual rates, a target that turns would be refused."""
+    apart_s = 0.08
+    row = Row("80 ms apart", replace(VERY_GOOD, sync_s=apart_s), drawn_motion(VERY_GOOD, apart_s))
+    tally = row.run(6, 3)
+    assert tally.solved == 6, tally.line()
+    assert np.abs(tally.ratios).max() < 4.0
+
+
+def test_covariance_grows_where_the_images_are_further_apart_than_usual() -> None:
+    fit = np.zeros(1, FIT)[0]
+    fit["covariance"], fit["noise"] = 5.0 * np.eye(6), np.eye(6)
+    for shift, variance in ((0.0, 5.0), (2.0, 5.0), (-4.0, 17.0)):
+        fit["shift"] = (0.5, shift)
+        assert np.allclose(with_strained_tolerances(fit)["covariance"], variance * np.eye(6))
+    assert fit["covariance"][0, 0] == 5.0
 
 
 def test_epipolar_distance_and_scale_tell_of_errors_that_are_not_stated(rng: np.random.Generator) -> None:

@@ -1,6 +1,6 @@
 """Coverage of the sigmas on the own renderers: docking monitor and vision unit, per column and mode.
 
-python sims/coverage.py [--portions 400] [--poses 300] [--seed N] [--workers N]
+python sims/sigma_coverage.py [--portions 400] [--poses 300] [--seed N] [--workers N]
 
 The fraction of errors within two sigmas, in per cent; 90 to 98 are allowed. Continuous portions carry their motion
 over, so that errors of neighbours are alike: their fractions are less certain than those of independent ones. Exit code
