@@ -1,7 +1,8 @@
 """Edge measurement: fit of the blurred profile to the pixels of each edge sample, to a fraction of a pixel.
 
 Pixels at full scale are censored: the light is not below it. The profile exceeds full scale where the image is
-overexposed, and its shift follows from the pixels of the slope that are not clipped.
+overexposed, and its shift follows from the pixels of the slope that are not clipped. Near black the noise is cut off at
+zero, which raises the mean of a pixel and would shift the border of a dark background by hundredths of a pixel.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ MODEL_ERROR_PX = 0.03  # of the profile, which is no noise of the pixels
 _CLIPPED_TURNS = 8  # Gauss-Newton steps of a profile that is cut off
 _CLIPPED_START = 1.25  # of full scale: first value of a level that is cut off
 _CLIPPED_MOST = 8.0  # of full scale
+_BLACK = 0.4  # sigmas above zero of a level whose noise is partly visible: the mean of a pixel without light
 _DAMPING = 1e-4  # of such a level, per grey value squared
 _MISFIT = 3.0  # misfit per pixel of a bar beyond which one of its borders alone may be better
 _LESS = 0.5  # of that misfit, which it then must not exceed
@@ -243,8 +245,9 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
 
     Return the weighted square sum of the residuals, and the number of pixels that are not clipped.
     """
-    sigma = math.sqrt(noise[0] + noise[1] * WHITE)
+    sigma, dark = math.sqrt(noise[0] + noise[1] * WHITE), math.sqrt(noise[0])
     clipped = WHITE - 3.0 * sigma
+    nearly_black = 3.0 * dark if min(x[0], x[1]) > _BLACK * dark and not (bar and x[3] < _BLACK * dark) else -math.inf
     clear = n
     for i in range(4):
         right[i] = 0.0
@@ -265,6 +268,13 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
                 row[i] *= below
             if below < 0.5:
                 clear -= 1
+        elif model < nearly_black:  # the same at zero
+            above, bell = _normal_cdf(model / dark)
+            mean = model * above + dark * bell
+            weight = 1.0 / (model * mean + dark * dark * above - mean * mean)
+            model = mean
+            for i in range(4):
+                row[i] *= above
         left = grey[k] - model
         total += weight * left * left
         for i in range(4):

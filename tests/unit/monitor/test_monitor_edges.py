@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
@@ -122,3 +123,25 @@ def test_derivatives_of_the_projection_are_those_of_differences() -> None:
             u, v = pose.point_row(lens, b, slopes, moved[:3], 0.2, 0.1, 0.3, nu, nv, dummy)
             places.append(nu * u + nv * v)
         assert row[k] == pytest.approx((places[0] - places[1]) / 2e-6, rel=1e-5, abs=1e-4)
+
+
+def test_noise_that_is_cut_off_at_black_moves_no_edge(rng: np.random.Generator) -> None:
+    """A dark sky of 6 grey values in noise of 8 would move the border of a grey hull inwards by 0.03 px."""
+    shifts, weights = [], []
+    rows, columns = np.mgrid[:41, :41]
+    for _ in range(2500):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        normal, at = np.array([np.cos(angle), np.sin(angle)]), 20.0 + rng.uniform(-0.5, 0.5, 2)
+        away = (columns - at[0]) * normal[0] + (rows - at[1]) * normal[1]
+        light = 6.0 + 59.0 * ndtr(-away / 0.85) + 8.0 * rng.standard_normal(away.shape)
+        sample, sums = np.zeros(1, EDGE_SAMPLE), np.zeros(2)
+        for name, value in zip(("u", "v", "nu", "nv", "length"), (*at, *normal, 8.0), strict=True):
+            sample[name] = value
+        sample["inside"] = sample["outside"] = 4.5
+        image = np.clip(np.rint(light), 0, 255).astype(np.uint8)
+        edges.fit_edge_samples(image, 0.0, 1.0, sample, 1, 0.85, np.array([64.0, 0.0]), 1, sums)
+        if sample["good"][0] == 1:
+            shifts.append(float(sample["shift"][0]))
+            weights.append(1.0 / float(sample["variance"][0]))
+    assert len(shifts) > 2400
+    assert abs(np.average(shifts, weights=weights)) < 0.01  # one sigma: 0.0025
