@@ -88,10 +88,9 @@ class Results:
         costs = [cost for one in self.of(unit, name, count) for cost in one.costs_s]
         solved = ", ".join(map(str, verdict.solved))
         refused = ", ".join(f"{number} `{status}`" for status, number in verdict.refused.items())
-        return (
-            f"| {name} | {solved} | {verdict.gross} | {verdict.rms:.2f} | {100.0 * verdict.within:.1f} | {refused} "
-            f"| {1e3 * np.median(costs):.0f} | {verdict.why} |"
-        )
+        found = f"{verdict.rms:.2f} | {100.0 * verdict.within:.1f}" if np.isfinite(verdict.rms) else "|"
+        cost_ms = 1e3 * float(np.median(costs))
+        return f"| {name} | {solved} | {verdict.gross} | {found} | {refused} | {cost_ms:.0f} | {verdict.why} |"
 
     def table(self, unit: str) -> str:
         """Return the table of a unit, of the rows with the usual number of frames or portions."""
