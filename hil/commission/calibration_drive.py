@@ -100,6 +100,10 @@ class CalibrationDrive:
         feedback = self._sequencer.loop.now.feedback
         return np.concatenate([feedback.rail_m, feedback.gimbal_rad])
 
+    def skip_images(self) -> None:
+        """Skip the images so far: those of the move, which nobody needs."""
+        self._cameras.skip()
+
     def new_pairs(self, now_s: float) -> list[tuple[float, np.ndarray, np.ndarray]]:
         """Return the pairs that are complete by now: time of exposure, s, and both images. Raises DeviceError."""
         for side, frame in self._cameras.frames(0.0):
@@ -127,9 +131,11 @@ class _Exposure:
 
     def poll(self, now_s: float) -> bool:
         """Return whether the pair is complete. Raises DeviceError if there is none for too long."""
-        pairs = self._drive.new_pairs(now_s)
         if self._begun_s is None:
             self._begun_s = now_s
+            self._drive.skip_images()
+            return False
+        pairs = self._drive.new_pairs(now_s)
         if now_s >= self._begun_s + self._settle_s:
             self._positions.append(self._drive.position())
         for exposed_s, left, right in pairs:

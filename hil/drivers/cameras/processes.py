@@ -7,6 +7,8 @@ import select
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from hil.config.cameras import CameraSettings
 from hil.config.rig import Vmu
 from hil.core.child_process import ChildProcess, Message
@@ -85,10 +87,19 @@ class CameraProcesses:
             os.eventfd_read(self._wake)
         for side, reader in enumerate(self._readers):
             for record in reader.read():
-                self.jumps[side] = int(record["jumps"])
-                self._arrived_s[side] = max(self._arrived_s[side], float(record["arrived_s"]))
+                self._note(side, record)
                 yield side, frame_of(record)
         self.skipped = sum(reader.lost for reader in self._readers)
+
+    def skip(self) -> None:
+        """Skip the frames so far without copying them, which takes tens of milliseconds after a pause of seconds."""
+        for side, reader in enumerate(self._readers):
+            for record in reader.newest(1):
+                self._note(side, record)
+
+    def _note(self, side: int, record: np.void) -> None:
+        self.jumps[side] = int(record["jumps"])
+        self._arrived_s[side] = max(self._arrived_s[side], float(record["arrived_s"]))
 
     def check(self, now_s: float) -> None:
         """Raise DeviceError for a camera whose process has ended, or that has sent nothing for ``timeout_s``."""
