@@ -101,7 +101,7 @@ class CalibrationDrive:
         return np.concatenate([feedback.rail_m, feedback.gimbal_rad])
 
     def skip_images(self) -> None:
-        """Skip the images so far: those of the move, which nobody needs."""
+        """Skip the images so far: those of the move, which have no use."""
         self._cameras.skip()
 
     def new_pairs(self, now_s: float) -> list[tuple[float, np.ndarray, np.ndarray]]:

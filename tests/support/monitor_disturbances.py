@@ -203,7 +203,7 @@ MONITOR_ROWS = (
     MonitorRow("half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02), expected=_SAME),
     MonitorRow("wrong field order", _always(fields="lower_first"), said_fields="upper_first"),
     MonitorRow("vibration of 0.5 px", _always(jitter_px=0.5)),
-    MonitorRow("shadow beside an arm", _always(shadow=0.4)),
+    MonitorRow("shadow next to an arm", _always(shadow=0.4)),
     MonitorRow("low noise", _always(noise_levels=0.5, finer=True)),
     MonitorRow("low noise, edges off by 0.02 px", _always(noise_levels=0.5, coarse=True), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc", _always(plate_behind_m=0.001), expected=_SAME),
