@@ -26,6 +26,7 @@ _SAMPLING_S: Final = 1e-4  # of a drive's encoder: what is asked more often is a
 _PUBLISHED_S: Final = 0.001  # least time between two writes of the shared state
 _TIME_SLACK_S: Final = 1e-9
 _STANDSTILL: Final = 2e-3  # of m/s or rad/s
+_SWITCH: Final = 1e-6  # m or rad from the end stop, at which its limit switch closes
 _HOMING_TIME_MAX_S: Final = 120.0
 _GRAVITY_MPS2: Final = 9.81  # of a gravity-loaded gimbal rad/s2: its load is 1 m from the axis
 _FRICTION: Final = 0.5  # deceleration of an axis without torque, in acceleration limits
@@ -122,7 +123,7 @@ class EmulatedAxes:
     @property
     def limit(self) -> tuple[int, int, int]:
         """The limit switch that each axis stands on: -1 low, 1 high, 0 none."""
-        place, low, high = self._axes.position, self._axes.low, self._axes.high
+        place, low, high = self._axes.position, self._axes.low + _SWITCH, self._axes.high - _SWITCH
         on = [-1 if place[i] <= low[i] else 1 if place[i] >= high[i] else 0 for i in range(3)]
         return (on[0], on[1], on[2])
 

@@ -243,7 +243,7 @@ def test_a_reversed_encoder_is_a_following_error_of_the_drive_which_has_no_torqu
     with served(driver, timeout_s=1.2) as (emulator, device, clock):
         emulator.faults.on("reversed", "pitch")
         begun_s, start = clock.now_s(), device.read(clock.now_s()).position
-        rate = np.radians((0.0, 10.0, 0.0))
+        rate = np.radians((0.0, 5.0, 0.0))
 
         def move() -> bool:
             now_s = clock.now_s()
