@@ -112,7 +112,8 @@ def test_axes_of_a_target_that_is_rotated_are_shown_and_jogged() -> None:
         def pressed() -> bool:
             page.socket.send('{"do": "jog", "axis": "target.pitch", "direction": 1}')
             assert page.now["target_degps"][1] < 1.5  # with the overshoot of the axis
-            return bool(page.now["target_deg"][1] > 0.3 and page.now["target_degps"][1] > 0.9)  # a tenth of 10 deg/s
+            steady = page.now["target_degps"][1] == pytest.approx(1.0, abs=0.1)  # a tenth of 10 deg/s
+            return bool(page.now["target_deg"][1] > 0.3 and steady)
 
         page.until(pressed, "a jog")
         assert page.now["mode"] == "jogging"
