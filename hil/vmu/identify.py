@@ -11,9 +11,17 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
-from hil.vmu.kernels.match import chi_square_limit
 from hil.vmu.kernels.records import View
-from hil.vmu.pose import OPTICS_PX, Prediction, Solver, SolverSettings, attitude_sigma_deg, is_flat, matrix_of
+from hil.vmu.pose import (
+    OPTICS_PX,
+    Prediction,
+    Solver,
+    SolverSettings,
+    attitude_sigma_deg,
+    fits_within_budget,
+    is_flat,
+    matrix_of,
+)
 
 OK: Final = "ok"
 AMBIGUOUS: Final = "ambiguous"
@@ -342,26 +350,17 @@ def distance_square(fit: np.void, prediction: Prediction) -> float:
     return float(d @ np.linalg.solve(prediction.covariance + fit["covariance"], d))
 
 
-def fits_within_budget(fit: np.void) -> bool:
-    """Return whether the residuals need no more than noise and tolerances as stated."""
-    return bool(fit["misfit"] <= chi_square_limit(2 * int(fit["points"]) - 6))
-
-
 def apart_ratio(both: np.void, singles: Sequence[np.void]) -> float:
-    """Return the ratio of variances (F) of what both images together add to the residuals of each alone.
+    """Return the ratio of variances (F) of what both images together add to the residuals of each alone, ``singles``.
 
     About 1 if the same errors cause both, such as a textured background; errors below those stated count as these.
     Infinite if each alone explains its spots within the budget, and both together explain fewer.
     """
-    alone, degrees = 0.0, 0
-    for fit in singles:
-        alone += float(fit["misfit"])
-        degrees += 2 * int(fit["points"]) - 6
-    added = 2 * int(both["points"]) - 6 - degrees
-    if int(both["points"]) < sum(int(fit["points"]) for fit in singles):
+    points = sum(int(fit["points"]) for fit in singles)
+    if int(both["points"]) < points:
         return math.inf if all(fits_within_budget(fit) for fit in singles) else 0.0
-    if degrees <= 0 or added <= 0:
-        return 0.0
+    alone, degrees = sum(float(fit["misfit"]) for fit in singles), 2 * points - 6 * len(singles)
+    added = 2 * int(both["points"]) - 6 - degrees
     return (float(both["misfit"]) - alone) / added / max(alone / degrees, 1.0)
 
 

@@ -155,7 +155,7 @@ class Solver:
         start = np.zeros(1, FIT)
         start["r"], start["t"], start["spot"] = r, t, spots
         found = self._fit(view, start)
-        if any(fit["misfit"] <= chi_square_limit(2 * int(fit["points"]) - 6) for fit in found):
+        if any(fits_within_budget(fit) for fit in found):
             return found
         turned = [turn for fit in found[:1] for turn in self._turned(fit)]
         return self._fit(view, np.concatenate([found, *turned])) if turned else found
@@ -291,6 +291,11 @@ def is_flat(leds: Array) -> bool:
     """Return whether ``leds`` (n, 3) are coplanar within the resolution of the cameras."""
     spread = np.linalg.svd(leds - leds.mean(axis=0), compute_uv=False)
     return len(leds) < 4 or bool(spread[2] < _FLAT * spread[0])
+
+
+def fits_within_budget(fit: np.void) -> bool:
+    """Return whether the residuals need no more than noise and tolerances as stated."""
+    return bool(fit["misfit"] <= chi_square_limit(2 * int(fit["points"]) - 6))
 
 
 def attitude_sigma_deg(fit: np.void) -> float:

@@ -23,8 +23,8 @@ MODEL_ERROR_PX = 0.03  # of the profile, which is no noise of the pixels
 _CLIPPED_TURNS = 8  # Gauss-Newton steps of a profile that is cut off
 _CLIPPED_START = 1.25  # of full scale: first value of a level that is cut off
 _CLIPPED_MOST = 8.0  # of full scale
-_BLACK = 0.4  # sigmas above zero of a level whose noise is partly visible: the mean of a pixel without light
 _DAMPING = 1e-4  # of such a level, per grey value squared
+_BLACK = 0.4  # sigmas above zero of a level whose noise is partly visible: the mean of a pixel without light
 _MISFIT = 3.0  # misfit per pixel of a bar beyond which one of its borders alone may be better
 _LESS = 0.5  # of that misfit, which it then must not exceed
 
