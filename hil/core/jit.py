@@ -5,6 +5,10 @@ another file goes unnoticed. A bench must never run yesterday's formula, so each
 that its kernel is compiled from: its own file and all that this imports, directly or not. The folder of a set of
 sources starts with the entries of earlier ones that are still valid, so that a change compiles only what depends on it.
 The entries do not depend on where the package is installed: two checkouts of the same sources share them.
+
+numba numbers the code of a kernel's signatures as it finds them, so that two processes that compile two signatures at
+once can both write number 1, and leave an index that gives one the code of the other. Here every code has a name of its
+own, and one process at a time adds to an index.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import platform
 import re
 import shutil
 import tempfile
+import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -25,7 +30,7 @@ from typing import Any, TypeVar, cast
 import llvmlite.binding
 import numba
 from numba import njit
-from numba.core.caching import CacheImpl, _CacheLocator
+from numba.core.caching import CacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 
 from hil.errors import BadInput
@@ -235,6 +240,30 @@ class KernelCacheLocator(_CacheLocator):
 CacheImpl._locator_classes.insert(0, KernelCacheLocator)
 
 
+class KernelCacheFile(IndexDataCacheFile):
+    """Index and codes of one kernel on disk, which several processes may extend at once."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Write ``data`` of the signature ``key``, unless another process was first, under a name that no other has."""
+        with Path(self._cache_path, "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            index = self._load_index()
+            if key in index and Path(self._data_path(index[key])).exists():
+                return
+            name = f"{Path(self._index_name).stem}.{uuid.uuid4().hex}.nbc"
+            self._save_data(name, data)
+            self._save_index({**index, key: name})
+
+
+class _KernelCache(FunctionCache):
+    """Cache of one kernel, in a ``KernelCacheFile``."""
+
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        super().__init__(py_func)
+        locator = self._impl.locator
+        self._cache_file = KernelCacheFile(self._cache_path, self._impl.filename_base, locator.get_source_stamp())
+
+
 class _KernelLibrary(JITCodeLibrary):
     """Code of one kernel; from the cache its bitcode is parsed only when another kernel is linked with it.
 
@@ -280,7 +309,9 @@ def kernel(function: _Function) -> _Function:
     """
     inlined = not function.__module__.startswith(_NOT_INLINED)
     options: dict[str, Any] = {"forceinline": inlined, "no_cfunc_wrapper": True}
-    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True, **options)(function))
+    compiled = njit(error_model="numpy", nogil=True, **options)(function)
+    compiled._cache = _KernelCache(function)
+    return cast(_Function, compiled)
 
 
 def _processor() -> str:

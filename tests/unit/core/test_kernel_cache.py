@@ -6,12 +6,13 @@ import os
 import shutil
 import subprocess
 import sys
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
 
 import hil
-from hil.core.jit import kernel_sources, source_digest
+from hil.core.jit import KernelCacheFile, kernel_sources, source_digest
 
 PACKAGE = Path(hil.__file__).parent
 
@@ -107,6 +108,32 @@ def test_kernel_is_compiled_again_only_if_a_source_of_its_own_has_changed(copy: 
     assert hits_after_a_change_of("dynamics/hill.py") == "1\n"
     assert hits_after_a_change_of("core/jit.py") == "0\n"
     assert hits_after_a_change_of("maths/limits.py") == "0\n"
+
+
+def test_processes_that_save_signatures_at_once_lose_and_mix_up_none(tmp_path: Path) -> None:
+    with get_context("fork").Pool(6) as pool:
+        pool.starmap(save_signatures, [(tmp_path, n) for n in range(6)], chunksize=1)
+    saved = KernelCacheFile(str(tmp_path), "kernel", "digest")
+    keys = [(n, i) for n in range(6) for i in range(40)] + ["shared"]
+    assert [saved.load(key) for key in keys] == [f"code of {key}" for key in keys]
+    assert len(list(tmp_path.glob("*.nbc"))) == len(keys)
+
+
+def save_signatures(folder: Path, n: int) -> None:
+    """Save 40 signatures of its own and one that every process has."""
+    file = KernelCacheFile(str(folder), "kernel", "digest")
+    for key in [*((n, i) for i in range(40)), "shared"]:
+        file.save(key, f"code of {key}")
+
+
+def test_code_that_was_removed_is_written_again(tmp_path: Path) -> None:
+    file = KernelCacheFile(str(tmp_path), "kernel", "digest")
+    file.save("key", "code")
+    for code in tmp_path.glob("*.nbc"):
+        code.unlink()
+    assert file.load("key") is None
+    file.save("key", "code")
+    assert file.load("key") == "code"
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:
