@@ -64,14 +64,18 @@ def receive_poses(params, state, frames, delayed, poses, arrivals, n):
 @kernel
 def predict(params, state, samples, memory, poses, n):
     for _ in range(n):
-        step.navigate(params.gnc, state.gnc, memory, samples, poses, 0, state.now.navigation)
+        navigation.navigate(
+            params.gnc.navigation, state.gnc.navigation, memory, samples, poses, 0, state.now.navigation
+        )
 
 
 @kernel
 def fuse(params, state, samples, memory, poses, n):
     for _ in range(n):
         poses[0].t_s = state.gnc.navigation.fusion.cycle * params.step_s
-        step.navigate(params.gnc, state.gnc, memory, samples, poses, 1, state.now.navigation)
+        navigation.navigate(
+            params.gnc.navigation, state.gnc.navigation, memory, samples, poses, 1, state.now.navigation
+        )
 
 
 @kernel

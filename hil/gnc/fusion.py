@@ -62,11 +62,9 @@ STEP = np.dtype(
         ("hill", HILL_STEP),
         ("predicted", FILTERS),  # before the poses of this moment
         ("n_poses", "i8"),
-        ("is_start", "i8"),  # the filters were started here
-        ("first", POSE),
-        ("second", POSE),
-        ("first_gated", "i8"),  # result of the gate: NOT_GATED, or the part that was accepted
-        ("second_gated", "i8"),
+        ("is_start", "i8"),  # 1: the filters were started here, with the first pose, which is not fused
+        ("poses", POSE, POSES_PER_STEP),
+        ("gated", "i8", POSES_PER_STEP),  # results of the gate: NOT_GATED, or the part that was accepted
         ("budget", BUDGET_STATE),  # as ``predicted``; not used without a budget
     ],
     align=True,
@@ -441,38 +439,31 @@ def _place(params, state, memory, pose):
         state.too_late += 1
         return -1
     step = memory[cycle % memory.shape[0]]
-    # the pose that started the filters is ``first`` but not counted as one to fuse
-    held = step.n_poses + step.is_start
-    if (held > 0 and abs(step.first.t_s - pose.t_s) < 1e-6) or (held > 1 and abs(step.second.t_s - pose.t_s) < 1e-6):
-        state.duplicates += 1
-        return -1
+    held = step.n_poses
+    for k in range(held):
+        if abs(step.poses[k].t_s - pose.t_s) < 1e-6:
+            state.duplicates += 1
+            return -1
     if held >= POSES_PER_STEP:
         state.too_late += 1
         return -1
-    if held == 0:
-        _copy_pose(pose, step.first)
-        step.first_gated = NOT_GATED
-    else:
-        _copy_pose(pose, step.second)
-        step.second_gated = NOT_GATED
+    _copy_pose(pose, step.poses[held])
+    step.gated[held] = NOT_GATED
+    step.n_poses += 1
     if state.started == 0:
         step.is_start = 1
         state.started = 1
         state.start_cycle = cycle
         state.last_accepted_s = pose.t_s
         _start(params, state, pose, step.predicted, step.budget)
-    else:
-        step.n_poses += 1
     return cycle
 
 
 @kernel
 def _fuse_step(params, state, step, moment_s):
-    """Fuse all poses of ``step``."""
-    if step.is_start == 0 and step.n_poses > 0:
-        step.first_gated = _fuse_pose(params, state, step.first, moment_s, step.first_gated)
-    if step.n_poses + step.is_start > 1:
-        step.second_gated = _fuse_pose(params, state, step.second, moment_s, step.second_gated)
+    """Fuse the poses of ``step``."""
+    for k in range(step.is_start, step.n_poses):
+        step.gated[k] = _fuse_pose(params, state, step.poses[k], moment_s, step.gated[k])
 
 
 @kernel
@@ -504,9 +495,9 @@ def fuse(params, state, memory, pose):
     _compare(state, pose)
     dt, n = params.pkf.dt_s, memory.shape[0]
     _return_to(params, state, memory[first % n])
-    _fuse_step(params, state, memory[first % n], first * dt)
-    for cycle in range(first + 1, state.cycle + 1):
+    for cycle in range(first, state.cycle + 1):
         step = memory[cycle % n]
-        _predict(params, state, step)
-        _keep_predicted(params, state, step)
+        if cycle > first:
+            _predict(params, state, step)
+            _keep_predicted(params, state, step)
         _fuse_step(params, state, step, cycle * dt)

@@ -34,6 +34,7 @@ NAVIGATION_STATE = np.dtype(
         ("vision_only", VISION_ONLY_STATE),
         ("integrity", INTEGRITY_STATE),
         ("t_s", "f8"),  # of the next call, time of the run
+        ("fused", "i8"),  # 1: the filters were given a pose in this cycle
         ("without_imu", "i8"),  # 1: the IMU has failed, vision alone is used
     ],
     align=True,
@@ -65,7 +66,9 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     """
     fill(out.protection_level_m, np.nan)
     out.protection_level_rad = np.nan
+    state.fused = 0
     if uses_imu(params, state):
+        state.fused = 1 if n_poses > 0 else 0
         n = samples.shape[0]
         for i in range(0 if state.fusion.cycle > 0 else n - 1, n):
             fusion.advance(params.fusion, state.fusion, memory, samples[i])
@@ -73,7 +76,9 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
         state.fusion.cycle -= 1
         for i in range(n_poses):
             if integrity.admits(params.integrity, state.integrity, poses[i]):
-                _fuse(params, state, memory, poses[i])
+                accepted = state.fusion.accepted
+                fusion.fuse(params.fusion, state.fusion, memory, poses[i])
+                _watch_update(params, state, accepted)
         state.fusion.cycle += 1
         age_s = state.t_s - state.fusion.last_accepted_s
         out.health = integrity.vision_health(params.integrity, state.integrity, age_s, state.fusion.rejected_in_a_row)
@@ -99,10 +104,9 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
 
 
 @kernel
-def _fuse(params, state, memory, pose):
-    """Fuse an admitted pose; the monitors take its innovation if it is accepted."""
-    fused, accepted = state.fusion, state.fusion.accepted
-    fusion.fuse(params.fusion, fused, memory, pose)
+def _watch_update(params, state, accepted):
+    """Give the monitors the innovation of the last pose if it was accepted. accepted: number of those before it."""
+    fused = state.fusion
     if fused.updated != 0:
         integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
         if params.integrity.follows != 0:

@@ -2,7 +2,7 @@
 
 The built-in backend and the compiled loop of a campaign call ``gnc_step``. A backend whose filters and control are
 elsewhere calls ``guide`` before it asks them and ``watch_approach`` after; the GNC server, whose guidance runs on the
-bench, calls ``navigate`` and ``actuate``.
+bench, calls ``navigation.navigate`` and ``actuate``.
 """
 
 from __future__ import annotations
@@ -96,7 +96,6 @@ GNC_STATE = np.dtype(
     [
         ("approach", APPROACH_STATE),
         ("navigation", NAVIGATION_STATE),
-        ("fused", "i8"),  # 1: the filters took a pose in this cycle
         ("thrusters", THRUSTER_MONITOR_STATE),
         ("isolated_cycles", "i8"),  # since the isolation valves were commanded, 0 before
         ("feed", FEED_FORWARD),
@@ -113,7 +112,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     ``fusion.new_memory``. samples: (n,) of IMU since the last step. poses: array of POSE, of which the first
     ``n_poses`` are new.
     """
-    navigate(params, state, memory, samples, poses, n_poses, estimate)
+    navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
     watch_thrusters(params, state, samples, command, estimate)
     guide(params.approach, state.approach, t_s, supervision, reference)
     watch_approach(params.approach, state.approach, t_s, estimate, reference, supervision, False)
@@ -141,13 +140,6 @@ def has_event(before, after):
         or before.aborted != after.aborted
         or before.reaction != after.reaction
     )
-
-
-@kernel
-def navigate(params, state, memory, samples, poses, n_poses, estimate):
-    """Stage 4: both filters, or vision only. Arguments as of ``gnc_step``."""
-    navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
-    state.fused = 1 if n_poses > 0 and navigation.uses_imu(params.navigation, state.navigation) else 0
 
 
 @kernel

@@ -76,7 +76,9 @@ class BuiltinGnc(Approach):
 
         command: COMMAND of the cycle before; None if its samples are unknown.
         """
-        step.navigate(self.params, self.state, self.memory, samples, vision.poses, vision.arrived, estimate)
+        navigation.navigate(
+            self.params.navigation, self.state.navigation, self.memory, samples, vision.poses, vision.arrived, estimate
+        )
         if command is None:
             thruster_monitor.pause(self.state.thrusters)
         else:
@@ -89,7 +91,7 @@ class BuiltinGnc(Approach):
 
     def _monitor_filters(self, samples: np.ndarray, vision: Poses, estimate: np.record) -> None:
         self.cycle += 1
-        self.fused_now = bool(self.state["fused"])
+        self.fused_now = bool(self.state["navigation"]["fused"])
         if self.fused_now or (self.fuses and self.filter_monitor.needs_every_cycle):
             self.filter_monitor.update(self.cycle, samples, vision.poses[: vision.arrived], estimate, self.memory)
 

@@ -144,8 +144,7 @@ def _start(study, params, truth, imu, draws, state, memory):
         akf_additive.from_multiplicative(filters.akf.x, filters.akf.p, filters.additive)
     state.started = 1
     state.cycle = 1
-    memory[0].is_start = 1
-    memory[0].n_poses = 0
+    memory[0].is_start = memory[0].n_poses = 1
 
 
 @kernel

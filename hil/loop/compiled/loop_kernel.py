@@ -388,7 +388,7 @@ def _check_consistency(params, state):
     """Write the NEES of both filters in cycles in which they took a pose, nan otherwise."""
     now = state.now
     now.nees_position = now.nees_attitude = np.nan
-    if state.gnc.fused != 0:
+    if state.gnc.navigation.fused != 0:
         nees = stack.vector(2)
         navigation.normalised_errors(
             state.gnc.navigation.fusion.filters, params.gnc.navigation.fusion.orbit, now.truth, now.imu, nees
