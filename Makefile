@@ -32,7 +32,7 @@ test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python -m compileall -q hil  # hundreds of processes start, also where Python may not write bytecode itself
-	$(BIN)/hil warm-up loop verdict & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
+	$(BIN)/hil warm-up & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
 	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
 
 slow: .venv/ready

@@ -311,7 +311,17 @@ def kernel(function: _Function) -> _Function:
     options: dict[str, Any] = {"forceinline": inlined, "no_cfunc_wrapper": True}
     compiled = njit(error_model="numpy", nogil=True, **options)(function)
     compiled._cache = _KernelCache(function)
+    call_template = compiled.get_call_template
+    compiled.get_call_template = lambda types, named: call_template([_any_integer(a) for a in types], named)
     return cast(_Function, compiled)
+
+
+def _any_integer(argument: Any) -> Any:
+    """Return the type of an argument without the value of an integer constant.
+
+    Otherwise numba compiles a kernel for each value in a call, and for the one that a variable has at first.
+    """
+    return argument.literal_type if isinstance(argument, numba.types.IntegerLiteral) else argument
 
 
 def _processor() -> str:

@@ -101,21 +101,22 @@ def _compile_docking_monitor() -> None:
 
 
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {
-    "stages": _compile_stages,
     "gnc": _compile_gnc,
+    "stages": _compile_stages,
+    "vmu": _compile_vision_unit,
+    "monitor": _compile_docking_monitor,
     "loop": _compile_loop,
     "verdict": _compile_checks,
     "fusion": _compile_study,
-    "vmu": _compile_vision_unit,
-    "monitor": _compile_docking_monitor,
 }
 """Group of kernels -> function that calls each of them once, with the types that programs call them with.
 
-``stages`` of the cycle and ``gnc`` are independent of each other. All others use kernels of these, which they take from
-the cache: the compiled ``loop``, the checks before a run and its ``verdict``, the ``fusion`` study, the vision unit
-(``vmu``) and the docking ``monitor``.
+``gnc`` and ``stages`` are those of the cycle, ``vmu`` those of the vision unit, ``monitor`` those of the docking
+monitor. The compiled ``loop``, the checks before a run and its ``verdict``, and the ``fusion`` study use kernels of
+``CYCLE_GROUPS``, which they take from the cache.
 """
-CYCLE_GROUPS: Final = ("stages", "gnc")
+CYCLE_GROUPS: Final = ("gnc", "stages")
+USE_CYCLE_GROUPS: Final = ("loop", "verdict", "fusion")
 
 
 def main() -> None:

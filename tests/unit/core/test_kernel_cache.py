@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.core.jit import KernelCacheFile, kernel_sources, source_digest
+from hil.core.jit import KernelCacheFile, kernel, kernel_sources, source_digest
 
 PACKAGE = Path(hil.__file__).parent
 
@@ -134,6 +134,23 @@ def test_code_that_was_removed_is_written_again(tmp_path: Path) -> None:
     assert file.load("key") is None
     file.save("key", "code")
     assert file.load("key") == "code"
+
+
+def test_kernel_is_compiled_once_for_all_integers_that_it_is_called_with() -> None:
+    @kernel
+    def times(x: float, n: int) -> float:
+        return x * n
+
+    @kernel
+    def factorial_of_five(x: float) -> float:
+        last = 1
+        for n in range(2, 5):
+            x = times(x, last)
+            last = n
+        return times(x, last) * 5.0
+
+    assert factorial_of_five(1.0) == 120.0
+    assert len(times.signatures) == 1  # type: ignore[attr-defined]
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:
