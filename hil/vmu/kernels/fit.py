@@ -8,6 +8,8 @@ pixel at full scale gives only a lower bound of the light.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.core.jit import kernel
@@ -20,6 +22,9 @@ DISC = 7
 FLUX, U, V, SIGMA, WIDTH, SHEAR, HEIGHT = 0, 1, 2, 3, 4, 5, 6
 FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
+_LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
+_DARK = 1e-10  # of a light's flux: pixels with less have none
+_REACH = 6.0  # sigmas of the blur, beyond which there is no light
 
 
 @kernel
@@ -45,15 +50,20 @@ def fill_points(box, p, model, light, slopes):
     across, down = box[2] - box[0], box[3] - box[1]
     _fill_plane(box, p, model, light, slopes)
     by_u, by_v = np.empty((3, across)), np.empty((3, down))
+    edges_u, edges_v = np.empty((6, across + 1)), np.empty((6, down + 1))
     for k in range((p.shape[0] - PLANE) // POINT):
         a = PLANE + POINT * k
         flux = p[a]
-        point_sums(box[0], across, p[a + U], p[a + SIGMA], by_u[0], by_u[1], by_u[2])
-        point_sums(box[1], down, p[a + V], p[a + SIGMA], by_v[0], by_v[1], by_v[2])
+        point_sums(box[0], across, p[a + U], p[a + SIGMA], edges_u, by_u[0], by_u[1], by_u[2])
+        point_sums(box[1], down, p[a + V], p[a + SIGMA], edges_v, by_v[0], by_v[1], by_v[2])
         for i in range(down):
             for j in range(across):
                 at = i * across + j
                 share = by_v[0, i] * by_u[0, j]
+                if share < _DARK:
+                    for m in range(POINT):
+                        slopes[at, a + m] = 0.0
+                    continue
                 model[at] += flux * share
                 light[at] += flux * share
                 slopes[at, a] = share
@@ -63,12 +73,12 @@ def fill_points(box, p, model, light, slopes):
 
 
 @kernel
-def _add_strip(by_u, here, moved, blurred, eta, half, row):
-    """Add a strip's light in one row of pixels, and its derivatives, to ``row`` (DISC, pixels)."""
+def _add_strip(by_u, here, moved, blurred, eta, half, first, end, row):
+    """Add a strip's light in one row of pixels, and its derivatives, to ``row`` (DISC, pixels) from first to end."""
     value, by_centre, by_blur, by_half = by_u[0], by_u[1], by_u[2], by_u[3]
     to_value, to_u, to_v, to_blur = row[0], row[1], row[2], row[3]
     to_width, to_shear, to_height = row[4], row[5], row[6]
-    for j in range(value.shape[0]):
+    for j in range(first, end):
         along, down = here * by_centre[j], moved * value[j]
         to_value[j] += here * value[j]
         to_u[j] += along
@@ -88,22 +98,29 @@ def fill_disc(box, p, model, light, slopes):
     width, shear, height = p[PLANE + WIDTH], p[PLANE + SHEAR], p[PLANE + HEIGHT]
     n = strips(height, blur)
     by_u, by_v = np.empty((n, 4, across)), np.empty((n, 3, down))
+    edges_u, edges_v = np.empty((6, across + 1)), np.empty((6, down + 1))
+    nodes, spans = np.empty((n, 3)), np.empty((n, 2), dtype=np.int64)
     for k in range(n):
         eta, half, share = (0.0, 1.0, 1.0) if n == 1 else node(k, n)
+        nodes[k, 0], nodes[k, 1], nodes[k, 2] = eta, half, share
         centre, long = p[PLANE + U] + shear * eta, abs(width) * half
-        strip_sums(box[0], across, centre, long, blur, by_u[k, 0], by_u[k, 1], by_u[k, 2], by_u[k, 3])
-        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, by_v[k, 0], by_v[k, 1], by_v[k, 2])
+        reach = long + _REACH * blur
+        spans[k, 0] = min(max(math.floor(centre - reach - box[0]), 0.0), across)
+        spans[k, 1] = min(max(math.ceil(centre + reach - box[0]) + 1.0, 0.0), across)
+        strip_sums(box[0], across, centre, long, blur, edges_u, by_u[k, 0], by_u[k, 1], by_u[k, 2], by_u[k, 3])
+        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, edges_v, by_v[k, 0], by_v[k, 1], by_v[k, 2])
     row = np.empty((DISC, across))
     for i in range(down):
         for m in range(DISC):
             for j in range(across):
                 row[m, j] = 0.0
         for k in range(n):
-            eta, half, share = (0.0, 1.0, 1.0) if n == 1 else node(k, n)
+            eta, half, share = nodes[k, 0], nodes[k, 1], nodes[k, 2]
             here, moved, blurred = share * by_v[k, 0, i], share * by_v[k, 1, i], share * by_v[k, 2, i]
             if abs(here) + abs(moved) + abs(blurred) < 1e-9 * share:
                 continue
-            _add_strip(by_u[k], here, moved, blurred, eta, half if width >= 0.0 else -half, row)
+            signed = half if width >= 0.0 else -half
+            _add_strip(by_u[k], here, moved, blurred, eta, signed, spans[k, 0], spans[k, 1], row)
         for j in range(across):
             at = i * across + j
             light[at] = flux * row[0, j]
@@ -126,7 +143,7 @@ def invert(a, out):
     """Write the inverse of the positive definite ``a`` (n, n) by Cholesky; return False if it is not definite."""
     n = a.shape[0]
     low = np.zeros((n, n))
-    if not cholesky.factor(a, n, low, 1e-12):
+    if not cholesky.factor(a, n, low, _LEAST_RESIDUE):
         return False
     half = np.zeros((n, n))  # the inverse of low
     for j in range(n):
@@ -150,7 +167,8 @@ def invert(a, out):
 def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right):
     """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance.
 
-    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light.
+    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light. A pixel whose
+    light is zero has derivatives by the background only.
     """
     n = normal.shape[0]
     for i in range(n):
@@ -166,7 +184,7 @@ def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right
         total += weight * gap * gap
         if pixels[at] >= FULL_SCALE and gap == 0.0:
             continue
-        for i in range(n):
+        for i in range(n if light[at] != 0.0 else PLANE):
             wi = weight * slopes[at, i]
             right[i] += wi * gap
             for j in range(i + 1):
@@ -205,8 +223,8 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
     Return the sum of squares over the variances, or NaN if the pixels do not determine the parameters.
     """
     n = p.shape[0]
-    normal, damped, inverse = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
-    right, tried = np.empty(n), np.empty(n)
+    normal, damped, low = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    right, step, tried = np.empty(n), np.empty(n), np.empty(n)
     damping = 1e-3 if is_disc else 1e-5
     _fill(is_disc, box, p, model, light, slopes)
     total = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
@@ -215,18 +233,16 @@ def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, mod
             for j in range(n):
                 damped[i, j] = normal[i, j]
             damped[i, i] = normal[i, i] * (1.0 + damping) + 1e-12
-        if not invert(damped, inverse):
+        if not cholesky.factor(damped, n, low, _LEAST_RESIDUE):
             damping = max(10.0 * damping, 1e-6)
             if damping > 1e6:
                 return np.nan
             continue
+        cholesky.solve(low, n, right, step)
         gain = 0.0
         for i in range(n):
-            step = 0.0
-            for j in range(n):
-                step += inverse[i, j] * right[j]
-            gain += step * right[i]
-            tried[i] = p[i] + step
+            gain += step[i] * right[i]
+            tried[i] = p[i] + step[i]
         _restrain(is_disc, tried)
         _fill(is_disc, box, tried, model, light, slopes)
         found = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
