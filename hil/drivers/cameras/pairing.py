@@ -51,7 +51,7 @@ class Pairing:
     Two frames are of one exposure if their times differ by at most ``within_s`` and the difference of their numbers is
     that of the pairs before. Another difference (a camera missed a trigger, or its times are wrong by a period) is
     accepted when three pairs in a row have it; until then those frames are not used. A frame whose partner does not
-    arrive within ``wait_s`` is passed on alone.
+    arrive within ``wait_s`` is passed on alone; two of the same number that are further apart, one after the other.
     """
 
     def __init__(self, within_s: float, wait_s: float) -> None:
@@ -59,6 +59,7 @@ class Pairing:
         self._wait_s = wait_s
         self._waiting: tuple[deque[TimedFrame], deque[TimedFrame]] = (deque(), deque())
         self._done_s = -float("inf")  # exposure of the newest pair
+        self._alone: tuple[int, TimedFrame] | None = None  # camera and frame that was passed on without a partner
         self._shift: int | None = None
         self._other: tuple[int, int] = (0, 0)  # another shift, and how often it came in a row
         self.counters = dict.fromkeys(("pairs", "left_only", "right_only", "late", "odd_numbers"), 0)
@@ -87,17 +88,27 @@ class Pairing:
                 continue
             side = 0 if left and (not right or apart_s < 0.0) else 1
             oldest = self._waiting[side][0]
-            if not (left and right) and now_s - oldest.arrived_s < self._wait_s:
+            is_waited_for = not (left and right) and not self._partner_has_gone(side, oldest)
+            if is_waited_for and now_s - oldest.arrived_s < self._wait_s:
                 return
             self._waiting[side].popleft()
             self._done_s = oldest.exposed_s
+            self._alone = side, oldest
             self.counters[("left_only", "right_only")[side]] += 1
             yield FramePair(oldest, None) if side == 0 else FramePair(None, oldest)
+
+    def _partner_has_gone(self, side: int, frame: TimedFrame) -> bool:
+        """Return whether the frame that was passed on last is of the same trigger as ``frame``, by its number."""
+        if self._alone is None or self._alone[0] == side:
+            return False
+        other = self._alone[1]
+        left, right = (frame, other) if side == 0 else (other, frame)
+        return abs(frame.exposed_s - other.exposed_s) < self._wait_s and _shift(left, right) == self._shift
 
     def _numbers_agree(self, pair: FramePair) -> bool:
         assert pair.left is not None
         assert pair.right is not None
-        shift = (pair.left.number - pair.right.number + _HALF) % FRAME_NUMBERS - _HALF
+        shift = _shift(pair.left, pair.right)
         if self._shift is None or shift == self._shift:
             self._shift, self._other = shift, (0, 0)
             return True
@@ -108,3 +119,8 @@ class Pairing:
             return True
         self.counters["odd_numbers"] += 1
         return False
+
+
+def _shift(left: TimedFrame, right: TimedFrame) -> int:
+    """Return the difference of the numbers of two frames."""
+    return (left.number - right.number + _HALF) % FRAME_NUMBERS - _HALF

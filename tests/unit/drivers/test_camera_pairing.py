@@ -52,6 +52,28 @@ def test_a_missing_partner_is_waited_for_and_then_left_out() -> None:
     assert pairing.counters["late"] == 1
 
 
+def test_frames_of_one_trigger_that_are_no_pair_do_not_wait_for_another_partner() -> None:
+    pairing = Pairing(0.005, 0.05)
+    for k in range(2):
+        pairing.put(LEFT, frame(k, 100 + k))
+        pairing.put(RIGHT, frame(k, off_s=0.008 * k))
+    assert shown(take(pairing, 1)) == [(100, 0), (101, None), (None, 1)]
+
+
+def test_a_frame_waits_while_the_one_passed_on_before_is_of_another_trigger() -> None:
+    """The left camera misses exposure 1, so that its numbers fall behind: number 1 is of exposure 2."""
+    pairing = Pairing(0.005, 0.05)
+    pairing.put(LEFT, frame(0))
+    for k in range(2):
+        pairing.put(RIGHT, frame(k))
+    assert shown(list(pairing.pairs(PERIOD_S + 0.07))) == [(0, 0), (None, 1)]
+    pairing.put(LEFT, frame(2, 1))
+    assert take(pairing, 2) == []
+    pairing.put(RIGHT, frame(2))
+    assert take(pairing, 2) == []  # the numbers of this pair are odd, once
+    assert pairing.counters["odd_numbers"] == 1
+
+
 def test_numbers_of_the_cameras_need_not_be_equal_and_may_wrap() -> None:
     pairing = Pairing(0.005, 0.05)
     for k in range(6):
