@@ -38,7 +38,7 @@ class LiveVision:
         self.unit.warm_up()
         settings = vmu.settings
         self._rate_hz, self._only_noise = vmu.rate_hz, vmu.covariance == "noise"
-        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
+        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s, vmu.rate_hz)
         self._last: FramePair | None = None
         self._solved = self._counter = 0
         self._counts = dict.fromkeys(("no_pose", "incomplete", "lost", "clock_jumps"), 0)
@@ -112,7 +112,7 @@ class CameraPairs:
     def __init__(self, vmu: Vmu, sizes: Sequence[tuple[int, int]]) -> None:
         self._clock = WallClock(time.monotonic_ns())
         settings = vmu.settings
-        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s)
+        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s, vmu.rate_hz)
         self._rate_hz = vmu.rate_hz
         self._cameras = vision_cameras(vmu, sizes, self._clock)
 

@@ -157,10 +157,10 @@ def take_views(bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress:
 
     settle_s: from rest to the exposure.
     """
-    chosen = bench.rig.vmu.settings
-    cameras = vision_cameras(bench.rig.vmu, plan.sizes, bench.clock)
+    unit = bench.rig.vmu
+    cameras = vision_cameras(unit, plan.sizes, bench.clock)
     with closing(cameras), bench.axes_runner().axes_only() as sequencer:
-        pairing = Pairing(chosen.pair_within_s, chosen.pair_wait_s)
+        pairing = Pairing(unit.settings.pair_within_s, unit.settings.pair_wait_s, unit.rate_hz)
         return CalibrationDrive(sequencer, cameras, pairing, plan.is_clear, settle_s, on_progress).take(plan.axes)
 
 

@@ -14,6 +14,7 @@ FRAME_NUMBERS: Final = 65535
 _HALF: Final = FRAME_NUMBERS // 2
 _SHIFT_AGREED: Final = 3  # pairs with a new shift of the frame numbers until it is accepted
 _KEPT: Final = 8  # frames of one camera
+_SAME_TRIGGER: Final = 0.75  # of the period: frames that are further apart are of two triggers, whatever their numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +52,13 @@ class Pairing:
     Two frames are of one exposure if their times differ by at most ``within_s`` and the difference of their numbers is
     that of the pairs before. Another difference (a camera missed a trigger, or its times are wrong by a period) is
     accepted when three pairs in a row have it; until then those frames are not used. A frame whose partner does not
-    arrive within ``wait_s`` is passed on alone; two of the same number that are further apart, one after the other.
+    arrive within ``wait_s`` is passed on alone; two of the same trigger that are further apart, one after the other.
+    rate_hz: of the exposures.
     """
 
-    def __init__(self, within_s: float, wait_s: float) -> None:
+    def __init__(self, within_s: float, wait_s: float, rate_hz: float) -> None:
         self._within_s = within_s
+        self._same_trigger_s = _SAME_TRIGGER / rate_hz
         self._wait_s = wait_s
         self._waiting: tuple[deque[TimedFrame], deque[TimedFrame]] = (deque(), deque())
         self._done_s = -float("inf")  # exposure of the newest pair
@@ -103,7 +106,7 @@ class Pairing:
             return False
         other = self._alone[1]
         left, right = (frame, other) if side == 0 else (other, frame)
-        return abs(frame.exposed_s - other.exposed_s) < self._wait_s and _shift(left, right) == self._shift
+        return abs(frame.exposed_s - other.exposed_s) < self._same_trigger_s and _shift(left, right) == self._shift
 
     def _numbers_agree(self, pair: FramePair) -> bool:
         assert pair.left is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hil.drivers.cameras.pairing import FRAME_NUMBERS, FramePair, Pairing, TimedFrame
 
@@ -27,14 +28,14 @@ def shown(pairs: list[FramePair]) -> list[tuple[int | None, int | None]]:
 
 
 def test_frames_pair_by_exposure_whatever_the_order_of_arrival() -> None:
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     for side, k in ((RIGHT, 0), (RIGHT, 1), (LEFT, 0), (LEFT, 1)):
         pairing.put(side, frame(k, off_s=0.001 * side))
     assert shown(take(pairing, 1)) == [(0, 0), (1, 1)]
 
 
 def test_a_frame_of_the_neighbouring_exposure_is_no_partner() -> None:
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     pairing.put(LEFT, frame(0))
     pairing.put(RIGHT, frame(1))
     pairing.put(LEFT, frame(1))
@@ -43,7 +44,7 @@ def test_a_frame_of_the_neighbouring_exposure_is_no_partner() -> None:
 
 
 def test_a_missing_partner_is_waited_for_and_then_left_out() -> None:
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     pairing.put(LEFT, frame(0))
     assert list(pairing.pairs(0.05)) == []
     assert shown(list(pairing.pairs(0.07))) == [(0, None)]
@@ -52,17 +53,18 @@ def test_a_missing_partner_is_waited_for_and_then_left_out() -> None:
     assert pairing.counters["late"] == 1
 
 
-def test_frames_of_one_trigger_that_are_no_pair_do_not_wait_for_another_partner() -> None:
-    pairing = Pairing(0.005, 0.05)
+@pytest.mark.parametrize("apart_s", [0.008, 0.1])
+def test_frames_of_one_trigger_that_are_no_pair_do_not_wait_for_another_partner(apart_s: float) -> None:
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     for k in range(2):
         pairing.put(LEFT, frame(k, 100 + k))
-        pairing.put(RIGHT, frame(k, off_s=0.008 * k))
+        pairing.put(RIGHT, frame(k, off_s=apart_s * k))
     assert shown(take(pairing, 1)) == [(100, 0), (101, None), (None, 1)]
 
 
 def test_a_frame_waits_while_the_one_passed_on_before_is_of_another_trigger() -> None:
     """The left camera misses exposure 1, so that its numbers fall behind: number 1 is of exposure 2."""
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     pairing.put(LEFT, frame(0))
     for k in range(2):
         pairing.put(RIGHT, frame(k))
@@ -75,7 +77,7 @@ def test_a_frame_waits_while_the_one_passed_on_before_is_of_another_trigger() ->
 
 
 def test_numbers_of_the_cameras_need_not_be_equal_and_may_wrap() -> None:
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     for k in range(6):
         pairing.put(LEFT, frame(k, FRAME_NUMBERS - 3 + k if k < 4 else k - 3))
         pairing.put(RIGHT, frame(k, 100 + k))
@@ -85,7 +87,7 @@ def test_numbers_of_the_cameras_need_not_be_equal_and_may_wrap() -> None:
 
 def test_numbers_that_contradict_the_times_are_not_believed_at_once() -> None:
     """From exposure 3 on the right camera's frames have the time of the next exposure, or it has missed a trigger."""
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     used = []
     for k in range(8):
         pairing.put(LEFT, frame(k))
@@ -96,7 +98,7 @@ def test_numbers_that_contradict_the_times_are_not_believed_at_once() -> None:
 
 
 def test_one_odd_number_costs_one_pair() -> None:
-    pairing = Pairing(0.005, 0.05)
+    pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     used = []
     for k in range(6):
         pairing.put(LEFT, frame(k))
