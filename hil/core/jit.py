@@ -154,7 +154,7 @@ def prepare_kernel_cache() -> None:
     _make_writable(folder)
     siblings = (entry for entry in folder.parent.iterdir() if entry.is_dir() and entry != folder)
     others = sorted(siblings, key=lambda entry: entry.stat().st_mtime)
-    for other in others:
+    for other in reversed(others):  # the newest first: its index counts
         _reuse_entries(other, folder)
     for old in others[: 1 - _KEPT_CACHES]:
         shutil.rmtree(old, ignore_errors=True)
