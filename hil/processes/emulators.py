@@ -18,6 +18,7 @@ from hil.drivers.fault_injection import ControlPort, Faults
 from hil.drivers.shared_state import SharedAxisState
 
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
+_CAMERA_FIFO_PRIORITY = 35  # cameras take milliseconds per image, and libaravis waits for triggers in a busy loop
 
 
 class Emulator(Service, Protocol):
@@ -89,8 +90,9 @@ def make(configuration: Message) -> Service:
     has it, whose relay opens if it does not run for 50 ms.
     """
     service = FaultInjectionService(make_emulator(configuration))
-    if configuration["speed"] <= 1.0 or configuration["device"] == "io":
-        take_fifo(_FIFO_PRIORITY)
+    device = configuration["device"]
+    if configuration["speed"] <= 1.0 or device == "io":
+        take_fifo(_CAMERA_FIFO_PRIORITY if device == "monitor" or "." in device else _FIFO_PRIORITY)
     return service
 
 
