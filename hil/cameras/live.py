@@ -14,8 +14,8 @@ from hil.config.rig import Vmu
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.clock import Clock, WallClock
 from hil.core.messages import PoseFrame
-from hil.drivers.cameras.pairing import FramePair, Pairing, TimedFrame
-from hil.drivers.cameras.processes import vision_cameras
+from hil.drivers.cameras.pairing import FramePair, TimedFrame
+from hil.drivers.cameras.processes import vision_cameras, vision_pairing
 from hil.vmu.sources import Pair
 from hil.vmu.unit import VisionUnit
 
@@ -36,9 +36,8 @@ class LiveVision:
     def __init__(self, geometry: VmuGeometry, vmu: Vmu) -> None:
         self.unit = VisionUnit(geometry)
         self.unit.warm_up()
-        settings = vmu.settings
         self._rate_hz, self._only_noise = vmu.rate_hz, vmu.covariance == "noise"
-        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s, vmu.rate_hz)
+        self._pairing = vision_pairing(vmu)
         self._last: FramePair | None = None
         self._solved = self._counter = 0
         self._counts = dict.fromkeys(("no_pose", "incomplete", "lost", "clock_jumps"), 0)
@@ -111,8 +110,7 @@ class CameraPairs:
 
     def __init__(self, vmu: Vmu, sizes: Sequence[tuple[int, int]]) -> None:
         self._clock = WallClock(time.monotonic_ns())
-        settings = vmu.settings
-        self._pairing = Pairing(settings.pair_within_s, settings.pair_wait_s, vmu.rate_hz)
+        self._pairing = vision_pairing(vmu)
         self._rate_hz = vmu.rate_hz
         self._cameras = vision_cameras(vmu, sizes, self._clock)
 

@@ -16,7 +16,7 @@ from hil.commission.view_plan import Clearance, IsClear, PlanRequest, axes_recor
 from hil.core.messages import Array
 from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.pairing import Pairing
-from hil.drivers.cameras.processes import CameraProcesses, vision_cameras
+from hil.drivers.cameras.processes import CameraProcesses, vision_cameras, vision_pairing
 from hil.errors import BadInput, DeviceError, SafetyTrip
 from hil.loop.motion_sequences import MotionSequencer
 from hil.params import bench as bench_params
@@ -157,10 +157,9 @@ def take_views(bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress:
 
     settle_s: from rest to the exposure.
     """
-    unit = bench.rig.vmu
-    cameras = vision_cameras(unit, plan.sizes, bench.clock)
+    cameras = vision_cameras(bench.rig.vmu, plan.sizes, bench.clock)
     with closing(cameras), bench.axes_runner().axes_only() as sequencer:
-        pairing = Pairing(unit.settings.pair_within_s, unit.settings.pair_wait_s, unit.rate_hz)
+        pairing = vision_pairing(bench.rig.vmu)
         return CalibrationDrive(sequencer, cameras, pairing, plan.is_clear, settle_s, on_progress).take(plan.axes)
 
 

@@ -15,7 +15,7 @@ from hil.core.child_process import ChildProcess, Message
 from hil.core.clock import WallClock
 from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.frame_memory import frame_of, frame_ring
-from hil.drivers.cameras.pairing import TimedFrame
+from hil.drivers.cameras.pairing import Pairing, TimedFrame
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 
 _READY_WALL_S: Final = 20.0
@@ -137,6 +137,11 @@ def vision_cameras(vmu: Vmu, sizes: Sequence[tuple[int, int]], clock: WallClock)
     """Return the cameras of ``[vmu.cameras]``, ``vmu.left`` and ``vmu.right``; raises as ``CameraProcesses`` does."""
     cameras = {f"vmu.{side}": getattr(vmu.settings, side) for side in SIDES}
     return CameraProcesses(cameras, vmu.settings, vmu.rate_hz, vmu.timeout_s, sizes, clock)
+
+
+def vision_pairing(vmu: Vmu) -> Pairing:
+    """Return what makes pairs of the frames of ``vision_cameras``."""
+    return Pairing(vmu.settings.pair_within_s, vmu.settings.pair_wait_s, vmu.rate_hz)
 
 
 def raise_failure(message: Message) -> None:
