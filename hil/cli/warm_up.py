@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
@@ -33,10 +33,11 @@ def warm_up(*groups: str) -> int:
     Parameters
     ----------
     groups
-        Compile only these and the kernels of the control cycle: vmu, monitor, loop, verdict, fusion.
+        Compile only these: gnc, stages, loop, verdict, vmu, monitor, fusion.
     """
-    from hil.core.jit import mark_kernels_cached, prepare_kernel_cache
+    from hil.core.jit import prepare_kernel_cache
     from hil.processes.precompile import GROUPS
+    from hil.setup.compiled import mark_kernels_cached
 
     allowed = ", ".join(GROUPS)
     refuse(
@@ -46,32 +47,24 @@ def warm_up(*groups: str) -> int:
     started_s = time.perf_counter()
     with exit_on_ctrl_c():
         _compile_groups(groups or tuple(GROUPS))
-        mark_kernels_cached()
+        if not groups or {"gnc", "stages"} <= set(groups):
+            mark_kernels_cached("cycle")
     print(f"{'total':{_WIDTH}}{time.perf_counter() - started_s:7.1f} s")  # noqa: T201
     return _PASSED
 
 
 def _compile_groups(groups: Sequence[str]) -> None:
-    """Compile ``groups`` and those of the cycle, one process per processor; print how long each took when it ends."""
-    from hil.processes.precompile import CYCLE_GROUPS, GROUPS, USE_CYCLE_GROUPS
-
+    """Compile ``groups``, one process per processor; print how long each took when it ends."""
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        cycle = [pool.submit(_compile_group, group) for group in CYCLE_GROUPS]
-        running = dict(zip(cycle, CYCLE_GROUPS, strict=True))
-        for group in (name for name in GROUPS if name in groups and name not in CYCLE_GROUPS):
-            running[pool.submit(_compile_group, group, cycle if group in USE_CYCLE_GROUPS else ())] = group
+        running = {pool.submit(_compile_group, group): group for group in groups}
         for done in as_completed(running):
             print(f"{running[done]:{_WIDTH}}{done.result():7.1f} s", flush=True)  # noqa: T201
 
 
-def _compile_group(group: str, after: Sequence[Future[float]] = ()) -> float:
-    """Compile a group of kernels in a child process, when ``after`` are done; return the time that it took, s.
-
-    Raises LinkLost if it fails.
-    """
+def _compile_group(group: str) -> float:
+    """Compile a group of kernels in a child process; return the time that it took, s. Raises LinkLost if it fails."""
     from hil.core.child_process import ChildProcess
 
-    wait(after)
     with ChildProcess(f"precompile process, {group}", "hil.processes.precompile", {"group": group}) as child:
         return float(child.wait_ready(_GROUP_WALL_S)["seconds"])
 

@@ -31,7 +31,6 @@ _KILL_WALL_S: Final = 1.0  # for the kernel to release the memory of a killed pr
 _SERVICE_EXIT_WALL_S: Final = 0.1  # allowed for a service to return after ``stop`` is set
 _STDERR_BYTES: Final = 2000
 
-_in_background: Final[list[subprocess.Popen[bytes]]] = []  # a Popen that is dropped warns if its process runs
 
 Message = dict[str, Any]
 """One line of JSON, an object."""
@@ -172,19 +171,6 @@ class ChildProcess:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def start_in_background(name: str, module: str, argument: str) -> None:
-    """Start ``python -m module name argument`` and leave it alone: it outlives this program, and nothing reads it."""
-    _in_background.append(
-        subprocess.Popen(
-            [sys.executable, "-m", module, name, argument],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-    )
 
 
 class Parent:

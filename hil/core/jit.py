@@ -1,14 +1,15 @@
 """Compilation of the kernels and their cache on disk.
 
-numba's own cache checks only the file of the function that is called; a change in a kernel that it calls from
-another file goes unnoticed. A bench must never run yesterday's formula, so each entry carries a digest of every source
-that its kernel is compiled from: its own file and all that this imports, directly or not. The folder of a set of
-sources starts with the entries of earlier ones that are still valid, so that a change compiles only what depends on it.
-The entries do not depend on where the package is installed: two checkouts of the same sources share them.
+A kernel is a function of numbers that numba compiles. Other kernels inline it; Python may call it too, and only then
+is it compiled on its own. An entry is a kernel that other kernels call by its symbol: a change of it compiles it
+alone, and entries compile side by side.
 
-numba numbers the code of a kernel's signatures as it finds them, so that two processes that compile two signatures at
-once can both write number 1, and leave an index that gives one the code of the other. Here every code has a name of its
-own, and one process at a time adds to an index.
+numba's own cache checks only the file of the function that is called; a change in a kernel that it calls from another
+file goes unnoticed. Here each code has the digest of all that it was compiled from in its name
+(``hil.core.kernel_digest``), and a file of its own, so that several processes may compile at once, and several versions
+and checkouts share what is equal. What was not used for months is removed.
+
+The files are pickles, code that this process runs: a folder or a file that another user owns or may write is refused.
 """
 
 from __future__ import annotations
@@ -16,119 +17,35 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import pickle
 import platform
-import re
-import shutil
-import tempfile
+import stat
+import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from functools import cache
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import IO, Any, Final, TypeVar, cast
 
 import llvmlite.binding
 import numba
 from numba import njit
-from numba.core.caching import CacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
-from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
 
+from hil.core.kernel_digest import NotDigestible, digest_of
+from hil.core.kernel_library import EntryCompiler, InlineCompiler, WrappedCompiler
 from hil.errors import BadInput
 
 _numba_config: Any = numba.config
 _PACKAGE = Path(__file__).parent.parent
-_COMPILED = (b"\n@kernel", b"\n@intrinsic", b"\n@cuda.jit")
-_IMPORT = re.compile(rb"^\s*from (hil[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
-CYCLE, COMPILED_LOOP = "complete", "complete compiled loop"
-"""Groups of kernels: of the cycle in Python, and the loop that is one kernel."""
-
 _OF_IMAGES = ("hil.vmu.", "hil.monitor.")
 _NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.error_budget")
-_KEPT_CACHES = 6
+_UNUSED_MAX_S: Final = 60 * 86_400.0
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def kernel_sources(package: Path = _PACKAGE) -> dict[str, bytes]:
-    """Return the sources that kernels are compiled from, by their path inside ``package``.
-
-    These are all files that define a kernel, wherever they are, and all modules of the package that those import:
-    numba compiles the constants and record layouts of a module into the kernels that use them.
-    """
-    sources = _python_files(package)
-    pending = [name for name, text in sources.items() if any(decorator in text for decorator in _COMPILED)]
-    found: set[str] = set()
-    while pending:
-        name = pending.pop()
-        if name not in found and name in sources:
-            found.add(name)
-            pending += _imports(sources[name])
-    return {name: sources[name] for name in sorted(found)}
-
-
-def _python_files(package: Path) -> dict[str, bytes]:
-    """Return the contents of all modules of ``package``, by their path inside it."""
-    found, start = {}, len(str(package)) + 1
-    for folder, _, names in os.walk(package):
-        for path in (f"{folder}{os.sep}{name}" for name in names if name.endswith(".py")):
-            with open(path, "rb", buffering=0) as file:
-                found[path[start:]] = file.read()
-    return found
-
-
-@cache
-def _imports(text: bytes) -> list[str]:
-    """Return the files that ``text`` may import: of ``from hil.a import b`` a.py, a/__init__.py and a/b.py."""
-    files = []
-    for module, names in _IMPORT.findall(text):
-        place = "".join(f"{part}/" for part in module.decode().split(".")[1:])
-        files += [f"{place[:-1]}.py", f"{place}__init__.py"] if place else []
-        files += [f"{place}{name}.py" for name in re.findall(r"\w+", names.decode())]
-    return files
-
-
-def source_digest(sources: Mapping[str, bytes]) -> str:
-    """Return a digest of ``sources``, contents by name, and of the compiler; the same in every process."""
-    digest = hashlib.sha256(f"numba {numba.__version__}".encode())
-    for name in sorted(sources):
-        digest.update(f"{name} {len(sources[name])} ".encode())
-        digest.update(sources[name])
-    return digest.hexdigest()[:16]
-
-
-def module_digests(sources: Mapping[str, bytes]) -> dict[str, str]:
-    """Return ``source_digest`` of each of ``sources`` together with all that it imports, directly or not."""
-    imported = {name: {file for file in _imports(text) if file in sources} for name, text in sources.items()}
-    own = {name: hashlib.sha256(text).digest() for name, text in sources.items()}
-    return {name: source_digest({file: own[file] for file in _reached(name, imported)}) for name in sources}
-
-
-def _reached(name: str, imported: Mapping[str, set[str]]) -> set[str]:
-    """Return ``name`` and the files that it imports, directly or not."""
-    found: set[str] = set()
-    pending = {name}
-    while pending:
-        found |= pending
-        pending = set().union(*(imported[file] for file in pending)) - found
-    return found
-
-
-@cache
-def _own_sources() -> dict[str, bytes]:
-    return kernel_sources()
-
-
-@cache
-def kernels_digest() -> str:
-    """Return the digest of the kernels that this process runs."""
-    return source_digest(_own_sources())
-
-
-@cache
-def _own_module_digests() -> dict[str, str]:
-    return module_digests(_own_sources())
 
 
 def _cache_root() -> Path:
@@ -139,184 +56,175 @@ def _cache_root() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "hil"
 
 
-def _cache_folder() -> Path:
-    """Return the folder of these sources' kernels: that of the wheel, if it has one and no other is asked for."""
-    shipped = _PACKAGE / "kernels" / kernels_digest()
+def kernel_cache_folder() -> Path:
+    """Return the folder of the kernels: that of the wheel, if it has one and no other is asked for."""
+    shipped = _PACKAGE / "kernels"
     if "HIL_CACHE_DIR" not in os.environ and os.access(shipped, os.W_OK):
         return shipped
-    return _cache_root() / "kernels" / kernels_digest()
+    return _cache_root() / "kernels"
 
 
 def prepare_kernel_cache() -> None:
-    """Create the folder of the compiled kernels and remove the oldest ones. Raises BadInput if it is not writable."""
-    folder = _cache_folder()
-    if folder.exists() and os.access(folder, os.W_OK):
-        return
-    _make_writable(folder)
-    siblings = (entry for entry in folder.parent.iterdir() if entry.is_dir() and entry != folder)
-    others = sorted(siblings, key=lambda entry: entry.stat().st_mtime)
-    for other in reversed(others):  # the newest first: its index counts
-        _reuse_entries(other, folder)
-    for old in others[: 1 - _KEPT_CACHES]:
-        shutil.rmtree(old, ignore_errors=True)
-
-
-def _reuse_entries(old: Path, folder: Path) -> None:
-    """Link the entries of ``old`` whose sources are those of today into ``folder``."""
-    current = set(_own_module_digests().values())
-    for path in old.rglob("*.nb[ic]"):
-        if not current.isdisjoint(re.findall(r"-(\w{16})\.", path.name)):
-            place = folder / path.relative_to(old)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with suppress(FileExistsError, FileNotFoundError):  # another process does the same, or removes ``old``
-                os.link(path, place)
-
-
-def _make_writable(folder: Path) -> None:
+    """Create the folder of the compiled kernels. Raises BadInput if it is not writable, or if others may write it."""
+    folder = kernel_cache_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-        tempfile.TemporaryFile(dir=folder).close()
+        folder.mkdir(parents=True, exist_ok=True, mode=0o755)
+        _check_owner(folder, os.stat(folder))
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(None, "Permission denied")
     except OSError as error:
-        raise BadInput.single(
-            "kernel cache",
-            str(_cache_root()),
-            f"cannot be written ({error.strerror}); set HIL_CACHE_DIR to a folder that can",
-        ) from error
+        raise _refusal(f"cannot be written ({error.strerror})") from error
 
 
-def kernels_are_cached(group: str = CYCLE) -> bool:
-    """Return whether an earlier start left the kernels of ``group``, compiled for these very sources and processor."""
-    marker = _cache_folder() / group
-    return marker.exists() and marker.read_text() == _processor()
+def _check_owner(path: Path, found: os.stat_result) -> None:
+    """Raise BadInput if another user than this one or root owns ``path``, or may write it."""
+    if found.st_uid not in (os.geteuid(), 0):
+        raise _refusal(f"{path.name} belongs to another user (uid {found.st_uid}), whose code it would run")
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        mode = stat.S_IMODE(found.st_mode)
+        raise _refusal(f"{path.name} can be written by other users (mode {mode:o}), whose code it would run")
 
 
-def mark_kernels_cached(group: str = CYCLE) -> None:
-    """Record that every kernel of ``group`` has been compiled once for these sources."""
-    prepare_kernel_cache()
-    (_cache_folder() / group).write_text(_processor())
+def _refusal(reason: str) -> BadInput:
+    text = f"{reason}; set HIL_CACHE_DIR to a folder of your own"
+    return BadInput.single("kernel cache", str(_cache_root()), text)
 
 
-@contextmanager
-def only_one_process(group: str) -> Iterator[bool]:
-    """Give whether this process is the only one that compiles ``group``, as long as this lasts."""
-    prepare_kernel_cache()
-    with (_cache_folder() / f"{group} lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-        else:
-            yield True
+def remove_unused_kernels() -> None:
+    """Remove the kernels that no process has loaded for months."""
+    oldest_s = time.time() - _UNUSED_MAX_S
+    for path in kernel_cache_folder().rglob("*-*.*"):
+        with suppress(FileNotFoundError):
+            if path.stat().st_mtime < oldest_s:
+                path.unlink()
 
 
-class KernelCacheLocator(_CacheLocator):
-    """Place of a kernel in the cache: by its path inside the package, created when the first one is written."""
-
-    def __init__(self, py_func: Callable[..., Any], py_file: str) -> None:
-        self._py_file = py_file  # named in numba's warning about a function that cannot be cached
-        self._line = py_func.__code__.co_firstlineno
-        place = Path(py_file).relative_to(_PACKAGE)
-        self._place = place.parent
-        self._digest = _own_module_digests()[str(place)]
-
-    @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> KernelCacheLocator | None:
-        return cls(py_func, py_file) if py_file.startswith(f"{_PACKAGE}{os.sep}") else None
-
-    def get_cache_path(self) -> str:
-        return str(_cache_folder() / self._place)
-
-    def ensure_cache_path(self) -> None:
-        prepare_kernel_cache()
-        _make_writable(_cache_folder() / self._place)
-
-    def get_source_stamp(self) -> str:
-        return self._digest
-
-    def get_disambiguator(self) -> str:
-        return f"{self._line}-{self._digest}"  # part of the names of the files, which ``_reuse_entries`` looks at
+def mark_of(kernel: Any) -> Path:
+    """Return the file that says that ``kernel`` and what is used with it have been compiled, for ``processor()``."""
+    return kernel_cache_folder() / f"{kernel.py_func.__name__}-{digest_of(kernel)}"
 
 
-CacheImpl._locator_classes.insert(0, KernelCacheLocator)
+class KernelCache:
+    """Codes of one kernel on disk, one file for each signature, in the interface of numba's caches.
 
-
-class KernelCacheFile(IndexDataCacheFile):
-    """Index and codes of one kernel on disk, which several processes may extend at once."""
-
-    def save(self, key: Any, data: Any) -> None:
-        """Write ``data`` of the signature ``key``, unless another process was first, under a name that no other has."""
-        with Path(self._cache_path, "lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            index = self._load_index()
-            if key in index and Path(self._data_path(index[key])).exists():
-                return
-            name = f"{Path(self._index_name).stem}.{uuid.uuid4().hex}.nbc"
-            self._save_data(name, data)
-            self._save_index({**index, key: name})
-
-
-class _KernelCache(FunctionCache):
-    """Cache of one kernel, in a ``KernelCacheFile``."""
-
-    def __init__(self, py_func: Callable[..., Any]) -> None:
-        super().__init__(py_func)
-        locator = self._impl.locator
-        self._cache_file = KernelCacheFile(self._cache_path, self._impl.filename_base, locator.get_source_stamp())
-
-
-class _KernelLibrary(JITCodeLibrary):
-    """Code of one kernel; from the cache its bitcode is parsed only when another kernel is linked with it.
-
-    That of the loop is 5 MB, and parsing it took a sixth of the start of a run, and 55 MB of memory.
+    kind: of the code: a kernel that Python calls has another one than the same kernel inside others. A process that
+    finds no code of an entry, and another that compiles it, waits for that one.
     """
 
-    _bitcode: bytes | None = None
+    def __init__(self, function: Callable[..., Any], kind: str) -> None:
+        self._function, self._kind = function, kind
+        self._compiling: dict[Path, IO[bytes]] = {}
+        self.cache_path = None
 
-    def serialize_using_object_code(self) -> tuple[Any, ...]:
-        name, kind, data = super().serialize_using_object_code()
-        module = self._get_module_for_linking()
-        symbols = (*module.functions, *module.global_variables)
-        return name, kind, (*data, [symbol.name for symbol in symbols if not symbol.is_declaration])
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return the code for ``signature``, None if there is none. Raises BadInput if others may have written it."""
+        path = self._path(signature, target_context.codegen())
+        if path is None:
+            return None
+        data = self._read(path)
+        if data is None and self._kind == "entry":
+            data = self._read_after_others(path)
+        if data is None:
+            return None
+        target_context.refresh()
+        return CompileResult._rebuild(target_context, *pickle.loads(data))
 
-    @classmethod
-    def _unserialize(cls, codegen: Any, state: tuple[Any, ...]) -> Any:
-        name, _, (code, bitcode, symbols) = state
-        library = codegen.create_library(name)
-        library.enable_object_caching()
-        library._set_compiled_object(code)
-        library._bitcode = bitcode
-        library._finalize_final_module()
-        codegen._engine._defined_symbols.update(symbols)
-        return library
+    def _read(self, path: Path) -> bytes | None:
+        try:
+            with path.open("rb") as file:
+                _check_owner(path, os.fstat(file.fileno()))
+                with suppress(OSError):  # a file of root
+                    os.utime(file.fileno())
+                return file.read()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
 
-    def _get_module_for_linking(self) -> Any:
-        if self._shared_module is None and self._bitcode is not None:
-            self._shared_module = llvmlite.binding.parse_bitcode(self._bitcode)
-        return super()._get_module_for_linking()
+    def _read_after_others(self, path: Path) -> bytes | None:
+        """Return the code that another process is compiling; None if this process is to compile it."""
+        self._make_folder(path)
+        lock = path.with_suffix(".lock").open("wb")
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        data = self._read(path)
+        if data is None:
+            self._compiling[path] = lock  # until it is saved, or this process ends
+        else:
+            lock.close()
+        return data
 
+    def _make_folder(self, path: Path) -> None:
+        prepare_kernel_cache()
+        try:
+            path.parent.mkdir(exist_ok=True, mode=0o755)
+        except OSError as error:
+            raise _refusal(f"cannot be written ({error.strerror})") from error
 
-JITCPUCodegen._library_class = _KernelLibrary
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Write the code for ``signature``, if it can be used by other processes."""
+        path = self._path(signature, result.codegen)
+        if path is None or result.lifted or result.library.has_dynamic_globals:
+            return
+        data = dumps(result._reduce())
+        self._make_folder(path)
+        written = path.with_suffix(f".{uuid.uuid4().hex}")
+        try:
+            written.write_bytes(data)
+            written.chmod(0o644)
+            written.replace(path)
+        except OSError as error:
+            written.unlink(missing_ok=True)
+            raise _refusal(f"cannot be written ({error.strerror})") from error
+        if (lock := self._compiling.pop(path, None)) is not None:
+            lock.close()
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        """Return the file of the code for ``signature``; None if the kernel depends on what has no digest."""
+        try:
+            digest = digest_of(self._function)
+        except NotDigestible:
+            return None
+        types = tuple(getattr(signature, "args", signature))
+        key = hashlib.sha256(f"{types} {codegen.magic_tuple()} {self._kind}".encode()).hexdigest()[:16]
+        name = self._function.__qualname__.replace("<locals>", "")
+        return kernel_cache_folder() / self._function.__module__ / f"{name}-{digest}-{key}.nbc"
 
 
 def kernel(function: _Function) -> _Function:
     """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
 
-    Those of the loop are inlined where they are called, which makes it a third faster; those of the images are
-    large, called once per image, and would compile for minutes. Those of the error budget are off by default. All but
-    those of the images are compiled for each integer constant in a call, which makes the loop 8 % faster.
+    Other kernels inline it, which makes the loop a third faster; those of the images are large, called once per image,
+    and are called as functions inside the entry that holds them, as are those of the error budget. All but those of the
+    images are compiled for each integer constant in a call, which makes the loop 8 % faster.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     safety monitor's check for finite values and not by an exception in mid-cycle.
     """
     inlined = not function.__module__.startswith(_NOT_INLINED)
-    options: dict[str, Any] = {"forceinline": inlined, "no_cfunc_wrapper": True}
-    compiled = njit(error_model="numpy", nogil=True, **options)(function)
-    compiled._cache = _KernelCache(function)
+    called = _compiled(function, "wrapped", WrappedCompiler)
+    inside = _compiled(function, "inline", InlineCompiler, forceinline=inlined, no_cpython_wrapper=True)
+    call_template = inside.get_call_template
     if function.__module__.startswith(_OF_IMAGES):
-        call_template = compiled.get_call_template
-        compiled.get_call_template = lambda types, named: call_template([_any_integer(a) for a in types], named)
+        called.get_call_template = lambda types, named: call_template([_any_integer(a) for a in types], named)
+    else:
+        called.get_call_template = call_template
+    called.get_overload = inside.get_overload
+    called.inside = inside
+    return cast(_Function, called)
+
+
+def entry(function: _Function) -> _Function:
+    """Compile ``function`` as a kernel that other kernels call by its symbol instead of inlining it."""
+    compiled = _compiled(function, "entry", EntryCompiler)
+    compiled.compiled_on_its_own = True
     return cast(_Function, compiled)
+
+
+def _compiled(function: Callable[..., Any], kind: str, compiler: Any, **options: Any) -> Any:
+    decorate: Any = njit
+    compiled = decorate(error_model="numpy", nogil=True, no_cfunc_wrapper=True, pipeline_class=compiler, **options)(
+        function
+    )
+    compiled._cache = KernelCache(function, kind)
+    return compiled
 
 
 def _any_integer(argument: Any) -> Any:
@@ -327,7 +235,7 @@ def _any_integer(argument: Any) -> Any:
     return argument.literal_type if isinstance(argument, numba.types.IntegerLiteral) else argument
 
 
-def _processor() -> str:
+def processor() -> str:
     """Return the name of the processor that kernels are compiled for."""
     return str(_numba_config.CPU_NAME or llvmlite.binding.get_host_cpu_name())
 

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.core.messages import POSE
 from hil.gnc import akf, akf_additive, body_frame, error_budget, pkf
 from hil.gnc.akf import AKF_PARAMS, AKF_STATE
@@ -173,7 +173,7 @@ def _start(params, state, pose, filters, budget):
         error_budget.start(params.budget, pose, state.noise, filters.akf, filters.pkf, budget)
 
 
-@kernel
+@entry
 def _predict(params, state, step):
     """Carry both filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
     filters, axes, n = state.filters, state.axes, params.budget.n
@@ -338,7 +338,7 @@ def _update_attitude(params, state, q_measured, covariance, gain, innovation):
     pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
 
 
-@kernel
+@entry
 def _fuse_pose(params, state, pose, moment_s, gated):
     """Fuse one pose whose step is at ``moment_s``; return the part that was accepted.
 
@@ -466,7 +466,7 @@ def _fuse_step(params, state, step, moment_s):
         step.gated[k] = _fuse_pose(params, state, step.poses[k], moment_s, step.gated[k])
 
 
-@kernel
+@entry
 def advance(params, state, memory, imu):
     """Begin the next step: keep its IMU sample and carry the filters over it.
 
@@ -485,7 +485,7 @@ def advance(params, state, memory, imu):
         _keep_predicted(params, state, step)
 
 
-@kernel
+@entry
 def fuse(params, state, memory, pose):
     """Fuse a pose (POSE) at its own time: back to its step, and forward again."""
     state.updated = 0

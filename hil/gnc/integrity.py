@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from hil.core.gnc_records import GncHealth
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.maths.arrays import copy_into
 from hil.maths.kalman import is_covariance_3
 
@@ -218,7 +218,7 @@ def _second_bound(params, state, fusion, t_s, sigma_v, velocity):
     return state.second_m + drift * max(0.0, t_s - state.second_s)
 
 
-@kernel
+@entry
 def protect(params, state, fusion, t_s, out):
     """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
 

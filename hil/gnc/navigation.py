@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.gnc import akf, fusion, integrity, pkf, vision_only
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
@@ -55,7 +55,7 @@ def drop_imu(params, state, estimate):
         vision_only.continue_from(state.vision_only, estimate, state.fusion.last_accepted_s)
 
 
-@kernel
+@entry
 def navigate(params, state, memory, samples, poses, n_poses, out):
     """Use the IMU's samples since the last call and the new poses; write ``out`` (NAVIGATION).
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.gnc_records import GncHealth
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import (
     allocation,
@@ -104,7 +104,7 @@ GNC_STATE = np.dtype(
 )
 
 
-@kernel
+@entry
 def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, reference, supervision, command):
     """Run stages 4 to 7: write NAVIGATION, REFERENCE, SUPERVISION and COMMAND for ``t_s``, time of the run.
 
@@ -142,7 +142,7 @@ def has_event(before, after):
     )
 
 
-@kernel
+@entry
 def watch_thrusters(params, state, samples, command, estimate):
     """Stage 4: compare the IMU with the thrusters of the cycle before; without a sound IMU continue by vision alone.
 
@@ -158,7 +158,7 @@ def watch_thrusters(params, state, samples, command, estimate):
         navigation.drop_imu(params.navigation, state.navigation, estimate)
 
 
-@kernel
+@entry
 def guide(params, state, t_s, supervision, reference):
     """Stage 5: start the next phase when its time or its order has come, and write REFERENCE.
 
@@ -181,7 +181,7 @@ def guide(params, state, t_s, supervision, reference):
     guidance.reference(params.guidance, state.guidance, t_s, reference)
 
 
-@kernel
+@entry
 def watch_approach(params, state, t_s, estimate, reference, supervision, abort_without_estimate):
     """Stage 6: check the estimate against corridor, closing rate and ready state; react to its health.
 
@@ -243,7 +243,7 @@ def _feed_forward(params, state, reference):
     )  # fmt: skip
 
 
-@kernel
+@entry
 def actuate(params, state, estimate, reference, command):
     """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE.
 

@@ -18,9 +18,10 @@ from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.renamed_keys import first_names_json
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
-from hil.core.jit import COMPILED_LOOP, kernels_digest, mark_kernels_cached
+from hil.core.kernel_digest import digest_of
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.library import binary_digest
+from hil.loop.compiled.loop_kernel import run_loop
 from hil.monte_carlo.batch import Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
@@ -30,7 +31,9 @@ from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
 from hil.monte_carlo.store import Store, atomic_write
 from hil.report.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.session import build
+from hil.session.warm_up import compile_group
 from hil.setup.assembly import Job
+from hil.setup.compiled import kernels_are_cached
 
 RIG: Final = "mock"
 
@@ -110,14 +113,15 @@ class CampaignJob:
             "scenario_digest": scenario_digest(self.scenario.value),
             "seed": self.seed,
             "duration_s": self.duration_s,
-            "kernels": kernels_digest(),
+            "kernels": digest_of(run_loop),
         }
 
     def warm_up(self) -> None:
         """Compile the loop unless it is in the kernel cache."""
         value = self.scenario.value
+        if not kernels_are_cached("loop"):
+            compile_group("loop", Job(self.scenario, self._rig, 0, value.step_s, 1.0))
         CaseRunner(value, self._rig.value, 2.0 * value.step_s).run(value, 0)
-        mark_kernels_cached(COMPILED_LOOP)
 
     def run(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
         """Run the missing ones of ``runs`` cases; return the summary, which is also written to the folder."""

@@ -9,13 +9,40 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from hil.core.jit import KernelCacheLocator
+from hil.core.jit import kernel_cache_folder, prepare_kernel_cache
+from hil.core.kernel_digest import digest_of
 from hil.loop.compiled.loop_kernel import COMPLETED, run_loop
 
 cuda: Any = importlib.import_module("numba.cuda")
+
+
+class _Locator:
+    """Place of the code for GPUs in the kernel cache, for numba's cache."""
+
+    def __init__(self, function: Any) -> None:
+        self._name = function.__name__
+
+    @classmethod
+    def from_function(cls, function: Any, _file: str) -> _Locator | None:
+        return cls(function) if function.__module__ == __name__ else None
+
+    def get_cache_path(self) -> str:
+        return str(kernel_cache_folder() / "cuda")
+
+    def ensure_cache_path(self) -> None:
+        prepare_kernel_cache()
+        (kernel_cache_folder() / "cuda").mkdir(exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        return digest_of(run_loop)
+
+    def get_disambiguator(self) -> str:
+        return f"{self._name}-{digest_of(run_loop)}"
+
+
 if not cuda.config.ENABLE_CUDASIM:  # the simulator compiles nothing
     caching: Any = importlib.import_module("numba.cuda.core.caching")
-    caching.CacheImpl._locator_classes.insert(0, KernelCacheLocator)
+    caching.CacheImpl._locator_classes.insert(0, _Locator)
 
 
 @cuda.jit(cache=True)

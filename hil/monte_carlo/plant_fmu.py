@@ -22,6 +22,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GncState
+from hil.core.kernel_library import whole_module
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.fmi.mapping import record_fields
@@ -207,7 +208,7 @@ def _loop_module(arguments: Sequence[Any]) -> llvm.ModuleRef:
     loop: Any = run_loop
     loop.compile(tuple(numba.typeof(argument) for argument in arguments))
     compiled = next(iter(loop.overloads.values()))
-    text = str(compiled.library._get_module_for_linking())
+    text = str(whole_module(compiled.library))
     name = compiled.fndesc.llvm_func_name
     text = re.sub(rf'(define )linkonce_odr (?:range\(.*?\) )?(i32 @)"?{re.escape(name)}"?\(', rf"\1\2{_ENTRY}(", text)
     text = text.replace(name, _ENTRY)

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.core.child_process import ChildProcess
-from hil.core.jit import kernels_are_cached
 from hil.core.messages import CYCLE
 from hil.core.realtime import FIFO_PRIORITY
 from hil.errors import DeviceError
 from hil.preflight.check import PreflightCheck
+from hil.setup.compiled import kernels_are_cached
 
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNORS = Path("/sys/devices/system/cpu")
@@ -74,7 +74,7 @@ def probe_host(folder: Path) -> HostFacts:
         free_bytes=float(shutil.disk_usage(folder).free),
         kernel=platform.release(),
         kernel_is_realtime=_text(_REALTIME) == "1" or "PREEMPT_RT" in platform.version(),
-        kernels_cached=kernels_are_cached(),
+        kernels_cached=kernels_are_cached("cycle"),
     )
 
 

@@ -1,13 +1,11 @@
 """Compiler of one group of kernels into the kernel cache, in a process of its own.
 
-``hil warm-up`` starts one per processor. A program that starts with an empty cache starts one for the GNC, and one of
-lowest priority, which may outlive the program, for the compiled loop.
+``hil warm-up`` starts one per processor, a program that starts with an empty cache one for the GNC. A process that
+needs an entry that another compiles waits for it.
 """
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -16,11 +14,9 @@ import numpy as np
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.child_process import Parent
-from hil.core.jit import COMPILED_LOOP, mark_kernels_cached, only_one_process
 from hil.core.messages import IMU, MAX_POSES, POSE, TRUTH, new
 from hil.setup.assembly import Job, make_gnc
-
-_LOWEST_PRIORITY: Final = 19
+from hil.setup.compiled import mark_kernels_cached
 
 
 class _NoPoses:
@@ -56,7 +52,7 @@ def _compile_loop() -> None:
 
     job = _job()
     CaseRunner(job.scenario.value, job.rig.value, job.duration_s).run(job.scenario.value, 0)
-    mark_kernels_cached(COMPILED_LOOP)
+    mark_kernels_cached("loop")
 
 
 def _compile_checks() -> None:
@@ -103,40 +99,21 @@ def _compile_docking_monitor() -> None:
 GROUPS: Final[Mapping[str, Callable[[], None]]] = {
     "gnc": _compile_gnc,
     "stages": _compile_stages,
-    "vmu": _compile_vision_unit,
-    "monitor": _compile_docking_monitor,
     "loop": _compile_loop,
     "verdict": _compile_checks,
+    "vmu": _compile_vision_unit,
+    "monitor": _compile_docking_monitor,
     "fusion": _compile_study,
 }
 """Group of kernels -> function that calls each of them once, with the types that programs call them with.
 
 ``gnc`` and ``stages`` are those of the cycle, ``vmu`` those of the vision unit, ``monitor`` those of the docking
-monitor. The compiled ``loop``, the checks before a run and its ``verdict``, and the ``fusion`` study use kernels of
-``CYCLE_GROUPS``, which they take from the cache.
+monitor; the others are the compiled ``loop``, the checks before a run and its ``verdict``, and the ``fusion`` study.
 """
-CYCLE_GROUPS: Final = ("gnc", "stages")
-USE_CYCLE_GROUPS: Final = ("loop", "verdict", "fusion")
 
 
 def main() -> None:
-    """Compile the group on the command line, or that of the parent; the parent's end ends this process."""
-    if len(sys.argv) > 2:
-        _compile_in_background(sys.argv[2])
-    else:
-        _compile_for_parent()
-
-
-def _compile_in_background(group: str) -> None:
-    """Compile ``group`` unless another process does so."""
-    os.nice(_LOWEST_PRIORITY)
-    with only_one_process(group) as alone:
-        if alone:
-            GROUPS[group]()
-
-
-def _compile_for_parent() -> None:
-    """Compile the group that the parent names; send how long it took, s."""
+    """Compile the group that the parent names; send how long it took, s. The parent's end ends this process."""
     parent = Parent()
     started_s = time.perf_counter()
     GROUPS[parent.configuration["group"]]()

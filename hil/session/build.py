@@ -49,7 +49,7 @@ from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, library_problems, mocks
 from hil.setup.assembly import Job as Job
 from hil.setup.clock_watch import ClockWatch
-from hil.setup.compiled import compiled_cycles, loop_is_compiled
+from hil.setup.compiled import compiled_cycles
 from hil.setup.compiled import runs_compiled as runs_compiled
 from hil.setup.exchange_rates import ExchangeRates
 from hil.setup.true_axes import TrueAxesWatch
@@ -247,14 +247,13 @@ def in_memory(
 ) -> Runner:
     """Return a Runner of ``job`` on mocks of any rig's devices, timed by ``rate``.
 
-    In simulated time and without an operator its closed loop is the compiled one, if that has all parts of the job
-    and is in the kernel cache.
+    In simulated time and without an operator its closed loop is the compiled one, if that has all parts of the job.
     images: sink of a rendered vision unit's images; with a paced ``rate`` it must not wait.
     """
     made_of = mocks(job.truth, job.rig.value, job.seed, images)
     context = RunContext(operator, on_progress, scheduling, telemetry)
     runner = assemble(job, job.rig.value, rate, made_of.devices, context)
-    if operator is None and isinstance(rate, SimulatedRate) and runs_compiled(job) and loop_is_compiled():
+    if operator is None and isinstance(rate, SimulatedRate) and runs_compiled(job):
         runner.cycles = compiled_cycles(job, runner, rate, made_of)
     return runner
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
-from hil.core.child_process import ChildProcess, start_in_background
+from hil.core.child_process import ChildProcess
 from hil.core.clock import SimulatedClock
-from hil.core.jit import kernels_are_cached, mark_kernels_cached, prepare_kernel_cache
+from hil.core.jit import prepare_kernel_cache
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
 from hil.loop.bench_stage import Move
@@ -19,44 +19,44 @@ from hil.loop.runner import Runner
 from hil.params import bench as bench_params
 from hil.session.build import in_memory, runs_compiled
 from hil.setup.assembly import Job, start_axes
-from hil.setup.compiled import loop_is_compiled
+from hil.setup.compiled import Kernels, kernels_are_cached, mark_kernels_cached
 
-FIRST_START = "first start: compiling the kernels for this computer, once, about a minute"
+FIRST_START = "first start: compiling the kernels for this computer, once"
 _CYCLES = 10
 _CHILD_WALL_S = 600.0  # a computer that is busy takes several minutes
 
 
 def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
-    """Compile the kernels that ``job`` needs and that are not in the cache.
+    """Compile the kernels that ``job`` needs and that are not in the cache, on two cores.
 
-    In simulated time the compiled loop needs no others. Without it, this run is one of the cycle in Python, with equal
-    results, and the loop is compiled in the background for the runs to come. In real time every kernel of the cycle is
-    also called once: nothing is loaded once the bench is powered.
+    In simulated time these are the compiled loop's. In real time every kernel of the cycle is also called once: nothing
+    is loaded once the bench is powered.
     announce: receives FIRST_START if the kernels are not in the cache yet, and then the time that they took.
     """
-    if runs_compiled(job) and loop_is_compiled():
-        return
-    if not kernels_are_cached():
-        _compile(job, announce)
-    if runs_compiled(job):
-        start_in_background("precompile process", "hil.processes.precompile", "loop")
-    elif job.paced or job.rig.value.kind != "mock":
+    group: Kernels = "loop" if runs_compiled(job) else "cycle"
+    if not kernels_are_cached(group):
+        prepare_kernel_cache()
+        announce(FIRST_START)
+        started_s = time.perf_counter()
+        compile_group(group, job)
+        announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
+    if group == "cycle" and (job.paced or job.rig.value.kind != "mock"):
         warm_up(job)
 
 
-def _compile(job: Job, announce: Callable[[str], None]) -> None:
-    prepare_kernel_cache()
-    announce(FIRST_START)
-    started_s = time.perf_counter()
+def compile_group(group: Kernels, job: Job) -> None:
+    """Compile the kernels of ``group``: those of the GNC in a child process, the others here, with ``job``."""
     with ChildProcess("precompile process", "hil.processes.precompile", {"group": "gnc"}) as child:
         try:
             warm_up_all_but_gnc(job)
+            if group == "loop":
+                in_memory(_short_job(job, compiled=True), SimulatedRate(SimulatedClock(), job.tick_s)).run()
+            else:
+                warm_up(job)
             child.wait_end(_CHILD_WALL_S)
         finally:
-            child.kill()  # what it has not compiled is compiled here
-    warm_up(job)
-    mark_kernels_cached()
-    announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
+            child.kill()
+    mark_kernels_cached(group)
 
 
 def warm_up(job: Job) -> None:
@@ -89,8 +89,13 @@ def warm_up_all_but_gnc(job: Job) -> None:
 
 
 def _short_run(job: Job) -> Runner:
-    """Return a short run of ``job`` on mocks with the built-in GNC, for any rig and any GNC of the job."""
+    """Return a short run of the cycle in Python on mocks, for any rig and any GNC of ``job``."""
+    return in_memory(_short_job(job, compiled=False), SimulatedRate(SimulatedClock(), job.tick_s))
+
+
+def _short_job(job: Job, compiled: bool) -> Job:
+    """Return a short job on mocks with the built-in GNC."""
     scenario = job.scenario.value
     builtin = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
-    short = Job(replace(job.scenario, value=builtin), job.rig, 0, _CYCLES * scenario.step_s, 1.0, compiled=False)
-    return in_memory(short, SimulatedRate(SimulatedClock(), job.tick_s))
+    loaded = replace(job.scenario, value=builtin)
+    return Job(loaded, job.rig, 0, _CYCLES * scenario.step_s, 1.0, compiled=compiled)

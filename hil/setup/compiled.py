@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Literal
 
 from hil.cameras.pose_sensor import PoseModel
-from hil.core.jit import COMPILED_LOOP, kernels_are_cached
+from hil.core.jit import mark_of, prepare_kernel_cache, processor, remove_unused_kernels
 from hil.drivers.io.mock import MockIo
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.mock import MockVmu
@@ -16,6 +17,9 @@ from hil.loop.compiled.params import frames_in_transit, loop_params, set_truth
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.setup.assembly import Job, Mocks
+
+Kernels = Literal["loop", "cycle"]
+"""Groups of kernels: those of the compiled loop, and those that the cycle in Python calls one by one."""
 
 
 def python_only(job: Job) -> str:
@@ -47,10 +51,22 @@ def runs_compiled(job: Job) -> bool:
     return not python_only(job)
 
 
-def loop_is_compiled() -> bool:
-    """Return whether the compiled loop is in the kernel cache or in this process; to compile it takes minutes."""
-    loop: Any = run_loop
-    return bool(loop.signatures) or kernels_are_cached(COMPILED_LOOP)
+def kernels_are_cached(group: Kernels) -> bool:
+    """Return whether an earlier start left the kernels of ``group``, compiled for these very sources and processor."""
+    mark = _mark(group)
+    return mark.exists() and mark.read_text() == processor()
+
+
+def mark_kernels_cached(group: Kernels) -> None:
+    """Record that every kernel of ``group`` has been compiled once for these sources."""
+    prepare_kernel_cache()
+    _mark(group).write_text(processor())
+    remove_unused_kernels()
+
+
+def _mark(group: Kernels) -> Path:
+    loop = mark_of(run_loop)
+    return loop if group == "loop" else loop.with_name(f"{loop.name}-{group}")
 
 
 def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:

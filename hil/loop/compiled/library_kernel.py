@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncOrder
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.core.messages import new
 from hil.gnc.step import APPROACH_PROGRESS, copy_progress, guide, watch_approach
 from hil.gnc_backends import external_records
@@ -47,7 +47,7 @@ def has_new_text(library):
     return differences > 0
 
 
-@kernel
+@entry
 def library_step(params, state, poses, n_poses, cycle, t_s):
     """Call the library between guidance and approach monitor; return False if its output is a fault.
 

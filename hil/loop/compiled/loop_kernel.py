@@ -17,7 +17,7 @@ from hil.bench import guard as guards
 from hil.bench.bench_guard import BENCH_GUARD_MEMORY, BENCH_GUARD_PARAMS
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION, SPAN
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.core.messages import AXES, CYCLE, MAX_POSES, MAX_THRUSTERS
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics import truth as truth_kernels
@@ -169,7 +169,7 @@ def _send(axes, position, rate, now_s, accepted):
     return True
 
 
-@kernel
+@entry
 def _expose(params, state, until_s, first, vision_noise, travel_draws, leds, frames, stats):
     """Write the frames that the vision unit exposes up to ``until_s`` into ``frames``, in transit.
 
@@ -275,7 +275,7 @@ def _disturb_frames(params, state, now_s, frames, delayed):
         state.in_transit = _take_frame(frames, i, state.in_transit)
 
 
-@kernel
+@entry
 def _receive_poses(params, state, now_s, frames, delayed, poses, arrivals):
     """Write the poses that have arrived by ``now_s`` into ``poses`` (MAX_POSES,); return their number, -1 on timeout.
 
@@ -342,7 +342,7 @@ def _record_pose(state, poses, arrived):
     now.received_s = state.arrived_s[newest] - state.zero_s
 
 
-@kernel
+@entry
 def _read_axes(state, now_s):
     """Write the encoders' values into the present row."""
     _move_all(state, now_s)
@@ -354,7 +354,7 @@ def _read_axes(state, now_s):
         feedback.gimbal_rad[i] += turntable.encoder_offset[i]
 
 
-@kernel
+@entry
 def _check_monitor(params, state, t_s, noise, first):
     """Compare the navigation with the docking monitor's measurements, which are those of the statistical model."""
     if is_measured(params.monitor, state.monitor, t_s):
@@ -383,7 +383,7 @@ def _mirror_thrusters(params, state, now_s):
         state.lines_changed_s = now_s
 
 
-@kernel
+@entry
 def _check_consistency(params, state):
     """Write the NEES of both filters in cycles in which they took a pose, nan otherwise."""
     now = state.now
@@ -407,7 +407,7 @@ def _aim(params, state):
         kinematics.extend_span(state.span, state.desired, params.step_s)
 
 
-@kernel
+@entry
 def _send_setpoints(params, state, stats, now_s):
     """Stage 11: setpoints of the present tick. Return False if one is not finite."""
     now = state.now

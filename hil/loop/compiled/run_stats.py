@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import approach_monitor, ready_phase
@@ -127,7 +127,7 @@ def _count_navigation(now, stats):
         stats.nees_attitude += now.nees_attitude
 
 
-@kernel
+@entry
 def count_cycle(params, state, stats):
     """Count the cycle in ``state.now``. params: LOOP_PARAMS."""
     now = state.now

@@ -1,4 +1,4 @@
-"""The cache of compiled kernels: keyed by every source they are compiled from, wherever those are."""
+"""The cache of compiled kernels: keyed by all that they are compiled from, wherever the package is."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import os
 import shutil
 import subprocess
 import sys
-from multiprocessing import get_context
+import time
 from pathlib import Path
 
 import pytest
 
 import hil
-from hil.core.jit import KernelCacheFile, kernel, kernel_sources, source_digest
+from hil.core.jit import kernel
 
 PACKAGE = Path(hil.__file__).parent
 
@@ -20,7 +20,7 @@ CALL_ONE_KERNEL = """
 import numpy as np
 from hil.maths.limits import cut_to_range
 cut_to_range(np.zeros(3), np.zeros(3), np.ones(3), np.empty(3))
-print(sum(cut_to_range.stats.cache_hits.values()))
+print(sum(cut_to_range._cache_hits.values()))
 """
 
 
@@ -42,98 +42,91 @@ def run_in(checkout: Path, code: str, environment: dict[str, str]) -> subprocess
     return subprocess.run(command, env=environment, cwd=checkout, capture_output=True, text=True, check=False)
 
 
-def test_digest_is_the_same_for_a_copy_of_the_sources(copy: Path) -> None:
-    assert source_digest(kernel_sources(copy)) == source_digest(kernel_sources(PACKAGE))
-
-
-def test_kernel_that_moves_to_a_new_folder_stays_in_the_digest(copy: Path) -> None:
-    before = source_digest(kernel_sources(copy))
-    (copy / "new_folder").mkdir()
-    moved = (copy / "dynamics" / "hill.py").rename(copy / "new_folder" / "hill.py")
-    assert "new_folder/hill.py" in kernel_sources(copy)
-    assert source_digest(kernel_sources(copy)) != before
-
-    after = source_digest(kernel_sources(copy))
-    moved.write_bytes(moved.read_bytes().replace(b"2.0 * w0", b"2.1 * w0"))
-    assert source_digest(kernel_sources(copy)) != after
-
-
-@pytest.mark.parametrize("imported", ["core/messages.py", "core/gnc_records.py"])
-def test_module_whose_constants_kernels_use_is_in_the_digest(copy: Path, imported: str) -> None:
-    before = source_digest(kernel_sources(copy))
-    (copy / imported).write_bytes((copy / imported).read_bytes() + b"\nADDED = 1\n")
-    assert source_digest(kernel_sources(copy)) != before
-
-
-def test_module_without_influence_on_kernels_is_not_in_the_digest(copy: Path) -> None:
-    before = source_digest(kernel_sources(copy))
-    (copy / "cli" / "main.py").write_bytes(b"")
-    assert source_digest(kernel_sources(copy)) == before
-
-
 def test_second_checkout_of_the_same_sources_compiles_nothing(copy: Path, tmp_path: Path) -> None:
     first = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", PACKAGE.parent)
     second = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", copy.parent)
     assert (first.stdout, second.stdout) == ("0\n", "1\n"), first.stderr + second.stderr
 
 
-def test_cached_kernel_is_parsed_only_when_another_is_linked_with_it(tmp_path: Path) -> None:
-    parsed = f"""{CALL_ONE_KERNEL}
-from numba import njit
-library, = (result.library for result in cut_to_range.overloads.values())
-print(library._shared_module is not None)
-@njit
-def doubled(x):
-    cut_to_range(x, x - 1.0, x + 1.0, x)
-    return 2.0 * x[0]
-print(doubled(np.full(3, 4.0)))
-print(library._shared_module is not None)
-"""
-    run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent)
-    again = run_with_cache(parsed, tmp_path, PACKAGE.parent)
-    assert again.stdout.split() == ["1", "False", "8.0", "True"], again.stderr
-
-
-def test_kernel_is_compiled_again_only_if_a_source_of_its_own_has_changed(copy: Path, tmp_path: Path) -> None:
-    prepare_and_call = f"from hil.core.jit import prepare_kernel_cache as prepare; prepare(){CALL_ONE_KERNEL}"
-
-    def hits_after_a_change_of(name: str) -> str:
-        with (copy / name).open("a") as file:
-            file.write("\n# changed\n")
-        done = run_with_cache(prepare_and_call, tmp_path / "cache", copy.parent)
+def test_kernel_is_compiled_again_only_if_what_it_is_compiled_from_has_changed(copy: Path, tmp_path: Path) -> None:
+    def hits_after(file: str, old: str, new: str) -> str:
+        text = (copy / file).read_text()
+        assert old in text
+        (copy / file).write_text(text.replace(old, new))
+        done = run_with_cache(CALL_ONE_KERNEL, tmp_path / "cache", copy.parent)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    assert hits_after_a_change_of("maths/limits.py") == "0\n"
-    assert hits_after_a_change_of("dynamics/hill.py") == "1\n"
-    assert hits_after_a_change_of("core/jit.py") == "0\n"
-    assert hits_after_a_change_of("maths/limits.py") == "0\n"
+    assert hits_after("maths/limits.py", "def cut_to_range(", "def cut_to_range(") == "0\n"
+    assert hits_after("maths/limits.py", "def cut_to_range(", "# a comment\ndef cut_to_range(") == "1\n"
+    assert hits_after("maths/limits.py", "max(", "1.0 * max(") == "0\n"
+    assert hits_after("dynamics/hill.py", "2.0 *", "2.1 *") == "1\n"
+    assert hits_after("core/jit.py", '"""Compilation', '"""The compilation') == "0\n"
+    assert hits_after("maths/limits.py", "1.0 * max(", "max(") == "0\n"
 
 
-def test_processes_that_save_signatures_at_once_lose_and_mix_up_none(tmp_path: Path) -> None:
-    with get_context("fork").Pool(6) as pool:
-        pool.starmap(save_signatures, [(tmp_path, n) for n in range(6)], chunksize=1)
-    saved = KernelCacheFile(str(tmp_path), "kernel", "digest")
-    keys = [(n, i) for n in range(6) for i in range(40)] + ["shared"]
-    assert [saved.load(key) for key in keys] == [f"code of {key}" for key in keys]
-    assert len(list(tmp_path.glob("*.nbc"))) == len(keys)
+CALL_ONE_ENTRY = """
+import numpy as np, numba
+from hil.core.messages import AXES, new
+from hil.loop.compiled.loop_kernel import LOOP_STATE, _read_axes
+_read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))
+print(sum(_read_axes._cache_hits.values()))
+"""
 
 
-def save_signatures(folder: Path, n: int) -> None:
-    """Save 40 signatures of its own and one that every process has."""
-    file = KernelCacheFile(str(folder), "kernel", "digest")
-    for key in [*((n, i) for i in range(40)), "shared"]:
-        file.save(key, f"code of {key}")
+def test_one_of_several_processes_compiles_an_entry_and_the_others_wait_for_it(tmp_path: Path) -> None:
+    environment = os.environ | {"HIL_CACHE_DIR": str(tmp_path)}
+    started = [
+        subprocess.Popen([sys.executable, "-c", CALL_ONE_ENTRY], env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    assert sorted(process.communicate()[0] for process in started) == ["0\n", "1\n", "1\n"]
 
 
-def test_code_that_was_removed_is_written_again(tmp_path: Path) -> None:
-    file = KernelCacheFile(str(tmp_path), "kernel", "digest")
-    file.save("key", "code")
-    for code in tmp_path.glob("*.nbc"):
-        code.unlink()
-    assert file.load("key") is None
-    file.save("key", "code")
-    assert file.load("key") == "code"
+@pytest.mark.parametrize("mode", [0o777, 0o775])
+def test_folder_that_others_may_write_is_refused(tmp_path: Path, mode: int) -> None:
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    folder.chmod(mode)
+    line = refusal_of_a_run(tmp_path)
+    assert line.startswith(f"kernel cache: {tmp_path}: kernels can be written by other users (mode {mode:o})")
+    assert line.endswith("set HIL_CACHE_DIR to a folder of your own")
+
+
+def test_kernel_that_others_may_write_is_refused_and_not_run(tmp_path: Path) -> None:
+    run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent)
+    (code,) = (tmp_path / "kernels" / "hil.maths.limits").glob("cut_to_range-*.nbc")
+    code.chmod(0o666)
+    done = run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent)
+    assert done.returncode != 0
+    assert "can be written by other users (mode 666), whose code it would run" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder away")
+def test_folder_of_another_user_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "kernels").mkdir()
+    os.chown(tmp_path / "kernels", 12345, 12345)
+    assert "kernels belongs to another user (uid 12345)" in refusal_of_a_run(tmp_path)
+
+
+def refusal_of_a_run(cache: Path) -> str:
+    """Return the one line with which a run refuses the kernels in ``cache``."""
+    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--duration", "1"]
+    environment = os.environ | {"HIL_CACHE_DIR": str(cache)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def test_kernels_that_nothing_has_used_for_months_are_removed(tmp_path: Path) -> None:
+    run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent)
+    old = tmp_path / "kernels" / "hil.maths.limits" / "gone-0123-4567.nbc"
+    old.write_bytes(b"")
+    os.utime(old, (0.0, time.time() - 70 * 86_400.0))
+    run_with_cache("from hil.core.jit import remove_unused_kernels as remove; remove()", tmp_path, PACKAGE.parent)
+    assert not old.exists()
+    assert run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent).stdout == "1\n"
 
 
 def test_kernel_of_images_is_compiled_once_for_all_integers_that_it_is_called_with() -> None:
@@ -152,7 +145,7 @@ def test_kernel_of_images_is_compiled_once_for_all_integers_that_it_is_called_wi
         return product(x, last) * 5.0
 
     assert factorial_of_five(1.0) == 120.0
-    assert len(product.signatures) == 1  # type: ignore[attr-defined]
+    assert len(product.inside.signatures) == 1  # type: ignore[attr-defined]
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:
@@ -171,12 +164,12 @@ def test_kernels_in_a_wheel_are_used_where_they_are(copy: Path, tmp_path: Path) 
 
 
 def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mark = "from hil.core.jit import mark_kernels_cached as mark, kernels_are_cached as cached; mark(); print(cached())"
-    look = "from hil.core.jit import kernels_are_cached as cached; print(cached())"
+    names = "from hil.setup.compiled import mark_kernels_cached as mark, kernels_are_cached as cached"
     with monkeypatch.context() as other:
         other.setenv("NUMBA_CPU_NAME", "generic")
-        assert run_with_cache(mark, tmp_path, PACKAGE.parent).stdout == "True\n"
-    assert run_with_cache(look, tmp_path, PACKAGE.parent).stdout == "False\n"
+        done = run_with_cache(f"{names}; mark('cycle'); print(cached('cycle'))", tmp_path, PACKAGE.parent)
+        assert done.stdout == "True\n"
+    assert run_with_cache(f"{names}; print(cached('cycle'))", tmp_path, PACKAGE.parent).stdout == "False\n"
 
 
 @pytest.mark.parametrize("module", ["hil.fmi.step", "hil.gnc_backends.isolated", "hil.session.build"])
@@ -191,17 +184,7 @@ print(codegen.magic_tuple()[1:] == (config.CPU_NAME, config.CPU_FEATURES))
     assert run_in(PACKAGE.parent, code, dict(os.environ)).stdout == "True\n"
 
 
-def test_second_process_leaves_a_group_to_the_first(tmp_path: Path) -> None:
-    code = "from hil.core.jit import only_one_process as one\nwith one('loop') as alone: print(alone)"
-    nested = f"import subprocess, sys\n{code}; sys.stdout.flush(); subprocess.run([sys.executable, '-c', {code!r}])"
-    assert run_with_cache(nested, tmp_path, PACKAGE.parent).stdout == "True\nFalse\n"
-
-
 def test_cache_that_cannot_be_written_is_one_clear_line() -> None:
-    command = [sys.executable, "-m", "hil", "run", "scheme-1", "--duration", "1"]
-    environment = os.environ | {"HIL_CACHE_DIR": "/proc/hil"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
+    line = refusal_of_a_run(Path("/proc/hil"))
     assert line.startswith("kernel cache: /proc/hil: cannot be written")
     assert "set HIL_CACHE_DIR" in line

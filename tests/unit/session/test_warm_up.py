@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from hil.session import warm_up
-from hil.session.warm_up import compile_kernels
+from hil.session.warm_up import FIRST_START, compile_kernels
 from hil.setup.assembly import Job
 from tests.support.run_settings import make_job
 
@@ -18,14 +18,12 @@ CacheWith = Callable[..., Steps]
 
 @pytest.fixture
 def cache_with(monkeypatch: pytest.MonkeyPatch) -> CacheWith:
-    """Return a function that fills the kernel cache with parts; it returns the list of what is done from then on."""
+    """Return a function that fills the kernel cache with groups; it returns the list of what is done from then on."""
 
-    def fill(*parts: str) -> Steps:
+    def fill(*groups: str) -> Steps:
         done: Steps = []
-        monkeypatch.setattr(warm_up, "kernels_are_cached", lambda: "cycle" in parts)
-        monkeypatch.setattr(warm_up, "loop_is_compiled", lambda: "loop" in parts)
-        monkeypatch.setattr(warm_up, "_compile", lambda *_: done.append("compile the cycle"))
-        monkeypatch.setattr(warm_up, "start_in_background", lambda *_: done.append("compile the loop in background"))
+        monkeypatch.setattr(warm_up, "kernels_are_cached", lambda group: group in groups)
+        monkeypatch.setattr(warm_up, "compile_group", lambda group, _: done.append(f"compile the {group}"))
         monkeypatch.setattr(warm_up, "warm_up", lambda *_: done.append("call all kernels"))
         return done
 
@@ -43,14 +41,21 @@ def test_simulated_run_with_the_loop_in_the_cache_waits_for_nothing(cache_with: 
     assert done == []
 
 
-def test_first_simulated_run_leaves_the_loop_to_the_background(cache_with: CacheWith, job: Job) -> None:
-    done = cache_with()
-    compile_kernels(job, lambda _: None)
-    assert done == ["compile the cycle", "compile the loop in background"]
+def test_first_simulated_run_compiles_the_loop_and_says_so(cache_with: CacheWith, job: Job) -> None:
+    done, words = cache_with("cycle"), []
+    compile_kernels(job, words.append)
+    assert done == ["compile the loop"]
+    assert words[0] == FIRST_START
+    assert words[1].startswith("kernels compiled in ")
 
 
-@pytest.mark.parametrize("parts", [("cycle",), ("cycle", "loop")])
-def test_run_in_real_time_calls_all_kernels_beforehand(cache_with: CacheWith, job: Job, parts: Steps) -> None:
-    done = cache_with(*parts)
+def test_first_run_in_real_time_compiles_the_cycle(cache_with: CacheWith, job: Job) -> None:
+    done = cache_with("loop")
+    compile_kernels(replace(job, paced=True), lambda _: None)
+    assert done == ["compile the cycle", "call all kernels"]
+
+
+def test_run_in_real_time_calls_all_kernels_beforehand(cache_with: CacheWith, job: Job) -> None:
+    done = cache_with("cycle")
     compile_kernels(replace(job, paced=True), lambda _: None)
     assert done == ["call all kernels"]

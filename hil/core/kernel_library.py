@@ -1,0 +1,188 @@
+"""Two kinds of compiled kernels: those that are only inlined, and entries.
+
+numba optimises each function that it compiles, emits machine code and a wrapper for Python, and links its bitcode, to
+be optimised again, into every caller. Of the kernels of a loop hardly any is called from Python. An ``InlineLibrary``
+is therefore bitcode alone, optimised function by function: no machine code, no wrapper. An ``EntryLibrary`` is compiled
+whole: the bitcode of the inlined kernels that it reaches is linked and optimised once. It calls other entries by their
+symbols.
+
+The classes override methods of numba's libraries and of its compiler; tests/unit/core/test_numba_hooks.py has a test
+for each, which names the version of numba that it was written for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import Compiler
+
+from hil.core.kernel_digest import NotDigestible, digest_of
+
+Origin = tuple[str, str, tuple[Any, ...]]
+"""Module and qualified name of a kernel, and the types of its arguments."""
+
+
+class _NoEngine:
+    """Stands in for the code generator where numba registers what is not executed by itself."""
+
+    @staticmethod
+    def set_env(_name: str, _environment: Any) -> None:
+        """Do nothing: the environment belongs to the entry into which the kernel is inlined."""
+
+
+class _Library(JITCodeLibrary):
+    """Compiled code of a kernel. entries: of other kernels that this code calls by their symbols."""
+
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.entries: dict[str, Origin] = {}
+
+    def add_linking_library(self, library: Any) -> None:
+        if isinstance(library, EntryLibrary) and library.origin is not None:
+            library._ensure_finalized()
+            self.entries[f"{library.name} {library.origin[2]}"] = library.origin
+            return
+        if isinstance(library, _Library):
+            library._ensure_finalized()
+            self.entries.update(library.entries)
+        super().add_linking_library(library)
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: tuple[Any, ...]) -> Any:
+        name, kind, data = state
+        if kind not in ("inline", "entry"):  # a function of numba's own
+            return JITCodeLibrary._unserialize.__func__(JITCodeLibrary, codegen, state)  # type: ignore[attr-defined]
+        library: InlineLibrary | EntryLibrary
+        library = (InlineLibrary if kind == "inline" else EntryLibrary)(codegen, name)
+        library.restore(*data)
+        return library
+
+
+class InlineLibrary(_Library):
+    """A kernel that exists only inside others: its bitcode with that of the kernels that it calls."""
+
+    @property
+    def codegen(self) -> Any:
+        return _NoEngine
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+    def serialize_using_object_code(self) -> tuple[Any, ...]:
+        return self.name, "inline", (self._get_module_for_linking().as_bitcode(), self.entries)
+
+    def restore(self, bitcode: bytes, entries: dict[str, Origin]) -> None:
+        """Take over what was serialised."""
+        self._final_module = self._shared_module = llvmlite.binding.parse_bitcode(bitcode)
+        self.entries = entries
+        self._finalized = True
+
+
+class EntryLibrary(_Library):
+    """A kernel with machine code of its own; its bitcode is parsed only when another is linked with it.
+
+    That of the loop is 5 MB, and parsing it took a sixth of the start of a run, and 55 MB of memory. origin: None for a
+    kernel that is inlined where other kernels call it.
+    """
+
+    origin: Origin | None = None
+    _bitcode: bytes | None = None
+
+    def serialize_using_object_code(self) -> tuple[Any, ...]:
+        name, _, data = super().serialize_using_object_code()
+        module = self._get_module_for_linking()
+        symbols = [s.name for s in (*module.functions, *module.global_variables) if not s.is_declaration]
+        return name, "entry", (*data, symbols, self.entries, self.origin)
+
+    def restore(
+        self, code: bytes, bitcode: bytes, symbols: list[str], entries: dict[str, Origin], origin: Origin | None
+    ) -> None:
+        """Take over what was serialised, after the entries that it calls."""
+        for module, name, types in entries.values():
+            getattr(importlib.import_module(module), name).compile(types)
+        self.entries, self.origin, self._bitcode = entries, origin, bitcode
+        self.enable_object_caching()
+        self._set_compiled_object(code)
+        self._finalize_final_module()
+        self._codegen._engine._defined_symbols.update(symbols)
+
+    def _get_module_for_linking(self) -> Any:
+        if self._shared_module is None and self._bitcode is not None:
+            self._shared_module = llvmlite.binding.parse_bitcode(self._bitcode)
+        return super()._get_module_for_linking()
+
+
+def whole_module(library: Any) -> Any:
+    """Return a module of LLVM with the code of ``library`` and of all entries that it reaches."""
+    module, pending, linked = library._get_module_for_linking().clone(), dict(library.entries), set[str]()
+    while pending:
+        name, (place, function, types) = pending.popitem()
+        if name not in linked:
+            linked.add(name)
+            called = getattr(importlib.import_module(place), function).overloads[types].library
+            module.link_in(called._get_module_for_linking(), preserve=True)
+            pending |= called.entries
+    return module
+
+
+class _Compiler(Compiler):
+    """Compiles a kernel into a library of a given kind, under a name that only its digest determines.
+
+    numba numbers the functions of a process, so that the names in the code of two processes differ.
+    """
+
+    library: type[_Library]
+
+    def _compile_bytecode(self) -> Any:
+        identity = self.state.func_id
+        try:
+            identity.unique_id = int(digest_of(identity.func)[:12], 16)
+        except NotDigestible:
+            pass  # numba's own number, and no cache
+        else:
+            identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
+        library = self.library(self.state.targetctx.codegen(), identity.func_qualname)
+        library.enable_object_caching()
+        self.set_origin(library, identity.func)
+        self.state.library = library
+        return super()._compile_bytecode()
+
+    def set_origin(self, library: Any, func: Callable[..., Any]) -> None:
+        """Note in ``library`` where callers in other processes find the kernel, if they call it by its symbol."""
+
+
+class InlineCompiler(_Compiler):
+    """Compiles a kernel that is only inlined."""
+
+    library = InlineLibrary
+
+
+class WrappedCompiler(_Compiler):
+    """Compiles a kernel that Python calls, and that is inlined where other kernels call it."""
+
+    library = EntryLibrary
+
+
+class EntryCompiler(_Compiler):
+    """Compiles a kernel that Python and other kernels call."""
+
+    library = EntryLibrary
+
+    def set_origin(self, library: Any, func: Callable[..., Any]) -> None:
+        library.origin = (func.__module__, func.__qualname__, self.state.args)
+
+
+JITCPUCodegen._library_class = _Library

@@ -1,0 +1,91 @@
+"""What hil overrides in numba's compiler, one test for each: its failure names the version of numba that changes it.
+
+Written for numba 0.61 to 0.66.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import numba
+import pytest
+from numba.core.codegen import JITCPUCodegen
+
+from hil.core.jit import kernel
+from hil.core.kernel_library import EntryLibrary, InlineLibrary, _Library, whole_module
+
+_THIS = f"numba {numba.__version__}"
+
+
+@kernel
+def _third(x: float) -> float:
+    return x / 3.0
+
+
+@kernel
+def _ninth(x: float) -> float:
+    return _third(_third(x))
+
+
+@pytest.fixture(scope="module")
+def ninth() -> Any:
+    """Return a kernel that was called from Python."""
+    assert _ninth(1.0) == 1.0 / 3.0 / 3.0
+    return _ninth
+
+
+def library_of(compiled: Any) -> Any:
+    """Return the only library of a kernel."""
+    (result,) = compiled.overloads.values()
+    return result.library
+
+
+def test_code_generator_makes_libraries_of_this_class() -> None:
+    assert JITCPUCodegen._library_class is _Library, _THIS
+
+
+def test_kernel_that_another_calls_is_bitcode_without_machine_code(ninth: Any) -> None:
+    inside: Any = _third
+    library = library_of(inside.inside)
+    assert isinstance(library, InlineLibrary), _THIS
+    assert library.get_pointer_to_function(library.name) == 0, _THIS
+    assert not inside.overloads, f"{_THIS}: compiled for Python, which never calls it"
+    assert isinstance(library_of(ninth), EntryLibrary), _THIS
+
+
+def test_entry_holds_the_inlined_kernels_and_no_others(ninth: Any) -> None:
+    functions = [f.name for f in library_of(ninth)._get_module_for_linking().functions]
+    assert not any("_third" in name for name in functions), f"{_THIS}: not inlined, or left behind"
+
+
+def test_names_in_the_code_do_not_depend_on_the_order_of_compilation() -> None:
+    code = """
+import numpy as np, sys
+from hil.maths import limits, quat
+if sys.argv[1] == "after":
+    quat.normalise(np.ones(4))
+limits.cut_to_range(np.zeros(3), np.zeros(3), np.ones(3), np.empty(3))
+(result,) = limits.cut_to_range.overloads.values()
+print(result.fndesc.mangled_name)
+"""
+    names = [
+        subprocess.run([sys.executable, "-c", code, order], capture_output=True, text=True, check=True).stdout
+        for order in ("first", "after")
+    ]
+    assert names[0] == names[1] != "", _THIS
+
+
+def test_module_of_an_entry_with_all_that_it_calls_lacks_no_kernel() -> None:
+    from hil.core.messages import new
+    from hil.loop.compiled.loop_kernel import LOOP_PARAMS, LOOP_STATE, _read_axes, _send_setpoints
+    from hil.loop.compiled.run_stats import RUN_STATS
+
+    _read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))
+    records = [numba.typeof(new(layout)) for layout in (LOOP_PARAMS, LOOP_STATE, RUN_STATS)]
+    sends: Any = _send_setpoints
+    sends.compile((*records, numba.float64))
+    module = whole_module(library_of(sends))
+    missing = [f.name for f in module.functions if f.is_declaration and "hil" in f.name]
+    assert missing == [], _THIS
