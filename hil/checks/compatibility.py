@@ -74,7 +74,7 @@ def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
 def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
     """Return a problem for each alert limit at the ready point that the noise of a single pose exceeds."""
     value = scenario.value
-    if value.gnc.navigation.sensors != "vision_imu" or value.gnc.binary is not None:
+    if not value.gnc.fuses_imu:
         return []
     settings, vmu = value.integrity, value.vmu
     distance = math.hypot(*value.gnc.guidance.ready_point_m)
@@ -200,7 +200,7 @@ def check_memory(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem if poses arrive later than the filters remember, or if they remember too many steps."""
     value = scenario.value
     navigation, vmu = value.gnc.navigation, value.vmu
-    if navigation.sensors != "vision_imu" or value.gnc.binary is not None:
+    if not value.gnc.fuses_imu:
         return []
     key = "gnc.navigation.memory_s"
     if value.memory_steps > _MEMORY_STEPS_MAX:

@@ -103,15 +103,19 @@ def _server(library: GncLibrary | None, scenario: Scenario, link: Link, announce
 
 
 @app.command(help="Print hil_gnc.h, the C header of the records between the bench and an external GNC.")
-def header(*, folder: Flag = False) -> int:
+def header(*, folder: Flag = False, backends: Flag = False) -> int:
     """Print hil_gnc.h, the C header of the records between the bench and an external GNC.
 
     Parameters
     ----------
     folder
-        Print the folder of the file, for -I of a C compiler.
+        Print the folder of the files, for -I of a C compiler.
+    backends
+        Print hil_backends.h, of backends of navigation and of control, instead.
     """
+    from hil.gnc_backends.backend_header import BACKENDS_HEADER_FILE
     from hil.gnc_backends.c_header import HEADER_FILE
 
-    sys.stdout.write(f"{HEADER_FILE.parent}\n" if folder else HEADER_FILE.read_text(encoding="utf-8"))
+    file = BACKENDS_HEADER_FILE if backends else HEADER_FILE
+    sys.stdout.write(f"{file.parent}\n" if folder else file.read_text(encoding="utf-8"))
     return 0

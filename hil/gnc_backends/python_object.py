@@ -43,6 +43,12 @@ class PythonObjectGnc(ExternalGnc):
     def __init__(self, gnc: PythonGnc, setup: BackendSetup) -> None:
         super().__init__(f"gnc {class_name(gnc)}", setup)
         self._gnc = gnc
+        self._raised: BaseException | None = None
+
+    @property
+    def user_error(self) -> BaseException | None:
+        """What the object has raised."""
+        return self._raised
 
     def open(self, bench_s: float) -> None:
         """Begin a session: call ``reset()`` and ``start(setup)`` of the object if it has them. Raises DeviceError."""
@@ -66,6 +72,7 @@ class PythonObjectGnc(ExternalGnc):
         try:
             return method(*arguments)
         except Exception as error:
+            self._raised = error
             text = " ".join(str(error).split())
             raise DeviceError(self.name, f"{name} raised {type(error).__name__}" + (f": {text}" if text else "")) from (
                 error

@@ -71,7 +71,7 @@ def check(job: Job) -> None:
         *check_drift_views(job.rig),
         *_rig_problems(job),
     ]
-    problems = problems or library_problems(job.scenario) or check_sign_off(job.rig)
+    problems = problems or library_problems(job.scenario, job.own) or check_sign_off(job.rig)
     if problems := problems or check_preflight(job.rig, job.scenario.value.step_s):
         raise BadInput(problems)
 

@@ -91,6 +91,6 @@ def warm_up_all_but_gnc(job: Job) -> None:
 def _short_run(job: Job) -> Runner:
     """Return a short run of ``job`` on mocks with the built-in GNC, for any rig and any GNC of the job."""
     scenario = job.scenario.value
-    builtin = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
+    builtin = scenario.model_copy(update={"gnc": scenario.gnc.built_in()})
     short = Job(replace(job.scenario, value=builtin), job.rig, 0, _CYCLES * scenario.step_s, 1.0, compiled=False)
     return in_memory(short, SimulatedRate(SimulatedClock(), job.tick_s))
