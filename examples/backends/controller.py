@@ -11,10 +11,10 @@ from hil.maths import quat
 
 class DeadBand:
     settings = (
-        hil.Setting("deadband_m", 0.003, "m", 1e-4, 0.1, "of position and lead"),
-        hil.Setting("deadband_deg", 0.05, "deg", 1e-3, 5.0, "of attitude and lead"),
-        hil.Setting("lead_s", 5.0, "s", 0.1, 100.0, "weight of the rate"),
-        hil.Setting("period_s", 0.2, "s", 0.02, 10.0, "between two decisions"),
+        hil.Setting("deadband_m", 0.006, "m", 1e-4, 0.1, "of position and lead"),
+        hil.Setting("deadband_deg", 0.15, "deg", 1e-3, 5.0, "of attitude and lead"),
+        hil.Setting("lead_s", 12.0, "s", 0.1, 100.0, "weight of the rate"),
+        hil.Setting("period_s", 0.4, "s", 0.02, 10.0, "between two decisions"),
     )
 
     def start(self, setup, settings):

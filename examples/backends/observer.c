@@ -14,10 +14,10 @@
 enum { POSITION, VELOCITY, BIAS, ATTITUDE };
 
 const hil_backend_setting hil_navigation_settings[] = {
-    {"position_gain", "1", "fraction of a pose's position error that is corrected", 0.1, 0.0, 1.0},
-    {"velocity_gain_per_s", "1/s", "of it that corrects the velocity", 0.03, 0.0, 5.0},
-    {"bias_gain_per_s2", "1/s^2", "of it that corrects the accelerometer's bias", 0.001, 0.0, 1.0},
-    {"attitude_gain", "1", "fraction of a pose's attitude error that is corrected", 0.1, 0.0, 1.0},
+    {"position_gain", "1", "fraction of a pose's position error that is corrected", 0.04, 0.0, 1.0},
+    {"velocity_gain_per_s", "1/s", "of it that corrects the velocity", 0.003, 0.0, 5.0},
+    {"bias_gain_per_s2", "1/s^2", "of it that corrects the accelerometer's bias", 0.0001, 0.0, 1.0},
+    {"attitude_gain", "1", "fraction of a pose's attitude error that is corrected", 0.01, 0.0, 1.0},
     {NULL, NULL, NULL, 0.0, 0.0, 0.0},
 };
 
@@ -123,6 +123,7 @@ int hil_navigation_step(const hil_navigation_input *input, hil_navigation_output
     output->valid = m->started;
     for (int i = 0; i < 3; i++) {
         output->r_CT_H[i] = m->r[i], output->v_CT_H[i] = m->v[i], output->w_CH_C[i] = m->w[i];
+        output->sigma_r_m[i] = 0.0015, output->sigma_v_mps[i] = 0.0007;
         output->bias_mps2[i] = m->bias[i], output->bias_sigma_mps2[i] = 1e-3;
     }
     for (int i = 0; i < 4; i++)

@@ -13,10 +13,10 @@ from numba import njit
 import hil
 
 SETTINGS = (
-    hil.Setting("position_gain", 0.1, "1", 0.0, 1.0, "fraction of a pose's position error that is corrected"),
-    hil.Setting("velocity_gain_per_s", 0.03, "1/s", 0.0, 5.0, "of it that corrects the velocity"),
-    hil.Setting("bias_gain_per_s2", 0.001, "1/s^2", 0.0, 1.0, "of it that corrects the accelerometer's bias"),
-    hil.Setting("attitude_gain", 0.1, "1", 0.0, 1.0, "fraction of a pose's attitude error that is corrected"),
+    hil.Setting("position_gain", 0.04, "1", 0.0, 1.0, "fraction of a pose's position error that is corrected"),
+    hil.Setting("velocity_gain_per_s", 0.003, "1/s", 0.0, 5.0, "of it that corrects the velocity"),
+    hil.Setting("bias_gain_per_s2", 0.0001, "1/s^2", 0.0, 1.0, "of it that corrects the accelerometer's bias"),
+    hil.Setting("attitude_gain", 0.01, "1", 0.0, 1.0, "fraction of a pose's attitude error that is corrected"),
 )
 MEMORY = [("started", "i8"), ("r", "f8", 3), ("v", "f8", 3), ("q", "f8", 4), ("w", "f8", 3), ("bias", "f8", 3)]
 
@@ -91,6 +91,7 @@ def observer(settings, inp, out, memory):
     out.valid = m.started
     for i in range(3):
         out.r_CT_H[i], out.v_CT_H[i], out.w_CH_C[i] = m.r[i], m.v[i], m.w[i]
+        out.sigma_r_m[i], out.sigma_v_mps[i] = 0.0015, 0.0007
         out.bias_mps2[i], out.bias_sigma_mps2[i] = m.bias[i], 1e-3
     for i in range(4):
         out.q_CH[i] = m.q[i]

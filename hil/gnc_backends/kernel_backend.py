@@ -11,6 +11,7 @@ import importlib.util
 import inspect
 import marshal
 import re
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -88,6 +89,9 @@ class CompiledKernel:
             self._step: Any = self._compiled(kernel, part)
         except NumbaError as error:
             raise refuse(f"{kernel.name} does not compile: {compile_error(error)}") from error
+        except KeyError as error:  # numba's for a field that a record does not have
+            place = _line_with(kernel.function, f".{error.args[0]}")
+            raise refuse(f"{kernel.name} does not compile: a record has no field {error}{place}") from error
 
     def _compiled(self, kernel: KernelBackend, part: str) -> Any:
         """Return the step as a C function, from the cache if it is there."""
@@ -101,6 +105,7 @@ class CompiledKernel:
         assert found is not None
         assert found.loader is not None
         module: Any = importlib.util.module_from_spec(found)
+        sys.modules[module.__name__] = module  # where numba looks for it when it takes the step from the cache
         module.INPUT, module.OUTPUT, module.INSTANCE = INPUTS[part], OUTPUTS[part], self._instance
         module.KERNEL = njit(error_model="numpy", nogil=True)(kernel.function)
         found.loader.exec_module(module)
@@ -143,3 +148,12 @@ def compile_error(error: NumbaError) -> str:
     reason = re.sub(r"(of type )?Record\(.*", "of a record", (reasons or lines[-1:])[-1])
     places = re.findall(r'File "[^"]*", line (\d+)', str(error)) or re.findall(r"\((\d+)\)", str(error))
     return one_line(reason, 200) + (f" (line {places[-1]})" if places else "")
+
+
+def _line_with(function: Callable[..., None], text: str) -> str:
+    """Return the number of the first line of ``function`` with ``text`` as an addition to a message."""
+    try:
+        lines, first = inspect.getsourcelines(function)
+    except (OSError, TypeError):
+        return ""
+    return next((f" (line {first + i})" for i, line in enumerate(lines) if text in line), "")
