@@ -6,10 +6,10 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from hil.api.jobs import (
-    BackendArgument,
+    BackendArguments,
     Overrides,
     check_counts,
     job_of,
@@ -43,8 +43,7 @@ def campaign(
     overrides: Overrides | None = None,
     workers: int = 0,
     engine: str = "cpu",
-    navigation: BackendArgument = None,
-    control: BackendArgument = None,
+    **backends: Unpack[BackendArguments],
 ) -> Campaign:
     """Run many cases of a scenario with its dispersions on the mock rig, in the compiled loop.
 
@@ -67,9 +66,10 @@ def campaign(
         Number of processes, of threads that draw the noise for a GPU; 0: one per core.
     engine
         ``cpu``, or ``cuda``: a GPU of NVIDIA. Cases of both are not mixed in a folder.
-    navigation, control
-        Backend in place of the scenario's, as for ``hil.run``: each case has a new object of a class, and a copy of an
-        object. A case whose object raises has failed; ``summary["first_error"]`` has the first traceback.
+    backends
+        ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new object
+        of a class, and a copy of an object. A case whose object raises has failed; ``summary["first_error"]`` has the
+        first traceback.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def campaign(
     if engine not in ENGINES:
         raise BadInput.single("engine", "", f"{engine!r:.60}: must be one of {', '.join(ENGINES)}")
     with named_as_argument():
-        job = job_of(scenario, RIG, overrides, seed, duration_s, navigation=navigation, control=control)
+        job = job_of(scenario, RIG, overrides, seed, duration_s, **backends)
         checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
     temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
     folder = Path(temporary.name if temporary else str(out))

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -30,8 +30,15 @@ from hil.setup.gnc_setup import backend_setup
 Overrides = Mapping[str, Any]
 Settings = Sequence[str]
 Faults = Sequence[Mapping[str, Any]]
-BackendArgument = Any
-"""Name of a backend as in a scenario, path of a file, or a class, an object or a kernel; None for the scenario's."""
+
+
+class BackendArguments(TypedDict, total=False):
+    """Backends in place of the scenario's: a name as in the scenario, a path, or a class, an object or a kernel."""
+
+    navigation: Any
+    control: Any
+
+
 _Model = TypeVar("_Model", bound=ConfigModel)
 
 _OPTION, _ARGUMENT = "--set", "overrides"
@@ -103,17 +110,16 @@ def job_of(
     speed: float = 1.0,
     gnc: PythonGnc | None = None,
     faults: Faults | None = None,
-    navigation: BackendArgument = None,
-    control: BackendArgument = None,
+    **backends: Unpack[BackendArguments],
 ) -> Job:
     """Return the job of a run from the arguments of ``hil.run``. Raises BadInput."""
-    named, own = backend_arguments(navigation, control)
+    named, own = own_backends(**backends)
     settings = (*settings_of(overrides), *named)
     loaded = with_faults(loaded_scenario(scenario, settings), faults or ())
     return make_job(loaded, loaded_rig(rig, settings), seed, duration_s, speed, gnc, own)
 
 
-def backend_arguments(navigation: BackendArgument, control: BackendArgument) -> tuple[Settings, OwnBackends]:
+def own_backends(navigation: Any = None, control: Any = None) -> tuple[Settings, OwnBackends]:
     """Return the settings that name backends, and the backends that are Python objects."""
     given = dict(zip(PARTS, (navigation, control), strict=True))
     names = {part: os.fspath(each) for part, each in given.items() if isinstance(each, str | os.PathLike)}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from hil.api.jobs import BackendArgument, Overrides, Settings, backend_arguments, named_as_argument, settings_of
+from hil.api.jobs import BackendArguments, Overrides, Settings, named_as_argument, own_backends, settings_of
 from hil.api.results import Run, RunData
 from hil.api.runs import raise_user_error
 from hil.config.gnc_override import with_other_gnc
@@ -75,17 +75,18 @@ class Recording(Run):
         self,
         overrides: Overrides | None = None,
         gnc: str | Path | PythonGnc | None = None,
-        navigation: BackendArgument = None,
-        control: BackendArgument = None,
+        **backends: Unpack[BackendArguments],
     ) -> Replay:
         """Return the results of the present GNC for the recorded IMU samples and poses: an open loop.
 
         overrides: keys of ``gnc`` and ``requirements`` to values, as for ``hil.run``. gnc: TOML file with other
-        ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. navigation, control:
-        backends, as for ``hil.run``; a recorded object is needed again. Raises BadInput, and what an object raises.
+        ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. backends: ``navigation=``
+        and ``control=`` as for ``hil.run``; a recorded object is needed again.
+
+        Raises BadInput, and what an object raises.
         """
         with named_as_argument():
-            named, own = backend_arguments(navigation, control)
+            named, own = own_backends(**backends)
             return Replay(self, gnc, (*settings_of(overrides), *named), own)
 
     def _source(self) -> str:

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from hil.api.jobs import (
-    BackendArgument,
+    BackendArguments,
     Faults,
     Overrides,
     job_of,
@@ -49,8 +49,7 @@ def run(
     faults: Faults | None = None,
     gnc: PythonGnc | None = None,
     record: str | Path | None = None,
-    navigation: BackendArgument = None,
-    control: BackendArgument = None,
+    **backends: Unpack[BackendArguments],
 ) -> Run:
     """Run one closed loop to its end and return its results.
 
@@ -74,9 +73,10 @@ def run(
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.
     record
         Folder for a recording of the run and its catalogue.
-    navigation, control
-        Backend in place of the scenario's: a class or an object with ``step(inp)``, a kernel (``hil.kernel_backend``),
-        or a name as in ``gnc.control.backend``: ``package:name``, ``file.py:name``, a library, an FMU.
+    backends
+        ``navigation=``, ``control=``: backends in place of the scenario's: a class or an object with ``step(inp)``, a
+        kernel (``hil.kernel_backend``), or a name as of ``gnc.control.backend``: ``package:name``, ``file.py:name``,
+        the path of a shared library.
 
     Raises
     ------
@@ -91,9 +91,7 @@ def run(
         On the mock rig: what an object given as ``gnc``, ``navigation`` or ``control`` has raised.
     """
     with named_as_argument():
-        job = job_of(
-            scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults, navigation=navigation, control=control
-        )
+        job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults, **backends)
         build.check(job)
     compile_kernels(job, log.warning)
     found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
