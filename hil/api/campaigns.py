@@ -67,9 +67,9 @@ def campaign(
     engine
         ``cpu``, or ``cuda``: a GPU of NVIDIA. Cases of both are not mixed in a folder.
     backends
-        ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new object
-        of a class, and a copy of an object. A case whose object raises has failed; ``summary["first_error"]`` has the
-        first traceback.
+        ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
+        object of a class, and a copy of an object. A case whose object raises has failed;
+        ``summary["first_error"]`` has the first traceback.
 
     Raises
     ------

@@ -263,11 +263,15 @@ def check_ports(rig: Loaded[Rig]) -> list[Problem]:
     ]
 
 
-def check_flight_computer(rig: Loaded[Rig]) -> list[Problem]:
+def check_flight_computer(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return the problems that prevent the reception of a flight computer's command words."""
     computer = rig.value.flight_computer
     if computer.command_words == "none":
         return []
+    text = f'another GNC is given: rig.flight_computer.command_words = "{computer.command_words}"'
+    keys = {f"gnc.{part}.backend": name for part, name in scenario.value.gnc.foreign.items()}
+    if keys:
+        return [Problem(scenario.where(key), key, f'"{name}": {text}') for key, name in keys.items()]
     if rig.value.kind == "mock":
         key = "flight_computer.command_words"
         text = f'"{computer.command_words}": a mock rig does not run in real time, as a flight computer requires'

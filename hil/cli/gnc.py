@@ -12,6 +12,7 @@ from rich.console import Console
 from hil.cli.dss import link_addresses
 from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
 from hil.cli.output import check_json_path, write_json
+from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.config.scenario import Scenario
@@ -68,6 +69,9 @@ def gnc(
         bind, peer = None, (LOOPBACK, PORT)
     found = load_scenario(scenario, settings)
     loaded = found.value
+    for part, name in loaded.gnc.foreign.items():
+        key, text = f"gnc.{part}.backend", "flies on the bench: hil gnc runs the built-in GNC or a whole one"
+        raise BadInput.single(found.where(key), key, f'"{name}": {text}')
     library = open_library(loaded.gnc, found.where(key_of(loaded.gnc)))
     console = Console(stderr=True)
 

@@ -16,7 +16,7 @@ import numpy as np
 from hil.core.backend_records import MAX_SETTINGS
 from hil.errors import DeviceError, ProtocolError
 from hil.gnc import backend_step
-from hil.gnc_backends.external import printable
+from hil.gnc_backends.external import printable, raised_text
 
 PARTS: Final = ("navigation", "control")
 """Parts of the GNC that a backend replaces, in the order of the rows of GNC_PARAMS.settings."""
@@ -120,8 +120,7 @@ Backends = Mapping[str, Backend]
 def failure_of(name: str, backends: np.record, error: BaseException | None) -> DeviceError:
     """Return the error of the backend ``name`` that has failed. backends: BACKENDS. error: raised by its object."""
     if error is not None:
-        text = " ".join(str(error).split())
-        failed = DeviceError(name, f"step raised {type(error).__name__}" + (f": {text}" if text else ""))
+        failed = DeviceError(name, raised_text("step", error))
         failed.__cause__ = error
         return failed
     part = PARTS[int(backends["failed"]) - 1]

@@ -41,7 +41,11 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     table: dict[str, Any] = {part: getattr(value.gnc, part) for part in PARTS}
     for part, given in zip(PARTS, own, strict=True):
         if given is not None:
-            table[part] = table[part].model_copy(update={"backend": f"{OBJECT}:{_name_of(given)}"})
+            before, name = table[part], f"{OBJECT}:{_name_of(given)}"
+            settings = before.settings
+            if before.backend not in (*BUILT_IN[part], name):  # those of the backend that it replaces mean nothing
+                settings = {k: v for k, v in settings.items() if f"gnc.{part}.settings.{k}" in scenario.origin}
+            table[part] = before.model_copy(update={"backend": name, "settings": settings})
     if table == {part: getattr(value.gnc, part) for part in PARTS} and not value.gnc.foreign:
         _refuse_settings(scenario)
         return scenario

@@ -17,6 +17,7 @@ from hil.core.backend_records import OBJECTS, OUTPUT_FIELDS, OUTPUTS, TEXT_BYTES
 from hil.core.fields import described
 from hil.errors import BadInput, DeviceError
 from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
+from hil.gnc_backends.external import raised_text
 
 _STEP: Final = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 _RAISED: Final = 1
@@ -63,8 +64,7 @@ def _called(name: str, method: str, function: Callable[..., Any], *arguments: An
     try:
         return function(*arguments)
     except Exception as error:
-        text = " ".join(str(error).split())
-        raise DeviceError(name, f"{method} raised {type(error).__name__}" + (f": {text}" if text else "")) from error
+        raise DeviceError(name, raised_text(method, error)) from error
 
 
 class PythonInstance(BackendInstance):

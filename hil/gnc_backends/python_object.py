@@ -10,7 +10,7 @@ import numpy as np
 from hil.core.gnc_records import GNC_OUTPUT
 from hil.errors import DeviceError, ProtocolError
 from hil.gnc_backends import external_records
-from hil.gnc_backends.external import BackendSetup, ExternalGnc
+from hil.gnc_backends.external import BackendSetup, ExternalGnc, raised_text
 
 _ESTIMATE: Final = frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"})
 _REALS: Final = _ESTIMATE | {"protection_level_m", "protection_level_rad"}
@@ -73,10 +73,7 @@ class PythonObjectGnc(ExternalGnc):
             return method(*arguments)
         except Exception as error:
             self._raised = error
-            text = " ".join(str(error).split())
-            raise DeviceError(self.name, f"{name} raised {type(error).__name__}" + (f": {text}" if text else "")) from (
-                error
-            )
+            raise DeviceError(self.name, raised_text(name, error)) from error
 
     def _read_fields(self, found: Mapping[str, Any]) -> None:
         for name, value in found.items():

@@ -95,7 +95,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *check_memory(job.scenario, job.rig),
         *check_budget(job.scenario, job.rig),
         *check_drivers(job.rig),
-        *check_flight_computer(job.rig),
+        *check_flight_computer(job.scenario, job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig does not run in real time: omit --speed"))

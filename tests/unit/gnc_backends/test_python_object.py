@@ -135,7 +135,7 @@ def test_a_failure_at_the_start_stops_the_bench_before_the_run() -> None:
     gnc = Scripted(lambda _: None)
     gnc.start = raises(RuntimeError("no licence"))  # type: ignore[method-assign]
     found = stopped(gnc)
-    assert found.stop == "gnc Scripted: start raised RuntimeError: no licence"
+    assert found.stop.startswith("gnc Scripted: start raised RuntimeError: no licence (test_python_object.py, line ")
     assert len(found.t_s) == 0
 
 
