@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
     from hil.core.build_info import VERSION
+    from hil.gnc_backends.backend import Setting
+    from hil.gnc_backends.kernel_backend import kernel_backend
     from hil.monitor.monitor import DockingMonitor
     from hil.vmu.unit import VisionUnit
 
@@ -44,11 +46,13 @@ __all__ = [
     "Run",
     "RunRequirement",
     "Scenario",
+    "Setting",
     "StudyResults",
     "VisionUnit",
     "__version__",
     "campaign",
     "errors",
+    "kernel_backend",
     "load_rig",
     "load_scenario",
     "margins",
@@ -69,10 +73,12 @@ _MODULES = {
     "Run": "hil.api.results",
     "RunRequirement": "hil.api.requirements",
     "Scenario": "hil.config.scenario",
+    "Setting": "hil.gnc_backends.backend",
     "StudyResults": "hil.api.studies",
     "VisionUnit": "hil.vmu.unit",
     "__version__": "hil.core.build_info:VERSION",
     "campaign": "hil.api.campaigns",
+    "kernel_backend": "hil.gnc_backends.kernel_backend",
     "load_rig": "hil.api.jobs",
     "load_scenario": "hil.api.jobs",
     "margins": "hil.api.margins",

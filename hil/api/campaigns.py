@@ -6,16 +6,17 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from hil.api.jobs import (
+    BackendArguments,
     Overrides,
     check_counts,
     job_of,
     named_as_argument,
 )
 from hil.api.results import Run
-from hil.api.runs import RunRequest, log, run_job
+from hil.api.runs import RunRequest, log, run_or_raise
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
@@ -42,6 +43,7 @@ def campaign(
     overrides: Overrides | None = None,
     workers: int = 0,
     engine: str = "cpu",
+    **backends: Unpack[BackendArguments],
 ) -> Campaign:
     """Run many cases of a scenario with its dispersions on the mock rig, in the compiled loop.
 
@@ -64,6 +66,10 @@ def campaign(
         Number of processes, of threads that draw the noise for a GPU; 0: one per core.
     engine
         ``cpu``, or ``cuda``: a GPU of NVIDIA. Cases of both are not mixed in a folder.
+    backends
+        ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
+        object of a class, and a copy of an object. A case whose object raises has failed;
+        ``summary["first_error"]`` has the first traceback.
 
     Raises
     ------
@@ -76,8 +82,8 @@ def campaign(
     if engine not in ENGINES:
         raise BadInput.single("engine", "", f"{engine!r:.60}: must be one of {', '.join(ENGINES)}")
     with named_as_argument():
-        job = job_of(scenario, RIG, overrides, seed, duration_s)
-        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)
+        job = job_of(scenario, RIG, overrides, seed, duration_s, **backends)
+        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
     temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
     folder = Path(temporary.name if temporary else str(out))
     with ExitStack() as held:
@@ -127,7 +133,7 @@ class Campaign:
             raise BadInput.single("case", "", f"{case!r:.60}: must be 0 to {len(self.cases) - 1}")
         job = job_of_case(self.job, case)
         compile_kernels(job, log.warning)
-        return run_job(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
+        return run_or_raise(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
 
     def figure(self) -> Figure:
         """Return the distributions of the outcomes and the deviations against Table III."""

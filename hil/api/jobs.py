@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.files import parse_toml
 from hil.errors import BadInput, Problem
+from hil.gnc_backends.backend import PARTS, OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS
 from hil.gnc_backends.library import key_of
 from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc, class_name
 from hil.setup.assembly import Job
@@ -28,6 +30,15 @@ from hil.setup.gnc_setup import backend_setup
 Overrides = Mapping[str, Any]
 Settings = Sequence[str]
 Faults = Sequence[Mapping[str, Any]]
+
+
+class BackendArguments(TypedDict, total=False):
+    """Backends in place of the scenario's: a name as in the scenario, a path, or a class, an object or a kernel."""
+
+    navigation: Any
+    control: Any
+
+
 _Model = TypeVar("_Model", bound=ConfigModel)
 
 _OPTION, _ARGUMENT = "--set", "overrides"
@@ -99,11 +110,21 @@ def job_of(
     speed: float = 1.0,
     gnc: PythonGnc | None = None,
     faults: Faults | None = None,
+    **backends: Unpack[BackendArguments],
 ) -> Job:
     """Return the job of a run from the arguments of ``hil.run``. Raises BadInput."""
-    settings = settings_of(overrides)
+    named, own = own_backends(**backends)
+    settings = (*settings_of(overrides), *named)
     loaded = with_faults(loaded_scenario(scenario, settings), faults or ())
-    return make_job(loaded, loaded_rig(rig, settings), seed, duration_s, speed, gnc)
+    return make_job(loaded, loaded_rig(rig, settings), seed, duration_s, speed, gnc, own)
+
+
+def own_backends(navigation: Any = None, control: Any = None) -> tuple[Settings, OwnBackends]:
+    """Return the settings that name backends, and the backends that are Python objects."""
+    given = dict(zip(PARTS, (navigation, control), strict=True))
+    names = {part: os.fspath(each) for part, each in given.items() if isinstance(each, str | os.PathLike)}
+    own = OwnBackends(**{part: each for part, each in given.items() if part not in names})
+    return [f"gnc.{part}.backend={_toml(name, part)}" for part, name in names.items()], own
 
 
 def with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
@@ -132,8 +153,12 @@ def make_job(
     duration_s: float | None = None,
     speed: float = 1.0,
     gnc: PythonGnc | None = None,
+    own: OwnBackends = NO_BACKENDS,
 ) -> Job:
-    """Return the job of a run. duration_s: None for the scenario's. gnc: replaces the scenario's. Raises BadInput."""
+    """Return the job of a run. duration_s: None for the scenario's. gnc: replaces the scenario's. Raises BadInput.
+
+    own: backends of navigation and control that are Python objects.
+    """
     problems = []
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         problems.append(Problem("seed", "", f"{seed!r:.60}: must be an integer, not negative"))
@@ -142,10 +167,11 @@ def make_job(
             problems.append(Problem(name, "", f"{value!r:.60}: must be a number above 0"))
     if gnc is not None:
         problems += _gnc_problems(gnc, scenario, rig)
+        problems += [Problem(part, "", "another GNC is given: gnc") for part in PARTS if getattr(own, part) is not None]
     if problems:
         raise BadInput(problems)
     length_s = scenario.value.duration_s if duration_s is None else float(duration_s)
-    job = Job(scenario, rig, int(seed), length_s, float(speed))
+    job = Job(scenario, rig, int(seed), length_s, float(speed), own=own)
     return job if gnc is None else replace(job, make_backend=_backend(gnc))
 
 
@@ -165,6 +191,9 @@ def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Pro
     if (binary := scenario.value.gnc.binary) is not None:
         key = key_of(scenario.value.gnc)
         found.append(Problem(scenario.where(key), key, f'"{binary}": another GNC is given'))
+    for part, name in scenario.value.gnc.foreign.items():
+        key = f"gnc.{part}.backend"
+        found.append(Problem(scenario.where(key), key, f'"{name}": another GNC is given'))
     key = "flight_computer.command_words"
     if (wire := rig.value.flight_computer.command_words) != "none":
         found.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))

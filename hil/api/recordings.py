@@ -5,22 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from hil.api.jobs import Overrides, Settings, named_as_argument, settings_of
+from hil.api.jobs import BackendArguments, Overrides, Settings, named_as_argument, own_backends, settings_of
 from hil.api.results import Run, RunData
+from hil.api.runs import raise_user_error
 from hil.config.gnc_override import with_other_gnc
+from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.core.messages import Event
 from hil.errors import BadInput
+from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS, named
+from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc
 from hil.recording.read import Recorded, RowBatch, load, load_without_rows, row_batches
 from hil.recording.replay import Difference, Replayed, replay
 from hil.report.long_run import NavigationSums
 from hil.report.summary import summary_of
 from hil.safety.alarms import Alarm
+from hil.setup.assembly import make_backend
 from hil.setup.gnc_setup import backend_setup
 
 _ALARM_FIELDS = {field.name for field in fields(Alarm)}
@@ -65,14 +71,23 @@ class Recording(Run):
         """Whether the file has its end and no damage."""
         return self.recorded.intact
 
-    def replay(self, overrides: Overrides | None = None, gnc: str | Path | PythonGnc | None = None) -> Replay:
+    def replay(
+        self,
+        overrides: Overrides | None = None,
+        gnc: str | Path | PythonGnc | None = None,
+        **backends: Unpack[BackendArguments],
+    ) -> Replay:
         """Return the results of the present GNC for the recorded IMU samples and poses: an open loop.
 
         overrides: keys of ``gnc`` and ``requirements`` to values, as for ``hil.run``. gnc: TOML file with other
-        ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. Raises BadInput.
+        ``[gnc...]`` tables, a scenario whose GNC is used, or an object with ``step(input)``. backends: ``navigation=``
+        and ``control=`` as for ``hil.run``; a recorded object is needed again.
+
+        Raises BadInput, and what an object raises.
         """
         with named_as_argument():
-            return Replay(self, gnc, settings_of(overrides))
+            named, own = own_backends(**backends)
+            return Replay(self, gnc, (*settings_of(overrides), *named), own)
 
     def _source(self) -> str:
         return str(self.path)
@@ -87,9 +102,15 @@ class Replay:
     one than the recorded; result: cycles, differences and events of the replay.
     """
 
-    def __init__(self, recording: Recording, gnc: str | Path | PythonGnc | None, settings: Settings) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        gnc: str | Path | PythonGnc | None,
+        settings: Settings,
+        own: OwnBackends = NO_BACKENDS,
+    ) -> None:
         kept: list[np.ndarray] = []
-        found = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now))
+        found = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now), own)
         self.recording, self.scenario, self.changed, self.result, self.navigation = recording, *found
         recorded, rows = recording.recorded, np.concatenate(kept) if kept else recording.history[:0]
         numbers = recording.summary | {"navigation": self.navigation["replayed"]}
@@ -138,14 +159,16 @@ def _replayed(
     settings: Settings,
     batches: Iterable[RowBatch] | None,
     keep: Callable[[np.ndarray, np.ndarray], None] = lambda before, now: None,
+    own: OwnBackends = NO_BACKENDS,
 ) -> tuple[Scenario, bool, Replayed, dict[str, dict[str, Any]]]:
     """Return scenario, whether the GNC is another one, replay and errors of the estimate. Raises BadInput.
 
-    gnc: a file or scenario; or an object, which a run of such an object needs.
+    gnc: a file or scenario; or an object, which a run of such an object needs. own: backends that are Python objects.
     """
     scenario = recorded.scenario
     name = (recorded.summary or {}).get("gnc", {}).get("python")
-    changed, backend = gnc is not None or bool(settings), None
+    changed = gnc is not None or bool(settings)
+    backend: GncBackend | None = None
     if isinstance(gnc, PythonGnc):
         changed, backend = bool(settings), PythonObjectGnc(gnc, backend_setup(scenario))
     elif name is not None and not changed:
@@ -154,6 +177,10 @@ def _replayed(
     if changed:
         file = str(gnc) if isinstance(gnc, str | Path) else None
         scenario = with_other_gnc(scenario, str(recorded.path), file, settings).value
+    if backend is None:
+        scenario = named(Loaded(scenario, str(recorded.path), {}), own).value
+        changed = changed or scenario.gnc != recorded.scenario.gnc
+        backend = make_backend(scenario, own)
     errors = {"recorded": NavigationSums(), "replayed": NavigationSums()}
 
     def add(before: np.ndarray, now: np.ndarray) -> None:
@@ -162,6 +189,7 @@ def _replayed(
         keep(before, now)
 
     found = replay(recorded, scenario, backend, batches, add)
+    raise_user_error(backend)
     return scenario, changed, found, {which: sums.errors() for which, sums in errors.items()}
 
 

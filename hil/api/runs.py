@@ -6,11 +6,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from hil.api.jobs import (
+    BackendArguments,
     Faults,
     Overrides,
     job_of,
@@ -21,6 +22,7 @@ from hil.api.results import Run, run_of
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
+from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.python_object import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
@@ -47,6 +49,7 @@ def run(
     faults: Faults | None = None,
     gnc: PythonGnc | None = None,
     record: str | Path | None = None,
+    **backends: Unpack[BackendArguments],
 ) -> Run:
     """Run one closed loop to its end and return its results.
 
@@ -70,6 +73,10 @@ def run(
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.
     record
         Folder for a recording of the run and its catalogue.
+    backends
+        ``navigation=``, ``control=``: backends in place of the scenario's: a class or an object with ``step(inp)``, a
+        kernel (``hil.kernel_backend``), or a name as of ``gnc.control.backend``: ``package:name``, ``file.py:name``,
+        the path of a shared library.
 
     Raises
     ------
@@ -80,15 +87,35 @@ def run(
         and ``stop`` is the fault.
     KeyboardInterrupt
         Ctrl-C, after the bench has stopped.
+    Exception
+        On the mock rig: what an object given as ``gnc``, ``navigation`` or ``control`` has raised.
     """
     with named_as_argument():
-        job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults)
+        job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults, **backends)
         build.check(job)
     compile_kernels(job, log.warning)
-    found = run_job(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
+    found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
     if STOPPED_BY_OPERATOR in found.summary["faults"]:
         raise KeyboardInterrupt(STOPPED_BY_OPERATOR)
     return found
+
+
+def run_or_raise(request: RunRequest) -> Run:
+    """Return the results of ``run_job``; in simulated time raise what an object of the user has raised."""
+    runners: list[Runner] = []
+    found = run_job(replace(request, attach=runners.append))
+    if request.job.rig.value.kind == "mock" and not request.job.paced:
+        for runner in runners:
+            raise_user_error(runner.loop.gnc)
+    return found
+
+
+def raise_user_error(gnc: GncBackend) -> None:
+    """Raise what an object of the user has raised in the step of ``gnc``, with its own traceback."""
+    error = gnc.user_error
+    if error is not None:
+        error.__suppress_context__ = True
+        raise error
 
 
 def gnc_summary(gnc: PythonGnc | None) -> dict[str, Any]:

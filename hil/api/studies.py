@@ -140,7 +140,7 @@ def _study(
     """Run a study. where: folder, None for a temporary one, and number of workers."""
     out, workers = where
     with named_as_argument():
-        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s)
+        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
     with tempfile.TemporaryDirectory(prefix="hil-study-") as temporary:
         folder = Path(temporary if out is None else out)
         with closing(LocalEngine(workers)) as engine, checked.store(folder, more=identity, columns=columns) as store:

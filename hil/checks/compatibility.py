@@ -74,7 +74,7 @@ def check_approach(scenario: Loaded[Scenario]) -> list[Problem]:
 def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
     """Return a problem for each alert limit at the ready point that the noise of a single pose exceeds."""
     value = scenario.value
-    if value.gnc.navigation.sensors != "vision_imu" or value.gnc.binary is not None:
+    if not value.gnc.fuses_imu:
         return []
     settings, vmu = value.integrity, value.vmu
     distance = math.hypot(*value.gnc.guidance.ready_point_m)
@@ -200,7 +200,7 @@ def check_memory(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem if poses arrive later than the filters remember, or if they remember too many steps."""
     value = scenario.value
     navigation, vmu = value.gnc.navigation, value.vmu
-    if navigation.sensors != "vision_imu" or value.gnc.binary is not None:
+    if not value.gnc.fuses_imu:
         return []
     key = "gnc.navigation.memory_s"
     if value.memory_steps > _MEMORY_STEPS_MAX:
@@ -263,11 +263,15 @@ def check_ports(rig: Loaded[Rig]) -> list[Problem]:
     ]
 
 
-def check_flight_computer(rig: Loaded[Rig]) -> list[Problem]:
+def check_flight_computer(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return the problems that prevent the reception of a flight computer's command words."""
     computer = rig.value.flight_computer
     if computer.command_words == "none":
         return []
+    text = f'another GNC is given: rig.flight_computer.command_words = "{computer.command_words}"'
+    keys = {f"gnc.{part}.backend": name for part, name in scenario.value.gnc.foreign.items()}
+    if keys:
+        return [Problem(scenario.where(key), key, f'"{name}": {text}') for key, name in keys.items()]
     if rig.value.kind == "mock":
         key = "flight_computer.command_words"
         text = f'"{computer.command_words}": a mock rig does not run in real time, as a flight computer requires'

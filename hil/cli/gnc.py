@@ -12,6 +12,7 @@ from rich.console import Console
 from hil.cli.dss import link_addresses
 from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
 from hil.cli.output import check_json_path, write_json
+from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.config.scenario import Scenario
@@ -68,6 +69,9 @@ def gnc(
         bind, peer = None, (LOOPBACK, PORT)
     found = load_scenario(scenario, settings)
     loaded = found.value
+    for part, name in loaded.gnc.foreign.items():
+        key, text = f"gnc.{part}.backend", "flies on the bench: hil gnc runs the built-in GNC or a whole one"
+        raise BadInput.single(found.where(key), key, f'"{name}": {text}')
     library = open_library(loaded.gnc, found.where(key_of(loaded.gnc)))
     console = Console(stderr=True)
 
@@ -103,15 +107,19 @@ def _server(library: GncLibrary | None, scenario: Scenario, link: Link, announce
 
 
 @app.command(help="Print hil_gnc.h, the C header of the records between the bench and an external GNC.")
-def header(*, folder: Flag = False) -> int:
+def header(*, folder: Flag = False, backends: Flag = False) -> int:
     """Print hil_gnc.h, the C header of the records between the bench and an external GNC.
 
     Parameters
     ----------
     folder
-        Print the folder of the file, for -I of a C compiler.
+        Print the folder of the files, for -I of a C compiler.
+    backends
+        Print hil_backends.h, of backends of navigation and of control, instead.
     """
+    from hil.gnc_backends.backend_header import BACKENDS_HEADER_FILE
     from hil.gnc_backends.c_header import HEADER_FILE
 
-    sys.stdout.write(f"{HEADER_FILE.parent}\n" if folder else HEADER_FILE.read_text(encoding="utf-8"))
+    file = BACKENDS_HEADER_FILE if backends else HEADER_FILE
+    sys.stdout.write(f"{file.parent}\n" if folder else file.read_text(encoding="utf-8"))
     return 0

@@ -32,6 +32,10 @@ def with_other_gnc(flown: Scenario, source: str, file: str | None, settings: Seq
         text = f"cannot be changed in a replay: allowed are keys of {' and '.join(_TABLES)}, as gnc.pkf...=..."
         raise BadInput([Problem("--set", setting, text) for setting in foreign])
     apply_settings(table, settings, Scenario, origin)
+    for part in ("navigation", "control"):
+        if table["gnc"][part]["backend"] != getattr(flown.gnc, part).backend:  # settings of another one mean nothing
+            own = table["gnc"][part]["settings"]
+            table["gnc"][part]["settings"] = {k: v for k, v in own.items() if f"gnc.{part}.settings.{k}" in origin}
     return check_table(table, Scenario, source, origin)
 
 

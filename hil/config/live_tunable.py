@@ -43,6 +43,9 @@ LIVE_TUNABLE: Final = {
 Each cycle reads these keys again. All others determine the initial state (vehicle, step, geometry, plan, filters) or
 the verdict (requirements): they are fixed for the whole run."""
 
+BACKEND_SETTINGS: Final = ("gnc.navigation.settings.", "gnc.control.settings.")
+"""Beginnings of the keys that backends declare; each may change, within the range that its backend declares."""
+
 
 class LiveTuning(ConfigModel):
     """Table ``[console]`` of a scenario: settings that the operator may change during a run."""
@@ -54,7 +57,7 @@ class LiveTuning(ConfigModel):
     @classmethod
     def _each_is_live_tunable(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for key in value:
-            if key not in LIVE_TUNABLE:
+            if key not in LIVE_TUNABLE and not key.startswith(BACKEND_SETTINGS):
                 close = difflib.get_close_matches(key, LIVE_TUNABLE, n=1, cutoff=0.8)
                 hint = f"did you mean {close[0]}? " if close else ""
                 allowed = ", ".join(LIVE_TUNABLE)
@@ -107,5 +110,5 @@ def value_of(table: BaseModel, key: str) -> float:
     """Return the number at the dotted ``key`` of ``table``."""
     found: Any = table
     for name in key.split("."):
-        found = getattr(found, name)
+        found = found[name] if isinstance(found, dict) else getattr(found, name)
     return float(found)

@@ -42,6 +42,7 @@ _FILES_OF_KEYS = {
     "library": (".so",),
     "fmu": (".fmu",),
     "fmu_mapping": (".toml",),
+    "backend": (".so", ".fmu"),
     "dispersions": (".toml",),
     "body": (".toml",),
 }  # values that are names, or paths with these endings
@@ -245,8 +246,15 @@ def _find_files_beside(table: Table, folder: Path) -> None:
     for key, value in table.items():
         if isinstance(value, dict):
             _find_files_beside(value, folder)
-        elif isinstance(value, str) and (key.endswith("_file") or value.endswith(_FILES_OF_KEYS.get(key, _NEVER))):
+        elif isinstance(value, str) and _names_a_file(key, value):
             table[key] = str(folder / value)
+
+
+def _names_a_file(key: str, value: str) -> bool:
+    """Return whether ``value`` is a path, or a path and a name in that file: ``law.py:lqr``."""
+    if key == "backend" and ".py:" in value:
+        return True
+    return key.endswith("_file") or value.endswith(_FILES_OF_KEYS.get(key, _NEVER))
 
 
 def merge_tables(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str = "") -> None:

@@ -23,6 +23,7 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
         "vmu.duplicate_share": "vmu.duplicate_probability",
         "vmu.loss_share": "vmu.loss_probability",
         "vmu.pictures": "vmu.images",
+        "gnc.navigation.sensors": "gnc.navigation.backend",
         "gnc.guidance.phases.*.until_s": "gnc.guidance.phases.*.end_time_s",
         "gnc.control.caution": "gnc.control.deadband_sigmas",
         "gnc.control.attitude_caution": "gnc.control.attitude_deadband_sigmas",
@@ -63,7 +64,10 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
 """Model of a file -> earlier key -> present key. ``*``: any name. A more specific key stands before its table."""
 
 RENAMED_VALUES: Final[Mapping[str, Mapping[str, Mapping[str, str]]]] = {
-    "Scenario": {"monitor.target": {"reserve": "backup"}},
+    "Scenario": {
+        "monitor.target": {"reserve": "backup"},
+        "gnc.navigation.backend": {"vision_imu": "builtin", "vision": "vision_alone"},
+    },
 }
 """Model of a file -> present key -> earlier value -> present value."""
 
@@ -75,6 +79,8 @@ _PREFIX: Final = {"Rig": "rig."}  # of a model's keys in messages
 _DIGESTED: Final = object()
 _NOT_DIGESTED: Final = {("rails", "map", "torque_off"), ("target_manipulator", "map", "torque_off")}
 """Keys that have been added since digests are written, and that only classify a fault."""
+_NOT_DIGESTED_LEAVES: Final[Mapping[Path, Any]] = {("gnc", "control", "backend"): "builtin"}
+"""Keys that have been added since digests are written -> value with which nothing changes."""
 
 _NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
     "gravity_loaded": False,
@@ -103,6 +109,7 @@ _NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
     "chaser_ballistic_kgpm2": 100.0,
     "third_bodies": False,
     "along_track_error_m": 0.0,
+    "settings": {},
 }
 """Last names of keys that have been added since digests are written -> value with which nothing changes."""
 
@@ -148,7 +155,9 @@ def with_first_names(model: str, table: Table) -> Table:
     values = {key: {new: old for old, new in names.items()} for key, names in RENAMED_VALUES.get(model, {}).items()}
     leaves: list[tuple[Path, Any]] = []
     for path, value in _leaves(table):
-        if path in _NOT_DIGESTED or value == _NOT_DIGESTED_DEFAULTS.get(path[-1], _DIGESTED):
+        if path in _NOT_DIGESTED or value == _NOT_DIGESTED_LEAVES.get(path, _DIGESTED):
+            continue
+        if value == _NOT_DIGESTED_DEFAULTS.get(path[-1], _DIGESTED):
             continue
         if path in _LISTS_OF_KEYS:
             value = [_renamed_key(item, back) for item in value]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Final, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -19,6 +19,7 @@ from hil.config.model import AngleTriple, ConfigModel, Matrix3, Name, NotNegativ
 from hil.config.model_fmu import ModelFmu, ThrusterModel
 from hil.config.target import KnownTarget, MovingTarget
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
+from hil.core.backend_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 
 DURATION_MAX_S = 1e6
@@ -177,11 +178,21 @@ class VisionNoise(ConfigModel):
     errors: VisionErrors = VisionErrors()
 
 
-class Navigation(ConfigModel):
-    """Sensors that navigation uses, and the gate of their innovations."""
+BUILTIN: Final = "builtin"
+VISION_ALONE: Final = "vision_alone"
+BUILT_IN: Final = {"navigation": (BUILTIN, VISION_ALONE), "control": (BUILTIN,)}
+"""Names of the built-in backends, by the part of the GNC."""
+Settings = Annotated[dict[str, float], Field(max_length=MAX_SETTINGS)]
 
-    sensors: Literal["vision_imu", "vision"]
-    """Fusion of poses and IMU, or vision alone."""
+
+class Navigation(ConfigModel):
+    """Backend of navigation, and the gate of the innovations of the built-in ones."""
+
+    backend: Annotated[str, Field(min_length=1)] = BUILTIN
+    """Fusion of poses and IMU (`builtin`), `vision_alone`, or one of your own: `package:name` of an entry point,
+    `file.py:name`, a shared library (`.so`) or an FMU (`.fmu`)."""
+    settings: Settings = Field(default_factory=dict)
+    """Settings that a backend of your own declares."""
     gate_sigma: Positive
     """Poses with a larger innovation are rejected and counted."""
     memory_s: Positive = 1.28
@@ -453,8 +464,13 @@ class Reactions(ConfigModel):
 
 
 class Control(ConfigModel):
-    """Phase planes of position and attitude; each axis is updated once per period."""
+    """Backend of control. The built-in one: phase planes of position and attitude, updated once per period."""
 
+    backend: Annotated[str, Field(min_length=1)] = BUILTIN
+    """Phase planes (`builtin`), or one of your own: `package:name` of an entry point, `file.py:name`, a shared library
+    (`.so`) or an FMU (`.fmu`)."""
+    settings: Settings = Field(default_factory=dict)
+    """Settings that a backend of your own declares."""
     deadband_m: Positive
     """Dead band of the switching function, before `deadband_sigmas`."""
     lead_s: Positive
@@ -527,10 +543,48 @@ class GncConfig(ConfigModel):
         return self
 
     @model_validator(mode="after")
+    def _shadow_has_filters(self) -> Self:
+        if self.shadow.enabled and "navigation" in self.foreign:
+            raise ValueError(
+                f"shadow.enabled = true: checks the built-in filters, not navigation.backend = "
+                f'"{self.navigation.backend}"'
+            )
+        return self
+
+    @model_validator(mode="after")
     def _is_one_binary(self) -> Self:
         if self.library is not None and self.fmu is not None:
             raise ValueError("library and fmu: both are given, allowed is one of them")
         return self
+
+    @model_validator(mode="after")
+    def _is_one_gnc(self) -> Self:
+        if self.binary is None:
+            return self
+        given = "library" if self.fmu is None else "fmu"
+        for part, own in self.foreign.items():
+            raise ValueError(
+                f'{given} and {part}.backend = "{own}": {given} replaces navigation and control; allowed is one of both'
+            )
+        return self
+
+    @property
+    def foreign(self) -> dict[str, str]:
+        """Backends that are not built in, by the part of the GNC: navigation, control."""
+        parts = {"navigation": self.navigation.backend, "control": self.control.backend}
+        return {part: name for part, name in parts.items() if name not in BUILT_IN[part]}
+
+    @property
+    def fuses_imu(self) -> bool:
+        """Whether the built-in filters fuse poses and IMU."""
+        return self.navigation.backend == BUILTIN and self.binary is None
+
+    def built_in(self) -> GncConfig:
+        """Return the same with the built-in GNC in place of an external one."""
+        parts = {
+            part: getattr(self, part).model_copy(update={"backend": BUILTIN, "settings": {}}) for part in self.foreign
+        }
+        return self.model_copy(update={"library": None, "fmu": None, **parts})
 
     @property
     def binary(self) -> str | None:

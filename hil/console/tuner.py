@@ -8,11 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.live_tunable import range_of, value_of, within
+from hil.config.live_tunable import BACKEND_SETTINGS, range_of, value_of, within
 from hil.config.load import Loaded
 from hil.config.renamed_keys import present_key
 from hil.config.scenario import Scenario
 from hil.console.lease import RequestRejected
+from hil.gnc_backends.backend_registry import declared_setting
 from hil.params import gnc as gnc_params
 from hil.setup.assembly import Job
 from hil.setup.live_tuning import check_in_flight, packed, with_setting
@@ -57,6 +58,15 @@ class Change:
         return {"key": self.key, "value": self.value, "records": packed(self.records)}
 
 
+def _range(scenario: Scenario, key: str) -> dict[str, Any]:
+    """Return the limits of a setting during a run, as ``range_of``; those of a backend's are as it declares them."""
+    if not key.startswith(BACKEND_SETTINGS):
+        return range_of(Scenario, key)
+    setting = declared_setting(scenario, key)
+    low, high = (limit if math.isfinite(limit) else None for limit in (setting.low, setting.high))
+    return {"low": low, "high": high, "low_open": False, "high_open": False, "words": setting.allowed}
+
+
 class Tuner:
     """Adjustable settings of one session; ``applied`` must be called with each change that the loop has accepted."""
 
@@ -72,7 +82,7 @@ class Tuner:
                 "key": key,
                 "unit": unit_of(key),
                 "value": value_of(scenario, key),
-                "range": range_of(Scenario, key),
+                "range": _range(scenario, key),
             }
             for key in scenario.console.adjustable
         ]
@@ -88,7 +98,7 @@ class Tuner:
             )
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise RequestRejected(f"{key}: {value!r} is not a number")
-        allowed_range = range_of(Scenario, key)
+        allowed_range = _range(scenario, key)
         if not within(allowed_range, float(value)):
             raise RequestRejected(f"{key}: {value:g}: during a run allowed {allowed_range['words']}")
         changed = with_setting(scenario, f"{key}={float(value)!r}", self._scenario.source)

@@ -6,8 +6,9 @@ derived from its table.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -34,13 +35,51 @@ Fields = tuple[Field, ...]
 """Table of a record: its fields in the order of the memory layout."""
 
 
-def record_dtype(fields: Fields) -> np.dtype:
-    """Return the layout of a record, aligned as a C compiler for x86-64 or ARM64 aligns it."""
+def record_dtype(fields: Fields, text: str = "S") -> np.dtype:
+    """Return the layout of a record, aligned as a C compiler for x86-64 or ARM64 aligns it.
+
+    text: "u1" for texts as arrays of bytes, as kernels need them.
+    """
+    formats: list[tuple[str, Any, Any]] = []
+    for field in fields:
+        if not isinstance(field.type, str):
+            formats.append((field.name, record_dtype(field.type, text), field.shape))
+        elif field.type.startswith("S") and text == "u1":
+            formats.append((field.name, text, int(field.type[1:])))
+        else:
+            formats.append((field.name, field.type, field.shape))
+    return np.dtype(formats, align=True)
+
+
+def record_class(name: str, fields: Fields, meaning: str) -> np.dtype:
+    """Return the layout of a record whose Python objects have the fields as attributes with units in their help.
+
+    The class of the objects is ``type`` of the result; those of nested records are its attributes' own.
+    """
     formats = []
     for field in fields:
-        inner = field.type if isinstance(field.type, str) else record_dtype(field.type)
+        inner: Any = field.type
+        if not isinstance(inner, str):
+            inner = record_class(f"{name}.{field.name}", inner, field.meaning)
         formats.append((field.name, inner, field.shape))
-    return np.dtype(formats, align=True)
+    attributes = {field.name: property(_reader(field.name), doc=described(field)) for field in fields}
+    lines = [meaning, "", *(f"{field.name}: {described(field)}" for field in fields)]
+    kind: Any = type(name, (np.record,), {"__doc__": "\n".join(lines), "__slots__": (), **attributes})
+    return np.dtype((kind, np.dtype(formats, align=True)))
+
+
+def _reader(name: str) -> Callable[[np.record], Any]:
+    def read(record: np.record) -> Any:
+        return record[name]
+
+    return read
+
+
+def described(field: Field) -> str:
+    """Return meaning, unit and frame of a field as one phrase."""
+    unit = field.unit if field.unit != "1" else ""
+    where = f"in {field.frame}" if field.frame and " " not in field.frame else field.frame
+    return "; ".join(part for part in (field.meaning, ", ".join(part for part in (unit, where) if part)) if part)
 
 
 def leaf_fields(fields: Fields, prefix: str = "") -> Iterator[Field]:

@@ -40,7 +40,7 @@ from hil.errors import BadInput
 _numba_config: Any = numba.config
 _PACKAGE = Path(__file__).parent.parent
 _OF_IMAGES = ("hil.vmu.", "hil.monitor.")
-_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.error_budget")
+_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.error_budget", "hil.gnc.backend_step")
 _UNUSED_MAX_S: Final = 60 * 86_400.0
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
@@ -192,8 +192,9 @@ def kernel(function: _Function) -> _Function:
     """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
 
     Other kernels inline it, which makes the loop a third faster; those of the images are large, called once per image,
-    and are called as functions inside the entry that holds them, as are those of the error budget. All but those of the
-    images are compiled for each integer constant in a call, which makes the loop 8 % faster.
+    and are called as functions inside the entry that holds them, as are those of the error budget and of backends
+    elsewhere. All but those of the images are compiled for each integer constant in a call, which makes the loop 8 %
+    faster.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     safety monitor's check for finite values and not by an exception in mid-cycle.
@@ -218,11 +219,23 @@ def entry(function: _Function) -> _Function:
     return cast(_Function, compiled)
 
 
+def c_function(function: Callable[..., Any], types: Any) -> int:
+    """Return the address of ``function`` compiled as a C function of ``types``; it stays valid for this process."""
+    compiled = _compiled(function, "c", WrappedCompiler, no_cfunc_wrapper=False, no_cpython_wrapper=True)
+    compiled.compile(types)
+    (result,) = compiled.overloads.values()
+    _c_functions.append(result)
+    address: int = result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name)
+    return address
+
+
+_c_functions: list[Any] = []
+
+
 def _compiled(function: Callable[..., Any], kind: str, compiler: Any, **options: Any) -> Any:
     decorate: Any = njit
-    compiled = decorate(error_model="numpy", nogil=True, no_cfunc_wrapper=True, pipeline_class=compiler, **options)(
-        function
-    )
+    options = {"no_cfunc_wrapper": True} | options
+    compiled = decorate(error_model="numpy", nogil=True, pipeline_class=compiler, **options)(function)
     compiled._cache = KernelCache(function, kind)
     return compiled
 

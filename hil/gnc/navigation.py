@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.gnc import akf, fusion, integrity, pkf, vision_only
+from hil.gnc import akf, fusion, integrity, pkf, vision_alone, vision_only
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
 from hil.gnc.target_orbit import frame_rate
@@ -45,6 +45,14 @@ NAVIGATION_STATE = np.dtype(
 def uses_imu(params, state):
     """Return whether poses and IMU are fused; otherwise navigation is by vision alone."""
     return params.sensors == VISION_AND_IMU and state.without_imu == 0
+
+
+@kernel
+def bias_of(state, bias, sigma):
+    """Write the estimated bias of the accelerometer and its standard deviation, (3,), m/s^2."""
+    for i in range(3):
+        bias[i] = state.fusion.filters.pkf.x[6 + i]
+    pkf.sigma(state.fusion.filters.pkf, 6, sigma)
 
 
 @kernel
@@ -89,17 +97,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
         out.nis_attitude = state.fusion.nis_attitude
         out.valid = state.fusion.started
     else:
-        if state.vision_only.started != 0:
-            vision_only.predict(params.vision_only, state.vision_only)
-        for i in range(n_poses):
-            if integrity.admits(params.integrity, state.integrity, poses[i]):
-                vision_only.update(params.vision_only, state.vision_only, poses[i])
-        _write_vision_only(state.vision_only, out)
-        age_s = state.t_s - state.vision_only.last_t_s
-        out.health = integrity.vision_health(
-            params.integrity, state.integrity, age_s, state.vision_only.rejected_in_a_row
-        )  # fmt: skip
-        out.valid = state.vision_only.started
+        vision_alone.navigate(params, state, poses, n_poses, out)
     state.t_s += params.vision_only.dt_s
 
 
@@ -131,19 +129,6 @@ def _write_filters(filters, out):
         valid = valid and 0.0 < filters.pkf.p[i, i] < np.inf and 0.0 < filters.pkf.p[3 + i, 3 + i] < np.inf
     if not valid:
         out.health |= COVARIANCE_INVALID
-
-
-@kernel
-def _write_vision_only(state, out):
-    copy_into(out.r_CT_H, state.r_CT_H)
-    copy_into(out.v_CT_H, state.v_CT_H)
-    copy_into(out.q_CH, state.q_CH)
-    copy_into(out.w_CH_C, state.w_CH_C)
-    fill(out.sigma_r_m, np.nan)
-    fill(out.sigma_v_mps, np.nan)
-    fill(out.sigma_attitude_rad, np.nan)
-    out.nis_position = np.nan
-    out.nis_attitude = np.nan
 
 
 @kernel

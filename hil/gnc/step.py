@@ -1,30 +1,33 @@
 """One step of the GNC: stages 4 to 7 of the cycle, compiled into one function.
 
-The built-in backend and the compiled loop of a campaign call ``gnc_step``. A backend whose filters and control are
-elsewhere calls ``guide`` before it asks them and ``watch_approach`` after; the GNC server, whose guidance runs on the
-bench, calls ``navigation.navigate`` and ``actuate``.
+The cycle in Python and the compiled loop call ``gnc_step``, in which navigation and control are the built-in kernels
+or backends that are called by their addresses (``hil.gnc.backend_step``). A whole GNC that is elsewhere needs ``guide``
+before it and ``watch_approach`` after; the GNC server, whose guidance runs on the bench, calls ``navigation.navigate``
+and ``actuate``.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.core.gnc_records import GncHealth
+from hil.core.backend_records import MAX_SETTINGS
+from hil.core.gnc_records import GncHealth, GncOrder
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import (
     allocation,
     approach_monitor,
+    backend_step,
     body_frame,
     control,
     guidance,
     navigation,
-    pkf,
     reactions,
     thruster_monitor,
 )
 from hil.gnc.allocation import ROWS
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
+from hil.gnc.backend_step import BACKENDS
 from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
@@ -35,6 +38,7 @@ from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import has_held
 
 MONITOR_DISAGREES = GncHealth.MONITOR_DISAGREES.value
+_GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 
 APPROACH_PARAMS = np.dtype(
     [
@@ -61,6 +65,7 @@ GNC_PARAMS = np.dtype(
         ("isolates", "i1", (MAX_THRUSTERS, MAX_THRUSTERS)),  # those whose supply is closed with that of each thruster
         ("isolated_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # sets without these
         ("thruster_monitor", THRUSTER_MONITOR_PARAMS),
+        ("settings", "f8", (2, MAX_SETTINGS)),  # of the backends of navigation and of control, as they declare them
     ],
     align=True,
 )
@@ -99,6 +104,7 @@ GNC_STATE = np.dtype(
         ("thrusters", THRUSTER_MONITOR_STATE),
         ("isolated_cycles", "i8"),  # since the isolation valves were commanded, 0 before
         ("feed", FEED_FORWARD),
+        ("backends", BACKENDS),
     ],
     align=True,
 )
@@ -108,18 +114,36 @@ GNC_STATE = np.dtype(
 def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, reference, supervision, command):
     """Run stages 4 to 7: write NAVIGATION, REFERENCE, SUPERVISION and COMMAND for ``t_s``, time of the run.
 
-    params: GNC_PARAMS. state: GNC_STATE, zeroed at the start of a run but for guidance (``guidance.start``). memory: of
-    ``fusion.new_memory``. samples: (n,) of IMU since the last step. poses: array of POSE, of which the first
-    ``n_poses`` are new.
+    Return False if a backend has failed; ``state.backends`` then has the reason, and the records are not complete.
+
+    params: GNC_PARAMS. state: GNC_STATE, zeroed at the start of a run but for guidance (``guidance.start``) and the
+    addresses and setups of ``backends``. memory: of ``fusion.new_memory``. samples: (n,) of IMU since the last step.
+    poses: array of POSE, of which the first ``n_poses`` are new.
     """
-    navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
+    backends, approach = state.backends, state.approach
+    backends.new_text = backends.asks_for_hold = 0
+    if backends.navigation.step == 0:
+        navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
+    elif not backend_step.navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, command):
+        return False
     watch_thrusters(params, state, samples, command, estimate)
-    guide(params.approach, state.approach, t_s, supervision, reference)
-    watch_approach(params.approach, state.approach, t_s, estimate, reference, supervision, False)
-    actuate(params, state, estimate, reference, command)
+    ordered = approach.progress.go
+    guide(params.approach, approach, t_s, supervision, reference)
+    watch_approach(params.approach, approach, t_s, estimate, reference, supervision, False)
+    backends.orders = _GO if ordered != approach.progress.go else 0
+    if approach.abort_began != 0:
+        backends.orders |= _ABORT
+    _feed_forward(params, state, reference)
+    if backends.control.step == 0:
+        control.control(params.control, estimate, reference, state.feed, command)
+    elif not backend_step.control_elsewhere(params, state, t_s, estimate, reference, supervision, command):
+        return False
+    _select_thrusters(params, state, command)
     if supervision.reaction == reactions.COAST:
         control.clear_demands(command)
         fill(command.on, 0)
+    backends.cycle += 1
+    return True
 
 
 @kernel
@@ -149,10 +173,10 @@ def watch_thrusters(params, state, samples, command, estimate):
     Arguments as of ``gnc_step``.
     """
     bias, sigma = stack.vector(3), stack.vector(3)
-    filters = state.navigation.fusion.filters
-    for i in range(3):
-        bias[i] = filters.pkf.x[6 + i]
-    pkf.sigma(filters.pkf, 6, sigma)
+    if state.backends.navigation.step == 0:
+        navigation.bias_of(state.navigation, bias, sigma)
+    else:
+        backend_step.reported_bias(params.navigation.fusion.pkf, state.backends, bias, sigma)
     thruster_monitor.watch(params.thruster_monitor, state.thrusters, samples, command.on, bias, sigma, estimate)
     if state.thrusters.imu_suspect != 0:
         navigation.drop_imu(params.navigation, state.navigation, estimate)
@@ -245,24 +269,35 @@ def _feed_forward(params, state, reference):
 
 @entry
 def actuate(params, state, estimate, reference, command):
-    """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE.
+    """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE."""
+    _feed_forward(params, state, reference)
+    control.control(params.control, estimate, reference, state.feed, command)
+    _select_thrusters(params, state, command)
+
+
+@kernel
+def _select_thrusters(params, state, command):
+    """Allocate the demands of COMMAND, unless control has opened thrusters itself.
 
     A thruster stuck open is cancelled by those against it until its isolation valve, if it has one, is closed.
     """
-    _feed_forward(params, state, reference)
-    control.control(params.control, estimate, reference, state.feed, command)
     fault, thruster = state.thrusters.fault, state.thrusters.thruster
+    direct = state.backends.control_output.direct != 0
     if fault == NO_FAULT:
-        allocation.select(params.sets, params.n_thrusters, command)
+        if not direct:
+            allocation.select(params.sets, params.n_thrusters, command)
         if state.thrusters.withheld_cycles > 0:
             command.on[state.thrusters.withheld] = 0
     elif fault == DEAD:
-        allocation.select(params.dead_sets[thruster], params.n_thrusters, command)
+        if not direct:
+            allocation.select(params.dead_sets[thruster], params.n_thrusters, command)
     elif state.isolated_cycles > params.closing_cycles:
-        allocation.select(params.isolated_sets[thruster], params.n_thrusters, command)
+        if not direct:
+            allocation.select(params.isolated_sets[thruster], params.n_thrusters, command)
     else:
-        allocation.select(params.open_sets[thruster], params.n_thrusters, command)
-        for j in range(params.n_thrusters):
-            if params.against[thruster, j] != 0:
-                command.on[j] = 1
+        if not direct:
+            allocation.select(params.open_sets[thruster], params.n_thrusters, command)
+            for j in range(params.n_thrusters):
+                if params.against[thruster, j] != 0:
+                    command.on[j] = 1
         state.isolated_cycles += params.isolation

@@ -42,6 +42,11 @@ class Approach:
     """Monitor of the filters, if the GNC has such or reports their innovations."""
 
     @property
+    def user_error(self) -> BaseException | None:
+        """What a Python object of the user has raised."""
+        return None
+
+    @property
     def blocking_reason(self) -> str:
         """Reason why a run on hold cannot be resumed, "" if it can."""
         return ""

@@ -49,6 +49,10 @@ class GncBackend(Protocol):
     """Called with a reason to have the bench held; set when the loop is assembled."""
 
     @property
+    def user_error(self) -> BaseException | None:
+        """What a Python object of the user has raised."""
+
+    @property
     def blocking_reason(self) -> str:
         """Reason why a run on hold cannot be resumed, "" if it can."""
 

@@ -1,9 +1,15 @@
-"""Built-in GNC: navigation, guidance, approach monitor, control and allocation in the loop's own thread."""
+"""Built-in GNC: navigation, guidance, approach monitor, control and allocation in the loop's own thread.
+
+Navigation and control may each be a backend of the user's own, which the same kernel calls.
+"""
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
+from hil.core.gnc_records import GNC_SETUP
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array, Event, new
 from hil.core.observable import ObservableList
@@ -13,15 +19,28 @@ from hil.gnc.fusion import new_memory
 from hil.gnc.step import GNC_STATE
 from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.approach_events import ApproachEventLog
+from hil.gnc_backends.backend import Backends
 from hil.gnc_backends.base import Poses, Records
+from hil.gnc_backends.open_backends import OpenBackends
 
-_LIVE = ("navigation", "control")
+_LIVE = ("navigation", "control", "settings")
 
 
 class BuiltinGnc(Approach):
-    """The compiled GNC. params: GNC_PARAMS. filter_monitor: reads the same record of parameters."""
+    """The compiled GNC. params: GNC_PARAMS. filter_monitor: reads the same record of parameters.
 
-    def __init__(self, params: np.record, event_log: ApproachEventLog, filter_monitor: FilterMonitor) -> None:
+    backends: that take the place of its navigation, its control, or both; setup: GNC_SETUP, what they are opened with.
+    """
+
+    def __init__(
+        self,
+        params: np.record,
+        event_log: ApproachEventLog,
+        filter_monitor: FilterMonitor,
+        backends: Backends | None = None,
+        setup: np.record | None = None,
+    ) -> None:
+        self._backends = OpenBackends(backends or {}, new(GNC_SETUP) if setup is None else setup)
         self.params = kernel_record(params)
         self.state = kernel_record(new(GNC_STATE))
         self._filters = kernel_record(self.state.navigation.fusion.filters)
@@ -31,7 +50,7 @@ class BuiltinGnc(Approach):
         self.memory = new_memory(params.navigation.fusion)
         """Of the filters, (n,) of fusion.STEP."""
         self._nees = np.empty(2)
-        self.fuses = bool(params.navigation.sensors == navigation.VISION_AND_IMU)
+        self.fuses = params.navigation.sensors == navigation.VISION_AND_IMU and "navigation" not in self._backends.kinds
         self.fused_now = False
         """Whether the filters took a pose in the last cycle."""
 
@@ -44,13 +63,26 @@ class BuiltinGnc(Approach):
 
     @property
     def event_logs(self) -> tuple[ObservableList[Event], ...]:
-        """Lists of events: of the approach and of the filter monitor."""
-        return (self.event_log.events, self.filter_monitor.events)
+        """Lists of events: of the approach, of the filter monitor and of backends."""
+        return (self.event_log.events, self.filter_monitor.events, self._backends.messages)
+
+    def open(self, bench_s: float) -> None:
+        """Open the backends. Raises BadInput or DeviceError."""
+        self._backends.open(self.state["backends"], self.params["settings"])
+
+    def close(self) -> None:
+        """Close the backends."""
+        self._backends.close(self.state["backends"])
+
+    @property
+    def user_error(self) -> BaseException | None:
+        """What a Python object of the user has raised."""
+        return self._backends.user_error
 
     def step(self, t_s: float, now: Records, vision: Poses) -> None:
         """Run stages 4 to 7 of the cycle."""
         before = self._progress.tobytes()
-        step.gnc_step(
+        works = step.gnc_step(
             self.params,
             self.state,
             self.memory,
@@ -63,8 +95,27 @@ class BuiltinGnc(Approach):
             now.supervision,
             now.command,
         )
+        if not works:
+            self.fail(t_s, before, now.supervision)
         self._monitor_filters(now.samples, vision, now.navigation)
-        self.log_progress(t_s, before, now.supervision)
+        self.log_step(t_s, before, now.supervision)
+        if self._backends.kinds and self.state["backends"]["asks_for_hold"]:
+            self.hold_as_asked()
+
+    def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
+        """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) and new texts of backends."""
+        self.log_progress(t_s, before, supervision)
+        if self._backends.kinds and self.state["backends"]["new_text"]:
+            self._backends.log_texts(t_s, self.state["backends"])
+
+    def hold_as_asked(self) -> None:
+        """Request the hold for which a backend has asked."""
+        self.request_hold(self._backends.hold_reason(self.state["backends"]))
+
+    def fail(self, t_s: float, before: bytes, supervision: np.record) -> NoReturn:
+        """Log the step in which a backend has failed; raise its failure."""
+        self.log_step(t_s, before, supervision)
+        raise self._backends.failure(self.state["backends"])
 
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Take the bound on the position error by the docking monitor, 0 for none, for the protection levels."""
@@ -105,6 +156,7 @@ class BuiltinGnc(Approach):
             self.params[name] = params[name]
         for name in ("monitor", "reactions"):
             self.params["approach"][name] = params["approach"][name]
+        self._backends.set_settings(self.params["settings"])
         return self.cycle + 1
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from hil.core.fields import Field, Fields, record_dtype
+from hil.core.fields import Field, Fields, described, record_dtype
 from hil.core.gnc_records import (
     GNC_INPUT_FIELDS,
     GNC_OUTPUT_FIELDS,
@@ -26,6 +27,8 @@ RECORDS: Final[dict[str, Fields]] = {
     "input": GNC_INPUT_FIELDS,
     "output": GNC_OUTPUT_FIELDS,
 }
+STRUCTS: Final = {f"hil_gnc_{name}": fields for name, fields in RECORDS.items()}
+"""Tables by the names of their structs."""
 _TYPES: Final = {"f8": "double", "i8": "int64_t", "i4": "int32_t", "u1": "uint8_t"}
 _HEAD: Final = """\
 /* hil_gnc.h: records exchanged between the bench and an external GNC. Printed by: hil gnc header
@@ -64,7 +67,7 @@ int hil_gnc_step(void *gnc, const hil_gnc_input *input, hil_gnc_output *output);
 /* Free the GNC that hil_gnc_open returned. */
 void hil_gnc_close(void *gnc);
 """
-_TAIL: Final = """\
+TAIL: Final = """\
 #ifdef __cplusplus
 }
 #endif
@@ -76,8 +79,8 @@ def c_header() -> str:
     """Return the text of ``hil_gnc.h``."""
     parts = [_HEAD, f"#define HIL_GNC_PROTOCOL {PROTOCOL}\n#define HIL_GNC_REASON_BYTES {REASON_BYTES}\n"]
     parts += [_enum("mode", GncMode), _enum("order", GncOrder), _enum("state", GncState), _enum("health", GncHealth)]
-    parts += [_struct(name, fields) for name, fields in RECORDS.items()]
-    return "\n".join([*parts, _FUNCTIONS, _checks(), _TAIL])
+    parts += [struct_text(struct, STRUCTS) for struct in STRUCTS]
+    return "\n".join([*parts, _FUNCTIONS, layout_checks(STRUCTS), TAIL])
 
 
 def _enum(name: str, kind: type[GncMode | GncOrder | GncState | GncHealth]) -> str:
@@ -85,36 +88,31 @@ def _enum(name: str, kind: type[GncMode | GncOrder | GncState | GncHealth]) -> s
     return "\n".join([f"enum hil_gnc_{name} {{", *lines, "};\n"])
 
 
-def _struct(name: str, fields: Fields) -> str:
-    lines = [f"    {_declared(field)};{_comment(_text(field))}" for field in fields]
-    return "\n".join(["typedef struct {", *lines, f"}} hil_gnc_{name};\n"])
-
-
-def _text(field: Field) -> str:
-    unit = field.unit if field.unit != "1" else ""
-    where = f"in {field.frame}" if field.frame and " " not in field.frame else field.frame
-    return "; ".join(part for part in (field.meaning, ", ".join(part for part in (unit, where) if part)) if part)
+def struct_text(struct: str, structs: Mapping[str, Fields]) -> str:
+    """Return the definition of ``struct``; structs: names of the tables of it and of those nested in it."""
+    lines = [f"    {_declared(field, structs)};{_comment(described(field))}" for field in structs[struct]]
+    return "\n".join(["typedef struct {", *lines, f"}} {struct};\n"])
 
 
 def _comment(text: str) -> str:
     return f" /* {text} */" if text else ""
 
 
-def _declared(field: Field) -> str:
+def _declared(field: Field, structs: Mapping[str, Fields]) -> str:
     shape = field.shape if isinstance(field.shape, tuple) else (field.shape,)
     extents = "".join(f"[{extent}]" for extent in shape)
     if not isinstance(field.type, str):
-        return f"hil_gnc_{next(name for name, known in RECORDS.items() if known is field.type)} {field.name}{extents}"
+        return f"{next(name for name, known in structs.items() if known is field.type)} {field.name}{extents}"
     if field.type.startswith("S"):
         return f"char {field.name}[{field.type[1:]}]"
     return f"{_TYPES[field.type]} {field.name}{extents}"
 
 
-def _checks() -> str:
+def layout_checks(structs: Mapping[str, Fields]) -> str:
     """Return assertions that the compiler lays the structs out as the bench does."""
     lines = ["#if defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L"]
-    for name, fields in RECORDS.items():
-        struct, dtype = f"hil_gnc_{name}", record_dtype(fields)
+    for struct, fields in structs.items():
+        dtype = record_dtype(fields)
         lines.append(f'_Static_assert(sizeof({struct}) == {dtype.itemsize}, "size of {struct}");')
         for field, place in (dtype.fields or {}).items():
             lines.append(f'_Static_assert(offsetof({struct}, {field}) == {place[1]}, "place of {struct}.{field}");')

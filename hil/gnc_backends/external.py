@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import traceback
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -143,6 +145,13 @@ def printable(text: bytes) -> str:
     """Return a text of a GNC as one line of plain characters."""
     plain = text.split(b"\0")[0].decode("utf-8", "replace")
     return "".join(c if c.isprintable() else " " for c in plain).strip()
+
+
+def raised_text(method: str, error: BaseException) -> str:
+    """Return what an object's ``method`` has raised, with file and line, as one line."""
+    text, frames = " ".join(str(error).split()), traceback.extract_tb(error.__traceback__)
+    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{method} raised {type(error).__name__}" + (f": {text}" if text else "") + place
 
 
 def reported_fault(name: str, out: np.record) -> DeviceError:

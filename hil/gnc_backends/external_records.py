@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from llvmlite import ir
 from numba import typeof, types
-from numba.extending import intrinsic
 
+from hil.core.foreign_call import call_address
 from hil.core.gnc_records import GncHealth, GncState
 from hil.core.jit import kernel
 from hil.gnc import allocation
+from hil.gnc.backend_step import mark_invalid as mark_invalid
 from hil.maths.arrays import copy_into, copy_matrix, fill
 
 FINE, CYCLE, STATE, DIRECT, FORCE, TORQUE, THRUSTER, ESTIMATE, POSITION, VELOCITY, ATTITUDE, RATE = range(12)
@@ -189,50 +189,11 @@ def read_output(out, params, boost, navigation, command):
 
 
 @kernel
-def mark_invalid(navigation):
-    """Write NAVIGATION without an estimate."""
-    navigation.valid = 0
-    fill(navigation.r_CT_H, np.nan)
-    fill(navigation.v_CT_H, np.nan)
-    fill(navigation.q_CH, np.nan)
-    fill(navigation.w_CH_C, np.nan)
-    fill(navigation.sigma_r_m, np.nan)
-    fill(navigation.sigma_v_mps, np.nan)
-    fill(navigation.sigma_attitude_rad, np.nan)
-    navigation.nis_position = np.nan
-    navigation.nis_attitude = np.nan
-    fill(navigation.protection_level_m, np.nan)
-    navigation.protection_level_rad = np.nan
-    navigation.health = 0
-
-
-@kernel
 def close_thrusters(command):
     """Write COMMAND without demands and with all thrusters closed."""
     fill(command.force, 0)
     fill(command.torque, 0)
     fill(command.on, 0)
-
-
-@intrinsic
-def _call(_typing, address, instance, gnc_input, output):
-    """Call ``int address(void *instance, const void *gnc_input, void *output)`` with two records."""
-    signature = types.int32(types.int64, types.int64, gnc_input, output)
-
-    def generate(_context, builder, _signature, arguments):
-        pointer = ir.IntType(8).as_pointer()
-        function = ir.FunctionType(ir.IntType(32), [pointer, pointer, pointer])
-        callee = builder.inttoptr(arguments[0], function.as_pointer())
-        return builder.call(
-            callee,
-            [
-                builder.inttoptr(arguments[1], pointer),
-                builder.bitcast(arguments[2], pointer),
-                builder.bitcast(arguments[3], pointer),
-            ],
-        )
-
-    return signature, generate
 
 
 @kernel
@@ -243,7 +204,7 @@ def call_library(address, instance, gnc_input, output):
     zeroed but for the fields that a library may leave as they are: its cycle and its state, WORKING.
     """
     clear_output(output, gnc_input.cycle)
-    return _call(address, instance, gnc_input, output)
+    return call_address(address, instance, gnc_input, output)
 
 
 def compile_call(gnc_input, output):

@@ -6,6 +6,7 @@ from typing import Final
 
 from hil.config.scenario import GncConfig
 from hil.gnc_backends import fmu, shared_library
+from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import GncLibrary, Library, digest_of
 
 _KEYS: Final = {True: fmu.KEY, False: shared_library.KEY}
@@ -28,6 +29,7 @@ def open_library(gnc: GncConfig, source: str = "--set") -> GncLibrary | None:
 
 
 def binary_digest(gnc: GncConfig) -> str:
-    """Return the digest of the files of the GNC: SHA-256 of its binary, and of the mapping if there is one."""
-    files = [path for path in (gnc.binary, gnc.fmu_mapping) if path is not None]
+    """Return the digest of the files of the GNC: SHA-256 of its binary, of the mapping if there is one, of backends."""
+    backends = [backend_file(name, part) for part, name in gnc.foreign.items()]
+    files = [path for path in (gnc.binary, gnc.fmu_mapping, *backends) if path is not None]
     return " ".join(digest_of(path) for path in files)

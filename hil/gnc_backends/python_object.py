@@ -10,7 +10,7 @@ import numpy as np
 from hil.core.gnc_records import GNC_OUTPUT
 from hil.errors import DeviceError, ProtocolError
 from hil.gnc_backends import external_records
-from hil.gnc_backends.external import BackendSetup, ExternalGnc
+from hil.gnc_backends.external import BackendSetup, ExternalGnc, raised_text
 
 _ESTIMATE: Final = frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"})
 _REALS: Final = _ESTIMATE | {"protection_level_m", "protection_level_rad"}
@@ -43,6 +43,12 @@ class PythonObjectGnc(ExternalGnc):
     def __init__(self, gnc: PythonGnc, setup: BackendSetup) -> None:
         super().__init__(f"gnc {class_name(gnc)}", setup)
         self._gnc = gnc
+        self._raised: BaseException | None = None
+
+    @property
+    def user_error(self) -> BaseException | None:
+        """What the object has raised."""
+        return self._raised
 
     def open(self, bench_s: float) -> None:
         """Begin a session: call ``reset()`` and ``start(setup)`` of the object if it has them. Raises DeviceError."""
@@ -66,10 +72,8 @@ class PythonObjectGnc(ExternalGnc):
         try:
             return method(*arguments)
         except Exception as error:
-            text = " ".join(str(error).split())
-            raise DeviceError(self.name, f"{name} raised {type(error).__name__}" + (f": {text}" if text else "")) from (
-                error
-            )
+            self._raised = error
+            raise DeviceError(self.name, raised_text(name, error)) from error
 
     def _read_fields(self, found: Mapping[str, Any]) -> None:
         for name, value in found.items():

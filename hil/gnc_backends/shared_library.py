@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Protocol, Self
 
@@ -30,15 +31,7 @@ class Library:
         self.name = self.path.name
         self._shown = path
         self._source = source
-        if not self.path.is_file():
-            raise self._refusal("no such file: give the path of a shared library (hil gnc header prints its interface)")
-        exact = _keeps_subnormals()
-        try:
-            self._loaded = ctypes.CDLL(str(self.path))
-        except (OSError, ValueError) as error:
-            raise self._refusal(f"cannot be loaded: {_reason(error, self.path)}") from error
-        if exact and not _keeps_subnormals():
-            raise self._refusal("makes this process round small numbers to zero: build it without -ffast-math")
+        self._loaded = loaded_library(self.path, "hil gnc header prints its interface", self._refusal)
         missing = [name for name in _SYMBOLS if not hasattr(self._loaded, name)]
         if missing:
             raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header prints its interface")
@@ -66,6 +59,20 @@ class Library:
 
     def _refusal(self, what: str) -> BadInput:
         return BadInput.single(self._source, KEY, f'"{self._shown}": {what}')
+
+
+def loaded_library(path: Path, interface: str, refuse: Callable[[str], BadInput]) -> ctypes.CDLL:
+    """Return the shared library at ``path``. interface: how to print it. Raises BadInput, made by ``refuse``."""
+    if not path.is_file():
+        raise refuse(f"no such file: give the path of a shared library ({interface})")
+    exact = _keeps_subnormals()
+    try:
+        loaded = ctypes.CDLL(str(path))
+    except (OSError, ValueError) as error:
+        raise refuse(f"cannot be loaded: {_reason(error, path)}") from error
+    if exact and not _keeps_subnormals():
+        raise refuse("makes this process round small numbers to zero: build it without -ffast-math")
+    return loaded
 
 
 class Instance:

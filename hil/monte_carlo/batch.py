@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import pickle
 import threading
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
+from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed
@@ -23,6 +27,8 @@ from hil.monte_carlo.outcome import failed_row, row_of
 from hil.monte_carlo.sobol_indices import sobol_point
 
 Rows = list[dict[str, Any]]
+TRACEBACK: Final = "traceback"
+"""Key of a row with the traceback of what a Python object of the user has raised; no column of the table."""
 _here = threading.local()
 
 
@@ -32,6 +38,7 @@ class Spec:
 
     mixed: seeds of the cases of a rare-event campaign, by the case's number; the other cases have that of their number.
     sobol: the cases are those of a campaign of Sobol' indices. density: text of the importance density of their noise.
+    own: backends of navigation and control that the caller gives, pickled.
     """
 
     scenario: str
@@ -41,11 +48,29 @@ class Spec:
     mixed: Mapping[int, MixedSeed] = field(default_factory=dict)
     sobol: bool = False
     density: str = ""
+    own: bytes = b""
 
     @classmethod
-    def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float) -> Spec:
-        """Return the campaign of ``scenario`` on ``rig``."""
-        return cls(scenario.model_dump_json(), rig.model_dump_json(), seed, duration_s)
+    def of(cls, scenario: Scenario, rig: Rig, seed: int, duration_s: float, own: OwnBackends = NO_BACKENDS) -> Spec:
+        """Return the campaign of ``scenario`` on ``rig``. Raises BadInput if ``own`` cannot be sent to workers."""
+        sent = pickled(own) if own != NO_BACKENDS else b""
+        return cls(scenario.model_dump_json(), rig.model_dump_json(), seed, duration_s, own=sent)
+
+
+def pickled(own: OwnBackends) -> bytes:
+    """Return ``own`` for another process, also of a notebook. Raises BadInput if it cannot be sent."""
+    try:
+        import cloudpickle
+
+        found: bytes = cloudpickle.dumps(own)
+    except ImportError as error:
+        text = (
+            "an object flies in a campaign with cloudpickle, which is not installed: pip install 'hil-bench[campaign]'"
+        )
+        raise BadInput.single("campaign", "", text) from error
+    except Exception as error:
+        raise BadInput.single("campaign", "", f"a backend cannot be sent to other processes: {error}") from error
+    return found
 
 
 class DrawnCase(NamedTuple):
@@ -65,8 +90,10 @@ class Case:
         self._rig = check_table(json.loads(spec.rig), Rig, "campaign").value
         self._spec = spec
         self.mixed: Mapping[int, MixedSeed] = spec.mixed
+        own = pickle.loads(spec.own) if spec.own else NO_BACKENDS
+        scenario = named(scenario, own)
         self._design = Design(scenario, spec.seed)
-        self.runner = CaseRunner(scenario.value, self._rig, spec.duration_s)
+        self.runner = CaseRunner(scenario.value, self._rig, spec.duration_s, own)
         self._density = ImportanceDensity.parse(spec.density) if spec.density else None
 
     def row(self, case: int) -> dict[str, Any]:
@@ -78,6 +105,8 @@ class Case:
         except Exception as error:  # one case must not end the campaign: its row has the reason
             outcome = not_flown(error)
         found = self.complete(case, outcome)
+        if (raised := self.runner.user_error) is not None:
+            found[TRACEBACK] = "".join(traceback.format_exception(raised))
         return found if self._density is None else found | {LOG_WEIGHT: self._log_weight(seed)}
 
     def load(self, case: int) -> DrawnCase:

@@ -20,9 +20,11 @@ from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_digest import digest_of
 from hil.errors import BadInput, Problem
+from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.gnc_backends.library import binary_digest
 from hil.loop.compiled.loop_kernel import run_loop
-from hil.monte_carlo.batch import Spec
+from hil.monte_carlo.batch import TRACEBACK, Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
 from hil.monte_carlo.engines import Engine
@@ -52,17 +54,25 @@ Watch = Callable[[Progress], None]
 
 
 class CampaignJob:
-    """One scenario with its dispersions, checked. Raises BadInput with one problem per error."""
+    """One scenario with its dispersions, checked. Raises BadInput with one problem per error.
+
+    own: backends of navigation and control that the caller gives.
+    """
 
     def __init__(
-        self, scenario: Loaded[Scenario], rig: Loaded[Rig], seed: int, duration_s: float | None = None
+        self,
+        scenario: Loaded[Scenario],
+        rig: Loaded[Rig],
+        seed: int,
+        duration_s: float | None = None,
+        own: OwnBackends = NO_BACKENDS,
     ) -> None:
-        self.scenario = scenario
+        self.scenario = named(scenario, own)
         self.duration_s = scenario.value.duration_s if duration_s is None else duration_s
-        self._rig = rig
+        self._rig, self.own = rig, own
         self._check()
-        self.design = Design(scenario, seed)
-        self.spec = Spec.of(scenario.value, rig.value, seed, self.duration_s)
+        self.design = Design(self.scenario, seed)
+        self.spec = Spec.of(self.scenario.value, rig.value, seed, self.duration_s, own)
         self.seed = seed
 
     @property
@@ -71,7 +81,7 @@ class CampaignJob:
         return self._rig.value
 
     def _check(self) -> None:
-        build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0))
+        build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0, own=self.own))
         rig, problems = self._rig.value, check_requirements(self.scenario)
         if rig.target_axes is not None:
             key = "target_manipulator" if rig.moved_target is not None else "rotary_manipulator"
@@ -114,6 +124,7 @@ class CampaignJob:
             "seed": self.seed,
             "duration_s": self.duration_s,
             "kernels": digest_of(run_loop),
+            **({"own": hashlib.sha256(self.spec.own).hexdigest()[:16]} if self.spec.own else {}),
         }
 
     def warm_up(self) -> None:
@@ -121,6 +132,7 @@ class CampaignJob:
         value = self.scenario.value
         if not kernels_are_cached("loop"):
             compile_group("loop", Job(self.scenario, self._rig, 0, value.step_s, 1.0))
+        value = value.model_copy(update={"gnc": value.gnc.built_in()})
         CaseRunner(value, self._rig.value, 2.0 * value.step_s).run(value, 0)
 
     def run(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
@@ -128,9 +140,10 @@ class CampaignJob:
         missing = store.missing(runs)
         left = sum(count for _, count in missing)
         begun_s = time.perf_counter()
-        done = 0
+        done, failures = 0, _first_errors(store.folder)
         with closing(engine.run(self.spec, missing)) as results:
             for first, rows in results:
+                failures |= {row["case"]: row.pop(TRACEBACK) for row in rows if TRACEBACK in row}
                 store.put(first, rows)
                 done += len(rows)
                 speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
@@ -140,6 +153,9 @@ class CampaignJob:
         summary = summarise(store, self.scenario.value.name, self.design.names) | more | engine.summary()
         requirements = judge_requirements(store, self.scenario.value)
         summary |= {"tolerance": tolerance_bounds(store), "requirements": requirements}
+        if failures:
+            case = min(failures)
+            summary["first_error"] = {"case": case, "traceback": failures[case]}
         write_summary(store.folder / "summary.json", summary)
         if requirements:
             self._write_evidence(store, requirements)
@@ -149,6 +165,15 @@ class CampaignJob:
         """Write the page of the requirements, their JUnit XML and JSON into the folder."""
         sources = {"campaign": store.folder.name} | self.identity()
         write_evidence(store.folder, self.scenario.value.name, sources, campaign_rows(requirements, self.identity()))
+
+
+def _first_errors(folder: Path) -> dict[int, str]:
+    """Return the traceback that the summary of an earlier start has, by the number of its case."""
+    try:
+        found = json.loads((folder / "summary.json").read_text())["first_error"]
+        return {int(found["case"]): str(found["traceback"])}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
 
 
 def write_evidence(folder: Path, scenario: str, sources: dict[str, Any], rows: Sequence[EvidenceRow]) -> None:

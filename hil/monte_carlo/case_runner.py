@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.bench import guard as guards
 from hil.bench.kinematics import write_axes
+from hil.config.load import Loaded
 from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import (
@@ -31,8 +32,11 @@ from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BadInput, BenchError, LinkTimeout, ProtocolError, SafetyTrip
 from hil.gnc.fusion import new_memory
 from hil.gnc_backends import external_records
+from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
 from hil.gnc_backends.library import open_library
+from hil.gnc_backends.open_backends import OpenBackends
 from hil.gnc_backends.shared_library import gnc_name, step_failed
 from hil.loop.compiled import loop_kernel
 from hil.loop.compiled.library_kernel import output_of
@@ -62,10 +66,13 @@ _NO_IMU_SAMPLES = np.zeros(0, IMU_SAMPLE)
 class CaseRunner:
     """Runs cases of one scenario on one mock rig, in memory that is allocated once.
 
-    scenario: as the GNC has it. duration_s: of each run.
+    scenario: as the GNC has it. duration_s: of each run. own: backends of navigation and control that the caller gives;
+    each case has an instance of its own. Raises BadInput for a GNC that cannot be flown.
     """
 
-    def __init__(self, scenario: Scenario, rig: Rig, duration_s: float) -> None:
+    def __init__(self, scenario: Scenario, rig: Rig, duration_s: float, own: OwnBackends = NO_BACKENDS) -> None:
+        self._own = own
+        scenario = self._named(scenario)
         self.scenario = scenario
         self.rig = rig
         self.cycles = round(duration_s / scenario.step_s) + 1
@@ -86,6 +93,15 @@ class CaseRunner:
         self._arrivals = np.zeros(0, ARRIVAL).view(np.recarray)
         self._leds = vision_params.camera(rig)[1]
         self._library = open_library(scenario.gnc, "campaign")
+        self._backends = OpenBackends(backends_of(scenario, own, copies=True), gnc_setup(scenario))
+
+    def _named(self, scenario: Scenario) -> Scenario:
+        return named(Loaded(scenario, "campaign", {}), self._own).value
+
+    @property
+    def user_error(self) -> BaseException | None:
+        """What a Python object of the user has raised in the last case."""
+        return self._backends.user_error
 
     @property
     def stats(self) -> np.record:
@@ -108,8 +124,10 @@ class CaseRunner:
 
     def set_gnc_scenario(self, scenario: Scenario) -> None:
         """Set the scenario of the GNC; length, rig and thrusters must be the same."""
-        self.scenario = scenario
+        self.scenario = self._named(scenario)
         self._params = self._fixed_params()
+        if self._backends.kinds:
+            self._backends.setup = gnc_setup(self.scenario)
 
     def set_abort(self, at_s: float) -> None:
         """Set the time of a simulated abort, s; inf for none."""
@@ -124,10 +142,11 @@ class CaseRunner:
         interlock = self.load(truth, seed)
         if interlock:
             return stats, interlock
-        with self._library_instance():
+        self._backends.user_error = None
+        with self._library_instance(), self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
             code = self._run_loop(truth, seed, history)
-        stats.ended = code
-        return stats, self._reason(int(code))
+            stats.ended = code
+            return stats, self._reason(int(code))
 
     def load(self, truth: Scenario, seed: int) -> str:
         """Set the records of a case before its first cycle; return why the bench could not be armed, "" if it could."""
@@ -242,9 +261,9 @@ class CaseRunner:
         if code == loop_kernel.GNC_FAILED:
             return str(self._gnc_fault())
         if code == loop_kernel.GNC_HOLDS:
-            assert self._library is not None
-            reason = hold_reason(gnc_name(self._library), output_of(state.library))
-            return str(hold_trip(reason))
+            if self._library is None:
+                return str(hold_trip(self._backends.hold_reason(state.gnc.backends)))
+            return str(hold_trip(hold_reason(gnc_name(self._library), output_of(state.library))))
         if code == loop_kernel.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
@@ -253,7 +272,8 @@ class CaseRunner:
         return str(alarm(0.0, BENCH_AXES, code, state.breach).trip())
 
     def _gnc_fault(self) -> BenchError:
-        assert self._library is not None
+        if self._library is None:
+            return self._backends.failure(self._state.gnc.backends)
         gnc, name, n = self._state.library, gnc_name(self._library), int(self._params.gnc.n_thrusters)
         output = output_of(gnc)
         if gnc.code != 0:

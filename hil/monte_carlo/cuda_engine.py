@@ -75,7 +75,7 @@ class CudaEngine:
 
     def __init__(self, threads: int, scenarios: Sequence[Loaded[Scenario]] = ()) -> None:
         for each in scenarios:
-            if each.value.gnc.binary is not None:
+            if each.value.gnc.binary is not None or each.value.gnc.foreign:
                 raise BadInput.single(each.where("gnc"), "gnc", "an external GNC does not run on a GPU: --engine cpu")
         self._cuda = cuda_of_numba()
         self.workers = worker_count(threads)

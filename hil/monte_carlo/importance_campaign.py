@@ -182,7 +182,7 @@ def importance_estimate(terms: Array) -> tuple[float, float]:
 
 def pilot_density(job: CampaignJob, axis: int, level: float, watch: Watch) -> ImportanceDensity | None:
     """Return the density for ``level`` of deviation number ``axis`` of ``COLUMNS``, from pilot cases."""
-    runner = CaseRunner(job.scenario.value, job.rig, job.duration_s)
+    runner = CaseRunner(job.scenario.value, job.rig, job.duration_s, job.own)
     history = np.zeros(runner.cycles, CYCLE)
     rates_hz = {name: rate for name, (_, rate) in runner.noise().items()}
     block_s = block_length_s(rates_hz)

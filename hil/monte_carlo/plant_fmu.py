@@ -78,7 +78,8 @@ def export_plant(case: PlantCase, version: int, out: Path) -> None:
     if models := case.truth.models:
         text = f"{', '.join(models)}: in an FMU already: the exported plant has the built-in models"
         raise BadInput.single("hil fmu-export", f"{next(iter(models))}.fmu", text)
-    runner = CaseRunner(case.scenario, case.rig, case.duration_s)
+    scenario = case.scenario.model_copy(update={"gnc": case.scenario.gnc.built_in()})
+    runner = CaseRunner(scenario, case.rig, case.duration_s)
     prepared = runner.prepared(case.truth, case.seed)
     arguments = dict(zip(_PARTS, prepared, strict=False))
     with tempfile.TemporaryDirectory(prefix="hil-fmu-") as name:

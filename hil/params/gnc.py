@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from hil.config import scenario as config
 from hil.config.scenario import REACTION_NAMES, Chaser, Scenario, Thrusters
 from hil.core.messages import MAX_THRUSTERS, Array, new
 from hil.dynamics.hill import input_response, transition
@@ -64,6 +65,8 @@ def gnc(scenario: Scenario) -> np.record:
         params.closing_cycles = math.ceil(thrusters.isolation_closing_s / scenario.step_s)
         params.isolates, params.isolated_sets = _isolation(thrusters)
     params.thruster_monitor = thruster_monitor(scenario)
+    for row, settings in enumerate((scenario.gnc.navigation.settings, scenario.gnc.control.settings)):
+        params.settings[row, : len(settings)] = list(settings.values())
     return params
 
 
@@ -78,7 +81,7 @@ def navigation(scenario: Scenario) -> np.record:
     """Return NAVIGATION_PARAMS."""
     params = new(NAVIGATION_PARAMS)
     gnc = scenario.gnc
-    params.sensors = VISION_AND_IMU if gnc.navigation.sensors == "vision_imu" else VISION_ALONE
+    params.sensors = VISION_ALONE if gnc.navigation.backend == config.VISION_ALONE else VISION_AND_IMU
     fusion = params.fusion
     fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
     fusion.memory = scenario.memory_steps

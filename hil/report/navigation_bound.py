@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.config.scenario import Scenario
+from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array
 
 _START_MPS: Final = 1e-3  # standard deviation of the velocity at the first pose: of a hold before the approach
@@ -30,7 +30,7 @@ class NavigationBound:
 
     def __init__(self, scenario: Scenario, rig: Rig, settled_s: float) -> None:
         imu = scenario.imu
-        self._has_imu = scenario.gnc.navigation.sensors == "vision_imu"
+        self._has_imu = scenario.gnc.navigation.backend != VISION_ALONE
         self._settled_s = settled_s
         self._bench = np.array([rig.vmu.bench_sigma_m, math.radians(rig.vmu.bench_sigma_deg)]) ** 2
         self._scale = scenario.vmu.reported_sigma_scale**2 if scenario.vmu.source == "model" else 1.0

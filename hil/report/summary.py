@@ -17,6 +17,7 @@ from hil.core.build_info import build_info
 from hil.core.messages import Array, Event
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.approach_events import DOCKING_GO
+from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
@@ -208,9 +209,17 @@ def eclipse_s(history: np.ndarray, step_s: float) -> float:
 
 
 def gnc_summary(scenario: Scenario) -> dict[str, Any]:
-    """Return the GNC library or FMU with the digest of its file; None for the built-in GNC."""
+    """Return the GNC library or FMU with the digest of its file, None for the built-in GNC; backends likewise."""
     path = scenario.gnc.binary
-    return {"library": path, "sha256": digest_of(path) if path is not None else None}
+    backends = {part: (name, backend_file(name, part)) for part, name in scenario.gnc.foreign.items()}
+    return {
+        "library": path,
+        "sha256": digest_of(path) if path is not None else None,
+        **{
+            part: {"backend": name, "sha256": digest_of(file) if file is not None else None}
+            for part, (name, file) in backends.items()
+        },
+    }
 
 
 def sign_off_summary(rig: Rig) -> dict[str, Any] | None:

@@ -71,7 +71,7 @@ def check(job: Job) -> None:
         *check_drift_views(job.rig),
         *_rig_problems(job),
     ]
-    problems = problems or library_problems(job.scenario) or check_sign_off(job.rig)
+    problems = problems or library_problems(job.scenario, job.own) or check_sign_off(job.rig)
     if problems := problems or check_preflight(job.rig, job.scenario.value.step_s):
         raise BadInput(problems)
 
@@ -95,7 +95,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *check_memory(job.scenario, job.rig),
         *check_budget(job.scenario, job.rig),
         *check_drivers(job.rig),
-        *check_flight_computer(job.rig),
+        *check_flight_computer(job.scenario, job.rig),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig does not run in real time: omit --speed"))

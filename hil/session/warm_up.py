@@ -96,6 +96,6 @@ def _short_run(job: Job) -> Runner:
 def _short_job(job: Job, compiled: bool) -> Job:
     """Return a short job on mocks with the built-in GNC."""
     scenario = job.scenario.value
-    builtin = scenario.model_copy(update={"gnc": scenario.gnc.model_copy(update={"library": None})})
+    builtin = scenario.model_copy(update={"gnc": scenario.gnc.built_in()})
     loaded = replace(job.scenario, value=builtin)
     return Job(loaded, job.rig, 0, _CYCLES * scenario.step_s, 1.0, compiled=compiled)

@@ -29,6 +29,8 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.command_words import CommandWordGnc
@@ -97,7 +99,8 @@ class Job:
     """A run to do.
 
     dispersed: the true scenario, if it differs from the nominal one that guidance, navigation and control are designed
-    for. make_backend: makes the GNC backend instead of the scenario's. paced: a mock rig runs in real time. compiled:
+    for. make_backend: makes the GNC backend instead of the scenario's. own: backends of navigation and control that the
+    caller gives. paced: a mock rig runs in real time. compiled:
     False for the cycle in Python, also where the compiled loop can run the job. until_stopped: Ctrl-C ends the run,
     instead of ``duration_s``.
     """
@@ -112,12 +115,14 @@ class Job:
     paced: bool = False
     compiled: bool = True
     until_stopped: bool = False
+    own: OwnBackends = NO_BACKENDS
 
     def __post_init__(self) -> None:
-        """Select the rig's cameras for ``vmu.source = "cameras"``. Raise BadInput if there are none.
+        """Select the rig's cameras for ``vmu.source = "cameras"``; name the backends and all of their settings.
 
-        Also for a run of more cycles than can be recorded.
+        Raises BadInput if there are none, and for a run of more cycles than can be recorded.
         """
+        object.__setattr__(self, "scenario", named(self.scenario, self.own))
         if self.scenario.value.vmu.source == "cameras":
             object.__setattr__(self, "rig", with_cameras(self.scenario, self.rig))
         if self.cycles > CYCLES_MAX and not self.until_stopped:
@@ -284,7 +289,7 @@ def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
     if job.make_backend is not None:
         return job.make_backend(scenario)
     if computer.command_words == "none":
-        return make_backend(scenario)
+        return make_backend(scenario, job.own)
     return CommandWordGnc(
         computer,
         CommandWordReceiver(computer, rate.now_s),
@@ -294,27 +299,38 @@ def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
     )
 
 
-def make_gnc(scenario: Scenario) -> BuiltinGnc:
-    """Return the built-in GNC of ``scenario``, before its first cycle."""
+def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS) -> BuiltinGnc:
+    """Return the built-in GNC of ``scenario`` with its backends, before its first cycle. Raises BadInput.
+
+    own: backends that the caller gives.
+    """
     params = gnc_params.gnc(scenario)
     monitor = FilterMonitor(params.navigation, _shadow_limits(scenario))
-    return BuiltinGnc(params, approach_event_log(scenario), monitor)
+    backends = backends_of(scenario, own)
+    return BuiltinGnc(
+        params, approach_event_log(scenario), monitor, backends, gnc_setup(scenario) if backends else None
+    )
 
 
-def make_backend(scenario: Scenario) -> GncBackend:
-    """Return the built-in GNC, or the binary that ``scenario`` names. Raises BadInput if it cannot be loaded."""
+def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS) -> GncBackend:
+    """Return the built-in GNC, or the binary that ``scenario`` names. Raises BadInput if it cannot be loaded.
+
+    own: backends of navigation and control that the caller gives.
+    """
     library = open_library(scenario.gnc)
-    return make_gnc(scenario) if library is None else SharedLibraryGnc(library, backend_setup(scenario))
+    return make_gnc(scenario, own) if library is None else SharedLibraryGnc(library, backend_setup(scenario))
 
 
-def library_problems(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return why the GNC binary of ``scenario``, or a part of the plant in an FMU, cannot be used."""
+def library_problems(scenario: Loaded[Scenario], own: OwnBackends = NO_BACKENDS) -> list[Problem]:
+    """Return why a binary or a backend of the GNC of ``scenario``, or a part of the plant in an FMU, cannot be used."""
     gnc = scenario.value.gnc
     try:
         plant_models(scenario.value, dss_as_built(scenario.value, 0), scenario)
         library = open_library(gnc, scenario.where(key_of(gnc)))
         if library is not None:
             library.open(gnc_setup(scenario.value)).close()
+        for backend in backends_of(scenario.value, own, scenario.where).values():
+            backend.check(gnc_setup(scenario.value))
         return []
     except BadInput as error:
         return list(error.problems)

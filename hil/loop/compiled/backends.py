@@ -63,13 +63,13 @@ class CompiledBuiltin:
             self.gnc.filter_monitor.add_innovations(cycle, nis_position, nis_attitude)
 
     def log_events(self, t_s: float, state: np.record) -> None:
-        self.gnc.log_progress(t_s, state.progress_before.tobytes(), state.now.supervision)
+        self.gnc.log_step(t_s, state.progress_before.tobytes(), state.now.supervision)
 
     def request_hold(self) -> None:
-        """The built-in GNC asks for no hold."""
+        self.gnc.hold_as_asked()
 
     def fail(self, t_s: float, state: np.record, now: Records) -> NoReturn:
-        raise AssertionError("the built-in GNC reports no fault")
+        self.gnc.fail(t_s, state.progress_before.tobytes(), state.now.supervision)
 
 
 class CompiledLibrary:

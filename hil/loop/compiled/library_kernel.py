@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.foreign_call import same_bytes
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncOrder
 from hil.core.jit import entry, kernel
 from hil.core.messages import new
@@ -41,10 +42,7 @@ _RUNNING, _ABORT = GncMode.RUNNING.value, GncOrder.ABORT.value
 @kernel
 def has_new_text(library):
     """Return whether the text of the output is another one than ``last_text``."""
-    differences = 0
-    for i in range(_TEXT_BYTES):
-        differences += 1 if library.output.text[i] != library.last_text[i] else 0
-    return differences > 0
+    return not same_bytes(library.output.text, library.last_text)
 
 
 @entry

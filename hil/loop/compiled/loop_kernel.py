@@ -482,7 +482,7 @@ def _has_event(state):
     """Return whether the last cycle has an event: of approach or interlock, or a new text of the library."""
     if has_event(state.progress_before, state.gnc.approach.progress):
         return True
-    if state.disagreed_before != state.gnc.approach.monitor_disagrees:
+    if state.disagreed_before != state.gnc.approach.monitor_disagrees or state.gnc.backends.new_text != 0:
         return True
     return state.library.step_address != 0 and has_new_text(state.library)
 
@@ -549,10 +549,11 @@ def run_loop(
             if params.reports != 0:
                 copy_progress(state.gnc.approach.progress, state.progress_before)
             if state.library.step_address == 0:
-                gnc_step(
+                if not gnc_step(
                     params.gnc, state.gnc, memory, t_s, samples, poses, arrived,
                     now.navigation, now.reference, now.supervision, now.command,
-                )  # fmt: skip
+                ):  # fmt: skip
+                    return GNC_FAILED
                 if state.gnc.isolated_cycles == 1:
                     isolate(state.truth_memory.isolation, params.gnc.isolates[state.gnc.thrusters.thruster])
             elif not library_step(params.gnc, state, poses, arrived, k, t_s):
@@ -580,7 +581,7 @@ def run_loop(
         if not begins:
             continue
         state.cycle = k + 1
-        if state.library.asks_for_hold != 0:
+        if state.library.asks_for_hold != 0 or state.gnc.backends.asks_for_hold != 0:
             return GNC_HOLDS
         if params.reports != 0 and _has_event(state):
             return EVENT

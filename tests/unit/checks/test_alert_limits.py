@@ -36,5 +36,5 @@ def test_shipped_limits_are_above_the_noise(scheme: str) -> None:
 
 
 def test_vision_alone_reports_no_protection_level_that_could_exceed_a_limit() -> None:
-    settings = ["integrity.alert_attitude_deg=0.01", 'gnc.navigation.sensors="vision"']
+    settings = ["integrity.alert_attitude_deg=0.01", 'gnc.navigation.backend="vision_alone"']
     assert check_approach(load_scenario("scheme-1", settings)) == []

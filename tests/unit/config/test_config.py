@@ -53,7 +53,7 @@ def test_schemes_start_and_see_as_table_iv_says() -> None:
     starts = {name: (s.initial.position_m, s.initial.attitude_deg) for name, s in found.items()}
     assert starts["scheme-1"] == ((5.0, -0.3, 0.3), (3.0, 3.0, -3.0))
     assert starts["scheme-2"] == starts["scheme-3"] == ((10.0, -0.5, 0.5), (5.0, 5.0, -5.0))
-    assert [s.gnc.navigation.sensors for s in found.values()] == ["vision_imu", "vision_imu", "vision"]
+    assert [s.gnc.navigation.backend for s in found.values()] == ["builtin", "builtin", "vision_alone"]
     assert all(s.initial.velocity_mps == s.initial.rate_degps == (0.0, 0.0, 0.0) for s in found.values())
 
 
@@ -63,8 +63,8 @@ def test_every_fault_is_reported_at_once_with_file_key_value_and_what_is_allowed
         duration_s = -4.0
         [chaser]
         mass_kg = -1000.0
-        [gnc.navigation]
-        sensors = "radar"
+        [gnc.akf]
+        form = "printed"
         [gnc.control]
         deadband_mm = 2.0
         [vmu]
@@ -75,15 +75,15 @@ def test_every_fault_is_reported_at_once_with_file_key_value_and_what_is_allowed
     assert set(found) == {
         "duration_s",
         "chaser.mass_kg",
-        "gnc.navigation.sensors",
+        "gnc.akf.form",
         "gnc.control.deadband_mm",
         "vmu.sigma_angle_deg",
     }
     assert all(problem.source == path for problem in found.values())
     assert str(found["chaser.mass_kg"]) == f"{path}: chaser.mass_kg: -1000.0: must be greater than 0"
     assert "-4.0" in found["duration_s"].message
-    for text in ("radar", "vision_imu", "vision"):
-        assert text in found["gnc.navigation.sensors"].message
+    for text in ("printed", "as_printed", "multiplicative"):
+        assert text in found["gnc.akf.form"].message
 
 
 def test_nan_is_called_not_finite(write: Write) -> None:
@@ -229,8 +229,9 @@ def test_faulty_setting_is_laid_to_the_option_and_not_to_the_file() -> None:
 
 
 def test_setting_takes_a_bare_string() -> None:
-    for text in ("gnc.navigation.sensors=vision", 'gnc.navigation.sensors="vision"', "gnc.navigation.sensors = vision"):
-        assert load_scenario("scheme-1", [text]).value.gnc.navigation.sensors == "vision"
+    key, value = "gnc.navigation.backend", "vision_alone"
+    for text in (f"{key}={value}", f'{key}="{value}"', f"{key} = {value}"):
+        assert load_scenario("scheme-1", [text]).value.gnc.navigation.backend == value
 
 
 @pytest.mark.parametrize("text", ["duration_s", "=4", " = 4"])

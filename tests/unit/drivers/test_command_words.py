@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from hil.checks.compatibility import check_flight_computer
 from hil.config.flight_computer import FlightComputer, WordsCan, WordsLine
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_POSES, POSE, PoseFrame
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can, encode, encode_can
@@ -206,9 +206,10 @@ def test_longer_silence_stops_or_holds_as_configured(scheme_1: Scenario) -> None
 
 
 def test_wire_is_asked_for_and_a_mock_rig_has_no_flight_computer() -> None:
-    (problem,) = check_flight_computer(load_rig("mock", ["rig.flight_computer.command_words=serial"]))
+    scenario = load_scenario("scheme-1")
+    (problem,) = check_flight_computer(scenario, load_rig("mock", ["rig.flight_computer.command_words=serial"]))
     assert "a mock rig does not run in real time" in str(problem)
-    (problem,) = check_flight_computer(load_rig("emulated", ["rig.flight_computer.command_words=can"]))
+    (problem,) = check_flight_computer(scenario, load_rig("emulated", ["rig.flight_computer.command_words=can"]))
     assert "rig.flight_computer.can.channel: is missing" in str(problem)
     with pytest.raises(BadInput, match=r"lost_s = 0.01: must not be below timeout_s"):
         load_rig("emulated", ["rig.flight_computer.lost_s=0.01"])

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import hil
+from hil.api.jobs import job_of
+from hil.api.runs import RunRequest, run_job
 from hil.core.gnc_records import GNC_INPUT, GncState
 
 N = 16  # thrusters of scheme 1
@@ -42,7 +44,13 @@ class Minimal:
 
 def run(answer: Any, duration_s: float = 0.4) -> tuple[hil.Run, Scripted]:
     gnc = Scripted(answer)
-    return hil.run("scheme-1", duration_s=duration_s, gnc=gnc), gnc
+    return stopped(gnc, duration_s), gnc
+
+
+def stopped(gnc: Scripted, duration_s: float = 0.4) -> hil.Run:
+    """Return the run of ``gnc`` as it ends on any bench; ``hil.run`` raises what the object has raised."""
+    job = job_of("scheme-1", "mock", None, duration_s=duration_s, gnc=gnc)
+    return run_job(RunRequest(job, "mock"))
 
 
 def test_input_has_the_fields_of_the_c_header_and_may_be_kept() -> None:
@@ -126,8 +134,8 @@ def test_each_fault_stops_the_bench_and_names_the_object(answer: Any, text: str)
 def test_a_failure_at_the_start_stops_the_bench_before_the_run() -> None:
     gnc = Scripted(lambda _: None)
     gnc.start = raises(RuntimeError("no licence"))  # type: ignore[method-assign]
-    found = hil.run("scheme-1", duration_s=0.4, gnc=gnc)
-    assert found.stop == "gnc Scripted: start raised RuntimeError: no licence"
+    found = stopped(gnc)
+    assert found.stop.startswith("gnc Scripted: start raised RuntimeError: no licence (test_python_object.py, line ")
     assert len(found.t_s) == 0
 
 

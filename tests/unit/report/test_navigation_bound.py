@@ -77,4 +77,4 @@ def test_bound_of_parts_is_that_of_the_run_and_one_without_poses_or_imu_is_none(
     assert bound(3000, settled_s=20.0, parts=7) == bound(3000, settled_s=20.0)
     nothing = {"position_bound_m": None, "attitude_bound_deg": None}
     assert bound(1) == nothing
-    assert bound(1000, 'gnc.navigation.sensors="vision"') == nothing
+    assert bound(1000, 'gnc.navigation.backend="vision_alone"') == nothing

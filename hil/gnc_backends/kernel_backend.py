@@ -1,0 +1,129 @@
+"""Backends as kernels: plain functions that numba compiles to the C interface of a backend.
+
+The machine code is kept in the cache of the bench's kernels, under the digest of the function, of all that it names and
+of the layouts of the records: an edit of the law compiles it again, and nothing else.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numba import carray, types
+from numba.core.errors import NumbaError
+
+from hil.core.backend_records import INPUTS, OUTPUTS
+from hil.core.jit import c_function, kernel
+from hil.errors import BadInput, one_line
+from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
+
+_ARGUMENTS: Final = ("settings", "inp", "out", "memory")
+
+
+class KernelBackend:
+    """A kernel that flies as navigation or control; made by the decorator ``hil.kernel_backend``."""
+
+    def __init__(self, function: Callable[..., None], settings: tuple[Setting, ...], memory: np.dtype | None) -> None:
+        self.function = function
+        self.name = function.__name__
+        self.settings = settings
+        self.memory = memory
+
+    def __call__(self, *arguments: Any) -> None:
+        """Call the plain function, for tests of the law."""
+        return self.function(*arguments)
+
+
+def kernel_backend(
+    settings: Sequence[Setting] = (), memory: Any = None
+) -> Callable[[Callable[..., None]], KernelBackend]:
+    """Return a decorator for a function that flies as a backend of navigation or of control.
+
+    The function, ``law(settings, inp, out, memory)``, is compiled by numba. ``settings`` has the declared settings as
+    attributes. ``inp`` and ``out`` are the records of ``hil_backends.h``; ``out`` is preset: no estimate, no demands.
+    ``memory`` is a record of the dtype ``memory``, zeroed at the start of each run.
+
+    Raises ValueError for a declaration that contradicts itself.
+    """
+    checked = checked_settings(settings)
+    layout = None if memory is None else np.dtype(memory, align=True)
+
+    def decorate(function: Callable[..., None]) -> KernelBackend:
+        return KernelBackend(function, checked, layout)
+
+    return decorate
+
+
+class CompiledKernel:
+    """``backend`` compiled as a backend of ``part``. source, key, shown: name it in messages. Raises BadInput."""
+
+    def __init__(self, backend: KernelBackend, part: str, refuse: Callable[[str], BadInput]) -> None:
+        self.name, self.settings = backend.name, backend.settings
+        parameters = inspect.signature(backend.function).parameters
+        if len(parameters) != len(_ARGUMENTS):
+            text = f"{backend.name}({', '.join(parameters)}): a kernel takes ({', '.join(_ARGUMENTS)})"
+            raise refuse(text)
+        values = np.dtype([(setting.name, "f8") for setting in backend.settings] or [("none", "f8")], align=True)
+        memory = np.dtype([("none", "f8")], align=True) if backend.memory is None else backend.memory
+        self._instance = np.dtype([("settings", values), ("memory", memory)], align=True)
+        try:
+            self._step = _step_address(backend.function, part, self._instance)
+        except NumbaError as error:
+            raise refuse(f"{backend.name} does not compile: {compile_error(error)}") from error
+        except KeyError as error:  # numba's for a field that a record does not have
+            place = _line_with(backend.function, f".{error.args[0]}")
+            raise refuse(f"{backend.name} does not compile: a record has no field {error}{place}") from error
+
+    def check(self, setup: np.record) -> None:
+        """Accept any setup: it is compiled."""
+
+    def open(self, setup: np.record, values: np.ndarray) -> _KernelInstance:
+        """Return an instance with memory of its own."""
+        return _KernelInstance(self._step, self._instance, values)
+
+
+class _KernelInstance(BackendInstance):
+    def __init__(self, step: int, layout: np.dtype, values: np.ndarray) -> None:
+        self._block = np.zeros(1, layout)
+        super().__init__(step, self._block.ctypes.data)
+        self._n = len(values)
+        self.set_settings(values)
+
+    def set_settings(self, values: np.ndarray) -> None:
+        """Write the settings, which are the first numbers of the block."""
+        self._block.view(np.uint8)[: 8 * self._n] = np.ascontiguousarray(values, float).view(np.uint8)
+
+
+def _step_address(function: Callable[..., None], part: str, layout: np.dtype) -> int:
+    """Return the address of ``function`` as the step of a backend of ``part``. layout: of an instance."""
+    law, given_layout, output_layout = kernel(function), INPUTS[part], OUTPUTS[part]
+
+    def step(given, output, instance):  # type: ignore[no-untyped-def]
+        own = carray(instance, (1,), layout)[0]
+        law(own.settings, carray(given, (1,), given_layout)[0], carray(output, (1,), output_layout)[0], own.memory)
+        return 0
+
+    return c_function(step, types.int32(types.voidptr, types.voidptr, types.voidptr))
+
+
+def compile_error(error: NumbaError) -> str:
+    """Return the reason of a failed compilation as one line: numba's own has dozens."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    reasons = [
+        line for line in lines if re.match(r"Unknown attribute|Invalid use|No implementation|Cannot|Use of", line)
+    ]
+    reason = re.sub(r"(of type )?Record\(.*", "of a record", (reasons or lines[-1:])[-1])
+    places = re.findall(r'File "[^"]*", line (\d+)', str(error)) or re.findall(r"\((\d+)\)", str(error))
+    return one_line(reason, 200) + (f" (line {places[-1]})" if places else "")
+
+
+def _line_with(function: Callable[..., None], text: str) -> str:
+    """Return the number of the first line of ``function`` with ``text`` as an addition to a message."""
+    try:
+        lines, first = inspect.getsourcelines(function)
+    except (OSError, TypeError):
+        return ""
+    return next((f" (line {first + i})" for i, line in enumerate(lines) if text in line), "")
