@@ -148,7 +148,7 @@ def _cache_folder() -> Path:
 
 
 def own_kernels_folder(digest: str) -> Path:
-    """Return the folder of a user's kernel in the cache; ``digest``: of all that it consists of beside these sources.
+    """Return the folder of a user's kernel in the cache. digest: of its own sources and records.
 
     Raises BadInput if it is not writable.
     """
