@@ -8,10 +8,8 @@ per period the acceleration that it asks for is turned into a burn of whole cycl
 
 import math
 
-import numpy as np
-
 import hil
-from hil.maths import quat
+from hil.maths import quat, stack
 
 SETTINGS = (
     hil.Setting("bandwidth_radps", 0.25, "rad/s", 0.01, 2.0, "of the position"),
@@ -27,7 +25,7 @@ MEMORY = [("left", "i8", 6), ("wait", "i8", 6), ("pending", "f8", 6)]
 def lqr(settings, inp, out, memory):
     """Write the demands of one cycle. pending: change of rate that the reference has asked for, not yet fired."""
     nav, ref, dt = inp.navigation, inp.reference, inp.setup.step_s
-    error, rate, feed, rotation = np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(3)
+    error, rate, feed, rotation = stack.vector(6), stack.vector(6), stack.vector(6), stack.vector(3)
     for i in range(3):
         error[i] = nav.r_CT_H[i] - ref.r_CT_H[i]
         rate[i] = nav.v_CT_H[i] - ref.v_CT_H[i]

@@ -42,7 +42,7 @@ _FILES_OF_KEYS = {
     "library": (".so",),
     "fmu": (".fmu",),
     "fmu_mapping": (".toml",),
-    "backend": (".so", ".fmu"),
+    "backend": (".so",),
     "dispersions": (".toml",),
     "body": (".toml",),
 }  # values that are names, or paths with these endings

@@ -191,8 +191,9 @@ def _fault_of_estimate(out):
 def _write_thrusters(params, thrusters, isolated_cycles, out):
     """Write the fields about thrusters that both inputs have. params: GNC_PARAMS. thrusters: THRUSTER_MONITOR_STATE."""
     out.fault, out.fault_thruster = thrusters.fault, thrusters.thruster
-    for j in range(params.n_thrusters):
-        out.isolated[j] = params.isolates[thrusters.thruster, j] if isolated_cycles > 0 else 0
+    if isolated_cycles > 0:
+        for j in range(params.n_thrusters):
+            out.isolated[j] = params.isolates[thrusters.thruster, j]
 
 
 @entry
