@@ -46,6 +46,13 @@ class WallClock:
         """Return ``duration_s`` of bench time in s of wall time."""
         return duration_s / self.speed
 
+    def paced_s(self, period_s: float) -> float:
+        """Return the bench time between two steps of work of this host that is due every ``period_s`` in real time.
+
+        Above real time the steps follow one another as fast as in real time: the host is no faster than before.
+        """
+        return period_s * max(1.0, self.speed)
+
     def sleep_until(self, t_s: float) -> None:
         """Sleep until bench time ``t_s``; return at once if that has passed."""
         left_ns = self.wall_ns(t_s) - time.monotonic_ns()

@@ -200,6 +200,15 @@ def take_fifo(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
+def speed_held() -> float:
+    """Return the speed, relative to real time, up to which this computer keeps the time of an emulated rig.
+
+    All processes of such a rig together take about a third of a CPU per unit of speed: at the number of CPUs two thirds
+    of the computer are left to other programs.
+    """
+    return float(len(os.sched_getaffinity(0)))
+
+
 def limit_fifo(cpu_s: float) -> None:
     """Take this thread, the main one, out of SCHED_FIFO when it has used ``cpu_s`` without waiting.
 

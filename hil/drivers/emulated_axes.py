@@ -19,7 +19,7 @@ from hil.drivers.io.relay import HoldingBrakes
 from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.maths.random_streams import stream
 
-STEP_S: Final = 0.004  # longest bench time between two updates of the axes; the shared state is due every 5 ms
+STEP_S: Final = 0.004  # longest time between two updates of the axes, as WallClock.paced_s
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
 _SAMPLING_S: Final = 1e-4  # of a drive's encoder: what is asked more often is answered with the last sample

@@ -13,7 +13,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock
-from hil.core.realtime import take_fifo
+from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
 from hil.drivers.shared_state import SharedAxisState
 
@@ -86,13 +86,16 @@ def make_emulator(configuration: Message) -> Emulator:
 def make(configuration: Message) -> Service:
     """Return the service of the emulator; its threads get a real-time priority, as real hardware keeps time.
 
-    Above real time the emulators together can fill a core, which a real-time policy must not: then only the coupler
-    has it, whose relay opens if it does not run for 50 ms.
+    At more than twice the speed that this computer holds the emulators and the bench together can fill all cores, which
+    a real-time policy must not: then only the coupler has it, whose relay opens if it does not run for 50 ms. Those
+    that make images take so much of a core that they have it only up to real time.
     """
     service = FaultInjectionService(make_emulator(configuration))
-    device = configuration["device"]
-    if configuration["speed"] <= 1.0 or device == "io":
-        take_fifo(_CAMERA_FIFO_PRIORITY if device == "monitor" or "." in device else _FIFO_PRIORITY)
+    device, speed = configuration["device"], configuration["speed"]
+    is_camera = device == "monitor" or "." in device
+    makes_images = is_camera or (device == "vmu" and configuration["scenario"]["vmu"]["source"] != "model")
+    if device == "io" or speed <= (1.0 if makes_images else 2.0 * speed_held()):
+        take_fifo(_CAMERA_FIFO_PRIORITY if is_camera else _FIFO_PRIORITY)
     return service
 
 

@@ -35,7 +35,7 @@ from hil.core.camera_images import ImageSink
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
-from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy
+from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy, speed_held
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.shared_state import SharedAxisState
@@ -191,6 +191,8 @@ def wired_bench(
         _require_realtime(job.rig, realtime)
         for line in (*map(str, realtime.refused()), *driver_warnings(rig)):
             announce(line)
+        if rig.kind == "emulated" and job.speed > speed_held():
+            announce(f"--speed {job.speed:g}: this computer keeps the time of an emulated rig up to {speed_held():g}")
         clock = WallClock(speed=job.speed)
         with (
             _emulators(job, clock, announce, sinks) as (wired, emulated, addresses),

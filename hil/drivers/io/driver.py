@@ -1,7 +1,7 @@
 """Driver of the coupler: Modbus TCP, one event loop in its own thread.
 
 An exchange writes all outputs, reads them back, and reads the inputs. It is triggered by a change of an output, and
-every 20 ms, so that the inputs stay fresh.
+every 20 ms, so that the inputs stay fresh; above real time as often per second of wall time.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class ModbusIo(LoopThread):
         self._box = Latest(NAME)
         self._outputs = _OFF
         self._pump = self._stopped = False
-        self._toggled_s = now_s - self._config.pump_period_s
+        self._toggled_s = -math.inf
         self._thrusters, self._thrusters_s = bytes(len(self._lines.thrusters)), math.nan
         self._is_off.clear()
         try:
@@ -70,7 +70,7 @@ class ModbusIo(LoopThread):
 
     def pulse(self, now_s: float) -> None:
         """Toggle the charge pump, unless it was toggled within the pump's period."""
-        due = now_s - self._toggled_s >= self._config.pump_period_s
+        due = now_s - self._toggled_s >= self._clock.paced_s(self._config.pump_period_s)
         if due and self._outputs.pump and not self._stopped:
             self._pump = not self._pump
             self._toggled_s = now_s
@@ -117,7 +117,7 @@ class ModbusIo(LoopThread):
             await coupler.identify()
             await self._begin(coupler)
             opened.set_result(None)
-            idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
+            idle_wall_s = self._clock.wall_s(self._clock.paced_s(IDLE_PERIOD_S))
             while not self._closing:
                 with suppress(TimeoutError):  # nothing changed: exchange all the same
                     async with asyncio.timeout(idle_wall_s):

@@ -16,7 +16,7 @@ from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.drivers.shared_state import ChainState
 from hil.maths.random_streams import stream
 
-STEP_S: Final = 0.004  # of bench time, between two updates of the relay
+STEP_S: Final = 0.004  # between two updates of the relay, as WallClock.paced_s
 IDENTITY: Final = ("hil", "io-coupler", "1.0")
 BUTTONS: Final = {
     "estop": InjectableFault("the emergency stop is pressed"),
@@ -90,17 +90,17 @@ class EmulatedCoupler:
 
 
 class IoEmulator(ModbusTcpEmulator):
-    """A coupler on 127.0.0.1, port by the system; calls ``publish`` with the chain's state every 4 ms of bench time.
+    """A coupler on 127.0.0.1, port by the system; calls ``publish`` with the chain's state every 4 ms.
 
-    If bench time runs faster than real time, the relay waits for the charge pump as long, in wall time, as it does
-    in real time: the pump is a program of this computer.
+    If bench time runs faster than real time, these are wall time, and the relay waits for the charge pump as long, in
+    wall time, as it does in real time: emulator and pump are programs of this computer.
     """
 
     def __init__(self, config: Io, clock: WallClock, publish: PublishChain, seed: int = 0) -> None:
-        super().__init__(clock, STEP_S)
+        super().__init__(clock, clock.paced_s(STEP_S))
         self._publish = publish
         self._device_id = config.device_id
-        self.coupler = EmulatedCoupler(config, config.pump_timeout_s * max(1.0, clock.speed))
+        self.coupler = EmulatedCoupler(config, clock.paced_s(config.pump_timeout_s))
         self.faults = self.coupler.faults
         self.port = ModbusTcpPort(self._feed, FaultyWire(self.faults, stream(seed, "wire")), clock)
         self._ports.append(self.port)

@@ -68,11 +68,12 @@ class EmulatedRails:
 class RailsEmulator(ModbusTcpEmulator):
     """Three drives on 127.0.0.1, ports by the system; axes of one host and port in the rig file share a port.
 
-    Positions are written to ``shared`` every 4 ms of bench time. Further arguments are those of ``EmulatedRails``.
+    Positions are written to ``shared`` every 4 ms, of wall time above real time, and at each request. Further arguments
+    are those of ``EmulatedRails``.
     """
 
     def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
-        super().__init__(clock, STEP_S)
+        super().__init__(clock, clock.paced_s(STEP_S))
         self._config = config
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
         self.faults, self.drives = self._rails.faults, self._rails.drives
@@ -121,9 +122,9 @@ class RtuRailsEmulator:
         line = self._line
         if line is None:
             raise RuntimeError("start the emulator first")
-        data, received_s = b"", 0.0
+        data, received_s, step_s = b"", 0.0, self._clock.paced_s(STEP_S)
         while not stop.is_set():
-            received = line.read(STEP_S)
+            received = line.read(step_s)
             self._rails.advance()
             if received:
                 now_s = self._clock.now_s()

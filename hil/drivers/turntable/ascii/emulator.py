@@ -69,8 +69,9 @@ class AsciiTurntableEmulator:
         line = self._line
         if line is None:
             raise RuntimeError("start the emulator first")
+        step_s = self._clock.paced_s(STEP_S)
         while not stop.is_set():
-            data = line.read(STEP_S)
+            data = line.read(step_s)
             if self.faults.value("link_down") is not None:
                 data = b""
             self._advance()

@@ -116,9 +116,9 @@ class Cia402Emulator:
         station = self._station
         if station is None:
             raise RuntimeError("start the emulator first")
-        stepped_s = self._clock.now_s()
+        stepped_s, step_s = self._clock.now_s(), self._clock.paced_s(STEP_S)
         while not stop.is_set():
-            received = station.receive(stepped_s + STEP_S - self._clock.now_s())
+            received = station.receive(stepped_s + step_s - self._clock.now_s())
             stepped_s = self._clock.now_s()
             self.gimbals.advance(stepped_s)
             frames = self._housekeep(stepped_s)
