@@ -100,7 +100,7 @@ def remove_unused_kernels() -> None:
 
 
 def mark_of(kernel: Any) -> Path:
-    """Return the file that says that ``kernel`` and what is used with it have been compiled, for ``processor()``."""
+    """Return the file that marks ``kernel``, and what is used with it, as compiled; its text is ``processor()``."""
     return kernel_cache_folder() / f"{kernel.py_func.__name__}-{digest_of(kernel)}"
 
 

@@ -34,7 +34,7 @@ class _NoEngine:
         """Do nothing: the environment belongs to the entry into which the kernel is inlined."""
 
 
-class _Library(JITCodeLibrary):
+class _KernelLibrary(JITCodeLibrary):
     """Compiled code of a kernel. entries: of other kernels that this code calls by their symbols."""
 
     def __init__(self, codegen: Any, name: str) -> None:
@@ -46,7 +46,7 @@ class _Library(JITCodeLibrary):
             library._ensure_finalized()
             self.entries[f"{library.name} {library.origin[2]}"] = library.origin
             return
-        if isinstance(library, _Library):
+        if isinstance(library, _KernelLibrary):
             library._ensure_finalized()
             self.entries.update(library.entries)
         super().add_linking_library(library)
@@ -62,7 +62,7 @@ class _Library(JITCodeLibrary):
         return library
 
 
-class InlineLibrary(_Library):
+class InlineLibrary(_KernelLibrary):
     """A kernel that exists only inside others: its bitcode with that of the kernels that it calls."""
 
     @property
@@ -91,7 +91,7 @@ class InlineLibrary(_Library):
         self._finalized = True
 
 
-class EntryLibrary(_Library):
+class EntryLibrary(_KernelLibrary):
     """A kernel with machine code of its own; its bitcode is parsed only when another is linked with it.
 
     That of the loop is 5 MB, and parsing it took a sixth of the start of a run, and 55 MB of memory. origin: None for a
@@ -144,7 +144,7 @@ class _Compiler(Compiler):
     numba numbers the functions of a process, so that the names in the code of two processes differ.
     """
 
-    library: type[_Library]
+    library: type[_KernelLibrary]
 
     def _compile_bytecode(self) -> Any:
         identity = self.state.func_id
@@ -185,4 +185,4 @@ class EntryCompiler(_Compiler):
         library.origin = (func.__module__, func.__qualname__, self.state.args)
 
 
-JITCPUCodegen._library_class = _Library
+JITCPUCodegen._library_class = _KernelLibrary

@@ -14,7 +14,7 @@ import pytest
 from numba.core.codegen import JITCPUCodegen
 
 from hil.core.jit import kernel
-from hil.core.kernel_library import EntryLibrary, InlineLibrary, _Library, whole_module
+from hil.core.kernel_library import EntryLibrary, InlineLibrary, _KernelLibrary, whole_module
 
 _THIS = f"numba {numba.__version__}"
 
@@ -43,7 +43,7 @@ def library_of(compiled: Any) -> Any:
 
 
 def test_code_generator_makes_libraries_of_this_class() -> None:
-    assert JITCPUCodegen._library_class is _Library, _THIS
+    assert JITCPUCodegen._library_class is _KernelLibrary, _THIS
 
 
 def test_kernel_that_another_calls_is_bitcode_without_machine_code(ninth: Any) -> None:
