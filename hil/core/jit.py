@@ -43,7 +43,7 @@ CYCLE, COMPILED_LOOP = "complete", "complete compiled loop"
 """Groups of kernels: of the cycle in Python, and the loop that is one kernel."""
 
 _OF_IMAGES = ("hil.vmu.", "hil.monitor.")
-_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.error_budget")
+_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.joint_filter", "hil.gnc.pose_model")
 _KEPT_CACHES = 6
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
@@ -303,7 +303,7 @@ def kernel(function: _Function) -> _Function:
     """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
 
     Those of the loop are inlined where they are called, which makes it a third faster; those of the images are
-    large, called once per image, and would compile for minutes. Those of the error budget are off by default. All but
+    large, called once per image, and would compile for minutes; so are those of the filters' covariance. All but
     those of the images are compiled for each integer constant in a call, which makes the loop 8 % faster.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the

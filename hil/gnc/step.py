@@ -18,14 +18,15 @@ from hil.gnc import (
     body_frame,
     control,
     guidance,
+    joint_filter,
     navigation,
-    pkf,
     reactions,
     thruster_monitor,
 )
 from hil.gnc.allocation import ROWS
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
 from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
+from hil.gnc.error_state import BIAS
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
 from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.reactions import REACTION_PARAMS, REACTION_STATE
@@ -112,6 +113,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     ``fusion.new_memory``. samples: (n,) of IMU since the last step. poses: array of POSE, of which the first
     ``n_poses`` are new.
     """
+    copy_into(state.navigation.fusion.commanded, command.on)
     navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
     watch_thrusters(params, state, samples, command, estimate)
     guide(params.approach, state.approach, t_s, supervision, reference)
@@ -152,7 +154,7 @@ def watch_thrusters(params, state, samples, command, estimate):
     filters = state.navigation.fusion.filters
     for i in range(3):
         bias[i] = filters.pkf.x[6 + i]
-    pkf.sigma(filters.pkf, 6, sigma)
+    joint_filter.sigma(filters, BIAS, sigma)
     thruster_monitor.watch(params.thruster_monitor, state.thrusters, samples, command.on, bias, sigma, estimate)
     if state.thrusters.imu_suspect != 0:
         navigation.drop_imu(params.navigation, state.navigation, estimate)
