@@ -40,7 +40,7 @@ from hil.errors import BadInput
 _numba_config: Any = numba.config
 _PACKAGE = Path(__file__).parent.parent
 _OF_IMAGES = ("hil.vmu.", "hil.monitor.")
-_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.error_budget", "hil.gnc.backend_step")
+_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.joint_filter", "hil.gnc.pose_model", "hil.gnc.backend_step")
 _UNUSED_MAX_S: Final = 60 * 86_400.0
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
@@ -192,9 +192,9 @@ def kernel(function: _Function) -> _Function:
     """Compile ``function`` for the loop: no Python inside, no fast-math, cached on disk.
 
     Other kernels inline it, which makes the loop a third faster; those of the images are large, called once per image,
-    and are called as functions inside the entry that holds them, as are those of the error budget and of backends
-    elsewhere. All but those of the images are compiled for each integer constant in a call, which makes the loop 8 %
-    faster.
+    and are called as functions inside the entry that holds them, as are those of the filters' covariance and of
+    backends elsewhere. All but those of the images are compiled for each integer constant in a call, which makes the
+    loop 8 % faster.
 
     Division by zero gives inf or nan as in numpy, so that a bad number is caught by the
     safety monitor's check for finite values and not by an exception in mid-cycle.

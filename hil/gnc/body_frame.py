@@ -60,23 +60,16 @@ def _transformation(a, before, after, f):
 
 
 @kernel
-def _from_left(f, matrix, columns):
-    """Multiply the first six rows of ``matrix``, of so many columns, by ``f`` (6, 6) from the left, in place."""
-    new = stack.vector(6)
-    for column in range(columns):
-        for i in range(6):
-            new[i] = 0.0
-            for j in range(6):
-                new[i] += f[i, j] * matrix[j, column]
-        for i in range(6):
-            matrix[i, column] = new[i]
-
-
-@kernel
 def _congruence(f, p, n):
     """Transform the covariance ``p`` (n, n), whose first six errors are those of r and v, by ``f`` (6, 6)."""
     new = stack.vector(6)
-    _from_left(f, p, n)
+    for column in range(n):
+        for i in range(6):
+            new[i] = 0.0
+            for j in range(6):
+                new[i] += f[i, j] * p[j, column]
+        for i in range(6):
+            p[i, column] = new[i]
     for row in range(n):
         for i in range(6):
             new[i] = 0.0
@@ -87,38 +80,35 @@ def _congruence(f, p, n):
 
 
 @kernel
-def enter_middle(axes, pkf, joint, n):
-    """Transform PKF_STATE, and of a joint covariance ``joint`` the first ``n`` errors, for the filter's step.
+def enter_middle(axes, filters, n):
+    """Transform the PKF's estimate and the covariance of the ``n`` errors of FILTERS for the filter's step.
 
     axes: AXES_STEP. The step is made in axes at rest, those of the body in mid-step.
     """
     rest = stack.vector(3)
     fill(rest, 0.0)
-    _apply(axes.half, axes.before, rest, pkf, joint, n)
+    _apply(axes.half, axes.before, rest, filters, n)
 
 
 @kernel
-def leave_middle(axes, pkf, joint, n):
+def leave_middle(axes, filters, n):
     """Transform back after the filter's step; arguments as of ``enter_middle``."""
     rest = stack.vector(3)
     fill(rest, 0.0)
-    _apply(axes.half, rest, axes.after, pkf, joint, n)
+    _apply(axes.half, rest, axes.after, filters, n)
 
 
 @kernel
-def _apply(a, before, after, pkf, joint, n):
+def _apply(a, before, after, filters, n):
     f, new = stack.matrix(6, 6), stack.vector(6)
     _transformation(a, before, after, f)
     for i in range(6):
         new[i] = 0.0
         for j in range(6):
-            new[i] += f[i, j] * pkf.x[j]
+            new[i] += f[i, j] * filters.pkf.x[j]
     for i in range(6):
-        pkf.x[i] = new[i]
-    _congruence(f, pkf.p, 9)
-    _from_left(f, pkf.c, 6)
-    if n != 0:
-        _congruence(f, joint, n)
+        filters.pkf.x[i] = new[i]
+    _congruence(f, filters.p, n)
 
 
 @kernel

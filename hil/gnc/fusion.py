@@ -1,9 +1,9 @@
-"""Both filters with a memory, so that a pose is fused at its own time however late it arrives.
+"""The filters with a memory, so that a pose is fused at its own time however late it arrives.
 
-The last steps are kept, as many as ``new_memory`` holds: the IMU's sample of each, the predicted filters, and the
-poses of that moment. A pose is assigned to the step nearest to its exposure; the filters return to that step and are
-propagated forward again over the same samples and poses. The result is that of a filter that had waited for
-the pose.
+The last steps are kept (``step_memory``): the IMU's sample of each, the commanded thrusters, the predicted estimates
+with their covariance, and the poses of that moment. A pose is assigned to the step nearest to its exposure; the
+filters return to that step and are propagated forward again over the same samples and poses. The result is that of a
+filter that had waited for the pose.
 
 A gate rejects poses by their innovations. After ``close_after`` consecutive rejections it is closed: it opens again
 only for the last of ``reopen_after`` consecutive poses that agree with each other and with what the IMU has carried
@@ -18,29 +18,24 @@ import math
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.core.messages import POSE
-from hil.gnc import akf, akf_additive, body_frame, error_budget, pkf
-from hil.gnc.akf import AKF_PARAMS, AKF_STATE
-from hil.gnc.akf_additive import AKF_ADDITIVE_STATE
+from hil.core.messages import MAX_THRUSTERS
+from hil.gnc import body_frame, joint_filter, pose_model
+from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
-from hil.gnc.error_budget import BUDGET_STATE, ERROR_BUDGET, INNOVATION, NOISE_FACTOR
+from hil.gnc.error_state import ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
 from hil.gnc.integrity import pose_sigmas
-from hil.gnc.pkf import PKF_PARAMS, PKF_STATE
-from hil.gnc.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
+from hil.gnc.pkf import PKF_PARAMS
+from hil.gnc.step_memory import POSES_PER_STEP, copy_pose, keep_predicted, return_to, step_at
+from hil.gnc.step_memory import new_memory as new_memory
+from hil.gnc.target_orbit import TARGET_ORBIT, move_hill_frame
 from hil.maths import quat, stack
-from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.arrays import copy_into
 from hil.maths.limits import to_integer
-
-POSES_PER_STEP = 2
 
 NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 
-MULTIPLICATIVE = 0
-AS_PRINTED = 1
-
 FUSION_PARAMS = np.dtype(
     [
-        ("attitude_form", "i8"),
         ("memory", "i8"),  # steps that are kept
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
         ("orbit", TARGET_ORBIT),
@@ -48,24 +43,7 @@ FUSION_PARAMS = np.dtype(
         ("reopen_after", "i8"),  # consecutive poses that agree
         ("akf", AKF_PARAMS),
         ("pkf", PKF_PARAMS),
-        ("budget", ERROR_BUDGET),
-    ],
-    align=True,
-)
-
-FILTERS = np.dtype([("akf", AKF_STATE), ("additive", AKF_ADDITIVE_STATE), ("pkf", PKF_STATE)], align=True)
-
-STEP = np.dtype(
-    [
-        ("rate_C", "f8", 3),  # the IMU's sample of the step that ended here
-        ("force_C", "f8", 3),
-        ("hill", HILL_STEP),
-        ("predicted", FILTERS),  # before the poses of this moment
-        ("n_poses", "i8"),
-        ("is_start", "i8"),  # 1: the filters were started here, with the first pose, which is not fused
-        ("poses", POSE, POSES_PER_STEP),
-        ("gated", "i8", POSES_PER_STEP),  # results of the gate: NOT_GATED, or the part that was accepted
-        ("budget", BUDGET_STATE),  # as ``predicted``; not used without a budget
+        ("errors", ERROR_STATE),
     ],
     align=True,
 )
@@ -74,6 +52,7 @@ FUSION_STATE = np.dtype(
     [
         ("started", "i8"),
         ("cycle", "i8"),  # number of the present step
+        ("commanded", "i8", MAX_THRUSTERS),  # thrusters, 0 or 1, since the last call, for the memory
         ("start_cycle", "i8"),
         ("filters", FILTERS),
         ("accepted", "i8"),
@@ -100,8 +79,6 @@ FUSION_STATE = np.dtype(
         ("gain_velocity", "f8"),  # 1/s
         ("gain_attitude", "f8"),
         ("interval_s", "f8"),  # between the last two accepted poses
-        # with an error budget
-        ("budget", BUDGET_STATE),
         ("noise", NOISE_FACTOR),
         ("found_attitude", INNOVATION),
         ("found_position", INNOVATION),
@@ -114,146 +91,16 @@ _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agr
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
-def new_memory(params: np.record) -> np.ndarray:
-    """Return the zeroed memory of filters with FUSION_PARAMS ``params``, (n,) of STEP."""
-    return np.zeros(int(params.memory), STEP)
-
-
-@kernel
-def _copy_attitude(source, target):
-    """Copy either attitude filter; the two differ in the size of ``p`` alone."""
-    copy_into(target.x, source.x)
-    copy_into(target.w_CH_C, source.w_CH_C)
-    copy_matrix(target.p, source.p)
-
-
-@kernel
-def _copy_filters(params, source, target):
-    _copy_attitude(source.akf, target.akf)
-    if params.attitude_form == AS_PRINTED:
-        _copy_attitude(source.additive, target.additive)
-    copy_into(target.pkf.x, source.pkf.x)
-    copy_matrix(target.pkf.p, source.pkf.p)
-    copy_matrix(target.pkf.c, source.pkf.c)
-
-
-@kernel
-def _keep_predicted(params, state, step):
-    """Keep the filters as they are before the poses of ``step`` (STEP)."""
-    _copy_filters(params, state.filters, step.predicted)
-    if params.budget.n != 0:
-        error_budget.copy_state(params.budget, state.budget, step.budget)
-
-
-@kernel
-def _return_to(params, state, step):
-    """Return the filters to what ``_keep_predicted`` has kept."""
-    _copy_filters(params, step.predicted, state.filters)
-    if params.budget.n != 0:
-        error_budget.copy_state(params.budget, step.budget, state.budget)
-
-
-@kernel
-def _copy_pose(source, target):
-    copy_into(target.z_TC_C, source.z_TC_C)
-    copy_into(target.q_CH, source.q_CH)
-    target.t_s = source.t_s
-    copy_matrix(target.covariance_position, source.covariance_position)
-    copy_matrix(target.covariance_attitude, source.covariance_attitude)
-
-
-@kernel
-def _start(params, state, pose, filters, budget):
-    """Start ``filters`` and, with an error budget, its state ``budget`` from ``pose``."""
-    akf.start(params.akf, pose, filters.akf)
-    pkf.start(params.pkf, pose, filters.akf.p, filters.pkf)
-    if params.attitude_form == AS_PRINTED:
-        akf_additive.from_multiplicative(filters.akf.x, filters.akf.p, filters.additive)
-    if params.budget.n != 0:
-        error_budget.start(params.budget, pose, state.noise, filters.akf, filters.pkf, budget)
-
-
 @entry
 def _predict(params, state, step):
-    """Carry both filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
-    filters, axes, n = state.filters, state.axes, params.budget.n
+    """Carry the filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
+    filters, axes, errors = state.filters, state.axes, params.errors
     if step.hill.rotates != 0:
         body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
-        body_frame.enter_middle(axes, filters.pkf, state.budget.p, n)
-    _predict_filters(params, state, step)
+        body_frame.enter_middle(axes, filters, errors.n)
+    joint_filter.predict(errors, params.akf, params.pkf, filters, step.rate_C, step.force_C, step.hill)
     if step.hill.rotates != 0:
-        body_frame.leave_middle(axes, filters.pkf, state.budget.p, n)
-
-
-@kernel
-def _predict_filters(params, state, step):
-    """Carry both filters over ``step`` (STEP)."""
-    filters, middle = state.filters, stack.vector(4)
-    copy_into(middle, filters.akf.x[0:4])
-    akf.predict_state(params.akf, filters.akf, step.rate_C, step.hill)
-    additive = params.attitude_form == AS_PRINTED
-    if additive:
-        akf_additive.predict(params.akf, filters.additive, step.rate_C, step.hill)
-        copy_into(filters.akf.x, filters.additive.x)
-    for i in range(4):
-        middle[i] += filters.akf.x[i]
-    quat.normalise(middle)
-    if params.budget.n != 0:
-        _predict_joint(params, state, middle, step)
-        return
-    # with the attitude's covariance as it was before the step
-    pkf.predict(params.pkf, filters.pkf, step.force_C, middle, filters.akf.p, filters.akf.phi, step.hill)
-    if additive:
-        _publish_additive(filters)
-    else:
-        akf.predict_covariance(params.akf, filters.akf)
-
-
-@kernel
-def _predict_joint(params, state, middle, step):
-    """Carry position, parameters and joint covariance over ``step``. middle: attitude (4,) in mid-step."""
-    filters = state.filters
-    a, force, rate = stack.matrix(3, 3), stack.vector(3), stack.vector(3)
-    quat.to_matrix_into(middle, a)
-    force[0], force[1], force[2] = pkf.predict_state(params.pkf, filters.pkf, step.force_C, a, step.hill)
-    for i in range(3):
-        rate[i] = step.rate_C[i] - filters.akf.x[4 + i]
-    error_budget.predict(
-        params.budget, params.akf, params.pkf, a, force, rate, filters.akf, filters.pkf, state.budget
-    )  # fmt: skip
-
-
-@kernel
-def _innovate_attitude(params, state, q_measured, covariance, gain, out):
-    """Write innovation and gain of the attitude filter; return the NIS."""
-    if params.budget.n != 0:
-        return error_budget.innovate_attitude(
-            params.budget, state.budget, state.noise, state.filters.akf, q_measured, covariance,
-            state.found_attitude, gain, out,
-        )  # fmt: skip
-    return akf.innovate(state.filters.akf, q_measured, covariance, gain, out)
-
-
-@kernel
-def _innovate_position(params, state, z, covariance, delta_s, h, h_attitude, gain, out):
-    """Write innovation and gain of the position filter; return the NIS."""
-    filters = state.filters
-    if params.budget.n != 0:
-        return error_budget.innovate_position(
-            params.budget, state.budget, state.noise, filters.akf, filters.pkf, z, covariance, delta_s,
-            state.found_position, gain, out,
-        )  # fmt: skip
-    return pkf.innovate(
-        filters.pkf, z, covariance, delta_s, filters.akf.x[0:4], filters.akf.p, h, h_attitude, gain, out
-    )
-
-
-@kernel
-def _publish_additive(filters):
-    """Write state and covariance (in c) of the additive filter into the multiplicative one's records."""
-    copy_into(filters.akf.x, filters.additive.x)
-    copy_into(filters.akf.w_CH_C, filters.additive.w_CH_C)
-    akf_additive.error_covariance(filters.additive, filters.akf.p)
+        body_frame.leave_middle(axes, filters, errors.n)
 
 
 @kernel
@@ -275,11 +122,14 @@ def _compare(state, pose):
 
 
 @kernel
-def _jump(filters, z, delta_s, out):
-    """Write by how much, m, in H, the position ``z`` (3,) is off the filter's (3,)."""
-    quat.transform_back_into(filters.akf.x[0:4], z, out)
+def _add_jump(state, z, delta_s):
+    """Take by how much the position ``z`` (3,), in c, is off the filter's as a possible error of it."""
+    filters, place = state.filters, stack.vector(3)
+    quat.transform_back_into(filters.akf.x[0:4], z, place)
     for i in range(3):
-        out[i] = -out[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
+        jump = -place[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
+        filters.p[R + i, R + i] += jump * jump
+        state.jump_m[i] = max(state.jump_m[i], abs(jump))
 
 
 @kernel
@@ -294,48 +144,25 @@ def _closed_gate(params, state, passes):
 
 
 @kernel
-def _remember_update(params, state, pose, innovation_a, gain_a, innovation_p, gain_p):
+def _remember_update(state):
     """Keep what the monitors need of an accepted pose: its innovations, their noise and the gains."""
-    filters = state.filters
-    distance, p_position, p_attitude = 0.0, 0.0, 0.0
-    for i in range(3):
-        distance += pose.z_TC_C[i] ** 2
-        p_position = max(p_position, filters.pkf.p[i, i])
-        p_attitude = max(p_attitude, filters.akf.p[i, i])
+    position, attitude = state.found_position, state.found_attitude
     state.noise_m = state.noise_rad = state.gain_position = state.gain_velocity = state.gain_attitude = 0.0
     for i in range(3):
-        of_position = math.sqrt(pose.covariance_position[i, i] + p_position + distance * p_attitude)
-        of_attitude = math.sqrt(pose.covariance_attitude[i, i] + p_attitude)
-        if params.budget.n != 0:
-            of_position = math.sqrt(state.found_position.s[i, i])
-            of_attitude = math.sqrt(state.found_attitude.s[i, i])
-        state.innovation[i] = innovation_p[i] / of_position
-        state.innovation[3 + i] = innovation_a[i] / of_attitude
+        of_position, of_attitude = math.sqrt(position.s[i, i]), math.sqrt(attitude.s[i, i])
+        state.innovation[i] = position.value[i] / of_position
+        state.innovation[3 + i] = attitude.value[i] / of_attitude
         state.noise_m, state.noise_rad = max(state.noise_m, of_position), max(state.noise_rad, of_attitude)
-        position, velocity, attitude = 0.0, 0.0, 0.0
-        for j in range(3):
-            position += gain_p[i, j] ** 2
-            velocity += gain_p[3 + i, j] ** 2
-            attitude += gain_a[i, j] ** 2
-        state.gain_position = max(state.gain_position, math.sqrt(position))
-        state.gain_velocity = max(state.gain_velocity, math.sqrt(velocity))
-        state.gain_attitude = max(state.gain_attitude, math.sqrt(attitude))
+        state.gain_position = max(state.gain_position, _gain(position, R + i))
+        state.gain_velocity = max(state.gain_velocity, _gain(position, V + i))
+        state.gain_attitude = max(state.gain_attitude, _gain(attitude, ROTATION + i))
     state.updated = 1
 
 
 @kernel
-def _update_attitude(params, state, q_measured, covariance, gain, innovation):
-    """Fuse an accepted innovation of the attitude."""
-    filters = state.filters
-    if params.budget.n != 0:
-        error_budget.update(params.budget, state.budget, state.found_attitude, innovation, filters.akf, filters.pkf)
-        return
-    if params.attitude_form == AS_PRINTED:
-        akf_additive.update(filters.additive, q_measured, covariance)
-    akf.update(filters.akf, covariance, gain, innovation)
-    if params.attitude_form == AS_PRINTED:
-        _publish_additive(filters)
-    pkf.follow_attitude_update(filters.pkf, filters.akf.keep)
+def _gain(found, i):
+    """Return the length of row ``i`` of the gain of ``found`` (INNOVATION)."""
+    return math.sqrt(found.gain[0, i] ** 2 + found.gain[1, i] ** 2 + found.gain[2, i] ** 2)
 
 
 @entry
@@ -344,9 +171,10 @@ def _fuse_pose(params, state, pose, moment_s, gated):
 
     gated: NOT_GATED for a new pose, which is then gated and counted; otherwise the earlier result of the gate.
     """
-    filters = state.filters
+    filters, errors = state.filters, params.errors
+    position, attitude = state.found_position, state.found_attitude
     if gated == RESTARTED:
-        _start(params, state, pose, filters, state.budget)
+        pose_model.start(params, pose, state.noise, filters)
         return RESTARTED
     delta_s = pose.t_s - moment_s
     rotation, z, back, q_measured = stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4)
@@ -356,49 +184,35 @@ def _fuse_pose(params, state, pose, moment_s, gated):
     quat.from_rotation_vector_into(rotation, back)
     quat.multiply_into(back, pose.q_CH, q_measured)
     quat.transform_into(back, pose.z_TC_C, z)
-    gain_a, innovation_a = stack.matrix(6, 3), stack.vector(3)
-    gain_p, innovation_p = stack.matrix(9, 3), stack.vector(3)
-    h, h_attitude, jump = stack.matrix(3, 9), stack.matrix(3, 3), stack.vector(3)
-    nis_a = _innovate_attitude(params, state, q_measured, pose.covariance_attitude, gain_a, innovation_a)
+    nis_a = pose_model.innovate_attitude(errors, filters, state.noise, q_measured, pose.covariance_attitude, attitude)
     nis_p = np.nan
     found = gated
     if gated == NOT_GATED:
         found = ATTITUDE_ONLY if 0.0 <= nis_a <= params.akf.gate else REJECTED
         if state.rejected_in_a_row >= params.close_after:
-            nis_p = _innovate_position(
-                params, state, z, pose.covariance_position, delta_s, h, h_attitude, gain_p, innovation_p
+            nis_p = pose_model.innovate_position(
+                errors, filters, state.noise, z, pose.covariance_position, delta_s, position
             )
             found = _closed_gate(params, state, found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate)
         if found == RESTARTED:
-            _start(params, state, pose, filters, state.budget)
+            pose_model.start(params, pose, state.noise, filters)
             _count(params, state, pose, found, nis_a, nis_p)
             return found
     if found == REOPENED:
-        _jump(filters, z, delta_s, jump)
-        for i in range(3):
-            filters.pkf.p[i, i] += jump[i] * jump[i]
-            if params.budget.n != 0:
-                state.budget.p[i, i] += jump[i] * jump[i]
-            state.jump_m[i] = max(state.jump_m[i], abs(jump[i]))
+        _add_jump(state, z, delta_s)
     if found >= ATTITUDE_ONLY:
-        _update_attitude(params, state, q_measured, pose.covariance_attitude, gain_a, innovation_a)
-        nis_p = _innovate_position(
-            params, state, z, pose.covariance_position, delta_s, h, h_attitude, gain_p, innovation_p
+        joint_filter.update(errors, filters, attitude)
+        nis_p = pose_model.innovate_position(
+            errors, filters, state.noise, z, pose.covariance_position, delta_s, position
         )
         if gated == NOT_GATED and found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate:
             found = ACCEPTED
         if found >= ACCEPTED:
+            joint_filter.update(errors, filters, position)
             if gated == NOT_GATED:
-                _remember_update(params, state, pose, innovation_a, gain_a, innovation_p, gain_p)
-            if params.budget.n != 0:
-                error_budget.update(
-                    params.budget, state.budget, state.found_position, innovation_p, filters.akf, filters.pkf
-                )
-            else:
-                pkf.update(filters.pkf, pose.covariance_position, filters.akf.p, h, h_attitude, gain_p, innovation_p)
-            if params.budget.n != 0 and gated == NOT_GATED:
-                error_budget.adapt(params.budget, state.noise, 0, state.found_position, innovation_p)
-                error_budget.adapt(params.budget, state.noise, 1, state.found_attitude, innovation_a)
+                _remember_update(state)
+                pose_model.adapt(errors, state.noise, 0, position)
+                pose_model.adapt(errors, state.noise, 1, attitude)
     if gated == NOT_GATED:
         _count(params, state, pose, found, nis_a, nis_p)
     return found
@@ -432,13 +246,13 @@ def _place(params, state, memory, pose):
         state.too_late += 1
         return -1
     cycle = min(cycle, state.cycle)
-    oldest = max(0, state.cycle - memory.shape[0] + 1)
+    oldest = max(0, state.cycle - params.memory + 1)
     if state.started != 0:
         oldest = max(oldest, state.start_cycle)
     if cycle < oldest:
         state.too_late += 1
         return -1
-    step = memory[cycle % memory.shape[0]]
+    step = step_at(params, memory, cycle)
     held = step.n_poses
     for k in range(held):
         if abs(step.poses[k].t_s - pose.t_s) < 1e-6:
@@ -447,7 +261,7 @@ def _place(params, state, memory, pose):
     if held >= POSES_PER_STEP:
         state.too_late += 1
         return -1
-    _copy_pose(pose, step.poses[held])
+    copy_pose(pose, step.poses[held])
     step.gated[held] = NOT_GATED
     step.n_poses += 1
     if state.started == 0:
@@ -455,7 +269,8 @@ def _place(params, state, memory, pose):
         state.started = 1
         state.start_cycle = cycle
         state.last_accepted_s = pose.t_s
-        _start(params, state, pose, step.predicted, step.budget)
+        pose_model.start(params, pose, state.noise, state.filters)
+        keep_predicted(params, state.filters, memory, cycle)
     return cycle
 
 
@@ -470,11 +285,12 @@ def _fuse_step(params, state, step, moment_s):
 def advance(params, state, memory, imu):
     """Begin the next step: keep its IMU sample and carry the filters over it.
 
-    memory: of ``new_memory``. The very first step has no sample before it.
+    memory: of ``step_memory.new_memory``. The very first step has no sample before it.
     """
-    step = memory[state.cycle % memory.shape[0]]
+    step = step_at(params, memory, state.cycle)
     copy_into(step.rate_C, imu.rate_C)
     copy_into(step.force_C, imu.force_C)
+    copy_into(step.commanded, state.commanded)
     move_hill_frame(params.orbit, (state.cycle - 1) * params.pkf.dt_s, params.pkf.dt_s, step.hill)
     step.n_poses = 0
     step.is_start = 0
@@ -482,7 +298,7 @@ def advance(params, state, memory, imu):
     state.nis_attitude = np.nan
     if state.started != 0:
         _predict(params, state, step)
-        _keep_predicted(params, state, step)
+        keep_predicted(params, state.filters, memory, state.cycle)
 
 
 @entry
@@ -493,11 +309,10 @@ def fuse(params, state, memory, pose):
     if first < 0:
         return
     _compare(state, pose)
-    dt, n = params.pkf.dt_s, memory.shape[0]
-    _return_to(params, state, memory[first % n])
+    return_to(params, state.filters, memory, first)
     for cycle in range(first, state.cycle + 1):
-        step = memory[cycle % n]
+        step = step_at(params, memory, cycle)
         if cycle > first:
             _predict(params, state, step)
-            _keep_predicted(params, state, step)
-        _fuse_step(params, state, step, cycle * dt)
+            keep_predicted(params, state.filters, memory, cycle)
+        _fuse_step(params, state, step, cycle * params.pkf.dt_s)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.gnc import akf, fusion, integrity, pkf, vision_alone, vision_only
+from hil.gnc import akf, fusion, integrity, joint_filter, vision_alone, vision_only
+from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
 from hil.gnc.target_orbit import frame_rate
@@ -52,7 +51,7 @@ def bias_of(state, bias, sigma):
     """Write the estimated bias of the accelerometer and its standard deviation, (3,), m/s^2."""
     for i in range(3):
         bias[i] = state.fusion.filters.pkf.x[6 + i]
-    pkf.sigma(state.fusion.filters.pkf, 6, sigma)
+    joint_filter.sigma(state.fusion.filters, BIAS, sigma)
 
 
 @kernel
@@ -120,13 +119,12 @@ def _write_filters(filters, out):
     copy_into(out.v_CT_H, filters.pkf.x[3:6])
     copy_into(out.q_CH, filters.akf.x[0:4])
     copy_into(out.w_CH_C, filters.akf.w_CH_C)
-    pkf.sigma(filters.pkf, 0, out.sigma_r_m)
-    pkf.sigma(filters.pkf, 3, out.sigma_v_mps)
+    joint_filter.sigma(filters, R, out.sigma_r_m)
+    joint_filter.sigma(filters, V, out.sigma_v_mps)
+    joint_filter.sigma(filters, ROTATION, out.sigma_attitude_rad)
     valid = True
-    for i in range(3):
-        out.sigma_attitude_rad[i] = math.sqrt(max(0.0, filters.akf.p[i, i]))
-        valid = valid and 0.0 < filters.akf.p[i, i] < np.inf
-        valid = valid and 0.0 < filters.pkf.p[i, i] < np.inf and 0.0 < filters.pkf.p[3 + i, 3 + i] < np.inf
+    for i in range(DRIFT):
+        valid = valid and (BIAS <= i < ROTATION or 0.0 < filters.p[i, i] < np.inf)
     if not valid:
         out.health |= COVARIANCE_INVALID
 
@@ -139,6 +137,7 @@ def normalised_errors(filters, orbit, truth, imu, out):
     drift of the gyros and an error of the known rate of H are one to the filter: its drift is compared with their sum.
     """
     from_akf, from_pkf = stack.vector(6), stack.vector(9)
+    of_akf, of_pkf = stack.matrix(6, 6), stack.matrix(9, 9)
     known, drift = stack.vector(3), stack.vector(3)
     frame_rate(orbit, truth.t_s, known)
     for i in range(3):
@@ -151,5 +150,7 @@ def normalised_errors(filters, orbit, truth, imu, out):
         from_pkf[i] = truth.r_CT_H[i] - filters.pkf.x[i]
         from_pkf[3 + i] = truth.v_CT_H[i] - filters.pkf.x[3 + i]
         from_pkf[6 + i] = imu.bias_C[i] - filters.pkf.x[6 + i]
-    out[0] = normalised_square(from_pkf, filters.pkf.p)
-    out[1] = normalised_square(from_akf, filters.akf.p)
+    joint_filter.copy_block(filters, R, of_pkf)
+    joint_filter.copy_block(filters, ROTATION, of_akf)
+    out[0] = normalised_square(from_pkf, of_pkf)
+    out[1] = normalised_square(from_akf, of_akf)

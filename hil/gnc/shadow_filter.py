@@ -17,6 +17,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from hil.core.messages import Array
+from hil.gnc.step_memory import memory_steps
 from hil.gnc.target_orbit import HILL_STEP
 
 _LAG_FRACTION: Final = 0.625  # of the compiled filters' memory
@@ -49,6 +50,7 @@ class ShadowFilter:
         self._dt = float(params.pkf.dt_s)
         self.lag = int(_LAG_FRACTION * params.memory)
         """Steps behind the loop."""
+        self._params = params
         self._inputs: deque[_Inputs] = deque(maxlen=self.lag + 1)
         self._mean_motion = float(params.orbit.mean_motion)
         self._on_circle = self._step_in_h(np.zeros(1, HILL_STEP)[0])
@@ -59,8 +61,9 @@ class ShadowFilter:
         """Use the inputs of ``cycle``; return the divergence ``lag`` steps ago, None before the start.
 
         samples: of IMU since the cycle before, each of one step; the first cycle has the last one alone. poses: of
-        POSE, the new ones only. memory: of fusion.STEP, the compiled filters'.
+        POSE, the new ones only. memory: of ``step_memory.new_memory``, the compiled filters'.
         """
+        steps = memory_steps(self._params, memory)
         last = cycle * len(samples)
         divergence = None
         for behind in reversed(range(len(samples) if cycle else 1)):
@@ -70,7 +73,7 @@ class ShadowFilter:
                 self._place(last, poses)
             if len(self._inputs) > self.lag:
                 step = last - behind - self.lag
-                divergence = self._advance(self._inputs[0], memory[step % len(memory)]) or divergence
+                divergence = self._advance(self._inputs[0], steps[step % len(steps)]) or divergence
         return divergence
 
     def _step_in_h(self, hill: np.void) -> Array:
@@ -177,9 +180,8 @@ class ShadowFilter:
     def _compare(self, compiled: np.void) -> Divergence:
         assert self._attitude is not None
         assert self._position is not None
-        filters = compiled["predicted"]
-        position = np.linalg.norm(self._position.x[:3] - filters["pkf"]["x"][:3])
-        mine, theirs = Rotation.from_quat(self._attitude.x[:4]), Rotation.from_quat(filters["akf"]["x"][:4])
+        position = np.linalg.norm(self._position.x[:3] - compiled["pkf"]["x"][:3])
+        mine, theirs = Rotation.from_quat(self._attitude.x[:4]), Rotation.from_quat(compiled["akf"]["x"][:4])
         return Divergence(float(position), float((mine.inv() * theirs).magnitude()))
 
 

@@ -122,6 +122,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     """
     backends, approach = state.backends, state.approach
     backends.new_text = backends.asks_for_hold = 0
+    copy_into(state.navigation.fusion.commanded, command.on)
     if backends.navigation.step == 0:
         navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
     elif not backend_step.navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, command):

@@ -48,7 +48,7 @@ class BuiltinGnc(Approach):
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor: FilterMonitor = filter_monitor
         self.memory = new_memory(params.navigation.fusion)
-        """Of the filters, (n,) of fusion.STEP."""
+        """Of the filters, of ``fusion.new_memory``."""
         self._nees = np.empty(2)
         self.fuses = params.navigation.sensors == navigation.VISION_AND_IMU and "navigation" not in self._backends.kinds
         self.fused_now = False
@@ -127,6 +127,7 @@ class BuiltinGnc(Approach):
 
         command: COMMAND of the cycle before; None if its samples are unknown.
         """
+        self.state.navigation.fusion.commanded[:] = 0 if command is None else command.on
         navigation.navigate(
             self.params.navigation, self.state.navigation, self.memory, samples, vision.poses, vision.arrived, estimate
         )

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numba import carray, types
+from numba import types
+from numba.np.numpy_support import carray
 from numba.core.errors import NumbaError
 
 from hil.core.backend_records import INPUTS, OUTPUTS

@@ -6,6 +6,8 @@ import numpy as np
 
 from hil.core.gnc_records import GncState
 from hil.core.jit import kernel
+from hil.gnc import joint_filter
+from hil.gnc.error_state import ROTATION, R
 from hil.maths.arrays import copy_into, copy_matrix
 
 _WORKING = GncState.WORKING.value
@@ -49,11 +51,15 @@ def read_flight(sent, sent_command, navigation, command):
 
 @kernel
 def read_filters(sent, filters):
-    """Write states and covariances of ``filters`` (FILTERS) from ``sent`` (GNC_FILTERS)."""
+    """Write estimates and covariances of PKF and AKF, each alone, of ``filters`` from ``sent`` (GNC_FILTERS)."""
     copy_into(filters.akf.x, sent.attitude_x)
-    copy_matrix(filters.akf.p, sent.attitude_p)
     copy_into(filters.pkf.x, sent.position_x)
-    copy_matrix(filters.pkf.p, sent.position_p)
+    for i in range(9):
+        for j in range(9):
+            filters.p[R + i, R + j] = sent.position_p[i, j]
+    for i in range(6):
+        for j in range(6):
+            filters.p[ROTATION + i, ROTATION + j] = sent.attitude_p[i, j]
 
 
 @kernel
@@ -61,9 +67,9 @@ def write_filters(cycle, filters, sent):
     """Write GNC_FILTERS from ``filters`` (FILTERS)."""
     sent.cycle = cycle
     copy_into(sent.attitude_x, filters.akf.x)
-    copy_matrix(sent.attitude_p, filters.akf.p)
+    joint_filter.copy_block(filters, ROTATION, sent.attitude_p)
     copy_into(sent.position_x, filters.pkf.x)
-    copy_matrix(sent.position_p, filters.pkf.p)
+    joint_filter.copy_block(filters, R, sent.position_p)
 
 
 @kernel

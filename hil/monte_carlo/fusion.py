@@ -16,11 +16,14 @@ from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.gnc.fusion import FUSION_STATE, new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.monte_carlo.akf_additive import AKF_ADDITIVE_STATE
 from hil.monte_carlo.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 Reading = Literal["swapped", "printed"]
+Form = Literal["multiplicative", "as_printed"]
+"""Form of the attitude filter: small-angle error, as in the loop, or the paper's seven additive states."""
 
 VMU_SIGMA = {"swapped": (0.005, 0.033), "printed": (0.033, 0.005)}  # m, deg: Table I's rows, in either order
 INITIAL_SIGMA = (0.1, 0.02, 5e-4, math.radians(3.0), math.radians(1e-5))
@@ -35,7 +38,7 @@ _BATCH = 20
 _COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for colour-blind readers
 
 
-def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np.record:
+def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float, form: Form) -> np.record:
     """Return STUDY_PARAMS for ``scenario``'s line and attitude."""
     params = new(STUDY_PARAMS)
     params.cycles = round(SNAPSHOTS_S[-1] / scenario.step_s)
@@ -44,6 +47,7 @@ def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np
     params.sigma_angle = math.radians(VMU_SIGMA[reading][1])
     params.initial_rotation = gnc_params.initial_rotation_vector(scenario)
     params.rotation_time = _ROTATION_TIME_S
+    params.as_printed = form == "as_printed"
     params.initial_sigma = np.repeat(INITIAL_SIGMA, 3)
     return params
 
@@ -53,7 +57,6 @@ def _with_sizes_of_the_sensors(scenario: Scenario) -> Scenario:
     imu, gnc = scenario.imu, scenario.gnc
     akf = gnc.akf.model_copy(
         update={
-            "form": "multiplicative",
             "gyro_noise_degps": imu.gyro_noise_degps,
             "gyro_drift_noise_degps2": imu.gyro_drift_noise_degps2,
         }
@@ -70,12 +73,12 @@ def _with_sizes_of_the_sensors(scenario: Scenario) -> Scenario:
 class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
-    def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
+    def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int, form: Form = "multiplicative") -> None:
         circular = ("gnc.ephemeris.rate_sigma_degps=[0,0,0]", *settings)  # the motion of the study is Hill's
         scenario = load_scenario("scheme-2", circular).value
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
-        self._study = study_params(scenario, reading, self.vmu_rate_hz)
+        self._study = study_params(scenario, reading, self.vmu_rate_hz, form)
         self._filters = gnc_params.navigation(scenario).fusion
         self._optimal = gnc_params.navigation(_with_sizes_of_the_sensors(scenario)).fusion
         self._filters.orbit.eccentricity = self._optimal.orbit.eccentricity = 0.0
@@ -101,6 +104,7 @@ class Study:
             new(POSE),
             new(FUSION_STATE),
             new_memory(filters),
+            new(AKF_ADDITIVE_STATE),
             np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number,))),
             1 if noisy else 0,
             result,

@@ -21,7 +21,6 @@ from hil.gnc.allocation import (
 )
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
-from hil.gnc.fusion import AS_PRINTED, MULTIPLICATIVE
 from hil.gnc.guidance import APPROACH, ARC, FINAL, GUIDANCE_PARAMS, HOLD, LINE, RETREAT, SLEW, WAIT
 from hil.gnc.integrity import INTEGRITY_PARAMS
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
@@ -33,7 +32,7 @@ from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
 from hil.params.dynamics import mean_motion, semi_major_axis_m
-from hil.params.error_budget import error_budget
+from hil.params.error_state import error_state
 from hil.params.target import known_tumble
 
 _NIS_TAIL = 1e-10  # false-alarm probability of a mean
@@ -83,7 +82,6 @@ def navigation(scenario: Scenario) -> np.record:
     gnc = scenario.gnc
     params.sensors = VISION_ALONE if gnc.navigation.backend == config.VISION_ALONE else VISION_AND_IMU
     fusion = params.fusion
-    fusion.attitude_form = AS_PRINTED if gnc.akf.form == "as_printed" else MULTIPLICATIVE
     fusion.memory = scenario.memory_steps
     fusion.ahead = max(1, round(_AHEAD_S / scenario.sample_s))
     fusion.orbit = target_orbit(scenario)
@@ -112,7 +110,7 @@ def navigation(scenario: Scenario) -> np.record:
     pkf.initial_velocity_sigma = gnc.pkf.initial_velocity_sigma_mps
     pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
-    fusion.budget = error_budget(scenario)
+    fusion.errors = error_state(scenario)
     vision = params.vision_only
     vision.dt_s = scenario.step_s
     vision.position_lag_s = gnc.vision_only.position_lag_s

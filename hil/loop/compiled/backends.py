@@ -23,7 +23,7 @@ class CompiledBackend(Protocol):
     params: np.record
     """GNC_PARAMS."""
     memory: np.ndarray
-    """Of the filters, (n,) of fusion.STEP."""
+    """Of the filters, of ``fusion.new_memory``."""
 
     def load(self, state: np.record) -> None:
         """Write the backend's state to ``state`` (LOOP_STATE)."""

@@ -9,8 +9,8 @@ from hil.core.messages import IMU, REFERENCE, new
 from hil.gnc import body_frame, fusion
 from hil.gnc.akf import AKF_STATE
 from hil.gnc.body_frame import AXES_STEP
+from hil.gnc.error_state import FILTER_ERRORS, FILTERS
 from hil.gnc.fusion import FUSION_STATE
-from hil.gnc.pkf import PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
 from hil.models.rotating_frame import frame_acceleration, tumble_rate
 from hil.params import gnc as gnc_params
@@ -42,7 +42,7 @@ def test_filter_follows_a_free_point_without_poses() -> None:
     state.started = 1
     filters = state.filters
     filters.akf.x[:4], filters.akf.x[4:] = [0.0, 0.0, 0.0, 1.0], params.akf.initial_drift
-    filters.akf.p, filters.pkf.p = 1e-8 * np.eye(6), 1e-6 * np.eye(9)
+    filters.p[:15, :15] = np.diag(np.repeat([1e-6, 1e-8], [9, 6]))
     w, aside = np.empty(3), np.empty(3)
     tumble_rate(known_tumble(SCENARIO, 0.0), 0.0, w, aside)
     r = np.array([0.9, -0.2, 0.3])
@@ -59,7 +59,7 @@ def test_filter_follows_a_free_point_without_poses() -> None:
         axes = (np.eye(3) - np.sin(size) * cross + (1.0 - np.cos(size)) * cross @ cross) @ axes
     np.testing.assert_allclose(filters.pkf.x[:3], axes @ r, atol=1e-6)
     assert np.linalg.norm(axes - np.eye(3)) > 1.0
-    p = filters.pkf.p
+    p = filters.p[:15, :15]
     np.testing.assert_allclose(p, p.T, atol=1e-12)
     assert np.linalg.eigvalsh(p).min() > 0.0
 
@@ -67,21 +67,21 @@ def test_filter_follows_a_free_point_without_poses() -> None:
 def test_covariance_is_transformed_as_the_state_is(rng: np.random.Generator) -> None:
     """The transformation of a sample of states has the transformed covariance."""
     params = gnc_params.navigation(SCENARIO).fusion
-    hill, joint = new(HILL_STEP), np.zeros((46, 46))
+    hill = new(HILL_STEP)
     move_hill_frame(params.orbit, 5.0, DT, hill)
     body_frame.correct_motion(hill, new(AKF_STATE), np.zeros(3), DT, axes := new(AXES_STEP))
     root = rng.standard_normal((9, 9))
-    first, columns = new(PKF_STATE), np.empty((9, 9))
-    first.p = root @ root.T
+    first, columns = new(FILTERS), np.empty((9, 9))
+    first.p[:9, :9] = root @ root.T
     for j in range(9):
-        each = new(PKF_STATE)
-        each.x = root[:, j]
-        body_frame.enter_middle(axes, each, joint, 0)
-        body_frame.leave_middle(axes, each, joint, 0)
-        columns[:, j] = each.x
-    body_frame.enter_middle(axes, first, joint, 0)
-    body_frame.leave_middle(axes, first, joint, 0)
-    np.testing.assert_allclose(first.p, columns @ columns.T, atol=1e-12)
+        each = new(FILTERS)
+        each.pkf.x = root[:, j]
+        body_frame.enter_middle(axes, each, FILTER_ERRORS)
+        body_frame.leave_middle(axes, each, FILTER_ERRORS)
+        columns[:, j] = each.pkf.x
+    body_frame.enter_middle(axes, first, FILTER_ERRORS)
+    body_frame.leave_middle(axes, first, FILTER_ERRORS)
+    np.testing.assert_allclose(first.p[:9, :9], columns @ columns.T, atol=1e-12)
 
 
 def test_feed_forward_keeps_a_rigid_body_on_the_axes() -> None:

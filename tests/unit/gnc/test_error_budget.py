@@ -16,7 +16,8 @@ from hil.core.messages import IMU, POSE, Array, new
 from hil.dynamics.vision_errors import VISION_ERRORS, distort
 from hil.errors import BadInput
 from hil.gnc import fusion
-from hil.gnc.error_budget import FILTER_ERRORS
+from hil.gnc.error_state import FILTER_ERRORS
+from hil.gnc.step_memory import STEP, memory_steps
 from hil.maths import quat
 from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
@@ -74,7 +75,7 @@ class Reference:
     """Dense filter of all errors: numerical derivatives, Joseph's form, gains of the rows that are corrected."""
 
     def __init__(self, params: np.record, sigmas: dict[str, Array], times_s: dict[str, float]) -> None:
-        self.params, self.budget, self.dt = params, params.budget, float(params.pkf.dt_s)
+        self.params, self.budget, self.dt = params, params.errors, float(params.pkf.dt_s)
         self.mounting = vision_params.mounting(load_rig("mock").value)
         self.sigma = np.concatenate([sigmas[name] for name in PARAMETERS])
         self.kept = np.ones(N)
@@ -266,7 +267,7 @@ def test_filters_stay_equal_to_a_dense_filter_with_the_derivatives_of_the_error_
 ) -> None:
     params = fusion_params(*ALL)
     reference = Reference(params, *own_errors(params))
-    assert params.budget.n == N
+    assert params.errors.n == N
     state, memory, imu = new(fusion.FUSION_STATE), fusion.new_memory(params), new(IMU)
     q, r = quat.from_rotation_vector(np.array([0.1, -0.05, 0.08])), np.array([3.0, -0.2, 0.3])
     for cycle in range(41):
@@ -284,18 +285,17 @@ def test_filters_stay_equal_to_a_dense_filter_with_the_derivatives_of_the_error_
                 assert (state.nis_position, state.nis_attitude) == pytest.approx(nis, rel=1e-5)
         state.cycle += 1
         scale = np.sqrt(np.diag(reference.p))
-        error = (state.budget.p[:N, :N] - reference.p) / np.outer(scale, scale)
+        error = (state.filters.p[:N, :N] - reference.p) / np.outer(scale, scale)
         assert np.abs(error).max() < 1e-5
-        states = np.concatenate([state.filters.pkf.x, state.budget.x[FILTER_ERRORS:N]])
+        states = np.concatenate([state.filters.pkf.x, state.filters.parameters[FILTER_ERRORS:N]])
         known = np.concatenate([reference.x[:9], reference.x[FILTER_ERRORS:]])
         of = np.concatenate([scale[:9], scale[FILTER_ERRORS:]])
         assert np.abs((states - known) / of).max() < 1e-5
         off = (rotation(state.filters.akf.x[:4].copy()) * rotation(reference.q).inv()).magnitude()
         assert off < 1e-5 * scale[AT["turn"]].min()
     assert state.accepted == 5
-    np.testing.assert_array_equal(state.filters.pkf.p, state.budget.p[:9, :9])
-    np.testing.assert_array_equal(state.filters.pkf.c, state.budget.p[:9, 9:15])
-    np.testing.assert_array_equal(state.filters.akf.p, state.budget.p[9:15, 9:15])
+    np.testing.assert_array_equal(state.filters.p[:N, :N], state.filters.p[:N, :N].T)
+    assert not np.any(state.filters.p[:, N:])
 
 
 class Flight:
@@ -331,7 +331,7 @@ def test_late_pose_gives_what_the_pose_in_time_has_led_to(rng: np.random.Generat
         in_time.step(*[pose for exposure, pose in poses.items() if exposure == cycle])
         late.step(*[pose for exposure, pose in poses.items() if exposure + (5 if exposure else 0) == cycle])
     assert late.state.accepted == in_time.state.accepted == 5
-    np.testing.assert_array_equal(late.state.budget.p, in_time.state.budget.p)
+    np.testing.assert_array_equal(late.state.filters.p, in_time.state.filters.p)
     np.testing.assert_array_equal(late.state.filters.pkf.x, in_time.state.filters.pkf.x)
     np.testing.assert_array_equal(late.state.filters.akf.x, in_time.state.filters.akf.x)
 
@@ -346,26 +346,34 @@ def test_size_of_the_noise_is_found_from_the_innovations(rng: np.random.Generato
     np.testing.assert_allclose(found, factor, rtol=3.3 * 0.5 * math.sqrt(2.0 / (3.0 * 256.0)) + 0.02)
 
 
-def test_without_a_budget_nothing_of_it_is_written(rng: np.random.Generator) -> None:
+def test_memory_has_room_for_the_errors_that_are_used_and_no_more() -> None:
+    sizes = [
+        fusion.new_memory(params).nbytes // int(params.memory) for params in (fusion_params(), fusion_params(*ALL))
+    ]
+    assert sizes[0] == STEP.itemsize + 8 * 15 * 16 // 2
+    assert sizes[1] == STEP.itemsize + 8 * (N - 15) + 8 * N * (N + 1) // 2
+
+
+def test_memory_keeps_the_thrusters_that_were_commanded_in_each_step() -> None:
     flight = Flight(fusion_params())
-    for cycle in range(17):
-        flight.step(*([flight.pose(cycle, rng)] if cycle % 8 == 0 else []))
-    assert flight.state.accepted == 2
-    for part in (flight.state.budget, flight.state.noise, flight.memory["budget"]):
-        assert not any(np.any(np.asarray(part[name])) for name in part.dtype.names)
+    for cycle in range(3):
+        flight.state.commanded[:] = 0
+        flight.state.commanded[cycle] = 1
+        flight.step()
+    steps = memory_steps(flight.params, flight.memory)
+    np.testing.assert_array_equal(steps["commanded"][:3, :4], np.eye(3, 4))
 
 
 def test_parameters_without_a_spread_are_left_out() -> None:
-    assert fusion_params().budget.n == 0
+    assert fusion_params().errors.n == FILTER_ERRORS
     params = fusion_params("vision_scale_sigma=0.01", "gyro_instability_degps=1e-6")
-    assert (params.budget.n, params.budget.scale, params.budget.gyro_instability) == (19, 15, 16)
-    assert params.budget.misalignment == params.budget.correlated == 0
+    assert (params.errors.n, params.errors.scale, params.errors.gyro_instability) == (19, 15, 16)
+    assert params.errors.misalignment == params.errors.correlated == 0
 
 
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (("gnc.akf.form=as_printed",), "as_printed"),
         (("gnc.shadow.enabled=true",), "shadow"),
         ((f"{KEY}.vision_correlated_fraction=1.0",), "vision_correlated_fraction"),
         ((f"{KEY}.gyro_scale_sigma=-0.1",), "gyro_scale_sigma"),

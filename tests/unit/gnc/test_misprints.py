@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import POSE, new
-from hil.gnc import akf_additive, pkf
 from hil.maths import euler, quat
+from hil.monte_carlo import akf_additive
 from hil.params import gnc as gnc_params
 from hil.report.verdict import Deviations, judge, tolerances
+from tests.support.joint_filter import JointFilter
 
 YAW_PITCH_ROLL = np.array([2, 1, 0])
 
@@ -45,26 +46,16 @@ def test_first_two_lines_of_eq_9_belong_to_the_mended_third_one(rng: np.random.G
 
 def test_sensitivity_of_the_position_measurement_is_minus_R_CH_untransposed(scheme_1: Scenario) -> None:
     q = Rotation.from_euler("ZYX", [0.5, -0.4, 0.3]).as_quat()
-    pose, params = new(POSE), gnc_params.navigation(scheme_1).fusion.pkf
-    r_CT_H = np.array([5.0, -0.3, 0.3])
+    pose, r_CT_H = new(POSE), np.array([5.0, -0.3, 0.3])
     pose.q_CH, pose.z_TC_C, pose.covariance_position = q, quat.to_matrix(q) @ -r_CT_H, 1e-4 * np.eye(3)
-    state = new(pkf.PKF_STATE)
-    known = np.zeros((6, 6))
-    pkf.start(params, pose, known, state)
-    np.testing.assert_allclose(state.x[:3], r_CT_H, atol=1e-14)
-    x, p = state.x.copy(), state.p.copy()
+    state = JointFilter(gnc_params.navigation(scheme_1).fusion, pose)
+    np.testing.assert_allclose(state.pkf.x[:3], r_CT_H, atol=1e-14)
+    x, p = state.pkf.x.copy(), state.p_pkf.copy()
     innovation = np.array([0.01, -0.02, 0.03])
-    r, h, h_turn, gain, found = (
-        pose.covariance_position,
-        np.empty((3, 9)),
-        np.empty((3, 3)),
-        np.empty((9, 3)),
-        np.empty(3),
-    )
-    pkf.innovate(state, pose.z_TC_C + innovation, r, 0.0, q, known, h, h_turn, gain, found)
-    pkf.update(state, r, known, h, h_turn, gain, found)
-    np.testing.assert_allclose(found, innovation, atol=1e-14)
-    np.testing.assert_array_equal(h, np.hstack([-quat.to_matrix(q), np.zeros((3, 6))]))
+    state.innovate_position(pose.z_TC_C + innovation, pose.covariance_position)
+    state.update()
+    np.testing.assert_allclose(state.found.value, innovation, atol=1e-14)
+    np.testing.assert_array_equal(state.found.h[:, :9], np.hstack([-quat.to_matrix(q), np.zeros((3, 6))]))
 
     def updated(rotation: np.ndarray) -> np.ndarray:
         h = np.hstack([-rotation, np.zeros((3, 6))])
@@ -72,10 +63,10 @@ def test_sensitivity_of_the_position_measurement_is_minus_R_CH_untransposed(sche
         gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + pose.covariance_position)
         return x + gain @ innovation
 
-    np.testing.assert_allclose(state.x, updated(quat.to_matrix(q)), atol=1e-13)
+    np.testing.assert_allclose(state.pkf.x, updated(quat.to_matrix(q)), atol=1e-13)
     # the printed transpose would be 9 x 3; turned the other way, R does not draw the state to the measurement
-    assert np.abs(updated(quat.to_matrix(q).T) - state.x).max() > 1e-3
-    assert np.abs(updated(np.eye(3)) - state.x).max() > 1e-3
+    assert np.abs(updated(quat.to_matrix(q).T) - state.pkf.x).max() > 1e-3
+    assert np.abs(updated(np.eye(3)) - state.pkf.x).max() > 1e-3
 
 
 def test_vision_rows_of_table_i_are_swapped() -> None:

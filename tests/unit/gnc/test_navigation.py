@@ -14,6 +14,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
 from hil.dynamics.vision import add_noise
 from hil.gnc import fusion, navigation
+from hil.gnc.error_state import FILTERS
 from hil.gnc.navigation import VISION_ALONE
 from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat
@@ -86,8 +87,8 @@ def test_what_is_shown_is_what_the_filters_hold(params: np.record, rng: np.rando
         held = navigator.state.fusion.filters
         np.testing.assert_array_equal([*out.r_CT_H, *out.v_CT_H], held.pkf.x[:6])
         np.testing.assert_array_equal([*out.q_CH, *out.w_CH_C], [*held.akf.x[:4], *held.akf.w_CH_C])
-        np.testing.assert_allclose([*out.sigma_r_m, *out.sigma_v_mps], np.sqrt(np.diag(held.pkf.p)[:6]))
-        np.testing.assert_allclose(out.sigma_attitude_rad, np.sqrt(np.diag(held.akf.p)[:3]))
+        np.testing.assert_allclose([*out.sigma_r_m, *out.sigma_v_mps], np.sqrt(np.diag(held.p)[:6]))
+        np.testing.assert_allclose(out.sigma_attitude_rad, np.sqrt(np.diag(held.p)[9:12]))
         updated = k % 8 == 0 and k > 0
         assert math.isfinite(out.nis_position) == math.isfinite(out.nis_attitude) == updated
     assert navigator.state.fusion.cycle == 40
@@ -184,7 +185,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
                 held = state.fusion.filters
                 navigation.normalised_errors(held, params.fusion.orbit, truth, imu, two)
                 total[k] += two
-                joint = np.block([[held.pkf.p, held.pkf.c], [held.pkf.c.T, held.akf.p]])
+                joint = held.p[:15, :15]
                 sigma = np.sqrt(np.diag(joint))
                 assert np.linalg.eigvalsh(joint / np.outer(sigma, sigma)).min() > 0.0
     for mark in marks:
@@ -193,10 +194,10 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
 
 
 def test_normalised_errors_are_those_of_nine_and_six_states(params: np.record, rng: np.random.Generator) -> None:
-    filters, orbit, truth = new(fusion.FILTERS), new(TARGET_ORBIT), new(TRUTH)
+    filters, orbit, truth = new(FILTERS), new(TARGET_ORBIT), new(TRUTH)
     imu, found = new(IMU), np.empty(2)
     parts = [root @ root.T for root in (rng.standard_normal((9, 9)), rng.standard_normal((6, 6)))]
-    filters.pkf.p, filters.akf.p = parts
+    filters.p[:9, :9], filters.p[9:15, 9:15] = parts
     error, turn = rng.standard_normal(9), np.array([0.02, -0.01, 0.03])
     filters.pkf.x, filters.akf.x = rng.standard_normal(9), [0.0, 0.0, 0.0, 1.0, 0.1, 0.2, 0.3]
     truth.r_CT_H, truth.v_CT_H, imu.bias_C = (filters.pkf.x + error).reshape(3, 3)

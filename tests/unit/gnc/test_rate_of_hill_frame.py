@@ -7,8 +7,10 @@ from scipy.spatial.transform import Rotation
 import hil
 from hil.config.load import load_scenario
 from hil.core.messages import POSE, Array, new
-from hil.gnc import akf, akf_additive
+from hil.monte_carlo import akf_additive
 from hil.params.gnc import navigation
+from tests.support.hill_steps import on_circle
+from tests.support.joint_filter import NO_FORCE, JointFilter
 
 SIGMAS = [0.0, 1e-6, 9e-6]
 
@@ -31,20 +33,18 @@ def test_its_variance_grows_as_over_the_orbit_at_any_rate_of_the_filter(rate_hz:
 
 
 def test_it_adds_to_the_covariance_of_the_drift_in_the_axes_of_the_chaser(rng: np.random.Generator) -> None:
-    params, pose = navigation(load_scenario("scheme-1").value).fusion.akf, new(POSE)
-    turn = Rotation.from_rotvec([0.3, -0.8, 0.5])
-    pose.q_CH, pose.covariance_attitude = turn.as_quat(), 1e-9 * np.eye(3)
+    fusion, pose = navigation(load_scenario("scheme-1").value).fusion, new(POSE)
+    params, turn = fusion.akf, Rotation.from_rotvec([0.3, -0.8, 0.5])
+    pose.q_CH, pose.covariance_attitude, pose.covariance_position = turn.as_quat(), 1e-9 * np.eye(3), np.eye(3)
     to_c = turn.as_matrix().T
     starts = to_c @ np.diag(params.rate_sigma**2) @ to_c.T + params.initial_drift_sigma**2 * np.eye(3)
-    own, additive = new(akf.AKF_STATE), new(akf_additive.AKF_ADDITIVE_STATE)
-    akf.start(params, pose, own)
+    own, additive = JointFilter(fusion, pose), new(akf_additive.AKF_ADDITIVE_STATE)
     akf_additive.start(params, pose, additive)
-    for found in (own.p[3:, 3:], additive.p[4:, 4:]):
+    for found in (own.p_akf[3:, 3:], additive.p[4:, 4:]):
         np.testing.assert_allclose(found, starts, rtol=1e-12, atol=1e-25)
-    own.phi = np.eye(6)
-    akf.predict_covariance(params, own)
+    own.predict(params.initial_drift, NO_FORCE, on_circle(0.0, params.dt_s))
     noise = to_c @ np.diag(params.rate_noise**2) @ to_c.T + params.sigma_drift**2 * np.eye(3)
-    np.testing.assert_allclose(own.p[3:, 3:] - starts, params.dt_s**2 * noise, rtol=1e-3, atol=1e-25)
+    np.testing.assert_allclose(own.p_akf[3:, 3:] - starts, params.dt_s**2 * noise, rtol=1e-3, atol=1e-25)
 
 
 def test_the_shipped_ones_are_what_harmonics_add() -> None:

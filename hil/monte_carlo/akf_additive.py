@@ -1,4 +1,4 @@
-"""Attitude Kalman filter as printed: seven additive states (bench paper eq. (3) to (10)).
+"""Attitude Kalman filter as printed: seven additive states (bench paper eq. (3) to (10)), evidence in ``hil fusion``.
 
 The quaternion is propagated by the exact transition at a constant rate over the step, which is
 linear in the quaternion, so its Jacobian is the transition itself. The measurement is the three
@@ -123,7 +123,7 @@ def start(params, pose, state):
         p[3 + i, 3 + i] = params.initial_drift_sigma**2
         for j in range(3):
             p[i, j] = pose.covariance_attitude[i, j]
-    add_in_chaser_axes(params.rate_sigma, 1.0, pose.q_CH, p[3:6, 3:6])
+    add_in_chaser_axes(params.rate_sigma, 1.0, pose.q_CH, 3, p)
     from_multiplicative(x, p, state)
 
 
@@ -174,7 +174,7 @@ def predict(params, state, measured_rate, hill):
         noise[i, i] += gyro
     for i in range(3):
         noise[4 + i, 4 + i] = (params.dt_s * params.sigma_drift) ** 2
-    add_in_chaser_axes(params.rate_noise, params.dt_s, state.x[0:4], noise[4:7, 4:7])
+    add_in_chaser_axes(params.rate_noise, params.dt_s, state.x[0:4], 4, noise)
     propagate_covariance(state.p, phi, noise)
     quat.second_column_into(state.x[0:4], along_y)
     for i in range(3):

@@ -1,0 +1,117 @@
+"""Transition of the errors over a step, applied to the rows of a matrix.
+
+With ``A = A(q_CH)`` in mid-step, ``f`` and ``w`` the specific force and rate without bias and drift, ``B`` the response
+of Hill's equations to an acceleration in H:
+
+    (r, v)' = F (r, v) + B A.T ds,   ds = theta x f - db - s_a f + m_a x f
+    theta'  = R theta - dt J dw,     dw = dd + s_g w - m_g x w
+
+``s``, ``m`` are scale factor and misalignment of a sensor. Terms that are zero in Hill's equations are omitted.
+``rows`` is a matrix with a row for each error, ``lanes`` the number of its columns, a multiple of 8.
+"""
+
+from __future__ import annotations
+
+from hil.core.jit import kernel
+from hil.gnc.error_state import BIAS, DRIFT, ROTATION
+
+
+@kernel
+def force_error(errors, force, rows, lanes, out):
+    """Write the error ``ds`` of the specific force in c, (3, lanes). force: (3,), m/s^2."""
+    f0, f1, f2 = force[0], force[1], force[2]
+    for j in range(lanes):
+        t0, t1, t2 = rows[ROTATION, j], rows[ROTATION + 1, j], rows[ROTATION + 2, j]
+        out[0, j] = f2 * t1 - f1 * t2 - rows[BIAS, j]
+        out[1, j] = f0 * t2 - f2 * t0 - rows[BIAS + 1, j]
+        out[2, j] = f1 * t0 - f0 * t1 - rows[BIAS + 2, j]
+    k = errors.accelerometer_scale
+    if k != 0:
+        for j in range(lanes):
+            out[0, j] -= f0 * rows[k, j]
+            out[1, j] -= f1 * rows[k + 1, j]
+            out[2, j] -= f2 * rows[k + 2, j]
+    k = errors.accelerometer_misalignment
+    if k != 0:
+        for j in range(lanes):
+            out[0, j] += f2 * rows[k + 1, j] - f1 * rows[k + 2, j]
+            out[1, j] += f0 * rows[k + 2, j] - f2 * rows[k, j]
+            out[2, j] += f1 * rows[k, j] - f0 * rows[k + 1, j]
+
+
+@kernel
+def rate_error(errors, rate, rows, lanes, out):
+    """Write the error ``dw`` of the rate in c, (3, lanes). rate: (3,), rad/s."""
+    w0, w1, w2 = rate[0], rate[1], rate[2]
+    for j in range(lanes):
+        for i in range(3):
+            out[i, j] = rows[DRIFT + i, j]
+    k = errors.gyro_scale
+    if k != 0:
+        for j in range(lanes):
+            out[0, j] += w0 * rows[k, j]
+            out[1, j] += w1 * rows[k + 1, j]
+            out[2, j] += w2 * rows[k + 2, j]
+    k = errors.gyro_misalignment
+    if k != 0:
+        for j in range(lanes):
+            out[0, j] += w1 * rows[k + 2, j] - w2 * rows[k + 1, j]
+            out[1, j] += w2 * rows[k, j] - w0 * rows[k + 2, j]
+            out[2, j] += w0 * rows[k + 1, j] - w1 * rows[k, j]
+
+
+@kernel
+def carry_motion(of_pkf, a, force, rows, lanes, out):
+    """Write position and velocity after the step, (6, lanes). a: A (3, 3). force: (3, lanes), of ``force_error``."""
+    h, g = of_pkf.hill_transition, of_pkf.hill_response
+    h00, h02, h03, h05 = h[0, 0], h[0, 2], h[0, 3], h[0, 5]
+    h11, h14, h41, h44 = h[1, 1], h[1, 4], h[4, 1], h[4, 4]
+    h22, h23, h25 = h[2, 2], h[2, 3], h[2, 5]
+    h32, h33, h35 = h[3, 2], h[3, 3], h[3, 5]
+    h52, h53, h55 = h[5, 2], h[5, 3], h[5, 5]
+    g00, g02, g11, g20, g22 = g[0, 0], g[0, 2], g[1, 1], g[2, 0], g[2, 2]
+    g30, g32, g41, g50, g52 = g[3, 0], g[3, 2], g[4, 1], g[5, 0], g[5, 2]
+    a00, a01, a02 = a[0, 0], a[0, 1], a[0, 2]
+    a10, a11, a12 = a[1, 0], a[1, 1], a[1, 2]
+    a20, a21, a22 = a[2, 0], a[2, 1], a[2, 2]
+    for j in range(lanes):
+        x0, x1, x2, x3, x4, x5 = rows[0, j], rows[1, j], rows[2, j], rows[3, j], rows[4, j], rows[5, j]
+        s0, s1, s2 = force[0, j], force[1, j], force[2, j]
+        u0 = a00 * s0 + a10 * s1 + a20 * s2
+        u1 = a01 * s0 + a11 * s1 + a21 * s2
+        u2 = a02 * s0 + a12 * s1 + a22 * s2
+        out[0, j] = h00 * x0 + h02 * x2 + h03 * x3 + h05 * x5 + (g00 * u0 + g02 * u2)
+        out[1, j] = h11 * x1 + h14 * x4 + g11 * u1
+        out[2, j] = h22 * x2 + h23 * x3 + h25 * x5 + (g20 * u0 + g22 * u2)
+        out[3, j] = h32 * x2 + h33 * x3 + h35 * x5 + (g30 * u0 + g32 * u2)
+        out[4, j] = h41 * x1 + h44 * x4 + g41 * u1
+        out[5, j] = h52 * x2 + h53 * x3 + h55 * x5 + (g50 * u0 + g52 * u2)
+
+
+@kernel
+def carry_rotation(phi, rate, rows, lanes, out):
+    """Write rotations after the step, (3, lanes), into the rows of ``out`` from ROTATION on.
+
+    phi: (3, 6), of ``akf.transition``. rate: (3, lanes), of ``rate_error``.
+    """
+    for i in range(3):
+        f0, f1, f2, f3, f4, f5 = phi[i, 0], phi[i, 1], phi[i, 2], phi[i, 3], phi[i, 4], phi[i, 5]
+        for j in range(lanes):
+            t0, t1, t2 = rows[ROTATION, j], rows[ROTATION + 1, j], rows[ROTATION + 2, j]
+            rotation = f0 * t0 + f1 * t1 + f2 * t2
+            out[ROTATION + i, j] = rotation + (f3 * rate[0, j] + f4 * rate[1, j] + f5 * rate[2, j])
+
+
+@kernel
+def carry_sum(errors, first, part, rows, lanes, out):
+    """Write bias or drift, three rows from ``first`` on, after the step; ``part``: index of its instability, 0: none.
+
+    Bias and drift are sums of a random walk and of a process that loses a part of itself in each step.
+    """
+    for i in range(3):
+        for j in range(lanes):
+            out[first + i, j] = rows[first + i, j]
+        if part != 0:
+            lost = errors.kept[part + i] - 1.0
+            for j in range(lanes):
+                out[first + i, j] += lost * rows[part + i, j]

@@ -1,0 +1,107 @@
+"""Memory of the last steps of the filters: an array of floats, as long as number of steps and of errors ask for.
+
+A step has its inputs, its poses, and the estimates with their covariance, of which a triangle is kept, as they were
+before these poses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.core.messages import MAX_THRUSTERS, POSE
+from hil.gnc.akf import AKF_STATE
+from hil.gnc.error_state import FILTER_ERRORS
+from hil.gnc.pkf import PKF_STATE
+from hil.gnc.target_orbit import HILL_STEP
+from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.record_view import record_at
+
+POSES_PER_STEP = 2
+
+STEP = np.dtype(
+    [
+        ("rate_C", "f8", 3),  # the IMU's sample of the step that ended here
+        ("force_C", "f8", 3),
+        ("commanded", "i8", MAX_THRUSTERS),  # thrusters that were commanded open in that step, 0 or 1
+        ("hill", HILL_STEP),
+        ("akf", AKF_STATE),  # before the poses of this moment
+        ("pkf", PKF_STATE),
+        ("n_poses", "i8"),
+        ("is_start", "i8"),  # 1: the filters were started here, with the first pose, which is not fused
+        ("poses", POSE, POSES_PER_STEP),
+        ("gated", "i8", POSES_PER_STEP),  # results of the gate: NOT_GATED, or the part that was accepted
+    ],
+    align=True,
+)
+"""A step in the memory; parameters and covariance, as many as the error state has, follow it there."""
+_STEP_WORDS = STEP.itemsize // 8
+
+
+def new_memory(params: np.record) -> np.ndarray:
+    """Return the zeroed memory of filters with FUSION_PARAMS ``params``, an array of floats for ``step_at``."""
+    return np.zeros(int(params.memory) * _words(int(params.errors.n)))
+
+
+def memory_steps(params: np.record, memory: np.ndarray) -> np.ndarray:
+    """Return the steps in ``memory`` (of ``new_memory``) as a view, (n,) of STEP."""
+    rows = memory.reshape(int(params.memory), -1)
+    return rows[:, :_STEP_WORDS].view(STEP)[:, 0]
+
+
+@kernel
+def _words(n):
+    """Return the length in the memory of a step of ``n`` errors: STEP, parameters, a triangle of the covariance."""
+    return _STEP_WORDS + (n - FILTER_ERRORS) + n * (n + 1) // 2
+
+
+@kernel
+def step_at(params, memory, cycle):
+    """Return the STEP of step number ``cycle``, which is in the memory."""
+    return record_at(memory, (cycle % params.memory) * _words(params.errors.n), STEP)
+
+
+@kernel
+def keep_predicted(params, filters, memory, cycle):
+    """Keep the filters in the memory as they are before the poses of step ``cycle``."""
+    n = params.errors.n
+    step = step_at(params, memory, cycle)
+    copy_into(step.akf.x, filters.akf.x)
+    copy_into(step.akf.w_CH_C, filters.akf.w_CH_C)
+    copy_into(step.pkf.x, filters.pkf.x)
+    at = (cycle % params.memory) * _words(n) + _STEP_WORDS
+    for i in range(FILTER_ERRORS, n):
+        memory[at] = filters.parameters[i]
+        at += 1
+    for i in range(n):
+        for j in range(i, n):
+            memory[at + j - i] = filters.p[i, j]
+        at += n - i
+
+
+@kernel
+def return_to(params, filters, memory, cycle):
+    """Return the filters to what ``keep_predicted`` has kept."""
+    n = params.errors.n
+    step = step_at(params, memory, cycle)
+    copy_into(filters.akf.x, step.akf.x)
+    copy_into(filters.akf.w_CH_C, step.akf.w_CH_C)
+    copy_into(filters.pkf.x, step.pkf.x)
+    at = (cycle % params.memory) * _words(n) + _STEP_WORDS
+    for i in range(FILTER_ERRORS, n):
+        filters.parameters[i] = memory[at]
+        at += 1
+    for i in range(n):
+        for j in range(i, n):
+            filters.p[i, j] = filters.p[j, i] = memory[at + j - i]
+        at += n - i
+
+
+@kernel
+def copy_pose(source, target):
+    """Copy what the filters need of POSE."""
+    copy_into(target.z_TC_C, source.z_TC_C)
+    copy_into(target.q_CH, source.q_CH)
+    target.t_s = source.t_s
+    copy_matrix(target.covariance_position, source.covariance_position)
+    copy_matrix(target.covariance_attitude, source.covariance_attitude)

@@ -1,0 +1,62 @@
+"""Error state of the navigation as the kernels' record, from user units to SI."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.config.scenario import Scenario
+from hil.core.messages import Array, new
+from hil.gnc.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, PARAMETER_BLOCKS, Motion
+
+
+def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
+    """Return the standard deviations at the start of the states of each block that a scenario may add."""
+    given = scenario.gnc.navigation.budget
+    rad, one, three = math.radians, np.ones(1), np.ones(3)
+    is_correlated = max(given.vision_correlated_fraction, given.bench_sigma_m, given.bench_sigma_deg) > 0.0
+    return {
+        "misalignment": rad(given.vision_misalignment_sigma_deg) * three,
+        "bias": np.array(given.vision_bias_sigma_m),
+        "scale": given.vision_scale_sigma * one,
+        "correlated": float(is_correlated) * np.ones(6),
+        "gyro_scale": given.gyro_scale_sigma * three,
+        "gyro_misalignment": rad(given.gyro_misalignment_sigma_deg) * three,
+        "gyro_instability": rad(given.gyro_instability_degps) * three,
+        "accelerometer_scale": given.accelerometer_scale_sigma * three,
+        "accelerometer_misalignment": rad(given.accelerometer_misalignment_sigma_deg) * three,
+        "accelerometer_instability": given.accelerometer_instability_mps2 * three,
+    }
+
+
+def error_state(scenario: Scenario) -> np.record:
+    """Return ERROR_STATE: blocks whose states have no spread are left out."""
+    given, params, sigmas = scenario.gnc.navigation.budget, new(ERROR_STATE), _initial_sigmas(scenario)
+    times_s = {
+        "correlated": given.vision_correlation_time_s,
+        "gyro_instability": given.gyro_instability_time_s,
+        "accelerometer_instability": given.accelerometer_instability_time_s,
+    }
+    n, params.imu = FILTER_ERRORS, 0
+    params.kept = np.ones(ERRORS_MAX)
+    for block in PARAMETER_BLOCKS:
+        if not np.any(sigmas[block.name]):
+            continue
+        here = slice(n, n + block.size)
+        params[block.name] = n
+        params.variance[here] = sigmas[block.name] ** 2
+        params.estimated[here] = block.estimated
+        if block.motion is Motion.MARKOV:
+            params.kept[here], params.moves = math.exp(-scenario.sample_s / times_s[block.name]), 1
+        if block.name.startswith(("gyro", "accelerometer")) and params.imu == 0:
+            params.imu = n
+        n += block.size
+    params.n, params.lanes = n, -8 * (-n // 8)
+    params.imu = params.imu or n
+    params.fraction = given.vision_correlated_fraction
+    params.bench_variance = given.bench_sigma_m**2, math.radians(given.bench_sigma_deg) ** 2
+    # of the logarithm of the variance
+    params.noise_variance, params.noise_window = (2.0 * given.vision_noise_scale_sigma) ** 2, given.vision_noise_window
+    params.camera_position, params.ring_position = given.camera_position_m, given.led_ring_position_m
+    return params
