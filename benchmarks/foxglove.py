@@ -110,7 +110,7 @@ def _watch(address: str, operator: FoxgloveClient, phase_s: float) -> dict[str, 
         stop.set()
         keeper.join()
         found: dict[str, tuple[float, ...]] = {}
-        for topic in {message.topic for message in client.messages}:
+        for topic in list(client.messages):
             latency = [1e-9 * (message.arrived_ns - message.time_ns) for message in client.of(topic)]
             found[topic] = (len(latency) / passed_s, *(float(np.percentile(latency, p)) for p in _PERCENTILES))
     return found

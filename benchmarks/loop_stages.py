@@ -71,8 +71,9 @@ def predict(params, state, samples, memory, poses, n):
 
 @kernel
 def fuse(params, state, samples, memory, poses, n):
-    for _ in range(n):
+    for i in range(n):
         poses[0].t_s = state.gnc.navigation.fusion.cycle * params.step_s
+        poses[0].z_TC_C[0] += 1e-9 * (1 - 2 * (i % 2))  # a pose that repeats the last one is refused
         navigation.navigate(
             params.gnc.navigation, state.gnc.navigation, memory, samples, poses, 1, state.now.navigation
         )

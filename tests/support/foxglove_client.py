@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -37,7 +38,8 @@ class FoxgloveClient:
     info: dict[str, Any] = field(default_factory=dict)
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
     services: dict[str, int] = field(default_factory=dict)
-    messages: list[Received] = field(default_factory=list)
+    messages: defaultdict[str, list[Received]] = field(default_factory=lambda: defaultdict(list))
+    """By topic: a client that looks through all of them for each new one is slower than the server."""
     parameters: dict[str, Any] = field(default_factory=dict)
     statuses: list[str] = field(default_factory=list)
     answers: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -99,7 +101,7 @@ class FoxgloveClient:
             self.take(left_s)
 
     def of(self, topic: str) -> list[Received]:
-        return [message for message in self.messages if message.topic == topic]
+        return self.messages[topic]
 
     def call(self, service: str, **request: Any) -> dict[str, Any]:
         """Call a service of JSON objects; return its answer."""
@@ -171,7 +173,8 @@ class FoxgloveClient:
             case 1:
                 number, time_ns = struct.unpack_from("<IQ", message, 1)
                 if self.keep:
-                    self.messages.append(Received(self._topics[number], time_ns, time.time_ns(), message[13:]))
+                    topic = self._topics[number]
+                    self.messages[topic].append(Received(topic, time_ns, time.time_ns(), message[13:]))
             case 2:
                 (self.time_ns,) = struct.unpack_from("<Q", message, 1)
             case 3:

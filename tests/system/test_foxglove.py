@@ -39,10 +39,8 @@ def test_session_is_commanded_tuned_and_held_from_foxglove_and_replays_bit_by_bi
                 assert ann.call(f"/hil/{order}", confirmed=True)["ok"]
                 until(mode)
             ann.until(lambda: len(ann.of("/cycle")) > 100, "cycles")
-            assert ann.of("/state")
-            assert ann.of("/tf")
-            assert ann.of("/vmu/frames")
-            assert ann.of("/scene")
+            for topic in ("/state", "/tf", "/vmu/frames", "/scene"):
+                ann.until(lambda topic=topic: bool(ann.of(topic)), topic)  # type: ignore[misc]
             assert bob.set_parameter(DEADBAND, 0.0004)[DEADBAND] != 0.0004
             assert ann.set_parameter(DEADBAND, 0.0004)[DEADBAND] == 0.0004
             bob.until(lambda: bool(bob.of("/bench")), "a message")
