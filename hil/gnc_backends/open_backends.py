@@ -90,9 +90,11 @@ class OpenBackends:
         return f"{self.name(part)} asks for it" + (f": {text}" if text else "")
 
     def failure(self, state: np.record) -> DeviceError:
-        """Return the error of the backend that has failed."""
+        """Return the error of the backend that has failed. Raises KeyboardInterrupt if Ctrl-C has ended its step."""
         part = PARTS[int(state["failed"]) - 1]
         instance = self._instances.get(part)
         if instance is not None and state["fault"] == backend_step.RETURNED:
             self.user_error = instance.error
+        if isinstance(self.user_error, KeyboardInterrupt):
+            raise self.user_error
         return failure_of(self.name(part), state, self.user_error)

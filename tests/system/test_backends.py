@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import hil
+from hil.api.jobs import job_of
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
-from hil.loop.runner import COMPLETED, Outcome
+from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Outcome
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import gnc as gnc_params
 from hil.report.summary import summarise
@@ -333,3 +334,19 @@ def test_console_changes_a_setting_between_two_cycles() -> None:
     instance = gnc._backends._instances["control"]
     assert instance._made.settings.deadband_m == 0.02  # type: ignore[attr-defined]
     gnc.close()
+
+
+class Interrupted:
+    """Control in whose step Ctrl-C arrives."""
+
+    def step(self, inp: Any) -> None:
+        raise KeyboardInterrupt
+
+
+def test_ctrl_c_in_the_step_of_an_object_is_the_operators_stop() -> None:
+    job = job_of("scheme-1", "mock", None, duration_s=2.0, control=Interrupted)
+    for compiled in (False, True):
+        with build.runner(replace(job, compiled=compiled)) as runner:
+            assert runner.run().stop == STOPPED_BY_OPERATOR
+    with pytest.raises(KeyboardInterrupt):
+        hil.run("scheme-1", duration_s=2.0, control=Interrupted)
