@@ -204,8 +204,8 @@ class Navigation(ConfigModel):
 class AttitudeFilter(ConfigModel):
     """Gyro model and attitude error definition of the AKF."""
 
-    form: Literal["multiplicative", "as_printed"]
-    """Six-component multiplicative error state, or the seven additive states of the paper."""
+    form: Literal["multiplicative"] = "multiplicative"
+    """Six-component multiplicative error state; the paper's seven additive states are in ``hil fusion``."""
     gyro_noise_degps: Positive
     """Noise of a gyro sample."""
     gyro_drift_noise_degps2: NotNegative
@@ -214,6 +214,16 @@ class AttitudeFilter(ConfigModel):
     """Initial estimate of the drift."""
     initial_drift_sigma_degps: Positive
     """Its standard deviation."""
+
+    @field_validator("form", mode="before")
+    @classmethod
+    def _form_is_in_the_loop(cls, value: object) -> object:
+        if value == "as_printed":
+            raise ValueError(
+                '"as_printed": is no longer in the loop, but in "hil fusion --akf-form as_printed"; '
+                'allowed is "multiplicative"'
+            )
+        return value
 
 
 class PositionFilter(ConfigModel):
@@ -536,8 +546,6 @@ class GncConfig(ConfigModel):
     def _filters_can_have_the_budget(self) -> Self:
         if self.navigation.budget.is_empty:
             return self
-        if self.akf.form != "multiplicative":
-            raise ValueError('akf.form = "as_printed": has no error budget; allowed with one is "multiplicative"')
         if self.shadow.enabled:
             raise ValueError("shadow.enabled = true: the shadow filter has no error budget; allowed with one is false")
         return self

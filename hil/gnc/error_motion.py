@@ -13,7 +13,8 @@ of Hill's equations to an acceleration in H:
 from __future__ import annotations
 
 from hil.core.jit import kernel
-from hil.gnc.error_state import BIAS, DRIFT, ROTATION
+from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION
+from hil.maths import stack
 
 
 @kernel
@@ -89,8 +90,32 @@ def carry_motion(of_pkf, a, force, rows, lanes, out):
 
 
 @kernel
+def add_force_noise(of_pkf, out):
+    """Add the covariance of the accelerometer's white noise to that of position and velocity in ``out`` (6, 8).
+
+    It acts as a force in H, because it is isotropic.
+    """
+    g, noise = of_pkf.hill_response, stack.matrix(3, 8)
+    variance = of_pkf.sigma_accelerometer * of_pkf.sigma_accelerometer
+    for m in range(3):
+        for i in range(6):
+            noise[m, i] = variance * g[i, m]
+        noise[m, 6] = noise[m, 7] = 0.0
+    g00, g02, g11, g20, g22 = g[0, 0], g[0, 2], g[1, 1], g[2, 0], g[2, 2]
+    g30, g32, g41, g50, g52 = g[3, 0], g[3, 2], g[4, 1], g[5, 0], g[5, 2]
+    for j in range(8):
+        u0, u1, u2 = noise[0, j], noise[1, j], noise[2, j]
+        out[0, j] += g00 * u0 + g02 * u2
+        out[1, j] += g11 * u1
+        out[2, j] += g20 * u0 + g22 * u2
+        out[3, j] += g30 * u0 + g32 * u2
+        out[4, j] += g41 * u1
+        out[5, j] += g50 * u0 + g52 * u2
+
+
+@kernel
 def carry_rotation(phi, rate, rows, lanes, out):
-    """Write rotations after the step, (3, lanes), into the rows of ``out`` from ROTATION on.
+    """Write rotations after the step into ``out`` (3, lanes).
 
     phi: (3, 6), of ``akf.transition``. rate: (3, lanes), of ``rate_error``.
     """
@@ -99,19 +124,97 @@ def carry_rotation(phi, rate, rows, lanes, out):
         for j in range(lanes):
             t0, t1, t2 = rows[ROTATION, j], rows[ROTATION + 1, j], rows[ROTATION + 2, j]
             rotation = f0 * t0 + f1 * t1 + f2 * t2
-            out[ROTATION + i, j] = rotation + (f3 * rate[0, j] + f4 * rate[1, j] + f5 * rate[2, j])
+            out[i, j] = rotation + (f3 * rate[0, j] + f4 * rate[1, j] + f5 * rate[2, j])
 
 
 @kernel
-def carry_sum(errors, first, part, rows, lanes, out):
-    """Write bias or drift, three rows from ``first`` on, after the step; ``part``: index of its instability, 0: none.
+def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
+    """Carry position, velocity and rotation in the covariance ``p`` over the step: ``F p F.T`` and the force's noise.
+
+    The transition is applied to the rows, and then to the rows of the transpose. lanes: columns of ``p`` that are
+    used, a constant, with which the loops become vector instructions.
+    """
+    n = errors.n
+    motion, rotation = stack.matrix(6, LANES), stack.matrix(3, LANES)
+    of_force, of_rate = stack.matrix(3, LANES), stack.matrix(3, LANES)
+    force_error(errors, force, p, lanes, of_force)
+    rate_error(errors, rate, p, lanes, of_rate)
+    carry_motion(of_pkf, a, of_force, p, lanes, motion)
+    carry_rotation(phi, of_rate, p, lanes, rotation)
+    # columns: position and velocity, then rotation
+    transposed = stack.matrix(LANES, 12)
+    of_force_2, of_rate_2 = stack.matrix(3, 8), stack.matrix(3, 12)
+    motion_2, rotation_2 = stack.matrix(6, 8), stack.matrix(3, 12)
+    for j in range(FILTER_ERRORS):
+        _transpose(motion, rotation, j, transposed)
+    for j in range(errors.imu, n):
+        _transpose(motion, rotation, j, transposed)
+    force_error(errors, force, transposed, 8, of_force_2)
+    rate_error(errors, rate, transposed, 12, of_rate_2)
+    carry_motion(of_pkf, a, of_force_2, transposed, 8, motion_2)
+    add_force_noise(of_pkf, motion_2)
+    carry_rotation(phi, of_rate_2, transposed, 12, rotation_2)
+    for i in range(6):
+        for j in range(lanes):
+            p[i, j] = motion[i, j]
+    for i in range(3):
+        for j in range(lanes):
+            p[ROTATION + i, j] = rotation[i, j]
+    for i in range(6):
+        for j in range(i + 1):
+            p[i, j] = p[j, i] = motion_2[i, j]
+    for i in range(3):
+        for j in range(6):
+            p[ROTATION + i, j] = p[j, ROTATION + i] = rotation_2[i, j]
+        for j in range(i + 1):
+            p[ROTATION + i, ROTATION + j] = p[ROTATION + j, ROTATION + i] = rotation_2[i, 6 + j]
+    for j in range(BIAS, ROTATION):
+        _mirror(motion, rotation, j, p)
+    for j in range(DRIFT, n):
+        _mirror(motion, rotation, j, p)
+
+
+@kernel
+def _transpose(motion, rotation, j, out):
+    """Write column ``j`` of both matrices into row ``j`` of ``out`` (n, 12)."""
+    for i in range(6):
+        out[j, i] = motion[i, j]
+    for i in range(3):
+        out[j, 6 + i] = rotation[i, j]
+        out[j, 9 + i] = 0.0
+
+
+@kernel
+def _mirror(motion, rotation, j, p):
+    """Write column ``j`` of both matrices into row ``j`` of the covariance."""
+    for i in range(6):
+        p[j, i] = motion[i, j]
+    for i in range(3):
+        p[j, ROTATION + i] = rotation[i, j]
+
+
+@kernel
+def add_part(errors, first, part, p):
+    """Carry bias or drift, from ``first`` on, in the covariance ``p``; ``part``: index of its instability.
 
     Bias and drift are sums of a random walk and of a process that loses a part of itself in each step.
     """
     for i in range(3):
-        for j in range(lanes):
-            out[first + i, j] = rows[first + i, j]
-        if part != 0:
-            lost = errors.kept[part + i] - 1.0
-            for j in range(lanes):
-                out[first + i, j] += lost * rows[part + i, j]
+        lost = errors.kept[part + i] - 1.0
+        for j in range(errors.lanes):
+            p[first + i, j] += lost * p[part + i, j]
+        for j in range(errors.n):
+            p[j, first + i] += lost * p[j, part + i]
+    for i in range(3):
+        for j in range(i):
+            p[first + j, first + i] = p[first + i, first + j]
+
+
+@kernel
+def decay(errors, p):
+    """Carry the Gauss-Markov processes in the covariance ``p``: each keeps a part, and gets as much fresh variance."""
+    for i in range(errors.n):
+        kept = errors.kept[i]
+        for j in range(errors.lanes):
+            p[i, j] *= kept * errors.kept[j]
+        p[i, i] += errors.variance[i] * (1.0 - kept * kept)

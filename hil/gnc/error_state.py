@@ -77,9 +77,9 @@ ERROR_STATE = np.dtype(
         *((block.name, "i8") for block in PARAMETER_BLOCKS),  # index of the first state of each, 0: it is left out
         ("imu", "i8"),  # index of the first state of the IMU's errors, n: there is none
         ("moves", "i8"),  # 1: a Gauss-Markov process is among the states
-        ("variance", "f8", ERRORS_MAX),  # of the parameters
-        ("kept", "f8", ERRORS_MAX),  # part of each that is left after a step, 1 of a constant
-        ("estimated", "i8", ERRORS_MAX),
+        ("variance", "f8", LANES),  # of the parameters
+        ("kept", "f8", LANES),  # part of each that is left after a step, 1 of a constant
+        ("estimated", "i8", LANES),
         ("fraction", "f8"),  # of the noise's variance that is correlated
         ("bench_variance", "f8", 2),  # m^2, rad^2: part of a pose's covariance that is the bench's, all correlated
         ("noise_variance", "f8"),  # of the logarithm of true over reported variance, 0: the reported one is true
@@ -94,7 +94,7 @@ FILTERS = np.dtype(
     [
         ("akf", AKF_STATE),
         ("pkf", PKF_STATE),
-        ("parameters", "f8", ERRORS_MAX),  # estimates of the added states, from FILTER_ERRORS on
+        ("parameters", "f8", LANES),  # estimates of the added states, from FILTER_ERRORS on
         ("p", "f8", (ERRORS_MAX, LANES)),  # covariance of all errors, in both triangles
     ],
     align=True,

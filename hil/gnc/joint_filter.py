@@ -13,13 +13,11 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc import akf, pkf
-from hil.gnc.error_motion import carry_motion, carry_rotation, carry_sum, force_error, rate_error
+from hil.gnc.error_motion import add_part, carry_filters, decay
 from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 from hil.maths.kalman import invert_symmetric_3
-
-_FILTER_LANES = 16  # for FILTER_ERRORS
 
 
 @kernel
@@ -41,75 +39,51 @@ def predict(errors, of_akf, of_pkf, filters, measured_rate, measured_force, hill
         rate[i] = measured_rate[i] - filters.akf.x[4 + i]
         force[i] = measured_force[i] - filters.pkf.x[6 + i]
     pkf.predict_state(of_pkf, filters.pkf, force, a, hill)
-    _predict_covariance(errors, of_akf, of_pkf, a, force, rate, phi, filters.p)
-    _add_noise(errors, of_akf, of_pkf, filters.akf.x, filters.p)
+    if errors.lanes == 16:
+        _carry_filters_16(errors, of_pkf, a, force, rate, phi, filters.p)
+    elif errors.lanes == 24:
+        _carry_filters_24(errors, of_pkf, a, force, rate, phi, filters.p)
+    else:
+        _carry_filters(errors, of_pkf, a, force, rate, phi, filters.p)
     if errors.moves != 0:
-        _predict_parameters(errors, filters)
+        _predict_processes(errors, filters)
+    _add_noise(errors, of_akf, of_pkf, filters.akf.x, filters.p)
 
 
 @kernel
-def _predict_parameters(errors, filters):
-    """Carry the estimates of the Gauss-Markov processes, and bias and drift with those that are parts of them."""
-    for i in range(3):
-        k = errors.accelerometer_instability + i
-        if errors.accelerometer_instability != 0:
-            filters.pkf.x[6 + i] += (errors.kept[k] - 1.0) * filters.parameters[k]
-        k = errors.gyro_instability + i
-        if errors.gyro_instability != 0:
-            filters.akf.x[4 + i] += (errors.kept[k] - 1.0) * filters.parameters[k]
+def _predict_processes(errors, filters):
+    """Carry the Gauss-Markov processes, and bias and drift with those that are parts of them."""
+    for first, part, x in (
+        (BIAS, errors.accelerometer_instability, filters.pkf.x[6:9]),
+        (DRIFT, errors.gyro_instability, filters.akf.x[4:7]),
+    ):
+        if part != 0:
+            for i in range(3):
+                x[i] += (errors.kept[part + i] - 1.0) * filters.parameters[part + i]
+            add_part(errors, first, part, filters.p)
     for k in range(FILTER_ERRORS, errors.n):
         filters.parameters[k] *= errors.kept[k]
+    decay(errors, filters.p)
 
 
 @kernel
-def _predict_covariance(errors, of_akf, of_pkf, a, force, rate, phi, p):
-    """Replace ``p`` by ``F p F.T``: the transition is applied to its rows, then to the rows of the transpose."""
-    n, lanes = errors.n, errors.lanes
-    half, of_force, of_rate = stack.matrix(15, LANES), stack.matrix(3, LANES), stack.matrix(3, LANES)
-    force_error(errors, force, p, lanes, of_force)
-    rate_error(errors, rate, p, lanes, of_rate)
-    carry_motion(of_pkf, a, of_force, p, lanes, half)
-    carry_sum(errors, BIAS, errors.accelerometer_instability, p, lanes, half)
-    carry_rotation(phi, of_rate, p, lanes, half)
-    carry_sum(errors, DRIFT, errors.gyro_instability, p, lanes, half)
-    transposed, whole = stack.matrix(LANES, _FILTER_LANES), stack.matrix(15, _FILTER_LANES)
-    for j in range(FILTER_ERRORS):
-        for i in range(FILTER_ERRORS):
-            transposed[j, i] = half[i, j]
-        transposed[j, 15] = 0.0
-    for j in range(errors.imu, n):
-        for i in range(FILTER_ERRORS):
-            transposed[j, i] = half[i, j]
-        transposed[j, 15] = 0.0
-    force_error(errors, force, transposed, 8, of_force)
-    rate_error(errors, rate, transposed, _FILTER_LANES, of_rate)
-    carry_motion(of_pkf, a, of_force, transposed, 8, whole)
-    carry_sum(errors, BIAS, errors.accelerometer_instability, transposed, _FILTER_LANES, whole)
-    carry_rotation(phi, of_rate, transposed, _FILTER_LANES, whole)
-    carry_sum(errors, DRIFT, errors.gyro_instability, transposed, _FILTER_LANES, whole)
-    for j in range(FILTER_ERRORS):
-        for i in range(j + 1):
-            p[i, j] = p[j, i] = whole[j, i]
-    for k in range(FILTER_ERRORS, n):
-        kept = errors.kept[k]
-        for i in range(FILTER_ERRORS):
-            p[i, k] = p[k, i] = half[i, k] * kept
-    if errors.moves != 0:
-        for m in range(FILTER_ERRORS, n):
-            kept = errors.kept[m]
-            for k in range(FILTER_ERRORS, n):
-                p[m, k] *= kept * errors.kept[k]
-            p[m, m] += errors.variance[m] * (1.0 - kept * kept)
+def _carry_filters_16(errors, of_pkf, a, force, rate, phi, p):
+    carry_filters(errors, of_pkf, a, force, rate, phi, p, 16)
+
+
+@kernel
+def _carry_filters_24(errors, of_pkf, a, force, rate, phi, p):
+    carry_filters(errors, of_pkf, a, force, rate, phi, p, 24)
+
+
+@kernel
+def _carry_filters(errors, of_pkf, a, force, rate, phi, p):
+    carry_filters(errors, of_pkf, a, force, rate, phi, p, LANES)
 
 
 @kernel
 def _add_noise(errors, of_akf, of_pkf, attitude, p):
-    """Add the noise of a step: white noise of both sensors, random walks, and the fresh part of the instabilities."""
-    # white noise of the accelerometer acts as a force in H: it is isotropic
-    g, accelerometer = of_pkf.hill_response, of_pkf.sigma_accelerometer * of_pkf.sigma_accelerometer
-    for i in range(6):
-        for j in range(6):
-            p[i, j] += accelerometer * (g[i, 0] * g[j, 0] + g[i, 1] * g[j, 1] + g[i, 2] * g[j, 2])
+    """Add the noise of a step: white noise of the gyro, random walks, and the fresh part of the instabilities."""
     akf.add_in_chaser_axes(of_akf.rate_noise, of_akf.dt_s, attitude, DRIFT, p)
     for i in range(3):
         p[BIAS + i, BIAS + i] += (of_pkf.dt_s * of_pkf.sigma_bias) ** 2

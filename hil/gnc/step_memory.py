@@ -1,7 +1,7 @@
 """Memory of the last steps of the filters: an array of floats, as long as number of steps and of errors ask for.
 
-A step has its inputs, its poses, and the estimates with their covariance, of which a triangle is kept, as they were
-before these poses.
+A step has its inputs, its poses, and the estimates with their covariance as they were before these poses. Of the
+covariance a triangle is kept, made of blocks of eight columns.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS, POSE
 from hil.gnc.akf import AKF_STATE
-from hil.gnc.error_state import FILTER_ERRORS
+from hil.gnc.error_state import LANES
 from hil.gnc.pkf import PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP
 from hil.maths.arrays import copy_into, copy_matrix
-from hil.maths.record_view import record_at
+from hil.maths.record_view import copy_eight, record_at
 
 POSES_PER_STEP = 2
 
@@ -52,7 +52,8 @@ def memory_steps(params: np.record, memory: np.ndarray) -> np.ndarray:
 @kernel
 def _words(n):
     """Return the length in the memory of a step of ``n`` errors: STEP, parameters, a triangle of the covariance."""
-    return _STEP_WORDS + (n - FILTER_ERRORS) + n * (n + 1) // 2
+    blocks = (n + 7) // 8
+    return _STEP_WORDS + 8 * blocks + 64 * (blocks * (blocks + 1) // 2)
 
 
 @kernel
@@ -70,13 +71,13 @@ def keep_predicted(params, filters, memory, cycle):
     copy_into(step.akf.w_CH_C, filters.akf.w_CH_C)
     copy_into(step.pkf.x, filters.pkf.x)
     at = (cycle % params.memory) * _words(n) + _STEP_WORDS
-    for i in range(FILTER_ERRORS, n):
-        memory[at] = filters.parameters[i]
-        at += 1
+    for j in range(0, n, 8):
+        copy_eight(memory, at, filters.parameters, j)
+        at += 8
     for i in range(n):
-        for j in range(i, n):
-            memory[at + j - i] = filters.p[i, j]
-        at += n - i
+        for j in range(i - i % 8, n, 8):
+            copy_eight(memory, at, filters.p, i * LANES + j)
+            at += 8
 
 
 @kernel
@@ -88,13 +89,15 @@ def return_to(params, filters, memory, cycle):
     copy_into(filters.akf.w_CH_C, step.akf.w_CH_C)
     copy_into(filters.pkf.x, step.pkf.x)
     at = (cycle % params.memory) * _words(n) + _STEP_WORDS
-    for i in range(FILTER_ERRORS, n):
-        filters.parameters[i] = memory[at]
-        at += 1
+    for j in range(0, n, 8):
+        copy_eight(filters.parameters, j, memory, at)
+        at += 8
     for i in range(n):
-        for j in range(i, n):
-            filters.p[i, j] = filters.p[j, i] = memory[at + j - i]
-        at += n - i
+        for j in range(i - i % 8, n, 8):
+            copy_eight(filters.p, i * LANES + j, memory, at)
+            at += 8
+        for j in range(i - i % 8):
+            filters.p[i, j] = filters.p[j, i]
 
 
 @kernel

@@ -1,9 +1,10 @@
-"""Record in an array of floats, without a copy: for arrays whose length is known only when the settings are."""
+"""Records and blocks in an array of floats: for arrays whose length is known only when the settings are."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -22,3 +23,21 @@ def record_at(_typing, array, index, dtype):
         return builder.bitcast(cgutils.gep_inbounds(builder, data, arguments[1]), context.get_value_type(record))
 
     return record(array, types.intp, dtype), generate
+
+
+@intrinsic
+def copy_eight(_typing, target, at, source, index):
+    """Copy eight floats from ``source`` to ``target``, from these places on of both in the order of memory."""
+    if not (isinstance(target, types.Array) and isinstance(source, types.Array)):
+        return None
+    eight = ir.VectorType(ir.DoubleType(), 8).as_pointer()
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        to, start, of, first = arguments
+        place = cgutils.gep_inbounds(builder, make_array(signature.args[0])(context, builder, to).data, start)
+        begin = cgutils.gep_inbounds(builder, make_array(signature.args[2])(context, builder, of).data, first)
+        value = builder.load(builder.bitcast(begin, eight), align=8)
+        builder.store(value, builder.bitcast(place, eight), align=8)
+        return context.get_dummy_value()
+
+    return types.void(target, types.intp, source, types.intp), generate

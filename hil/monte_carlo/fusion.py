@@ -17,7 +17,14 @@ from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.gnc.fusion import FUSION_STATE, new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.monte_carlo.akf_additive import AKF_ADDITIVE_STATE
-from hil.monte_carlo.fusion_kernel import SNAPSHOTS_S, STUDY_PARAMS, STUDY_RESULT, run_study
+from hil.monte_carlo.fusion_interval import AxisProblem, degrees_of_freedom, largest_ratio
+from hil.monte_carlo.fusion_kernel import (
+    SNAPSHOTS_S,
+    STEADY_STATE_AFTER_S,
+    STUDY_PARAMS,
+    STUDY_RESULT,
+    run_study,
+)
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
@@ -28,6 +35,9 @@ Form = Literal["multiplicative", "as_printed"]
 VMU_SIGMA = {"swapped": (0.005, 0.033), "printed": (0.033, 0.005)}  # m, deg: Table I's rows, in either order
 INITIAL_SIGMA = (0.1, 0.02, 5e-4, math.radians(3.0), math.radians(1e-5))
 """m, m/s, m/s^2, rad, rad/s: of position, velocity, bias, attitude and drift at the start."""
+
+LARGEST_RATIO = 1.05
+"""Greatest rmse over bound with which the filters count as optimal after many runs; with few its sampling error."""
 
 TABLE_II_SD = ((0.0037, 0.0039, 0.0039), (0.0304, 0.0315, 0.0312))  # m, deg
 TABLE_II_MAX = ((0.0141, 0.0142, 0.0132), (0.1078, 0.1045, 0.1146))
@@ -82,7 +92,7 @@ class Study:
         self._filters = gnc_params.navigation(scenario).fusion
         self._optimal = gnc_params.navigation(_with_sizes_of_the_sensors(scenario)).fusion
         self._filters.orbit.eccentricity = self._optimal.orbit.eccentricity = 0.0
-        self._imu = dynamics_params.imu(scenario)
+        self._imu, self._imu_sizes = dynamics_params.imu(scenario), scenario.imu
         self._line = gnc_params.guidance(scenario)
         self._seed = seed
 
@@ -111,6 +121,32 @@ class Study:
             np.empty((0, 12)) if trace is None else trace,
         )
 
+    def degrees_of_freedom(self) -> tuple[float, float]:
+        """Return those of a run's mean square error of an axis, of position and of attitude."""
+        imu, dt, study = self._imu_sizes, self.step_s, self._study
+        r, v, bias, rotation, drift = INITIAL_SIGMA
+        force = imu.accelerometer_noise_mps2 * np.array([0.5 * dt**2, dt, 0.0])
+        walk = np.diag([0.0, 0.0, (dt * imu.accelerometer_bias_noise_mps3) ** 2])
+        gyro = np.radians([imu.gyro_noise_degps, imu.gyro_drift_noise_degps2])
+        problems = (
+            AxisProblem(
+                np.array([[1.0, dt, -0.5 * dt**2], [0.0, 1.0, -dt], [0.0, 0.0, 1.0]]),
+                np.outer(force, force) + walk,
+                np.diag([r, v, bias]) ** 2,
+                float(study.sigma_position) ** 2,
+            ),
+            AxisProblem(
+                np.array([[1.0, -dt], [0.0, 1.0]]),
+                np.diag(dt * gyro) ** 2,
+                np.diag([rotation, drift]) ** 2,
+                float(study.sigma_angle) ** 2,
+            ),
+        )
+        steps, poses = int(study.frame_cycles), int(study.cycles // study.frame_cycles)
+        first = round(STEADY_STATE_AFTER_S / (steps * dt))
+        position, attitude = (degrees_of_freedom(problem, steps, first, poses) for problem in problems)
+        return position, attitude
+
     def bound(self) -> np.record:
         """Return STUDY_RESULT whose variance is that of the linear problem along the line."""
         result = new(STUDY_RESULT)
@@ -118,9 +154,11 @@ class Study:
         return result
 
 
-def run_batch(settings: tuple[str, ...], reading: Reading, seed: int, first: int, count: int) -> np.ndarray:
+def run_batch(
+    settings: tuple[str, ...], reading: Reading, seed: int, first: int, count: int, form: Form = "multiplicative"
+) -> np.ndarray:
     """Return STUDY_RESULT of the runs ``first`` .. ``first + count``, (count,)."""
-    study = Study(settings, reading, seed)
+    study = Study(settings, reading, seed, form)
     results = np.zeros(count, STUDY_RESULT).view(np.recarray)
     for row in range(count):
         study.run(first + row, results[row])
@@ -128,36 +166,43 @@ def run_batch(settings: tuple[str, ...], reading: Reading, seed: int, first: int
 
 
 def run_fusion(
-    reading: Reading, runs: int, seed: int, settings: tuple[str, ...], workers: int, watch: Callable[[int], None]
+    reading: Reading,
+    runs: int,
+    seed: int,
+    settings: tuple[str, ...],
+    workers: int,
+    watch: Callable[[int], None],
+    form: Form = "multiplicative",
 ) -> dict[str, Any]:
     """Do the study; return its numbers under the names of ``hil fusion --json``.
 
     watch: called with the number of completed runs.
     """
-    study = Study(settings, reading, seed)
+    study = Study(settings, reading, seed, form)
     bound = study.bound()
     batches = [(first, min(_BATCH, runs - first)) for first in range(0, runs, _BATCH)]
     parts: list[np.ndarray] = []
     if workers == 1 or len(batches) == 1:
         for first, count in batches:
-            parts.append(run_batch(settings, reading, seed, first, count))
+            parts.append(run_batch(settings, reading, seed, first, count, form))
             watch(first + count)
     else:
         with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
-            waiting = [pool.submit(run_batch, settings, reading, seed, first, count) for first, count in batches]
+            waiting = [pool.submit(run_batch, settings, reading, seed, first, count, form) for first, count in batches]
             done = 0
             for future in waiting:
                 parts.append(future.result())
                 done += len(parts[-1])
                 watch(done)
-    return _summary(reading, seed, np.concatenate(parts), bound, study.vmu_rate_hz)
+    return {"akf_form": form} | _summary(reading, seed, np.concatenate(parts), bound, study)
 
 
-def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record, vmu_rate_hz: float) -> dict[str, Any]:
+def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record, study: Study) -> dict[str, Any]:
     n = len(results)
-    updates = n * round((SNAPSHOTS_S[-1] - SNAPSHOTS_S[0]) * vmu_rate_hz)
+    updates = n * round((SNAPSHOTS_S[-1] - SNAPSHOTS_S[0]) * study.vmu_rate_hz)
     rmse = np.sqrt(results["square_error"].mean(axis=0))
     limit = np.sqrt(np.array(bound.variance))
+    position, attitude = study.degrees_of_freedom()
     return {
         "vmu_noise": reading,
         "runs": n,
@@ -165,10 +210,12 @@ def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record,
         "position_rmse_m": _list(rmse[:3]),
         "position_bound_m": _list(limit[:3]),
         "position_ratio": _list(rmse[:3] / limit[:3]),
+        "position_ratio_limit": max(LARGEST_RATIO, largest_ratio(position, n, 6, _BAND)),
         "position_max_m": _list(results["largest_error"].max(axis=0)[:3]),
         "attitude_rmse_deg": _list(np.degrees(rmse[3:])),
         "attitude_bound_deg": _list(np.degrees(limit[3:])),
         "attitude_ratio": _list(rmse[3:] / limit[3:]),
+        "attitude_ratio_limit": max(LARGEST_RATIO, largest_ratio(attitude, n, 6, _BAND)),
         "attitude_max_deg": _list(np.degrees(results["largest_error"].max(axis=0)[3:])),
         "nees_pkf": _band(results["nees_pkf"][:, -1], 9),
         "nees_akf": _band(results["nees_akf"][:, -1], 6),
@@ -201,14 +248,14 @@ def _list(values: Array) -> list[float]:
     return [float(value) for value in values]
 
 
-def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str) -> None:
+def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str, form: Form = "multiplicative") -> None:
     """Draw run 0 of the study of ``seed`` into ``path``."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    study = Study(settings, reading, seed)
+    study = Study(settings, reading, seed, form)
     trace = np.zeros((round(SNAPSHOTS_S[-1] / study.step_s), 12))
     study.run(0, new(STUDY_RESULT), trace)
     t_s = (1 + np.arange(len(trace))) * study.step_s

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
-from hil.gnc.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, PARAMETER_BLOCKS, Motion
+from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, Motion
 
 
 def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
@@ -39,7 +39,7 @@ def error_state(scenario: Scenario) -> np.record:
         "accelerometer_instability": given.accelerometer_instability_time_s,
     }
     n, params.imu = FILTER_ERRORS, 0
-    params.kept = np.ones(ERRORS_MAX)
+    params.kept = np.ones(LANES)
     for block in PARAMETER_BLOCKS:
         if not np.any(sigmas[block.name]):
             continue
@@ -52,7 +52,7 @@ def error_state(scenario: Scenario) -> np.record:
         if block.name.startswith(("gyro", "accelerometer")) and params.imu == 0:
             params.imu = n
         n += block.size
-    params.n, params.lanes = n, -8 * (-n // 8)
+    params.n, params.lanes = n, next(lanes for lanes in (16, 24, LANES) if lanes >= n)
     params.imu = params.imu or n
     params.fraction = given.vision_correlated_fraction
     params.bench_variance = given.bench_sigma_m**2, math.radians(given.bench_sigma_deg) ** 2

@@ -54,14 +54,12 @@ def both(
         ("scheme-1", ()),
         ("scheme-2", LATE),
         ("scheme-3", ()),
-        ("scheme-1", ("gnc.akf.form=as_printed",)),
         ("scheme-2", (*ALL_ERRORS, "rig.guard.enabled=false")),
     ],
     ids=[
         "scheme-1",
         "scheme-2 with late, lost and repeated poses",
         "scheme-3",
-        "the filter as printed",
         "all terms of the error models",
     ],
 )

@@ -16,6 +16,7 @@ from hil.cli.main import execute
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.monte_carlo.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_batch, run_fusion
+from hil.monte_carlo.fusion_interval import largest_ratio
 from hil.monte_carlo.fusion_kernel import STUDY_RESULT
 
 READINGS: tuple[Reading, Reading] = ("swapped", "printed")
@@ -126,12 +127,12 @@ def test_bound_is_that_of_one_axis_alone(scheme_2: Scenario, reading: Reading) -
         np.testing.assert_allclose(expected, math.sqrt(total / 15000), rtol=0.01)
 
 
-@pytest.mark.parametrize(("seed", "code"), [(85, 0), (0, 1)])
+@pytest.mark.parametrize(("setting", "code"), [("gnc.akf.gyro_noise_degps=1e-5", 0), ("seed=0", 1)])
 def test_exit_code_says_whether_the_filters_sit_on_the_bound(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int, code: int
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, code: int
 ) -> None:
-    path = tmp_path / "fusion.json"
-    assert execute(["fusion", "--runs", "2", "--seed", str(seed), "--json", str(path)]) == code
+    path, seed = tmp_path / "fusion.json", 0
+    assert execute(["fusion", "--runs", "2", "--set", setting, "--json", str(path)]) == code
     assert ("PASS" if code == 0 else "FAIL") in capsys.readouterr().out
     found = json.loads(path.read_text())
     assert (found["vmu_noise"], found["runs"], found["seed"]) == ("swapped", 2, seed)
@@ -140,7 +141,11 @@ def test_exit_code_says_whether_the_filters_sit_on_the_bound(
         assert min(found[key]) > 0.0
     for key in ("nees_pkf", "nees_akf", "nis_pkf", "nis_akf"):
         assert sorted(found[key]) == ["high", "low", "mean"]
-    assert (max(*found["position_ratio"], *found["attitude_ratio"]) <= 1.05) == (code == 0)
+    for name in ("position", "attitude"):
+        assert found[f"{name}_ratio_limit"] > 1.05
+    fits = all(max(found[f"{name}_ratio"]) <= found[f"{name}_ratio_limit"] for name in ("position", "attitude"))
+    nees = [band["low"] <= band["mean"] <= band["high"] for at in found["nees_at_s"].values() for band in at.values()]
+    assert (fits and all(nees)) == (code == 0)
     assert [entry.name for entry in tmp_path.iterdir()] == ["fusion.json"]
 
 
@@ -153,13 +158,15 @@ def test_form_of_the_attitude_filter_can_be_set(tmp_path: Path) -> None:
     found = []
     for form in ("multiplicative", "as_printed"):
         path = tmp_path / f"{form}.json"
-        arguments = ["fusion", "--runs", "1", "--set", f"gnc.akf.form={form}", "--json", str(path)]
+        arguments = ["fusion", "--runs", "1", "--akf-form", form, "--json", str(path)]
         assert execute(arguments) in (0, 1)
         found.append(json.loads(path.read_text()))
-    for key, bound in (("position_rmse_m", "position_bound_m"), ("attitude_rmse_deg", "attitude_bound_deg")):
-        # a start 3 degrees off leaves the two forms a few hundredths of a sigma apart
-        np.testing.assert_allclose(found[1][key], found[0][key], atol=0.03 * max(found[0][bound]), rtol=0.0)
+    assert [each["akf_form"] for each in found] == ["multiplicative", "as_printed"]
+    # a start 3 degrees off leaves the two forms a few hundredths of a sigma apart
+    atol = 0.03 * max(found[0]["attitude_bound_deg"])
+    np.testing.assert_allclose(found[1]["attitude_rmse_deg"], found[0]["attitude_rmse_deg"], atol=atol, rtol=0.0)
     assert found[0]["attitude_rmse_deg"] != found[1]["attitude_rmse_deg"]
+    assert found[0]["position_rmse_m"] == found[1]["position_rmse_m"]
 
 
 @pytest.mark.parametrize(
@@ -174,7 +181,9 @@ def test_form_of_the_attitude_filter_can_be_set(tmp_path: Path) -> None:
         (("--json", "/no/such/folder/f.json"), ("--json", "/no/such/folder", "does not exist")),
         (("--figure", "/no/such/folder/f.png"), ("--figure", "/no/such/folder", "does not exist")),
         (("--set", "gnc.akf.colour=3"), ("gnc.akf.colour", "unknown key", "form")),
-        (("--set", "gnc.akf.form=other"), ("gnc.akf.form", "multiplicative", "as_printed")),
+        (("--set", "gnc.akf.form=other"), ("gnc.akf.form", "multiplicative")),
+        (("--set", "gnc.akf.form=as_printed"), ("gnc.akf.form", "--akf-form as_printed", "multiplicative")),
+        (("--akf-form", "other"), ("--akf-form", "other", "multiplicative", "as_printed")),
         (("--no-such-option", "1"), ("--no-such-option",)),
     ],
 )
@@ -219,3 +228,18 @@ def test_bound_does_not_move_with_the_filters_that_it_judges() -> None:
     np.testing.assert_array_equal(other, shipped)
     worse = np.array(Study(("imu.accelerometer_noise_mps2=3e-4",), "swapped", 0).bound().variance)
     assert np.all(worse[:3] > 1.2 * shipped[:3])
+
+
+def test_limit_of_the_ratio_is_that_of_the_scatter_of_the_runs(studies: dict[Reading, dict[str, Any]]) -> None:
+    """The mean square errors of sixty runs scatter as the degrees of freedom say that the limit is made of."""
+    for reading in READINGS:
+        results = run_batch((), reading, 0, 0, 60)
+        for freedom, axes in zip(Study((), reading, 0).degrees_of_freedom(), (slice(0, 3), slice(3, 6)), strict=True):
+            squares = results["square_error"][:, axes]
+            found = 2.0 * squares.mean() ** 2 / squares.var(axis=0, ddof=1).mean()
+            assert found == pytest.approx(freedom, rel=0.5)
+    limits = [largest_ratio(2.4, runs, 6, 0.999) for runs in (1, 100, 10_000)]
+    assert limits[0] > limits[1] > limits[2] > 1.0
+    assert studies["swapped"]["attitude_ratio_limit"] == largest_ratio(
+        Study((), "swapped", 0).degrees_of_freedom()[1], 60, 6, 0.999
+    )
