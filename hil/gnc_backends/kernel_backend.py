@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 from numba import types
-from numba.np.numpy_support import carray
 from numba.core.errors import NumbaError
+from numba.np.numpy_support import carray
 
 from hil.core.backend_records import INPUTS, OUTPUTS
 from hil.core.jit import c_function, kernel
