@@ -13,12 +13,28 @@ from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 from numba import njit
 
 from hil.config.load import load_scenario
-from hil.core.messages import IMU, POSE, new
-from hil.gnc import akf, fusion, pkf
+from hil.core.messages import POSE, new
+from hil.gnc import joint_filter, pose_model, step_memory
 from hil.gnc.fusion import FUSION_STATE
+from hil.gnc.target_orbit import HILL_STEP
 from hil.params import gnc as gnc_params
 
 REPEATS, CALLS = 9, 2000
+_VISION = (
+    "vision_bias_sigma_m=[0.002, 0.0005, 0.001]",
+    "vision_misalignment_sigma_deg=0.05",
+    "vision_scale_sigma=0.002",
+)
+_OTHERS = (
+    "vision_correlated_fraction=0.3", "vision_correlation_time_s=4.0", "gyro_scale_sigma=0.01",
+    "gyro_misalignment_sigma_deg=0.5", "gyro_instability_degps=1e-4", "gyro_instability_time_s=20.0",
+    "accelerometer_scale_sigma=0.02", "accelerometer_misalignment_sigma_deg=1.0",
+    "accelerometer_instability_mps2=2e-4", "accelerometer_instability_time_s=30.0",
+)  # fmt: skip
+BUDGETS = {
+    name: tuple(f"gnc.navigation.budget.{setting}" for setting in settings)
+    for name, settings in (("vision, 22", _VISION), ("all, 46", (*_VISION, *_OTHERS)))
+}
 
 
 def cost_us(call: Callable[[], object], calls: int = CALLS) -> float:
@@ -48,48 +64,53 @@ def filterpy_costs() -> dict[str, float]:
 
 
 @njit(nogil=True)
-def many(params, state, pose, zero, hill, what, n):
-    """Run one of the four steps ``n`` times, without Python in between."""
-    position, attitude = state.filters.pkf, state.filters.akf
-    gain_a, out = np.empty((6, 3)), np.empty(3)
-    gain_p, h, h_turn = np.empty((9, 3)), np.empty((3, 9)), np.empty((3, 3))
+def many(params, state, memory, pose, zero, hill, what, n):
+    """Run one of the steps ``n`` times, without Python in between."""
+    errors, filters, noise = params.errors, state.filters, state.noise
     for _ in range(n):
         if what == 0:
-            pkf.predict(params.pkf, position, zero, attitude.x[0:4], attitude.p, attitude.phi, hill)
+            joint_filter.predict(errors, params.akf, params.pkf, filters, zero, zero, hill)
         elif what == 1:
-            pkf.innovate(
-                position, pose.z_TC_C, pose.covariance_position, 0.0, attitude.x[0:4], attitude.p,
-                h, h_turn, gain_p, out,
-            )  # fmt: skip
-            pkf.update(position, pose.covariance_position, attitude.p, h, h_turn, gain_p, out)
+            pose_model.innovate_position(
+                errors, filters, noise, pose.z_TC_C, pose.covariance_position, 0.0, state.found_position
+            )
+            joint_filter.update(errors, filters, state.found_position)
         elif what == 2:
-            akf.predict(params.akf, attitude, zero, hill)
+            pose_model.innovate_attitude(
+                errors, filters, noise, pose.q_CH, pose.covariance_attitude, state.found_attitude
+            )
+            joint_filter.update(errors, filters, state.found_attitude)
         else:
-            akf.innovate(attitude, pose.q_CH, pose.covariance_attitude, gain_a, out)
-            akf.update(attitude, pose.covariance_attitude, gain_a, out)
+            step_memory.keep_predicted(params, filters, memory, 0)
 
 
-def own_costs() -> dict[str, float]:
-    params = gnc_params.navigation(load_scenario("scheme-1").value).fusion
-    state, memory, imu, pose = new(FUSION_STATE), fusion.new_memory(params), new(IMU), new(POSE)
+def own_costs(settings: tuple[str, ...] = ()) -> dict[str, float]:
+    """Return the cost of the steps by name, us, for scheme 1 with ``settings``."""
+    params = gnc_params.navigation(load_scenario("scheme-1", settings).value).fusion
+    state, memory, pose = new(FUSION_STATE), step_memory.new_memory(params), new(POSE)
     pose.q_CH[3] = 1.0
     pose.z_TC_C[0] = -5.0
     pose.covariance_position, pose.covariance_attitude = 2.5e-5 * np.eye(3), 3.3e-7 * np.eye(3)
-    fusion.advance(params, state, memory, imu)
-    fusion.fuse(params, state, memory, pose)
-    zero, hill = np.zeros(3), memory[0].hill
-    names = ("PKF predict", "PKF update", "AKF predict", "AKF update")
+    pose_model.start(params, pose, state.noise, state.filters)
+    zero, hill = np.zeros(3), new(HILL_STEP)
     block = 100
     return {
-        name: cost_us(lambda what=what: many(params, state, pose, zero, hill, what, block), CALLS // block) / block
-        for what, name in enumerate(names)
+        name: cost_us(lambda what=what: many(params, state, memory, pose, zero, hill, what, block), CALLS // block)
+        / block
+        for what, name in enumerate(("predict", "position", "attitude", "keep"))
     }
 
 
 if __name__ == "__main__":
-    own, reference = own_costs(), filterpy_costs()
-    print(
-        f"{'':12} {'hil, us':>9} {'filterpy, us':>13} {'ratio':>7}   (hil: inside compiled code, as the loop calls it)"
-    )
+    own, other = own_costs(), filterpy_costs()
+    reference = {
+        "predict": other["PKF predict"] + other["AKF predict"],
+        "position": other["PKF update"],
+        "attitude": other["AKF update"],
+    }
+    with_budget = {name: own_costs(settings) for name, settings in BUDGETS.items()}
+    print("us per step inside compiled code, as the loop calls it; filterpy: two filters, 9 and 7 states, from Python")
+    print(f"{'':10} {'15 errors':>10} " + " ".join(f"{name:>12}" for name in BUDGETS) + f" {'filterpy':>10}")
     for name, us in own.items():
-        print(f"{name:12} {us:9.2f} {reference[name]:13.2f} {reference[name] / us:7.1f}")
+        budgets = " ".join(f"{costs[name]:12.2f}" for costs in with_budget.values())
+        print(f"{name:10} {us:10.2f} {budgets} {reference.get(name, np.nan):10.2f}")

@@ -12,9 +12,13 @@ of Hill's equations to an acceleration in H:
 
 from __future__ import annotations
 
+from typing import Final
+
 from hil.core.jit import kernel
 from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION
 from hil.maths import stack
+
+_TRANSPOSED: Final = 16  # columns for position, velocity and rotation: LLVM makes vectors of no shorter loops
 
 
 @kernel
@@ -91,19 +95,20 @@ def carry_motion(of_pkf, a, force, rows, lanes, out):
 
 @kernel
 def add_force_noise(of_pkf, out):
-    """Add the covariance of the accelerometer's white noise to that of position and velocity in ``out`` (6, 8).
+    """Add the covariance of the accelerometer's white noise to that of r and v in ``out`` (6, _TRANSPOSED).
 
     It acts as a force in H, because it is isotropic.
     """
-    g, noise = of_pkf.hill_response, stack.matrix(3, 8)
+    g, noise = of_pkf.hill_response, stack.matrix(3, _TRANSPOSED)
     variance = of_pkf.sigma_accelerometer * of_pkf.sigma_accelerometer
     for m in range(3):
         for i in range(6):
             noise[m, i] = variance * g[i, m]
-        noise[m, 6] = noise[m, 7] = 0.0
+        for i in range(6, _TRANSPOSED):
+            noise[m, i] = 0.0
     g00, g02, g11, g20, g22 = g[0, 0], g[0, 2], g[1, 1], g[2, 0], g[2, 2]
     g30, g32, g41, g50, g52 = g[3, 0], g[3, 2], g[4, 1], g[5, 0], g[5, 2]
-    for j in range(8):
+    for j in range(_TRANSPOSED):
         u0, u1, u2 = noise[0, j], noise[1, j], noise[2, j]
         out[0, j] += g00 * u0 + g02 * u2
         out[1, j] += g11 * u1
@@ -142,18 +147,18 @@ def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
     carry_motion(of_pkf, a, of_force, p, lanes, motion)
     carry_rotation(phi, of_rate, p, lanes, rotation)
     # columns: position and velocity, then rotation
-    transposed = stack.matrix(LANES, 12)
-    of_force_2, of_rate_2 = stack.matrix(3, 8), stack.matrix(3, 12)
-    motion_2, rotation_2 = stack.matrix(6, 8), stack.matrix(3, 12)
+    transposed = stack.matrix(LANES, _TRANSPOSED)
+    of_force_2, of_rate_2 = stack.matrix(3, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
+    motion_2, rotation_2 = stack.matrix(6, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
     for j in range(FILTER_ERRORS):
         _transpose(motion, rotation, j, transposed)
     for j in range(errors.imu, n):
         _transpose(motion, rotation, j, transposed)
-    force_error(errors, force, transposed, 8, of_force_2)
-    rate_error(errors, rate, transposed, 12, of_rate_2)
-    carry_motion(of_pkf, a, of_force_2, transposed, 8, motion_2)
+    force_error(errors, force, transposed, _TRANSPOSED, of_force_2)
+    rate_error(errors, rate, transposed, _TRANSPOSED, of_rate_2)
+    carry_motion(of_pkf, a, of_force_2, transposed, _TRANSPOSED, motion_2)
     add_force_noise(of_pkf, motion_2)
-    carry_rotation(phi, of_rate_2, transposed, 12, rotation_2)
+    carry_rotation(phi, of_rate_2, transposed, _TRANSPOSED, rotation_2)
     for i in range(6):
         for j in range(lanes):
             p[i, j] = motion[i, j]
@@ -176,12 +181,13 @@ def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
 
 @kernel
 def _transpose(motion, rotation, j, out):
-    """Write column ``j`` of both matrices into row ``j`` of ``out`` (n, 12)."""
+    """Write column ``j`` of both matrices into row ``j`` of ``out`` (n, _TRANSPOSED)."""
     for i in range(6):
         out[j, i] = motion[i, j]
     for i in range(3):
         out[j, 6 + i] = rotation[i, j]
-        out[j, 9 + i] = 0.0
+    for i in range(9, _TRANSPOSED):
+        out[j, i] = 0.0
 
 
 @kernel
