@@ -67,7 +67,10 @@ def rate_error(errors, rate, rows, lanes, out):
 
 @kernel
 def carry_motion(of_pkf, a, force, rows, lanes, out):
-    """Write position and velocity after the step, (6, lanes). a: A (3, 3). force: (3, lanes), of ``force_error``."""
+    """Write position and velocity after the step, (6, lanes), into ``out``, which may be ``rows``.
+
+    a: A (3, 3). force: (3, lanes), of ``force_error``.
+    """
     h, g = of_pkf.hill_transition, of_pkf.hill_response
     h00, h02, h03, h05 = h[0, 0], h[0, 2], h[0, 3], h[0, 5]
     h11, h14, h41, h44 = h[1, 1], h[1, 4], h[4, 1], h[4, 4]
@@ -119,17 +122,20 @@ def add_force_noise(of_pkf, out):
 
 
 @kernel
-def carry_rotation(phi, rate, rows, lanes, out):
-    """Write rotations after the step into ``out`` (3, lanes).
+def carry_rotation(phi, rate, rows, lanes, first, out):
+    """Write rotations after the step into the rows of ``out`` from ``first`` on, which may be those of ``rows``.
 
     phi: (3, 6), of ``akf.transition``. rate: (3, lanes), of ``rate_error``.
     """
-    for i in range(3):
-        f0, f1, f2, f3, f4, f5 = phi[i, 0], phi[i, 1], phi[i, 2], phi[i, 3], phi[i, 4], phi[i, 5]
-        for j in range(lanes):
-            t0, t1, t2 = rows[ROTATION, j], rows[ROTATION + 1, j], rows[ROTATION + 2, j]
-            rotation = f0 * t0 + f1 * t1 + f2 * t2
-            out[i, j] = rotation + (f3 * rate[0, j] + f4 * rate[1, j] + f5 * rate[2, j])
+    f00, f01, f02, f03, f04, f05 = phi[0, 0], phi[0, 1], phi[0, 2], phi[0, 3], phi[0, 4], phi[0, 5]
+    f10, f11, f12, f13, f14, f15 = phi[1, 0], phi[1, 1], phi[1, 2], phi[1, 3], phi[1, 4], phi[1, 5]
+    f20, f21, f22, f23, f24, f25 = phi[2, 0], phi[2, 1], phi[2, 2], phi[2, 3], phi[2, 4], phi[2, 5]
+    for j in range(lanes):
+        t0, t1, t2 = rows[ROTATION, j], rows[ROTATION + 1, j], rows[ROTATION + 2, j]
+        w0, w1, w2 = rate[0, j], rate[1, j], rate[2, j]
+        out[first, j] = f00 * t0 + f01 * t1 + f02 * t2 + (f03 * w0 + f04 * w1 + f05 * w2)
+        out[first + 1, j] = f10 * t0 + f11 * t1 + f12 * t2 + (f13 * w0 + f14 * w1 + f15 * w2)
+        out[first + 2, j] = f20 * t0 + f21 * t1 + f22 * t2 + (f23 * w0 + f24 * w1 + f25 * w2)
 
 
 @kernel
@@ -140,63 +146,56 @@ def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
     used, a constant, with which the loops become vector instructions.
     """
     n = errors.n
-    motion, rotation = stack.matrix(6, LANES), stack.matrix(3, LANES)
     of_force, of_rate = stack.matrix(3, LANES), stack.matrix(3, LANES)
     force_error(errors, force, p, lanes, of_force)
     rate_error(errors, rate, p, lanes, of_rate)
-    carry_motion(of_pkf, a, of_force, p, lanes, motion)
-    carry_rotation(phi, of_rate, p, lanes, rotation)
+    carry_motion(of_pkf, a, of_force, p, lanes, p)
+    carry_rotation(phi, of_rate, p, lanes, ROTATION, p)
     # columns: position and velocity, then rotation
     transposed = stack.matrix(LANES, _TRANSPOSED)
     of_force_2, of_rate_2 = stack.matrix(3, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
-    motion_2, rotation_2 = stack.matrix(6, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
+    motion, rotation = stack.matrix(6, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
     for j in range(FILTER_ERRORS):
-        _transpose(motion, rotation, j, transposed)
+        _transpose(p, j, transposed)
     for j in range(errors.imu, n):
-        _transpose(motion, rotation, j, transposed)
+        _transpose(p, j, transposed)
     force_error(errors, force, transposed, _TRANSPOSED, of_force_2)
     rate_error(errors, rate, transposed, _TRANSPOSED, of_rate_2)
-    carry_motion(of_pkf, a, of_force_2, transposed, _TRANSPOSED, motion_2)
-    add_force_noise(of_pkf, motion_2)
-    carry_rotation(phi, of_rate_2, transposed, _TRANSPOSED, rotation_2)
-    for i in range(6):
-        for j in range(lanes):
-            p[i, j] = motion[i, j]
-    for i in range(3):
-        for j in range(lanes):
-            p[ROTATION + i, j] = rotation[i, j]
+    carry_motion(of_pkf, a, of_force_2, transposed, _TRANSPOSED, motion)
+    add_force_noise(of_pkf, motion)
+    carry_rotation(phi, of_rate_2, transposed, _TRANSPOSED, 0, rotation)
     for i in range(6):
         for j in range(i + 1):
-            p[i, j] = p[j, i] = motion_2[i, j]
+            p[i, j] = p[j, i] = motion[i, j]
     for i in range(3):
         for j in range(6):
-            p[ROTATION + i, j] = p[j, ROTATION + i] = rotation_2[i, j]
+            p[ROTATION + i, j] = p[j, ROTATION + i] = rotation[i, j]
         for j in range(i + 1):
-            p[ROTATION + i, ROTATION + j] = p[ROTATION + j, ROTATION + i] = rotation_2[i, 6 + j]
+            p[ROTATION + i, ROTATION + j] = p[ROTATION + j, ROTATION + i] = rotation[i, 6 + j]
     for j in range(BIAS, ROTATION):
-        _mirror(motion, rotation, j, p)
+        _mirror(j, p)
     for j in range(DRIFT, n):
-        _mirror(motion, rotation, j, p)
+        _mirror(j, p)
 
 
 @kernel
-def _transpose(motion, rotation, j, out):
-    """Write column ``j`` of both matrices into row ``j`` of ``out`` (n, _TRANSPOSED)."""
+def _transpose(p, j, out):
+    """Write column ``j`` of position, velocity and rotation into row ``j`` of ``out`` (n, _TRANSPOSED)."""
     for i in range(6):
-        out[j, i] = motion[i, j]
+        out[j, i] = p[i, j]
     for i in range(3):
-        out[j, 6 + i] = rotation[i, j]
+        out[j, 6 + i] = p[ROTATION + i, j]
     for i in range(9, _TRANSPOSED):
         out[j, i] = 0.0
 
 
 @kernel
-def _mirror(motion, rotation, j, p):
-    """Write column ``j`` of both matrices into row ``j`` of the covariance."""
+def _mirror(j, p):
+    """Write column ``j`` of position, velocity and rotation into row ``j``."""
     for i in range(6):
-        p[j, i] = motion[i, j]
-    for i in range(3):
-        p[j, ROTATION + i] = rotation[i, j]
+        p[j, i] = p[i, j]
+    for i in range(ROTATION, DRIFT):
+        p[j, i] = p[i, j]
 
 
 @kernel

@@ -40,11 +40,11 @@ def predict(errors, of_akf, of_pkf, filters, measured_rate, measured_force, hill
         force[i] = measured_force[i] - filters.pkf.x[6 + i]
     pkf.predict_state(of_pkf, filters.pkf, force, a, hill)
     if errors.lanes == 16:
-        _carry_filters_16(errors, of_pkf, a, force, rate, phi, filters.p)
+        _carry_filters_16(errors, of_pkf, a, force, rate, phi, filters)
     elif errors.lanes == 24:
-        _carry_filters_24(errors, of_pkf, a, force, rate, phi, filters.p)
+        _carry_filters_24(errors, of_pkf, a, force, rate, phi, filters)
     else:
-        _carry_filters(errors, of_pkf, a, force, rate, phi, filters.p)
+        _carry_filters(errors, of_pkf, a, force, rate, phi, filters)
     if errors.moves != 0:
         _predict_processes(errors, filters)
     _add_noise(errors, of_akf, of_pkf, filters.akf.x, filters.p)
@@ -67,18 +67,18 @@ def _predict_processes(errors, filters):
 
 
 @kernel
-def _carry_filters_16(errors, of_pkf, a, force, rate, phi, p):
-    carry_filters(errors, of_pkf, a, force, rate, phi, p, 16)
+def _carry_filters_16(errors, of_pkf, a, force, rate, phi, filters):
+    carry_filters(errors, of_pkf, a, force, rate, phi, filters.p, 16)
 
 
 @kernel
-def _carry_filters_24(errors, of_pkf, a, force, rate, phi, p):
-    carry_filters(errors, of_pkf, a, force, rate, phi, p, 24)
+def _carry_filters_24(errors, of_pkf, a, force, rate, phi, filters):
+    carry_filters(errors, of_pkf, a, force, rate, phi, filters.p, 24)
 
 
 @kernel
-def _carry_filters(errors, of_pkf, a, force, rate, phi, p):
-    carry_filters(errors, of_pkf, a, force, rate, phi, p, LANES)
+def _carry_filters(errors, of_pkf, a, force, rate, phi, filters):
+    carry_filters(errors, of_pkf, a, force, rate, phi, filters.p, LANES)
 
 
 @kernel

@@ -347,11 +347,11 @@ def test_size_of_the_noise_is_found_from_the_innovations(rng: np.random.Generato
 
 
 def test_memory_has_room_for_the_errors_that_are_used_and_no_more() -> None:
+    """A triangle of blocks of eight columns: of 2 blocks for 15 errors, of 6 for 46."""
     sizes = [
         fusion.new_memory(params).nbytes // int(params.memory) for params in (fusion_params(), fusion_params(*ALL))
     ]
-    assert sizes[0] == STEP.itemsize + 8 * 15 * 16 // 2
-    assert sizes[1] == STEP.itemsize + 8 * (N - 15) + 8 * N * (N + 1) // 2
+    assert sizes == [STEP.itemsize + 8 * (16 + 64 * 3), STEP.itemsize + 8 * (48 + 64 * 21)]
 
 
 def test_memory_keeps_the_thrusters_that_were_commanded_in_each_step() -> None:
