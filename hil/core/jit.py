@@ -34,7 +34,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from hil.core.kernel_digest import NotDigestible, digest_of
-from hil.core.kernel_library import EntryCompiler, InlineCompiler, WrappedCompiler
+from hil.core.kernel_library import EntryCompiler, InlineCompiler, StaleCaller, WrappedCompiler
 from hil.errors import BadInput
 
 _numba_config: Any = numba.config
@@ -127,7 +127,10 @@ class KernelCache:
         if data is None:
             return None
         target_context.refresh()
-        return CompileResult._rebuild(target_context, *pickle.loads(data))
+        try:
+            return CompileResult._rebuild(target_context, *pickle.loads(data))
+        except StaleCaller:
+            return None
 
     def _read(self, path: Path) -> bytes | None:
         try:

@@ -12,6 +12,7 @@ for each, which names the version of numba that it was written for.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from collections.abc import Callable
 from typing import Any
@@ -23,7 +24,27 @@ from numba.core.compiler import Compiler
 from hil.core.kernel_digest import NotDigestible, digest_of
 
 Origin = tuple[str, str, tuple[Any, ...]]
-"""Module and qualified name of a kernel, and the types of its arguments."""
+"""Module and qualified name of an entry, and the types of its arguments."""
+Called = tuple[str, str, tuple[Any, ...], Any]
+"""The same of an entry that is called, and the type that it returned when its caller was compiled."""
+
+
+class StaleCaller(Exception):
+    """An entry no longer returns the type that its caller was compiled for."""
+
+
+def compiled_entry(module: str, name: str, types: tuple[Any, ...]) -> Any:
+    """Return the result of the compilation of an entry, compiled or from the cache."""
+    dispatcher = getattr(importlib.import_module(module), name)
+    dispatcher.compile(types)
+    return dispatcher.overloads[types]
+
+
+def check_entries(called: dict[str, Called]) -> None:
+    """Load the entries that a cached kernel calls. Raises StaleCaller if one returns another type than before."""
+    for module, name, types, returned in called.values():
+        if compiled_entry(module, name, types).signature.return_type != returned:
+            raise StaleCaller(name)
 
 
 class _NoEngine:
@@ -39,12 +60,13 @@ class _KernelLibrary(JITCodeLibrary):
 
     def __init__(self, codegen: Any, name: str) -> None:
         super().__init__(codegen, name)
-        self.entries: dict[str, Origin] = {}
+        self.entries: dict[str, Called] = {}
 
     def add_linking_library(self, library: Any) -> None:
         if isinstance(library, EntryLibrary) and library.origin is not None:
             library._ensure_finalized()
-            self.entries[f"{library.name} {library.origin[2]}"] = library.origin
+            returned = compiled_entry(*library.origin).signature.return_type
+            self.entries[f"{library.name} {library.origin[2]}"] = (*library.origin, returned)
             return
         if isinstance(library, _KernelLibrary):
             library._ensure_finalized()
@@ -84,8 +106,9 @@ class InlineLibrary(_KernelLibrary):
     def serialize_using_object_code(self) -> tuple[Any, ...]:
         return self.name, "inline", (self._get_module_for_linking().as_bitcode(), self.entries)
 
-    def restore(self, bitcode: bytes, entries: dict[str, Origin]) -> None:
-        """Take over what was serialised."""
+    def restore(self, bitcode: bytes, entries: dict[str, Called]) -> None:
+        """Take over what was serialised. Raises StaleCaller."""
+        check_entries(entries)
         self._final_module = self._shared_module = llvmlite.binding.parse_bitcode(bitcode)
         self.entries = entries
         self._finalized = True
@@ -108,11 +131,10 @@ class EntryLibrary(_KernelLibrary):
         return name, "entry", (*data, symbols, self.entries, self.origin)
 
     def restore(
-        self, code: bytes, bitcode: bytes, symbols: list[str], entries: dict[str, Origin], origin: Origin | None
+        self, code: bytes, bitcode: bytes, symbols: list[str], entries: dict[str, Called], origin: Origin | None
     ) -> None:
-        """Take over what was serialised, after the entries that it calls."""
-        for module, name, types in entries.values():
-            getattr(importlib.import_module(module), name).compile(types)
+        """Take over what was serialised, after the entries that it calls. Raises StaleCaller."""
+        check_entries(entries)
         self.entries, self.origin, self._bitcode = entries, origin, bitcode
         self.enable_object_caching()
         self._set_compiled_object(code)
@@ -129,10 +151,10 @@ def whole_module(library: Any) -> Any:
     """Return a module of LLVM with the code of ``library`` and of all entries that it reaches."""
     module, pending, linked = library._get_module_for_linking().clone(), dict(library.entries), set[str]()
     while pending:
-        name, (place, function, types) = pending.popitem()
+        name, (place, function, types, _) = pending.popitem()
         if name not in linked:
             linked.add(name)
-            called = getattr(importlib.import_module(place), function).overloads[types].library
+            called = compiled_entry(place, function, types).library
             module.link_in(called._get_module_for_linking(), preserve=True)
             pending |= called.entries
     return module
@@ -141,7 +163,8 @@ def whole_module(library: Any) -> Any:
 class _Compiler(Compiler):
     """Compiles a kernel into a library of a given kind, under a name that only its digest determines.
 
-    numba numbers the functions of a process, so that the names in the code of two processes differ.
+    numba numbers the functions of a process, so that the names in the code of two processes differ. The name of an
+    entry does not depend on what is in it: its callers are not compiled again when that changes.
     """
 
     library: type[_KernelLibrary]
@@ -149,7 +172,7 @@ class _Compiler(Compiler):
     def _compile_bytecode(self) -> Any:
         identity = self.state.func_id
         try:
-            identity.unique_id = int(digest_of(identity.func)[:12], 16)
+            identity.unique_id = self.number_of(identity.func)
         except NotDigestible:
             pass  # numba's own number, and no cache
         else:
@@ -159,6 +182,10 @@ class _Compiler(Compiler):
         self.set_origin(library, identity.func)
         self.state.library = library
         return super()._compile_bytecode()
+
+    def number_of(self, func: Callable[..., Any]) -> int:
+        """Return the number that is a part of the kernel's name. Raises NotDigestible."""
+        return int(digest_of(func)[:12], 16)
 
     def set_origin(self, library: Any, func: Callable[..., Any]) -> None:
         """Note in ``library`` where callers in other processes find the kernel, if they call it by its symbol."""
@@ -180,6 +207,10 @@ class EntryCompiler(_Compiler):
     """Compiles a kernel that Python and other kernels call."""
 
     library = EntryLibrary
+
+    def number_of(self, func: Callable[..., Any]) -> int:
+        digest_of(func)
+        return int(hashlib.sha256(f"{func.__module__}.{func.__qualname__}".encode()).hexdigest()[:12], 16)
 
     def set_origin(self, library: Any, func: Callable[..., Any]) -> None:
         library.origin = (func.__module__, func.__qualname__, self.state.args)

@@ -18,7 +18,7 @@ from hil.gnc.akf import AKF_STATE
 from hil.gnc.pkf import PKF_STATE
 
 
-class Motion(Enum):
+class BlockMotion(Enum):
     """How the states of a block move in a step."""
 
     FILTER = "by the equations of its filter"
@@ -32,7 +32,7 @@ class Block:
 
     name: str
     states: tuple[tuple[str, int, str], ...]
-    motion: Motion
+    motion: BlockMotion
     estimated: bool
 
     @property
@@ -41,24 +41,24 @@ class Block:
         return sum(number for _, number, _ in self.states)
 
 
-def _block(name: str, number: int, unit: str, motion: Motion, estimated: bool) -> Block:
+def _block(name: str, number: int, unit: str, motion: BlockMotion, estimated: bool) -> Block:
     return Block(name, ((name, number, unit),), motion, estimated)
 
 
-PKF: Final = Block("pkf", (("r_CT_H", 3, "m"), ("v_CT_H", 3, "m/s"), ("bias_C", 3, "m/s^2")), Motion.FILTER, True)
-AKF: Final = Block("akf", (("rotation_C", 3, "rad"), ("drift_C", 3, "rad/s")), Motion.FILTER, True)
+PKF: Final = Block("pkf", (("r_CT_H", 3, "m"), ("v_CT_H", 3, "m/s"), ("bias_C", 3, "m/s^2")), BlockMotion.FILTER, True)
+AKF: Final = Block("akf", (("rotation_C", 3, "rad"), ("drift_C", 3, "rad/s")), BlockMotion.FILTER, True)
 
 PARAMETER_BLOCKS: Final = (
-    _block("misalignment", 3, "rad", Motion.CONSTANT, True),  # of the cameras, about c's axes
-    _block("bias", 3, "m", Motion.CONSTANT, False),  # of a pose, in c
-    _block("scale", 1, "1", Motion.CONSTANT, False),  # of the distance
-    _block("correlated", 6, "1", Motion.MARKOV, True),  # noise of position and rotation, of unit variance
-    _block("gyro_scale", 3, "1", Motion.CONSTANT, False),
-    _block("gyro_misalignment", 3, "rad", Motion.CONSTANT, False),
-    _block("gyro_instability", 3, "rad/s", Motion.MARKOV, True),
-    _block("accelerometer_scale", 3, "1", Motion.CONSTANT, False),
-    _block("accelerometer_misalignment", 3, "rad", Motion.CONSTANT, False),
-    _block("accelerometer_instability", 3, "m/s^2", Motion.MARKOV, True),
+    _block("misalignment", 3, "rad", BlockMotion.CONSTANT, True),  # of the cameras, about c's axes
+    _block("bias", 3, "m", BlockMotion.CONSTANT, False),  # of a pose, in c
+    _block("scale", 1, "1", BlockMotion.CONSTANT, False),  # of the distance
+    _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
+    _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
+    _block("gyro_misalignment", 3, "rad", BlockMotion.CONSTANT, False),
+    _block("gyro_instability", 3, "rad/s", BlockMotion.MARKOV, True),
+    _block("accelerometer_scale", 3, "1", BlockMotion.CONSTANT, False),
+    _block("accelerometer_misalignment", 3, "rad", BlockMotion.CONSTANT, False),
+    _block("accelerometer_instability", 3, "m/s^2", BlockMotion.MARKOV, True),
 )
 """Blocks that a scenario may add, in the order of their states."""
 

@@ -190,8 +190,8 @@ def run_study(
 
     study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state,
     point, truth, imu, pose, state: records of the run, zeroed. memory: of ``fusion.new_memory``. printed:
-    AKF_ADDITIVE_STATE, of the filter that runs beside the others. rng: numpy Generator. noisy: 0 gives the linear
-    covariance along the line, without any noise or error. trace: (n, 12), errors and sigmas of position, m, and
+    AKF_ADDITIVE_STATE, of the filter that runs in parallel with the others. rng: numpy Generator. noisy: 0 gives the
+    linear covariance along the line, without any noise or error. trace: (n, 12), errors and sigmas of position, m, and
     small-angle rotation, rad, of the first n cycles.
     """
     dt = params.pkf.dt_s

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
-from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, Motion
+from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
 
 
 def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
@@ -47,7 +47,7 @@ def error_state(scenario: Scenario) -> np.record:
         params[block.name] = n
         params.variance[here] = sigmas[block.name] ** 2
         params.estimated[here] = block.estimated
-        if block.motion is Motion.MARKOV:
+        if block.motion is BlockMotion.MARKOV:
             params.kept[here], params.moves = math.exp(-scenario.sample_s / times_s[block.name]), 1
         if block.name.startswith(("gyro", "accelerometer")) and params.imu == 0:
             params.imu = n

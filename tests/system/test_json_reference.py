@@ -8,8 +8,10 @@ from typing import Any
 from hil.cli.main import execute
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "json.md"
-ONLY_SOMETIMES = {"monitor", "recording", "gnc.python", "manipulator"}
-"""Keys and groups of runs with a docking monitor, of recorded runs, of a GNC in Python, with a manipulator."""
+BACKENDS = {f"gnc.{part}.{key}" for part in ("navigation", "control") for key in ("backend", "sha256")}
+ONLY_SOMETIMES = {"monitor", "recording", "gnc.python", "manipulator", *BACKENDS}
+"""Keys and groups of runs with a docking monitor, of recorded runs, of a GNC in Python, with a manipulator, with
+backends of one's own."""
 
 
 def described() -> set[str]:

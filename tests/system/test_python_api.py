@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from pathlib import Path
 from typing import Any
@@ -210,7 +211,7 @@ def test_fault_ends_the_command_and_names_the_device() -> None:
     with hil.Bench("mock", "scheme-1", gnc=Fails()) as bench:
         bench.arm()
         run = bench.start()
-        assert run.stop == "gnc Fails: step raised ValueError: lost"
+        assert re.fullmatch(r"gnc Fails: step raised ValueError: lost \(test_python_api.py, line \d+\)", run.stop)
         assert run is bench.result
 
 

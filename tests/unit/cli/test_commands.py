@@ -79,4 +79,4 @@ def test_no_function_of_the_command_line_has_nine_parameters() -> None:
 def test_unknown_group_of_kernels_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["warm-up", "loop", "laop"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "laop: unknown group, allowed gnc, stages, vmu" in line
+    assert "laop: unknown group, allowed gnc, stages, loop" in line

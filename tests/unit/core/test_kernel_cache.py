@@ -83,6 +83,22 @@ def test_one_of_several_processes_compiles_an_entry_and_the_others_wait_for_it(t
     assert sorted(process.communicate()[0] for process in started) == ["0\n", "1\n", "1\n"]
 
 
+def test_caller_of_an_edited_entry_runs_the_new_one_and_is_compiled_again_only_for_another_type(tmp_path: Path) -> None:
+    head = "from hil.core.jit import entry\n"
+    (tmp_path / "outer.py").write_text(
+        f"{head}from inner import part\n@entry\ndef whole(x):\n    return 10.0 * part(x)\n"
+    )
+    call = "import outer; print(outer.whole(1.5), sum(outer.whole._cache_hits.values()))"
+    environment = os.environ | {"HIL_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{PACKAGE.parent}"
+    found = []
+    for body in ("x + 1.0", "x + 2.0", "int(x)"):
+        (tmp_path / "inner.py").write_text(f"{head}@entry\ndef part(x):\n    return {body}\n")
+        command = [sys.executable, "-c", call]
+        found.append(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
+    assert found == ["25.0 0\n", "35.0 1\n", "10.0 0\n"]
+
+
 @pytest.mark.parametrize("mode", [0o777, 0o775])
 def test_folder_that_others_may_write_is_refused(tmp_path: Path, mode: int) -> None:
     folder = tmp_path / "kernels"
