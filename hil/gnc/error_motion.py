@@ -155,7 +155,9 @@ def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
     transposed = stack.matrix(LANES, _TRANSPOSED)
     of_force_2, of_rate_2 = stack.matrix(3, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
     motion, rotation = stack.matrix(6, _TRANSPOSED), stack.matrix(3, _TRANSPOSED)
-    for j in range(FILTER_ERRORS):
+    for j in range(BIAS, FILTER_ERRORS):  # first what is read first
+        _transpose(p, j, transposed)
+    for j in range(BIAS):
         _transpose(p, j, transposed)
     for j in range(errors.imu, n):
         _transpose(p, j, transposed)

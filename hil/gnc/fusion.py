@@ -54,6 +54,7 @@ FUSION_STATE = np.dtype(
         ("cycle", "i8"),  # number of the present step
         ("commanded", "i8", MAX_THRUSTERS),  # thrusters, 0 or 1, since the last call, for the memory
         ("start_cycle", "i8"),
+        ("predicted", "i8"),  # number of the last step over which the filters were carried
         ("filters", FILTERS),
         ("accepted", "i8"),
         ("rejected_position", "i8"),  # by the gate on the innovation
@@ -268,6 +269,7 @@ def _place(params, state, memory, pose):
         step.is_start = 1
         state.started = 1
         state.start_cycle = cycle
+        state.predicted = state.cycle
         state.last_accepted_s = pose.t_s
         pose_model.start(params, pose, state.noise, state.filters)
         keep_predicted(params, state.filters, memory, cycle)
@@ -283,7 +285,14 @@ def _fuse_step(params, state, step, moment_s):
 
 @entry
 def advance(params, state, memory, imu):
-    """Begin the next step: keep its IMU sample and carry the filters over it.
+    """Begin the next step and carry the filters over it; arguments as of ``begin_step``."""
+    begin_step(params, state, memory, imu)
+    predict_step(params, state, memory)
+
+
+@kernel
+def begin_step(params, state, memory, imu):
+    """Keep the IMU's sample of the next step, over which ``fuse`` or ``predict_step`` carries the filters.
 
     memory: of ``step_memory.new_memory``. The very first step has no sample before it.
     """
@@ -296,9 +305,15 @@ def advance(params, state, memory, imu):
     step.is_start = 0
     state.nis_position = np.nan
     state.nis_attitude = np.nan
-    if state.started != 0:
-        _predict(params, state, step)
+
+
+@kernel
+def predict_step(params, state, memory):
+    """Carry the filters over the present step, unless ``fuse`` has done so on its way back from the past."""
+    if state.started != 0 and state.predicted < state.cycle:
+        _predict(params, state, step_at(params, memory, state.cycle))
         keep_predicted(params, state.filters, memory, state.cycle)
+        state.predicted = state.cycle
 
 
 @entry
@@ -309,6 +324,8 @@ def fuse(params, state, memory, pose):
     if first < 0:
         return
     _compare(state, pose)
+    if first == state.cycle:
+        predict_step(params, state, memory)
     return_to(params, state.filters, memory, first)
     for cycle in range(first, state.cycle + 1):
         step = step_at(params, memory, cycle)
@@ -316,3 +333,4 @@ def fuse(params, state, memory, pose):
             _predict(params, state, step)
             keep_predicted(params, state.filters, memory, cycle)
         _fuse_step(params, state, step, cycle * params.pkf.dt_s)
+    state.predicted = state.cycle

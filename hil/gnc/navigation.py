@@ -78,7 +78,9 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
         state.fused = 1 if n_poses > 0 else 0
         n = samples.shape[0]
         for i in range(0 if state.fusion.cycle > 0 else n - 1, n):
-            fusion.advance(params.fusion, state.fusion, memory, samples[i])
+            fusion.begin_step(params.fusion, state.fusion, memory, samples[i])
+            if i < n - 1 or n_poses == 0:  # a late pose carries the filters over the last step as well
+                fusion.predict_step(params.fusion, state.fusion, memory)
             state.fusion.cycle += 1
         state.fusion.cycle -= 1
         for i in range(n_poses):
@@ -86,6 +88,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
                 accepted = state.fusion.accepted
                 fusion.fuse(params.fusion, state.fusion, memory, poses[i])
                 _watch_update(params, state, accepted)
+        fusion.predict_step(params.fusion, state.fusion, memory)
         state.fusion.cycle += 1
         age_s = state.t_s - state.fusion.last_accepted_s
         out.health = integrity.vision_health(params.integrity, state.integrity, age_s, state.fusion.rejected_in_a_row)

@@ -127,7 +127,7 @@ def test_bound_is_that_of_one_axis_alone(scheme_2: Scenario, reading: Reading) -
         np.testing.assert_allclose(expected, math.sqrt(total / 15000), rtol=0.01)
 
 
-@pytest.mark.parametrize(("setting", "code"), [("gnc.akf.gyro_noise_degps=1e-5", 0), ("seed=0", 1)])
+@pytest.mark.parametrize(("setting", "code"), [("step_s=0.02", 0), ("gnc.pkf.accelerometer_noise_mps2=1e-2", 1)])
 def test_exit_code_says_whether_the_filters_sit_on_the_bound(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, code: int
 ) -> None:
