@@ -23,6 +23,7 @@ import numpy as np
 from numba.core.extending import _Intrinsic
 
 _LENGTH: Final = 16
+_COMPILER: Final = ("numpy", "numba", "llvmlite")  # packages whose versions are in every digest
 _PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), range, slice)
 
 
@@ -92,6 +93,8 @@ def _value(value: Any, names: set[str]) -> str:
         return _module(value, names)
     if getattr(value, "compiled_on_its_own", False):
         return f"entry {value.py_func.__module__}.{value.py_func.__qualname__}"
+    if isinstance(value, FunctionType) and value.__module__.partition(".")[0] in _COMPILER:
+        return f"{value.__module__}.{value.__qualname__}"
     if hasattr(value, "py_func") or isinstance(value, FunctionType):
         return digest_of(value)
     if isinstance(value, _Intrinsic):
@@ -115,14 +118,14 @@ def _composite(value: Any, names: set[str]) -> str:
         return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', value)}"
     if isinstance(value, numba.types.Type):
         return str(value)
-    if type(value).__module__.partition(".")[0] in ("numba", "llvmlite", "typing", "numpy"):
+    if type(value).__module__.partition(".")[0] in ("typing", *_COMPILER):
         return f"{type(value).__module__}.{type(value).__qualname__}"
     raise NotDigestible(f"no digest for {type(value).__name__}")
 
 
 def _module(module: ModuleType, names: set[str]) -> str:
     """Return the digest of the attributes of ``module`` that are among ``names``; other packages by their name."""
-    if module.__name__.partition(".")[0] in ("math", "numpy", "numba", "llvmlite"):
+    if module.__name__.partition(".")[0] in ("math", *_COMPILER):
         return module.__name__
     found = vars(module)
     return repr([(name, _value(found[name], names)) for name in sorted(names & found.keys())])
