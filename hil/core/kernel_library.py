@@ -20,17 +20,18 @@ from typing import Any
 import llvmlite.binding
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import Compiler
+from numba.core.types import Record
 
 from hil.core.kernel_digest import NotDigestible, digest_of
 
 Origin = tuple[str, str, tuple[Any, ...]]
 """Module and qualified name of an entry, and the types of its arguments."""
-Called = tuple[str, str, tuple[Any, ...], Any]
-"""The same of an entry that is called, and the type that it returned when its caller was compiled."""
+Called = tuple[str, str, tuple[Any, ...], Any, str]
+"""The same of an entry that is called, with the type that it returned and its symbol when its caller was compiled."""
 
 
 class StaleCaller(Exception):
-    """An entry no longer returns the type that its caller was compiled for."""
+    """An entry no longer has the symbol, or returns the type, that its caller was compiled for."""
 
 
 def compiled_entry(module: str, name: str, types: tuple[Any, ...]) -> Any:
@@ -41,9 +42,10 @@ def compiled_entry(module: str, name: str, types: tuple[Any, ...]) -> Any:
 
 
 def check_entries(called: dict[str, Called]) -> None:
-    """Load the entries that a cached kernel calls. Raises StaleCaller if one returns another type than before."""
-    for module, name, types, returned in called.values():
-        if compiled_entry(module, name, types).signature.return_type != returned:
+    """Load the entries that a cached kernel calls. Raises StaleCaller if one has another symbol or type than before."""
+    for module, name, types, returned, symbol in called.values():
+        result = compiled_entry(module, name, types)
+        if (result.signature.return_type, result.fndesc.llvm_func_name) != (returned, symbol):
             raise StaleCaller(name)
 
 
@@ -65,8 +67,9 @@ class _KernelLibrary(JITCodeLibrary):
     def add_linking_library(self, library: Any) -> None:
         if isinstance(library, EntryLibrary) and library.origin is not None:
             library._ensure_finalized()
-            returned = compiled_entry(*library.origin).signature.return_type
-            self.entries[f"{library.name} {library.origin[2]}"] = (*library.origin, returned)
+            result = compiled_entry(*library.origin)
+            called = (*library.origin, result.signature.return_type, result.fndesc.llvm_func_name)
+            self.entries[f"{library.name} {library.origin[2]}"] = called
             return
         if isinstance(library, _KernelLibrary):
             library._ensure_finalized()
@@ -151,7 +154,7 @@ def whole_module(library: Any) -> Any:
     """Return a module of LLVM with the code of ``library`` and of all entries that it reaches."""
     module, pending, linked = library._get_module_for_linking().clone(), dict(library.entries), set[str]()
     while pending:
-        name, (place, function, types, _) = pending.popitem()
+        name, (place, function, types, *_) = pending.popitem()
         if name not in linked:
             linked.add(name)
             called = compiled_entry(place, function, types).library
@@ -216,4 +219,10 @@ class EntryCompiler(_Compiler):
         library.origin = (func.__module__, func.__qualname__, self.state.args)
 
 
+def _mangled_record(record: Record) -> tuple[str, tuple[int, ...]]:
+    """Return the parts of a record's name in symbols: by its layout, where numba has a number of the process."""
+    return "Record", (int(hashlib.sha256(record.name.encode()).hexdigest()[:12], 16),)
+
+
+Record.mangling_args = property(_mangled_record)
 JITCPUCodegen._library_class = _KernelLibrary

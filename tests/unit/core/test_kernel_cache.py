@@ -86,15 +86,21 @@ def test_one_of_several_processes_compiles_an_entry_and_the_others_wait_for_it(t
 def test_caller_of_an_edited_entry_runs_the_new_one_and_is_compiled_again_only_for_another_type(tmp_path: Path) -> None:
     head = "from hil.core.jit import entry\n"
     (tmp_path / "outer.py").write_text(
-        f"{head}from inner import part\n@entry\ndef whole(x):\n    return 10.0 * part(x)\n"
+        f"{head}from inner import part\n@entry\ndef whole(r):\n    return 10.0 * part(r)\n"
     )
-    call = "import outer; print(outer.whole(1.5), sum(outer.whole._cache_hits.values()))"
+    call = """
+import numba, numpy as np, sys
+for n in range(int(sys.argv[1])):  # numba numbers the layouts of records as it meets them
+    numba.typeof(np.zeros(1, [(f"other_{n}", "f8")])[0])
+import outer
+print(outer.whole(np.ones(1, [("x", "f8"), ("y", "i4")])[0]), sum(outer.whole._cache_hits.values()))
+"""
     environment = os.environ | {"HIL_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
     environment["PYTHONPATH"] = f"{tmp_path}{os.pathsep}{PACKAGE.parent}"
     found = []
-    for body in ("x + 1.0", "x + 2.0", "int(x)"):
-        (tmp_path / "inner.py").write_text(f"{head}@entry\ndef part(x):\n    return {body}\n")
-        command = [sys.executable, "-c", call]
+    for n, body in enumerate(("r.x + 1.5", "r.x + 2.5", "r.y")):
+        (tmp_path / "inner.py").write_text(f"{head}@entry\ndef part(r):\n    return {body}\n")
+        command = [sys.executable, "-c", call, str(n)]
         found.append(subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout)
     assert found == ["25.0 0\n", "35.0 1\n", "10.0 0\n"]
 
