@@ -219,10 +219,10 @@ class EntryCompiler(_Compiler):
         library.origin = (func.__module__, func.__qualname__, self.state.args)
 
 
-def _mangled_record(record: Record) -> tuple[str, tuple[int, ...]]:
+def _mangled_record(record: Any) -> tuple[str, tuple[int, ...]]:
     """Return the parts of a record's name in symbols: by its layout, where numba has a number of the process."""
     return "Record", (int(hashlib.sha256(record.name.encode()).hexdigest()[:12], 16),)
 
 
-Record.mangling_args = property(_mangled_record)
+setattr(Record, "mangling_args", property(_mangled_record))  # noqa: B010  # numba's types declare a method
 JITCPUCodegen._library_class = _KernelLibrary
