@@ -133,7 +133,7 @@ def _call(backends, slot, which, given, output):
 
 
 @kernel
-def _bad(values):
+def first_not_finite(values):
     """Return the index of the first of ``values`` that is not finite, -1 if all are finite."""
     for i in range(values.shape[0]):
         if not math.isfinite(values[i]):
@@ -157,13 +157,13 @@ def _fault_of_estimate(out):
         return VALID, 0
     if out.valid == 0:
         return FINE, 0
-    place = _bad(out.r_CT_H)
+    place = first_not_finite(out.r_CT_H)
     if place >= 0:
         return POSITION, place
-    place = _bad(out.v_CT_H)
+    place = first_not_finite(out.v_CT_H)
     if place >= 0:
         return VELOCITY, place
-    place = _bad(out.w_CH_C)
+    place = first_not_finite(out.w_CH_C)
     if place >= 0:
         return RATE, place
     square = 0.0
@@ -179,7 +179,9 @@ def _fault_of_estimate(out):
         return PROTECTION_LEVEL, place
     if out.protection_level_rad < 0.0:
         return PROTECTION_LEVEL, 3
-    place = max(_negative(out.bias_sigma_mps2), _bad(out.bias_mps2) if math.isfinite(out.bias_sigma_mps2[0]) else -1)
+    place = max(
+        _negative(out.bias_sigma_mps2), first_not_finite(out.bias_mps2) if math.isfinite(out.bias_sigma_mps2[0]) else -1
+    )
     if place >= 0:
         return BIAS, place
     if not 0 <= out.health <= HEALTH_MAX:

@@ -6,8 +6,6 @@ The loop and a campaign's compiled loop call the same kernels, also to call a sh
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import typeof, types
 
@@ -15,6 +13,7 @@ from hil.core.foreign_call import call_address
 from hil.core.gnc_records import GncHealth, GncState
 from hil.core.jit import kernel
 from hil.gnc import allocation
+from hil.gnc.backend_step import first_not_finite
 from hil.gnc.backend_step import mark_invalid as mark_invalid
 from hil.maths.arrays import copy_into, copy_matrix, fill
 
@@ -73,15 +72,6 @@ def clear_output(out, cycle):
 
 
 @kernel
-def _bad(values):
-    """Return the index of the first of ``values`` that is not finite, -1 if all are finite."""
-    for i in range(values.shape[0]):
-        if not math.isfinite(values[i]):
-            return i
-    return -1
-
-
-@kernel
 def _bad_demand(values):
     """Return the index of the first of ``values`` that is not -1, 0 or 1, -1 if there is none."""
     for i in range(values.shape[0]):
@@ -93,13 +83,13 @@ def _bad_demand(values):
 @kernel
 def _bad_estimate(out):
     """Return (fault, index) of an estimate; (FINE, 0) if there is none."""
-    place = _bad(out.r_CT_H_m)
+    place = first_not_finite(out.r_CT_H_m)
     if place >= 0:
         return POSITION, place
-    place = _bad(out.v_CT_H_mps)
+    place = first_not_finite(out.v_CT_H_mps)
     if place >= 0:
         return VELOCITY, place
-    place = _bad(out.w_CH_C_radps)
+    place = first_not_finite(out.w_CH_C_radps)
     if place >= 0:
         return RATE, place
     square = 0.0
