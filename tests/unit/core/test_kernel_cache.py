@@ -151,7 +151,11 @@ def test_kernels_that_nothing_has_used_for_months_are_removed(tmp_path: Path) ->
     assert run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent).stdout == "1\n"
 
 
-def test_kernel_of_images_is_compiled_once_for_all_integers_that_it_is_called_with() -> None:
+def test_kernel_of_images_is_compiled_once_for_all_integers_that_it_is_called_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HIL_CACHE_DIR", str(tmp_path))  # no earlier run left it
+
     def times(x: float, n: int) -> float:
         return x * n
 
