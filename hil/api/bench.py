@@ -161,7 +161,7 @@ class ProcedureOperator(Operator):
 def _is_at_rest(runner: Runner, now_s: float) -> bool:
     """Return whether no axis moves or is about to."""
     mode, bench = runner.safety.modes.mode, runner.loop.bench
-    return mode is Mode.SAFE_STOP or (mode in AT_REST and bench.at_rest(now_s, runner.loop.now.feedback))
+    return mode is Mode.SAFE_STOP or (mode in AT_REST and bench.at_rest(now_s))
 
 
 class Bench:
@@ -374,7 +374,7 @@ class Bench:
             nonlocal outcome
             if not (reached and runner.safety.modes.mode is Mode.HOLD):
                 return False
-            if runner.loop.bench.at_rest(now_s, runner.loop.now.feedback):
+            if runner.loop.bench.at_rest(now_s):
                 outcome = runner.outcome(_ON_HOLD)  # in the loop's thread
             return outcome is not None
 

@@ -14,6 +14,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
+from hil.maths.record_view import copy_record
 
 SETPOINTS_KEPT = 512
 """Setpoints of an axis that a limit of its jerk can average."""
@@ -213,13 +214,13 @@ def extend_span(span, target, duration_s):
     The first one of a motion begins where ``target`` comes from at its rates. span: SPAN.
     """
     if span.known != 0:
-        _copy_axes(span.end, span.begin)
+        copy_record(span.end, span.begin)
     else:
-        _copy_axes(target, span.begin)
+        copy_record(target, span.begin)
         for i in range(3):
             span.begin.rail_m[i] -= duration_s * target.rail_mps[i]
             span.begin.gimbal_rad[i] -= duration_s * target.gimbal_radps[i]
-    _copy_axes(target, span.end)
+    copy_record(target, span.end)
     span.known = 1
 
 
@@ -242,11 +243,6 @@ def within_span(span, duration_s, fraction, out):
         a, b, u, v = begin.gimbal_rad[i], end.gimbal_rad[i], begin.gimbal_radps[i], end.gimbal_radps[i]
         out.gimbal_rad[i] = h00 * a + h01 * b + duration_s * (h10 * u + h11 * v)
         out.gimbal_radps[i] = d00 * (a - b) / duration_s + d10 * u + d11 * v
-
-
-@kernel
-def _copy_axes(source, out):
-    write_axes(source.rail_m, source.rail_mps, source.gimbal_rad, source.gimbal_radps, out)
 
 
 @kernel

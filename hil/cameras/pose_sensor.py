@@ -31,17 +31,19 @@ class PoseSensor(Protocol):
 
 
 class PoseModel:
-    """Pose sensor with the error model of a vision unit, without images. scenario, rig, seed: of the run."""
+    """Pose sensor with the error model of a vision unit, without images. scenario, rig, seed: of the run.
 
-    def __init__(self, scenario: Scenario, rig: Rig, seed: int) -> None:
+    memory: VISION_MEMORY, what the errors keep from exposure to exposure; None: of its own.
+    """
+
+    def __init__(self, scenario: Scenario, rig: Rig, seed: int, memory: np.record | None = None) -> None:
         self._bench = bench_params.bench(rig, scenario.step_s)
         self._mounting = vision_params.mounting(rig)
         self._vision = vision_params.vision(scenario, seed)
         self._camera, self.leds = vision_params.camera(rig)
         self.noise = NormalRows(noise_source(seed, "vision"), VISION_NOISE)
         """One row per exposure."""
-        self.memory = new(VISION_MEMORY)
-        """What the errors keep from exposure to exposure."""
+        self._memory = new(VISION_MEMORY) if memory is None else memory
         self._frame = new(VMU_FRAME)
         self._r = np.empty(3)
         self._q = np.empty(4)
@@ -53,7 +55,7 @@ class PoseModel:
         pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
         measure_frame(
             self._vision, self._camera, self.leds, self._mounting, self._r, self._q, self.noise.next_row(), t_s,
-            self.memory, frame,
+            self._memory, frame,
         )  # fmt: skip
         return None if math.isnan(frame.t_v[0]) else PoseFrame.from_record(frame)
 
@@ -69,13 +71,15 @@ def transport(vmu: VisionNoise, seed: int) -> Transport:
     )
 
 
-def make_pose_sensor(scenario: Scenario, rig: Rig, seed: int, shown: ImageSink | None = None) -> PoseSensor:
+def make_pose_sensor(
+    scenario: Scenario, rig: Rig, seed: int, shown: ImageSink | None = None, memory: np.record | None = None
+) -> PoseSensor:
     """Return the pose sensor for the vision unit of ``rig``, as selected by ``vmu.source``.
 
-    shown: receives the rendered images, if any.
+    shown: receives the rendered images, if any. memory: see ``PoseModel``.
     """
     if scenario.vmu.source == "model":
-        return PoseModel(scenario, rig, seed)
+        return PoseModel(scenario, rig, seed, memory)
     from hil.cameras.rendered import RenderedCameras, RenderedPoseSensor
 
     bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)

@@ -182,7 +182,7 @@ class Identification:
         start_s = tick.now_s
         for cycle in range(cycles):
             self._aim(axis, centre, *path(cycle, tick.now_s - start_s))
-            self._bench.command(self._target, tick.now_s, self._now.setpoint, self._params)
+            self._bench.command(self._target, tick.now_s, self._params)
             position, rate = _of_axis(self._now.setpoint, axis)
             sent.append((tick.now_s + self._dt, position, rate))
             tick = self._next(tick)
@@ -205,12 +205,12 @@ class Identification:
                 raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after a move")
             moved_s += self._dt
             move.at(moved_s, self._target)
-            self._bench.command(self._target, tick.now_s, self._now.setpoint, move.limits)
+            self._bench.command(self._target, tick.now_s, move.limits)
             tick = self._next(tick, counts=False)
         return tick
 
     def _at_rest(self, tick: Tick) -> bool:
-        return self._bench.at_rest(tick.now_s, self._now.feedback)
+        return self._bench.at_rest(tick.now_s)
 
     def _aim(self, axis: int, centre: Array, offset: float, rate: float) -> None:
         position, speed = centre.copy(), np.zeros(6)

@@ -144,13 +144,13 @@ class SlowMover:
 
     def _step(self, limits: np.record | None = None) -> None:
         """Send the present target and wait for the next cycle, with the safety checks of a run."""
-        self._bench.command(self._target, self._tick.now_s, self._now.setpoint, limits)
+        self._bench.command(self._target, self._tick.now_s, limits)
         self._sent = np.concatenate([self._now.setpoint.rail_m, self._now.setpoint.gimbal_rad])
         self._tick = self._sequencer.tick()
         self._sequencer.hold_requested(Mode.PLACING)
 
     def _at_rest(self) -> bool:
-        return self._bench.at_rest(self._tick.now_s, self._now.feedback)
+        return self._bench.at_rest(self._tick.now_s)
 
     def _set_target(self, position: Array) -> None:
         self._target.rail_m, self._target.gimbal_rad = position[:3], position[3:]

@@ -19,12 +19,13 @@ class ServoAxes:
     """Three axes that follow setpoints, in SI units: m and m/s, or rad and rad/s.
 
     position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (3,), rails x y z or gimbals
-    roll pitch yaw; views of ``record`` (SERVO). The axes start at their park position, at rest.
+    roll pitch yaw; views of ``record`` (SERVO), a new one or the given one. The axes start at their park position, at
+    rest.
     """
 
-    def __init__(self, config: AxisGroupTable) -> None:
+    def __init__(self, config: AxisGroupTable, record: np.record | None = None) -> None:
         table = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
-        self.record: np.record = new(SERVO)
+        self.record: np.record = new(SERVO) if record is None else record
         for name, column in zip(_FROM_CONFIG, table.T, strict=True):
             self.record[name] = column
         self.record.rate_min = -self.record.rate_max

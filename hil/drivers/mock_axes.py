@@ -8,10 +8,12 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import AxisGroupTable
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.errors import DeviceError, LinkLost, SafetyTrip
+from hil.models.servo import move_servo
 
 _BRAKE_STEP_S: Final = 0.002
 _AT_SWITCH: Final = 1e-4  # m or rad
@@ -21,13 +23,16 @@ class MockAxes:
     """AxisGroup without a wire; equal calls give equal numbers, bit for bit.
 
     Each call advances the axes to its time; earlier times move nothing. An axis with ``encoder = "incremental"``
-    counts from its position at power-on. ``home`` moves axes that are not homed to their home switches.
+    counts from its position at power-on. ``home`` moves axes that are not homed to their home switches. servo: SERVO
+    of the axes, which a compiled loop moves instead of ``send`` and ``read``; None: of their own.
     """
 
-    def __init__(self, name: str, config: AxisGroupTable) -> None:
+    def __init__(self, name: str, config: AxisGroupTable, servo: np.record | None = None) -> None:
         self.name = name
         self.axis_names = full_names(name, config.axis_names)
-        self._axes = ServoAxes(config)
+        self._axes = ServoAxes(config, servo)
+        self.servo = kernel_record(self._axes.record)
+        """SERVO."""
         self._home = [config.si_per_unit * axis.home for axis in config.axes]
         self._homing_rate = [config.si_per_unit * axis.homing_rate for axis in config.axes]
         self._incremental = [axis.encoder == "incremental" for axis in config.axes]
@@ -36,7 +41,6 @@ class MockAxes:
         self._limit = NO_LIMIT
         self._without_switch: set[int] = set()
         self._jogging = False
-        self._t_s = 0.0
         self._stopped = False
         self._error: DeviceError | None = LinkLost(name, "is not open")
         self.switch_off_and_on()
@@ -44,7 +48,7 @@ class MockAxes:
     def open(self, now_s: float) -> None:
         """Hold the present position."""
         self._axes.hold()
-        self._t_s = now_s
+        self.servo.t_s = now_s
         self._stopped = False
         self._jogging = False
         self._error = None
@@ -115,16 +119,6 @@ class MockAxes:
         self._homing = HOMED
         self._set_homing({i: Homing.NEEDED for i, lost in enumerate(self._incremental) if lost})
 
-    def servo(self) -> np.record:
-        """Return SERVO of the axes, with which a compiled loop moves them instead of ``send`` and ``read``."""
-        self._axes.record.t_s = self._t_s
-        return self._axes.record
-
-    def set_servo(self, servo: np.record) -> None:
-        """Take over SERVO of axes that a compiled loop has moved."""
-        np.asarray(self._axes.record)[...] = servo
-        self._t_s = float(servo.t_s)
-
     def set_limit_switch(self, axis: int, switch: int) -> None:
         """Put ``axis`` on its low (-1), its high (1) or no (0) limit switch."""
         limit = [*self._limit]
@@ -155,15 +149,15 @@ class MockAxes:
         return position if self._homing is HOMED else position - self._counted_from
 
     def _move(self, now_s: float) -> None:
-        left_s = now_s - self._t_s
+        left_s = now_s - float(self.servo["t_s"])
         if left_s <= 0.0:
             return
-        self._t_s = now_s
         if not self._stopped:
             if Homing.UNDER_WAY in self._homing:
                 self._step_homing(left_s)
-            self._axes.step(left_s)
+            move_servo(self.servo, now_s)
             return
+        self.servo.t_s = now_s
         while left_s > 0.0 and self._axes.rate.any():
             self._axes.hold()  # does not return to where braking began
             self._axes.step(min(left_s, _BRAKE_STEP_S))

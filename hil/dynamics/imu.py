@@ -15,6 +15,7 @@ from hil.dynamics import truth as truth_kernels
 from hil.dynamics.imu_errors import IMU_ERRORS
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
+from hil.maths.record_view import copy_record
 from hil.models.faults import FAULTS
 
 IMU_NOISE = 12  # standard normals per sample: gyro, accelerometer, drift, bias
@@ -83,7 +84,7 @@ def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples,
         copy_into(w_before, truth.w_CI_C)
         truth_kernels.step(dss, field, memory, truth, on)
         sample_with_errors(params, truth, w_before, noise[k], imu_memory, imu)
-        copy_sample(imu, samples[k])
+        copy_record(imu, samples[k])
         if n > 1:
             for i in range(3):
                 means[0, i] += imu.rate_C[i] / n
@@ -98,12 +99,3 @@ def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples,
         copy_into(truth.mean_rate_C, means[2])
         copy_into(truth.mean_force_C, means[3])
         copy_into(truth.thrust_fraction, fraction)
-
-
-@kernel
-def copy_sample(imu, out):
-    """Copy a record of IMU."""
-    copy_into(out.rate_C, imu.rate_C)
-    copy_into(out.force_C, imu.force_C)
-    copy_into(out.drift_C, imu.drift_C)
-    copy_into(out.bias_C, imu.bias_C)

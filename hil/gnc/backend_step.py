@@ -22,6 +22,7 @@ from hil.core.foreign_call import call_address, same_bytes
 from hil.core.gnc_records import GncHealth, GncMode, GncState
 from hil.core.jit import entry, kernel
 from hil.maths.arrays import copy_into, copy_matrix, fill
+from hil.maths.record_view import copy_record
 
 FINE, STATE, VALID, POSITION, VELOCITY, ATTITUDE, RATE, SIGMA, PROTECTION_LEVEL, HEALTH = range(10)
 DIRECT, FORCE, TORQUE, THRUSTER, BIAS, REPORTED, RETURNED = range(10, 17)
@@ -85,8 +86,8 @@ def mark_invalid(navigation):
 
 
 @kernel
-def copy_navigation(estimate, out):
-    """Copy the fields of NAVIGATION."""
+def _copy_estimate(estimate, out):
+    """Copy the fields of NAVIGATION from an output to NAVIGATION."""
     out.valid, out.health = estimate.valid, estimate.health
     copy_into(out.r_CT_H, estimate.r_CT_H)
     copy_into(out.v_CT_H, estimate.v_CT_H)
@@ -98,17 +99,6 @@ def copy_navigation(estimate, out):
     out.nis_position, out.nis_attitude = estimate.nis_position, estimate.nis_attitude
     copy_into(out.protection_level_m, estimate.protection_level_m)
     out.protection_level_rad = estimate.protection_level_rad
-
-
-@kernel
-def _copy_reference(reference, out):
-    copy_into(out.r_CT_H, reference.r_CT_H)
-    copy_into(out.v_CT_H, reference.v_CT_H)
-    copy_into(out.a_CT_H, reference.a_CT_H)
-    copy_into(out.q_CH, reference.q_CH)
-    out.boost, out.phase = reference.boost, reference.phase
-    copy_into(out.from_H, reference.from_H)
-    copy_into(out.to_H, reference.to_H)
 
 
 @kernel
@@ -240,7 +230,7 @@ def navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, co
     if out.valid == 0 or out.state == _STARTING:
         mark_invalid(estimate)
     else:
-        copy_navigation(out, estimate)
+        _copy_estimate(out, estimate)
         for i in range(3):
             if estimate.protection_level_m[i] == 0.0:
                 estimate.protection_level_m[i] = np.nan
@@ -284,8 +274,8 @@ def control_elsewhere(params, state, t_s, estimate, reference, supervision, comm
         fill(given.withheld, 0)
         if state.thrusters.withheld_cycles > 0:
             given.withheld[state.thrusters.withheld] = 1
-        copy_navigation(estimate, given.navigation)
-        _copy_reference(reference, given.reference)
+        copy_record(estimate, given.navigation)
+        copy_record(reference, given.reference)
         for i in range(3):
             given.feed_force_mps2[i] = state.feed.acceleration[i]
             given.feed_torque_radps2[i] = state.feed.acceleration[3 + i]

@@ -148,14 +148,6 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
 
 
 @kernel
-def copy_progress(progress, out):
-    """Copy a record of APPROACH_PROGRESS."""
-    out.phase, out.go, out.docking_go = progress.phase, progress.go, progress.docking_go
-    out.ready_since_s, out.ready, out.aborted = progress.ready_since_s, progress.ready, progress.aborted
-    out.reaction, out.cause = progress.reaction, progress.cause
-
-
-@kernel
 def has_event(before, after):
     """Return whether the approach has made progress that is an event. before, after: APPROACH_PROGRESS."""
     return (

@@ -52,11 +52,6 @@ class Approach:
         return ""
 
     @property
-    def isolated_thrusters(self) -> np.ndarray | None:
-        """Thrusters whose isolation valves this cycle has commanded to close, (n,) of 0 or 1; None for none."""
-        return None
-
-    @property
     def event_logs(self) -> tuple[ObservableList[Event], ...]:
         """Lists to which events are appended as they happen."""
         return (self.event_log.events,)

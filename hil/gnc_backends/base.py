@@ -21,8 +21,10 @@ class Poses(Protocol):
 
 
 class Records(Protocol):
-    """Records of the present cycle that a GNC reads and writes; the truth is not among them."""
+    """Records of the present cycle that a GNC reads and writes; the truth is not for it."""
 
+    record: np.record
+    """All of them, CYCLE."""
     imu: np.record
     samples: np.ndarray
     """Samples of the IMU since the last cycle, (n,) of IMU; ``imu`` is their mean."""
@@ -59,10 +61,6 @@ class GncBackend(Protocol):
     @property
     def filter_monitor(self) -> FilterMonitor | None:
         """Monitor of the filters, if the GNC has such or reports their innovations."""
-
-    @property
-    def isolated_thrusters(self) -> np.ndarray | None:
-        """Thrusters whose isolation valves this cycle has commanded to close, (n,) of 0 or 1; None for none."""
 
     @property
     def event_logs(self) -> Sequence[ObservableList[Event]]:

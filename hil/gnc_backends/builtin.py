@@ -30,6 +30,7 @@ class BuiltinGnc(Approach):
     """The compiled GNC. params: GNC_PARAMS. filter_monitor: reads the same record of parameters.
 
     backends: that take the place of its navigation, its control, or both; setup: GNC_SETUP, what they are opened with.
+    state: GNC_STATE of the loop; None: of its own.
     """
 
     def __init__(
@@ -39,10 +40,11 @@ class BuiltinGnc(Approach):
         filter_monitor: FilterMonitor,
         backends: Backends | None = None,
         setup: np.record | None = None,
+        state: np.record | None = None,
     ) -> None:
         self._backends = OpenBackends(backends or {}, new(GNC_SETUP) if setup is None else setup)
         self.params = kernel_record(params)
-        self.state = kernel_record(new(GNC_STATE))
+        self.state = kernel_record(new(GNC_STATE) if state is None else state)
         self._filters = kernel_record(self.state.navigation.fusion.filters)
         self._orbit = kernel_record(self.params.navigation.fusion.orbit)
         super().__init__(params.approach, self.state.approach, event_log)
@@ -53,13 +55,6 @@ class BuiltinGnc(Approach):
         self.fuses = params.navigation.sensors == navigation.VISION_AND_IMU and "navigation" not in self._backends.kinds
         self.fused_now = False
         """Whether the filters took a pose in the last cycle."""
-
-    @property
-    def isolated_thrusters(self) -> np.ndarray | None:
-        """Thrusters whose isolation valves this cycle has commanded to close, (n,) of 0 or 1; None for none."""
-        if self.state["isolated_cycles"] != 1:
-            return None
-        return np.asarray(self.params["isolates"][self.state["thrusters"]["thruster"]])
 
     @property
     def event_logs(self) -> tuple[ObservableList[Event], ...]:
@@ -101,6 +96,11 @@ class BuiltinGnc(Approach):
         self.log_step(t_s, before, now.supervision)
         if self._backends.kinds and self.state["backends"]["asks_for_hold"]:
             self.hold_as_asked()
+
+    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
+        """Check the NIS of ``cycle``, in which poses arrived, of a step that was run elsewhere."""
+        if self.fuses:
+            self.filter_monitor.add_innovations(cycle, nis_position, nis_attitude)
 
     def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
         """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) and new texts of backends."""

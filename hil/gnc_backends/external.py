@@ -38,11 +38,12 @@ class BackendSetup(NamedTuple):
 class ExternalGnc(Approach):
     """Takes estimate and thrusters from ``exchange``; guidance, approach monitor and event log run on the bench.
 
-    name: of the GNC, in events and errors. ``input`` and ``output`` are GNC_INPUT and GNC_OUTPUT of the present cycle.
+    name: of the GNC, in events and errors. approach: APPROACH_STATE of the loop; None: of its own. ``input`` and
+    ``output`` are GNC_INPUT and GNC_OUTPUT of the present cycle.
     """
 
-    def __init__(self, name: str, setup: BackendSetup) -> None:
-        super().__init__(setup.params.approach, new(APPROACH_STATE), setup.event_log)
+    def __init__(self, name: str, setup: BackendSetup, approach: np.record | None = None) -> None:
+        super().__init__(setup.params.approach, new(APPROACH_STATE) if approach is None else approach, setup.event_log)
         self.name = name
         self.setup = setup.setup
         self.input, self.output = new(GNC_INPUT), new(GNC_OUTPUT)

@@ -5,15 +5,21 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, NoReturn, Protocol, Self
 
 import numpy as np
 
 from hil.core.files import sha256_of
 from hil.core.gnc_records import PROTOCOL, PROTOCOLS, REASON_BYTES, GncMode, GncState
-from hil.errors import BadInput, DeviceError
+from hil.core.kernel_record import kernel_record
+from hil.core.messages import new
+from hil.errors import BadInput, DeviceError, ProtocolError
+from hil.gnc.fusion import new_memory
+from hil.gnc.step import APPROACH_PROGRESS
 from hil.gnc_backends import external_records
-from hil.gnc_backends.external import BackendSetup, ExternalGnc, printable
+from hil.gnc_backends.base import Poses, Records
+from hil.gnc_backends.external import BackendSetup, ExternalGnc, fault_text, hold_reason, printable, reported_fault
+from hil.gnc_backends.library_kernel import LIBRARY, library_step, output_of
 
 KEY: Final = "gnc.library"
 _SYMBOLS: Final = ("hil_gnc_protocol", "hil_gnc_open", "hil_gnc_step", "hil_gnc_close")
@@ -124,46 +130,100 @@ class GncLibrary(Protocol):
 
 
 class SharedLibraryGnc(ExternalGnc):
-    """Calls ``library`` in the loop's own thread, in the cycles of a run and of a hold; a session has one instance."""
+    """Calls ``library`` in the loop's own thread, in the cycles of a run and of a hold; a session has one instance.
 
-    def __init__(self, library: GncLibrary, setup: BackendSetup) -> None:
-        super().__init__(gnc_name(library), setup)
+    approach: APPROACH_STATE, record: LIBRARY, those of the loop; None: of its own.
+    """
+
+    def __init__(
+        self,
+        library: GncLibrary,
+        setup: BackendSetup,
+        approach: np.record | None = None,
+        record: np.record | None = None,
+    ) -> None:
+        super().__init__(gnc_name(library), setup, approach)
         self.library = library
         self._instance: Instance | None = None
+        self._record = kernel_record(new(LIBRARY) if record is None else record)
+        self.input, self.output = kernel_record(self._record.input), output_of(self._record)
+        self.memory = new_memory(self.params.navigation.fusion)
+        """Of the filters, which a library does not use."""
         external_records.compile_call(self.input, self.output)
 
     def open(self, bench_s: float) -> None:
         """Open an instance. Raises BadInput if the library refuses."""
         if self._instance is None:
             self._instance = self.library.open(self.setup)
+            self._record.step_address, self._record.instance = self.library.step_address, self._instance.address
 
     def close(self) -> None:
         """Close the instance."""
         if self._instance is not None:
             self._instance.close()
             self._instance = None
+            self._record.step_address = 0
+
+    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+        """Run stages 4 to 7 of the cycle; log what has changed."""
+        self.cycle += 1
+        before = self._progress.tobytes()
+        works = library_step(
+            self.params, self._record, self.approach_state, now.record, vision.poses, vision.arrived, self.cycle, t_s
+        )
+        if not works:
+            self.fail(t_s, before, now.supervision)
+        self.log_step(t_s, before, now.supervision)
+        if self._record["asks_for_hold"]:
+            self.hold_as_asked()
+
+    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
+        """Do nothing: the filters of a library are not monitored."""
+
+    def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
+        """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) in guidance, the text, and what followed."""
+        guided = self._record["guided"].tobytes()
+        if guided != before:
+            self.event_log.update(t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], self._record["guided"], supervision)
+        self.log_text(t_s)
+        self._record["last_text"] = self._record["output"]["text"]
+        self.log_progress(t_s, guided, supervision)
+
+    def hold_as_asked(self) -> None:
+        """Request the hold for which the library has asked."""
+        self.request_hold(hold_reason(self.name, self.output))
+
+    def fail(self, t_s: float, before: bytes, supervision: np.record) -> NoReturn:
+        """Log the step in which the library has failed; raise its failure."""
+        record = self._record
+        self.event_log.update(t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], record["guided"], supervision)
+        if record["code"] == 0 and record["fault"] == external_records.FINE:
+            self.log_text(t_s)
+        raise library_failure(self.name, record, int(self.params.n_thrusters))
 
     def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
         """Call the library in a cycle of a hold; its demands there have no effect."""
         if mode is not GncMode.HOLD or self._instance is None or self.cycle < 0:
             return
         self.input.mode, self.input.orders, self.input.n_poses = int(mode), 0, 0
-        self.exchange()
+        code = external_records.call_library(
+            self.library.step_address, self._instance.address, self.input, self.output
+        )  # fmt: skip
+        if code != 0:
+            raise step_failed(self.name, code, self.output)
         if self.output.state == GncState.FAULT:
             self.on_state(self.output)
 
-    @property
-    def instance_address(self) -> int:
-        """Address of the open instance."""
-        assert self._instance is not None
-        return self._instance.address
 
-    def exchange(self) -> bool:
-        """Call the library. Raises DeviceError if its step fails."""
-        code = external_records.call_library(self.library.step_address, self.instance_address, self.input, self.output)
-        if code != 0:
-            raise step_failed(self.name, code, self.output)
-        return True
+def library_failure(name: str, record: np.record, n_thrusters: int) -> DeviceError:
+    """Return the failure of the last step of the GNC ``name``. record: LIBRARY."""
+    output = output_of(record)
+    if record.code != 0:
+        return step_failed(name, int(record.code), output)
+    if record.fault != external_records.FINE:
+        cycle = int(record.input.cycle)
+        return ProtocolError(name, fault_text(output, int(record.fault), int(record.place), cycle, n_thrusters))
+    return reported_fault(name, output)
 
 
 def gnc_name(library: GncLibrary) -> str:

@@ -9,13 +9,19 @@ from typing import Protocol
 import numpy as np
 
 from hil.bench import kinematics, stopping
+from hil.bench.bench_guard import BENCH_GUARD_MEMORY
+from hil.bench.guard import NOTHING
 from hil.bench.jog import Jog
 from hil.bench.manipulator import ChaserMotion
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks
+from hil.dynamics.truth import rate_against_hill
 from hil.errors import DeviceError
+from hil.loop import core
+from hil.loop.core_memory import CoreMemory
 from hil.models.profile import along_line, duration
+from hil.safety.guard_alarms import guard_alarm
 from hil.safety.monitor import SafetyMonitor
 
 
@@ -68,54 +74,46 @@ class Manipulator(Protocol):
 class BenchStage:
     """Rails and turntable as one machine that realises the chaser's pose.
 
-    emergency_input: returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset; None
-    if the bench has no such input. local_enable: returns the level of the local enabling input; None without one.
-    if the bench has no such input. params: BENCH_PARAMS of the period of setpoints. ticks: setpoints per cycle of
-    ``cycle_s``.
+    memory: of the core, whose records of encoders and setpoints this stage writes.
     """
 
-    def __init__(
-        self,
-        rails: AxisGroup,
-        turntable: AxisGroup,
-        params: np.record,
-        safety: SafetyMonitor,
-        emergency_input: Callable[[float], tuple[bool | None, bool]] | None = None,
-        ticks: int = 1,
-        cycle_s: float = math.nan,
-    ) -> None:
+    def __init__(self, rails: AxisGroup, turntable: AxisGroup, memory: CoreMemory, safety: SafetyMonitor) -> None:
         self.rails = rails
         self.turntable = turntable
-        self.params = kernel_record(params)
         self.safety = safety
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
-        self.emergency_input = emergency_input
+        self.emergency_input: Callable[[float], tuple[bool | None, bool]] | None = None
+        """Returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset; None if the
+        bench has no such input."""
         self.local_enable: Callable[[float], bool] | None = None
+        """Returns the level of the local enabling input; None without one."""
         self.manipulator: Manipulator | None = None
         """Of the target, which moves with the chaser's rig; None if the target stands still."""
-        self._left = kernel_record(new(AXES))  # of the last demanded pose, what the manipulator leaves
-        self.motion = kernel_record(new(kinematics.MOTION))
-        """Positions and rates of the last setpoints."""
         self.feedback: tuple[AxisFeedback, AxisFeedback]
         """Of rails and turntable, from the last ``read``."""
-        self.wanted = kernel_record(new(AXES))
-        """Axes of the last demanded pose, without limits (AXES)."""
-        self.accepted = kernel_record(new(AXES))
-        """Last setpoint that the devices have accepted (AXES)."""
         self.commanded_s = math.nan
-        """Bench time at which it was sent; nan if none was sent since ``seed``."""
-        self._next = kernel_record(new(AXES))
+        """Bench time at which the last setpoint was sent; nan if none was sent since ``seed``."""
+        self._params, self._state, self._now = memory.params, memory.state, memory.now
+        self.params = kernel_record(memory.params.bench)
+        self.ticks = int(memory.params.ticks)
+        self.motion, self.wanted, self.accepted, self._next, self._guard_memory = (
+            memory.view(name) for name in ("motion", "wanted", "accepted", "next", "bench_guard")
+        )
         self._next_arrays = tuple(self._next[name] for name in ("rail_m", "rail_mps", "gimbal_rad", "gimbal_radps"))
-        self.limited_cycles = 0
-        self.limited_in_row = 0
-        """Setpoints in a row, the last one included, that were limited."""
+        self._left = kernel_record(new(AXES))  # of the last demanded pose, what the manipulator leaves
+        self._rate = np.empty(3)
         self._limits = self.params
         """BENCH_PARAMS with the limits that the devices have for catching up."""
-        self.ticks, self._cycle_s = ticks, cycle_s
-        self.tick = 0
+
+    @property
+    def tick(self) -> int:
         """Tick of the last cycle that comes next; 0: all have run."""
-        self.span = kernel_record(new(kinematics.SPAN))
-        """Course of the axes over the last cycle, if they are faster than it."""
+        return int(self._state["tick"])
+
+    @property
+    def limited_cycles(self) -> int:
+        """Setpoints that were limited."""
+        return int(self._state["limited"])
 
     def open(self, now_s: float) -> None:
         """Open both devices; they hold their positions. Raises SafetyTrip while ``interlock_power`` forbids it."""
@@ -127,14 +125,14 @@ class BenchStage:
         self.rails.open(now_s)
         self.turntable.open(now_s)
 
-    def read(self, now_s: float, feedback: np.record) -> None:
-        """Write the newest encoder values into ``feedback`` (AXES)."""
+    def read(self, now_s: float) -> None:
+        """Write the newest encoder values into the present row."""
         if self.emergency_input is not None:
             self.poll_safety_inputs(now_s)
         rails = self.rails.read(now_s)
         turntable = self.turntable.read(now_s)
         self.feedback = rails, turntable
-        kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, feedback)
+        kinematics.write_axes(rails.position, rails.rate, turntable.position, turntable.rate, self._now.feedback)
 
     def sampled_s(self, zero_s: float) -> tuple[float, float]:
         """Return the sampling times of the last ``read``, rails and turntable, relative to bench time ``zero_s``."""
@@ -156,17 +154,29 @@ class BenchStage:
             self.safety.estop.update(None)
             raise
 
-    def check(self, now_s: float, feedback: np.record) -> None:
+    def check(self, now_s: float) -> None:
         """Run the safety checks on the last ``read``; raise SafetyTrip if one fails."""
-        alarm = self.safety.check(now_s, *self.feedback, self.commanded_s, self.accepted, feedback)
+        alarm = self.safety.check(now_s, *self.feedback, self.commanded_s, self.accepted, self._now.feedback)
         if alarm is not None:
             raise alarm.trip()
 
-    def seed(self, now_s: float, feedback: np.record) -> None:
+    def guard(self, bench_s: float, run_zero_s: float) -> None:
+        """Run the bench guard's checks at the start of a cycle; raise SafetyTrip if a limit is violated.
+
+        run_zero_s: bench time of the run's time zero.
+        """
+        sampled_s = self._now.sampled_s
+        sampled_s[0, 0], sampled_s[0, 1] = self.sampled_s(run_zero_s)
+        code = core.guard_bench(self._params, self._state, bench_s - run_zero_s)
+        if code != NOTHING:
+            raise guard_alarm(bench_s, self.axis_names, int(code), self._state.breach).trip()
+
+    def seed(self, now_s: float) -> None:
         """Seed the setpoints with the encoder positions, at rest, so that the next command causes no jump.
 
         Raises SafetyTrip if an axis moves. Every motion starts with this.
         """
+        feedback, state = self._now.feedback, self._state
         alarm = self.safety.interlock_seed(now_s, feedback)
         if alarm is not None:
             raise alarm.trip()
@@ -174,16 +184,17 @@ class BenchStage:
         kinematics.write_axes(feedback.rail_m, rest, feedback.gimbal_rad, rest, self.accepted)
         kinematics.start_motion(feedback.rail_m, feedback.gimbal_rad, self.motion)
         self.commanded_s = math.nan
-        self.tick, self.span.known, self.limited_in_row = 0, 0, 0
+        state.tick, state.span.known, state.limited_in_row = 0, 0, 0
+        np.asarray(self._guard_memory)[...] = np.zeros((), BENCH_GUARD_MEMORY)
         if self.manipulator is not None:
             self.manipulator.seed(now_s)
 
-    def seed_for_run(self, now_s: float, feedback: np.record) -> None:
+    def seed_for_run(self, now_s: float) -> None:
         """``seed`` if all axes are homed, within their travel and off their limit switches; SafetyTrip otherwise."""
-        alarm = self.safety.interlock_motion(now_s, *self.feedback, feedback)
+        alarm = self.safety.interlock_motion(now_s, *self.feedback, self._now.feedback)
         if alarm is not None:
             raise alarm.trip()
-        self.seed(now_s, feedback)
+        self.seed(now_s)
 
     def axes_of(self, r_CT_H: Array, v_CT_H: Array, q_CH: Array, w_CH_C: Array, out: np.record) -> None:
         """Write the axis positions and rates, without limits, for a pose of the chaser."""
@@ -196,36 +207,27 @@ class BenchStage:
             r, _, q, _ = self.manipulator.shown_at_rest(r, q)
         self.axes_of(r, rest, q, rest, out)
 
-    def follow(self, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record) -> None:
-        """Send the first setpoint on the way to the pose in ``truth`` at the end of this cycle.
-
-        Writes the accepted one into ``setpoint``.
-        """
-        self.axes_of(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C, self.wanted)
-        if self.manipulator is not None:
-            self._follow_with(self.manipulator, truth, w_CH_C, now_s, setpoint)
+    def follow(self, now_s: float) -> None:
+        """Send the first setpoint on the way to the truth's pose at the end of this cycle, for which ``core.aim``."""
+        if self.manipulator is None:
+            self.follow_on(now_s)
             return
-        if self.ticks > 1:
-            kinematics.extend_span(self.span, self.wanted, self._cycle_s)
-        self.follow_on(now_s, setpoint)
-
-    def _follow_with(
-        self, manipulator: Manipulator, truth: np.record, w_CH_C: Array, now_s: float, setpoint: np.record
-    ) -> None:
-        """``follow`` with a target that moves: ``wanted`` and ``setpoint`` are relative to it, what is sent is not."""
-        left = manipulator.follow(ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, w_CH_C), now_s)
+        truth = self._now.truth
+        rate_against_hill(truth, self._rate)
+        left = self.manipulator.follow(ChaserMotion(truth.r_CT_H, truth.v_CT_H, truth.q_CH, self._rate), now_s)
         self.axes_of(left.r, left.v, left.q, left.w, self._left)
-        self.command(self._left, now_s, setpoint)
-        manipulator.relate_setpoint(setpoint)
+        self.command(self._left, now_s)
+        self.manipulator.relate_setpoint(self._now.setpoint)
 
-    def follow_on(self, now_s: float, setpoint: np.record) -> None:
+    def follow_on(self, now_s: float) -> None:
         """Send the setpoint of the present tick of the cycle: where the axes have to be at the next one."""
-        if self.ticks > 1:
-            kinematics.within_span(self.span, self._cycle_s, (self.tick + 1) / self.ticks, self.wanted)
-        self.command(self.wanted, now_s, setpoint)
-        self.tick = self.tick + 1 if self.tick + 1 < self.ticks else 0
+        if self._limits is not self.params:
+            self._set_limits(self.params)
+        core.next_setpoint(self._params, self._state)
+        self._send(now_s)
+        core.next_tick(self._params, self._state)
 
-    def command(self, target: np.record, now_s: float, setpoint: np.record, params: np.record | None = None) -> None:
+    def command(self, target: np.record, now_s: float, params: np.record | None = None) -> None:
         """Send ``target`` (AXES), advanced by each axis' lead, limited in travel, speed and acceleration.
 
         params: BENCH_PARAMS with other limits or leads, for a jog or a measurement.
@@ -233,25 +235,21 @@ class BenchStage:
         limits = self.params if params is None else params
         if limits is not self._limits:
             self._set_limits(limits)
-        if kinematics.limit_setpoint(limits, self.motion, target, self._next):
-            self.limited_cycles += 1
-            self.limited_in_row += 1
-        else:
-            self.limited_in_row = 0
-        self._send(now_s, setpoint)
+        core.limit_setpoint(limits, self._state, target)
+        self._send(now_s)
 
-    def send(self, setpoint: np.record, now_s: float, accepted: np.record) -> None:
-        """Send ``setpoint`` (AXES), which is within the limits; write the accepted one into ``accepted``."""
+    def send(self, setpoint: np.record, now_s: float) -> None:
+        """Send ``setpoint`` (AXES), which is within the limits."""
         np.asarray(self._next)[...] = setpoint
-        self._send(now_s, accepted)
+        self._send(now_s)
 
-    def brake(self, now_s: float, setpoint: np.record, params: np.record | None = None) -> bool:
+    def brake(self, now_s: float, params: np.record | None = None) -> bool:
         """Send the next setpoint of a braking ramp; return whether a setpoint still moves."""
         limits = self.params if params is None else params
         if limits is not self._limits:
             self._set_limits(limits)
         moving = bool(stopping.brake_step(limits, self.motion, self._next))
-        self._send(now_s, setpoint)
+        self._send(now_s)
         return (self.manipulator is not None and self.manipulator.brake(now_s)) or moving
 
     def _set_limits(self, limits: np.record) -> None:
@@ -261,17 +259,16 @@ class BenchStage:
             if isinstance(device, LimitsSetpoints):
                 device.set_limits(limits.rate_max[axes], limits.acceleration_max[axes])
 
-    def _send(self, now_s: float, setpoint: np.record) -> None:
+    def _send(self, now_s: float) -> None:
         rail_m, rail_mps, gimbal_rad, gimbal_radps = self._next_arrays
         rail_accepted = self.rails.send(rail_m, rail_mps, now_s)
         gimbal_accepted = self.turntable.send(gimbal_rad, gimbal_radps, now_s)
-        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, setpoint)
-        kinematics.write_axes(rail_accepted, rail_mps, gimbal_accepted, gimbal_radps, self.accepted)
+        core.accept(self._state, rail_accepted, gimbal_accepted)
         self.commanded_s = now_s
 
-    def at_rest(self, now_s: float, feedback: np.record) -> bool:
+    def at_rest(self, now_s: float) -> bool:
         """Return whether all axes are at rest according to their encoders."""
-        still = self.safety.interlock_seed(now_s, feedback) is None
+        still = self.safety.interlock_seed(now_s, self._now.feedback) is None
         return still and (self.manipulator is None or self.manipulator.at_rest(now_s))
 
     def home(self, now_s: float) -> None:

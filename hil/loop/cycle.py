@@ -11,13 +11,12 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.kernel_record import kernel_record
-from hil.core.messages import AXES_SAMPLE, CYCLE, imu_samples
+from hil.core.messages import AXES_SAMPLE, CYCLE
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.gnc_backends.base import GncBackend
+from hil.loop import core
 from hil.loop.bench_stage import BenchStage
-from hil.loop.fault_stages import AxisFaults
-from hil.loop.guard_stage import GuardStage
+from hil.loop.core_memory import CoreMemory, CycleData
 from hil.loop.monitor_stage import MonitorStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
@@ -26,46 +25,12 @@ from hil.loop.target_stage import FixedTarget, TargetStage
 from hil.safety.condition_alarms import HealthAlarms
 
 
-class CycleData:
-    """Records of the present cycle: views into one row of CYCLE, the row that is recorded.
-
-    samples: of the IMU since the cycle before, (n,) of IMU; ``imu`` is their mean.
-    """
-
-    def __init__(self, n_samples: int = 1) -> None:
-        self.row = np.zeros(1, CYCLE)
-        self.samples = imu_samples(self.row, n_samples)
-        records = self.row.view(np.recarray)
-        for name in CYCLE.names or ():
-            setattr(self, name, kernel_record(records[name][0]) if CYCLE[name].names else self.row[name])
-
-    # scalars, arrays of shape (1,): writing into an array is faster than into a record
-    t_s: np.ndarray
-    sampled_s: np.ndarray  # (1, 2)
-    received_s: np.ndarray
-    commanded_s: np.ndarray
-    on_wire_s: np.ndarray
-    lateness_s: np.ndarray
-    nees_position: np.ndarray
-    nees_attitude: np.ndarray
-    monitor_bound_m: np.ndarray
-    monitor_bound_s: np.ndarray
-
-    truth: np.record
-    imu: np.record
-    pose: np.record
-    navigation: np.record
-    reference: np.record
-    supervision: np.record
-    command: np.record
-    setpoint: np.record
-    feedback: np.record
-
-
 @dataclass(slots=True)
 class Loop:
     """Stages of the cycle, the records passed between them, and the recording: history and telemetry."""
 
+    memory: CoreMemory
+    """What the calls of the core read and write."""
     dss: DssStage
     bench: BenchStage
     vision: VisionStage
@@ -79,13 +44,11 @@ class Loop:
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
-    axis_faults: AxisFaults | None = None
-    """Faults of axes in memory, if there are any."""
-    guard: GuardStage | None = None
-    """Bench guard; None if it is off."""
+    axis_faults: Callable[[float], None] | None = None
+    """Applies the faults of axes in memory that act at a time of the run; None if there are none."""
     monitor: MonitorStage | None = None
     """Docking monitor with its interlock; None without one."""
-    now: CycleData = field(default_factory=CycleData)
+    now: CycleData = field(init=False)
     done: int = 0
     """Completed cycles of the run."""
     first: int = 0
@@ -99,6 +62,7 @@ class Loop:
     _history_bytes: memoryview = field(init=False)
 
     def __post_init__(self) -> None:
+        self.now = self.memory.now
         self._row = self.now.row.view(np.uint8).data
         self._history_bytes = self.history.view(np.uint8).data
 
@@ -137,35 +101,31 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
 
     run_zero_s: bench time of the run's time zero. lateness_s: wake-up delay of this cycle.
     """
-    now = loop.now
+    now, memory = loop.now, loop.memory
+    params, state = memory.params, memory.state
+    state.cycle, state.zero_s = k, run_zero_s
     if loop.axis_faults is not None:
-        loop.axis_faults.act(t_s)
+        loop.axis_faults(t_s)
     loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
-    loop.bench.read(bench_s, now.feedback)  # 1  encoders
-    loop.bench.check(bench_s, now.feedback)  # 2  safety monitor: continue or stop
+    loop.bench.read(bench_s)  # 1  encoders
+    loop.bench.check(bench_s)  # 2  safety monitor: continue or stop
     loop.target.check(bench_s)  #    target at its commanded place
     loop.target.relate(now.feedback)  #    axes of the chaser relative to those of the target
-    if loop.guard is not None:
-        loop.guard.check(bench_s, run_zero_s, now.truth, now.feedback)  #    bench guard
-    loop.vision.receive(bench_s, run_zero_s, now.row[0])  # 3  poses from the vision unit
-    if loop.guard is not None:
-        loop.guard.compare(loop.vision)
+    loop.bench.guard(bench_s, run_zero_s)  #    bench guard
+    loop.vision.receive(bench_s, run_zero_s)  # 3  poses from the vision unit
     if loop.monitor is not None:
-        loop.monitor.check(t_s, now, loop.gnc)  #    docking monitor against navigation
+        loop.monitor.check(t_s, loop.gnc)  #    docking monitor against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
-    loop.dss.isolate(loop.gnc.isolated_thrusters)
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s
-    now.sampled_s[0, 0], now.sampled_s[0, 1] = loop.bench.sampled_s(run_zero_s)
+    core.command(params, state)  #    isolation valves, consistency of the filters
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
-    now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     loop.health_alarms.update(bench_s, int(now.navigation.health))
     loop.record(k)  # 8  record of the cycle at t_s
     loop.target.record(t_s, run_zero_s, loop.bench)
-    loop.dss.step(k, now.truth, now.command, now.imu, now.samples)  # 9, 10 truth over this cycle, virtual IMU
-    w_CH_C = loop.dss.rate_against_hill(now.truth)
-    loop.bench.follow(now.truth, w_CH_C, bench_s, now.setpoint)  # 11 setpoints for rails and turntable
+    loop.dss.step(k)  # 9, 10 truth over this cycle, virtual IMU; axes for the pose at its end
+    loop.bench.follow(bench_s)  # 11 setpoints for rails and turntable
     loop.record_axes(bench_s - run_zero_s, run_zero_s, lateness_s)
 
 
@@ -174,12 +134,11 @@ def run_tick(loop: Loop, bench_s: float, run_zero_s: float, lateness_s: float) -
 
     Arguments as of ``run_cycle``.
     """
-    now = loop.now
     loop.safety_io.check(bench_s)  # 0
-    loop.bench.read(bench_s, now.feedback)  # 1
-    loop.bench.check(bench_s, now.feedback)  # 2
+    loop.bench.read(bench_s)  # 1
+    loop.bench.check(bench_s)  # 2
     loop.vision.expose(bench_s)
-    loop.bench.follow_on(bench_s, now.setpoint)  # 11
+    loop.bench.follow_on(bench_s)  # 11
     loop.record_axes(bench_s - run_zero_s, run_zero_s, lateness_s)
 
 

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import MAX_THRUSTERS, Array
 from hil.core.model_records import (
     IMU_INPUT_FIELDS,
@@ -24,6 +25,8 @@ from hil.dynamics.thrusters import wrench
 from hil.errors import DeviceError
 from hil.fmi.archive import FmuError
 from hil.fmi.plant_model import PlantModel, PlantRecords
+from hil.loop import core
+from hil.loop.core_memory import CoreMemory
 from hil.loop.stages import DssStage
 from hil.maths.random_streams import NormalRows
 
@@ -54,18 +57,21 @@ class PlantModels(NamedTuple):
 class ModelDssStage(DssStage):
     """Dynamics simulation of which ``models`` replace parts. Their failure is a DeviceError, which stops the bench."""
 
-    def __init__(
-        self, models: PlantModels, params: np.record, field: Array, imu_params: np.record, imu_noise: NormalRows
-    ) -> None:
-        super().__init__(params, field, imu_params, imu_noise)
+    def __init__(self, models: PlantModels, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> None:
+        super().__init__(memory, field, imu_noise)
         self._models = models
-        self._scaled = params.copy()  # of the built-in motion with all valves open, each with its part of the force
+        self._dss, self._imu_params = kernel_record(memory.params.dss), kernel_record(memory.params.imu)
+        self._truth_memory, self._imu_memory = memory.view("truth_memory"), memory.view("imu_memory")
+        self._now = memory.now
+        # of the built-in motion with all valves open, each with its part of the force
+        self._scaled = memory.params.dss.copy()
         self._scaled.thruster_errors.enabled = 0
         self._all_on = np.ones(MAX_THRUSTERS, np.int64)
         self._force, self._torque = np.empty(3), np.empty(3)
 
-    def step(self, k: int, truth: np.record, command: np.record, imu: np.record, samples: np.ndarray) -> None:
-        """Propagate ``truth`` over cycle ``k``; see ``DssStage.step``."""
+    def step(self, k: int) -> None:
+        """Propagate the truth over cycle ``k``; see ``DssStage.step``."""
+        truth, command, imu, samples = self._now.truth, self._now.command, self._now.imu, self._samples
         n = len(samples)
         sums = [np.zeros_like(field) for field in self._means(truth, imu)]
         for i, noise in enumerate(self.noise.next_rows(n)):
@@ -77,7 +83,8 @@ class ModelDssStage(DssStage):
                 total += field / n
         for total, field in zip(sums, self._means(truth, imu), strict=True):
             field[:] = total
-        self._send_samples(k, samples)
+        core.aim(self._params, self._state)
+        self._send_samples(k)
 
     @staticmethod
     def _means(truth: np.record, imu: np.record) -> tuple[np.ndarray, ...]:
@@ -89,19 +96,19 @@ class ModelDssStage(DssStage):
         t_s = float(truth.t_s)
         model = self._models.thrusters
         if model is None:
-            truth_kernels.step(self.params, self.field, self.memory, truth, on)
+            truth_kernels.step(self._dss, self.field, self._truth_memory, truth, on)
         else:
             model.inputs.t_s, model.inputs.on = t_s, on
             fraction = self._step("thrusters", model).thrust_fraction[0]
-            self._scaled.thruster_force = np.asarray(self.params.thruster_force) * fraction
-            truth_kernels.step(self._scaled, self.field, self.memory, truth, self._all_on)
+            self._scaled.thruster_force = np.asarray(self._dss.thruster_force) * fraction
+            truth_kernels.step(self._scaled, self.field, self._truth_memory, truth, self._all_on)
             truth.thrust_fraction = fraction
         if self._models.truth is not None:
             self._replace_motion(self._models.truth, truth, t_s, w_before)
 
     def _replace_motion(self, model: PlantModel, truth: np.record, t_s: float, w_before: np.ndarray) -> None:
         """Replace the motion of the chaser by that of the model; orbit of the target and frame H remain built in."""
-        p = self.params
+        p = self._dss
         place, direction, force_n = p.thruster_position, p.thruster_direction, p.thruster_force
         wrench(truth.thrust_fraction, place, direction, force_n, p.n_thrusters, self._force, self._torque)
         inputs = model.inputs
@@ -124,10 +131,10 @@ class ModelDssStage(DssStage):
         """Write the sample of the step that ended at ``truth``."""
         model = self._models.imu
         if model is None:
-            imu_kernels.sample_with_errors(self._imu_params, truth, w_before, noise, self.imu_memory, imu)
+            imu_kernels.sample_with_errors(self._imu_params, truth, w_before, noise, self._imu_memory, imu)
             return
         inputs = model.inputs
-        inputs.t_s = truth.t_s - self.params.dt_s
+        inputs.t_s = truth.t_s - self._dss.dt_s
         inputs.mean_rate_C_radps, inputs.mean_force_C_mps2 = truth.mean_rate_C, truth.mean_force_C
         inputs.w_CI_C_radps = truth.w_CI_C
         out = self._step("imu", model)

@@ -8,23 +8,16 @@ from typing import Protocol
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
-from hil.config.scenario import Scenario
-from hil.core.messages import Array, new
+from hil.core.kernel_record import kernel_record
+from hil.core.messages import Array
 from hil.dynamics.docking_monitor import MONITOR_NOISE, UNOBSERVED_RAD
-from hil.gnc_backends.base import GncBackend, Records
-from hil.loop.monitor_kernel import (
-    MONITOR_PARAMS,
-    MONITOR_STATE,
-    compare_received,
-    is_measured,
-    measure_bench,
-    put_frame,
-)
+from hil.gnc_backends.base import GncBackend
+from hil.loop import core
+from hil.loop.core_memory import CoreMemory
+from hil.loop.monitor_kernel import is_measured, measure_bench, put_frame
 from hil.maths import quat
 from hil.maths.random_streams import NormalRows, stream
 from hil.monitor.results import NO_TARGET, Portion
-from hil.params import monitor as monitor_params
-from hil.params.faults import fault_rows
 
 
 class PortionSource(Protocol):
@@ -32,18 +25,6 @@ class PortionSource(Protocol):
 
     def poll(self) -> list[Portion]:
         """Return the portions that have been completed since the last call; never waits."""
-
-
-def monitor_record(scenario: Scenario, truth: Scenario, seed: int) -> np.record:
-    """Return MONITOR_PARAMS. scenario: as the loop has it; truth: with the monitor's errors and faults."""
-    params = new(MONITOR_PARAMS)
-    if truth.monitor.source == "none" or not scenario.monitor.interlock:
-        return params
-    params.acts, params.models = 1, truth.monitor.source == "model"
-    params.model = monitor_params.monitor_model(truth)
-    params.interlock = monitor_params.interlock(scenario)
-    params.faults = fault_rows(truth, "monitor", seed)
-    return params
 
 
 def monitor_noise(seed: int) -> NormalRows:
@@ -54,29 +35,28 @@ def monitor_noise(seed: int) -> NormalRows:
 class MonitorStage:
     """Interlock of the docking monitor.
 
-    params: MONITOR_PARAMS. bench: BENCH_PARAMS. axes: returns the positions of rails and turntable, m and rad, that a
-    modelled monitor sees; noise: of its measurements. source: of the results of a monitor that measures on images.
+    memory: of the core. axes: returns the positions of rails and turntable, m and rad, that a modelled monitor sees;
+    noise: of its measurements. source: of the results of a monitor that measures on images.
     """
 
     def __init__(
         self,
-        params: np.record,
-        bench: np.record,
+        memory: CoreMemory,
         axes: Callable[[], tuple[Array, Array]],
         noise: NormalRows,
         source: PortionSource | None = None,
     ) -> None:
-        self.params = params
+        self._memory = memory
+        self.params, self.memory = kernel_record(memory.params.monitor), memory.view("monitor")
+        """MONITOR_PARAMS, MONITOR_STATE."""
         self.noise = noise
         self.source = source
-        self.memory = new(MONITOR_STATE)
-        """MONITOR_STATE."""
-        self._bench = bench
+        self._bench = kernel_record(memory.params.bench)
         self._axes = axes
         self._r, self._q = np.empty(3), np.empty(4)
 
-    def check(self, t_s: float, now: Records, gnc: GncBackend) -> None:
-        """Compare what has arrived by ``t_s`` of the run with the estimate of the cycle before, in ``now``."""
+    def check(self, t_s: float, gnc: GncBackend) -> None:
+        """Compare what has arrived by ``t_s`` of the run with the estimate of the cycle before."""
         if is_measured(self.params, self.memory, t_s):
             number = int(self.memory.next)
             pose_of_axes(self._bench, *self._axes(), self._r, self._q)
@@ -85,9 +65,9 @@ class MonitorStage:
         if self.source is not None:
             for portion in self.source.poll():
                 self._put(portion, t_s)
-        gnc.set_monitor_disagrees(bool(compare_received(self.params, self.memory, t_s, now.navigation)))
-        found = self.memory.interlock
-        now.monitor_bound_m[0], now.monitor_bound_s[0] = found.bound_m, found.last_s
+        core.compare_monitor(self._memory.params, self._memory.state, t_s)
+        found = self.memory.interlock  # a GNC that is not built in has a state of its own
+        gnc.set_monitor_disagrees(bool(found.disagrees))
         gnc.set_monitor_bound(float(found.bound_m), float(found.last_s))
 
     def disagreement(self) -> tuple[int, float, float]:

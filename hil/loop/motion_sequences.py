@@ -87,8 +87,8 @@ class MotionSequencer:
     def check(self, now_s: float) -> None:
         """Read the axes and run the safety checks. Raises BenchError."""
         self.loop.safety_io.check(now_s)
-        self.loop.bench.read(now_s, self.loop.now.feedback)
-        self.loop.bench.check(now_s, self.loop.now.feedback)
+        self.loop.bench.read(now_s)
+        self.loop.bench.check(now_s)
         if self.loop.bench.manipulator is not None:
             self.loop.bench.manipulator.read(now_s)
 
@@ -161,7 +161,7 @@ class MotionSequencer:
         """
         self._warn()
         self._await_standstill()
-        self.loop.bench.seed_for_run(self._newest.now_s, self.loop.now.feedback)
+        self.loop.bench.seed_for_run(self._newest.now_s)
         return self._newest
 
     def place(self) -> None:
@@ -203,7 +203,7 @@ class MotionSequencer:
 
         ``is_done`` is called every cycle with the axes at rest; it must not wait.
         """
-        bench, now = self.loop.bench, self.loop.now
+        bench = self.loop.bench
         self.begin()
         tick = self.seed_for_run()
         self.modes.go(Mode.PLACING)
@@ -211,16 +211,16 @@ class MotionSequencer:
             tick = self.hold(self._newest)
         tick = self._newest
         while not is_done(tick.now_s):
-            bench.command(target, tick.now_s, now.setpoint, bench.params)
+            bench.command(target, tick.now_s, bench.params)
             tick = self.tick()
             self.require_resumable_hold()
         self.modes.go(Mode.STANDBY)
 
     def brake(self) -> None:
         """Brake all axes to standstill."""
-        bench, now = self.loop.bench, self.loop.now
+        bench = self.loop.bench
         tick = self.begin()
-        while bench.brake(tick.now_s, now.setpoint) or not bench.at_rest(tick.now_s, now.feedback):
+        while bench.brake(tick.now_s) or not bench.at_rest(tick.now_s):
             tick = self.tick()
 
     def _move_to(self, target: np.record, tick: Tick) -> bool:
@@ -234,12 +234,12 @@ class MotionSequencer:
         while True:
             moved_s = cycle * self._step_s  # a late cycle delays the move
             ended = move.duration_s - moved_s < _NO_MOVE_S
-            if ended and self._is_at(target) and bench.at_rest(tick.now_s, now.feedback):
+            if ended and self._is_at(target) and bench.at_rest(tick.now_s):
                 return True
             if moved_s > move.duration_s + _SETTLE_S:
                 raise SafetyTrip("bench", _PLACE_NAMES[mode], "not reached", f"{_SETTLE_S:g} s after the move")
             move.at(moved_s + self._step_s, wanted)
-            bench.command(wanted, tick.now_s, now.setpoint, move.limits)
+            bench.command(wanted, tick.now_s, move.limits)
             tick = self.tick()
             if self.hold_requested(mode):
                 return False
@@ -270,12 +270,12 @@ class MotionSequencer:
         tick: one without a setpoint yet. Poses received meanwhile are discarded; at the end the setpoints are seeded
         from the encoders.
         """
-        bench, now = self.loop.bench, self.loop.now
+        bench = self.loop.bench
         held_mode = self.modes.mode
         self.modes.go(Mode.HOLD)
         resume, moved_s = False, tick.now_s
         while True:
-            if bench.brake(tick.now_s, now.setpoint) or not bench.at_rest(tick.now_s, now.feedback):
+            if bench.brake(tick.now_s) or not bench.at_rest(tick.now_s):
                 moved_s = tick.now_s
             command = self._poll_command(Mode.HOLD)
             resume = command is OperatorCommand.RESUME or (resume and command is not OperatorCommand.HOLD)
@@ -286,7 +286,7 @@ class MotionSequencer:
                 self.loop.vision.discard_pending(tick.now_s)
             if self.ticks % self.progress_ticks == 0:
                 self._on_progress(Mode.HOLD, 0.0)
-        bench.seed_for_run(tick.now_s, now.feedback)
+        bench.seed_for_run(tick.now_s)
         self.loop.vision.not_before_s = tick.now_s
         self.safety.hold_reason = ""
         self.modes.go(held_mode)
@@ -297,7 +297,7 @@ class MotionSequencer:
         request = self._operator.jog_request()
         if request is None:
             return
-        bench, now = self.loop.bench, self.loop.now
+        bench = self.loop.bench
         tick = self.begin()
         if self.warning_s > 0.0:
             self._warn()
@@ -311,7 +311,7 @@ class MotionSequencer:
             return
         try:
             moving = True
-            while moving or not bench.at_rest(tick.now_s, now.feedback):
+            while moving or not bench.at_rest(tick.now_s):
                 moving = self._jog_step(jog, tick)
                 tick = self.tick()
         finally:
@@ -328,7 +328,7 @@ class MotionSequencer:
             self._operator.rejections.append(f"bench: cannot jog {request.axis} by {request.direction}")
             return None
         homing = (*bench.feedback[0].homing, *bench.feedback[1].homing)
-        bench.seed(tick.now_s, self.loop.now.feedback)
+        bench.seed(tick.now_s)
         homed, fraction = homing[axis] is Homing.DONE, self.safety.limits.jog_rate_fraction
         jog = Jog(bench.params, axis, request.direction, homed, bench.motion.position, fraction)
         if not bench.set_jogging(True):
@@ -343,17 +343,17 @@ class MotionSequencer:
 
     def _jog_step(self, jog: Jog, tick: Tick) -> bool:
         """Send the next setpoint of a jog; return whether it continues."""
-        bench, now = self.loop.bench, self.loop.now
+        bench = self.loop.bench
         self._poll_command(Mode.JOGGING)
         request = self._operator.jog_request()
         if request == JogRequest(bench.axis_names[jog.axis], jog.direction):
             jog.key.refresh(tick.now_s)
         switch = (*bench.feedback[0].limit, *bench.feedback[1].limit)[jog.axis]
         if not jog.may_move(tick.now_s, switch):
-            return bench.brake(tick.now_s, now.setpoint, jog.params) or jog.key.pressed(tick.now_s)
+            return bench.brake(tick.now_s, jog.params) or jog.key.pressed(tick.now_s)
         wanted = new(AXES)
         jog.aim(bench.motion, wanted)
-        bench.command(wanted, tick.now_s, now.setpoint, jog.params)
+        bench.command(wanted, tick.now_s, jog.params)
         return True
 
     def _jog_manipulator(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
@@ -378,15 +378,15 @@ class MotionSequencer:
 
     def _turn_target(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
         """Seed the setpoints, and jog until the key is released and all axes are at rest."""
-        bench, now = self.loop.bench, self.loop.now
+        bench = self.loop.bench
         axis = manipulator.axis_names.index(request.axis)
-        bench.seed(tick.now_s, now.feedback)
+        bench.seed(tick.now_s)
         jog = manipulator.begin_jog(axis, request.direction, self.safety.limits.jog_rate_fraction)
         jog.key.refresh(tick.now_s)
         self.modes.go(Mode.JOGGING)
         moving = True
         try:
-            while moving or not bench.at_rest(tick.now_s, now.feedback):
+            while moving or not bench.at_rest(tick.now_s):
                 self._poll_command(Mode.JOGGING)
                 if self._operator.jog_request() == request:
                     jog.key.refresh(tick.now_s)

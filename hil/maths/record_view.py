@@ -1,4 +1,4 @@
-"""Records and blocks in an array of floats: for arrays whose length is known only when the settings are."""
+"""Records as a whole, and records and blocks in an array of floats whose length is known when the settings are."""
 
 from __future__ import annotations
 
@@ -23,6 +23,19 @@ def record_at(_typing, array, index, dtype):
         return builder.bitcast(cgutils.gep_inbounds(builder, data, arguments[1]), context.get_value_type(record))
 
     return record(array, types.intp, dtype), generate
+
+
+@intrinsic
+def copy_record(_typing, source, target):
+    """Copy the record ``source`` to ``target``, of the same layout; an assignment compiles into a copy byte by byte."""
+    if not (isinstance(source, types.Record) and isinstance(target, types.Record) and source.size == target.size):
+        return None
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        cgutils.raw_memcpy(builder, arguments[1], arguments[0], context.get_constant(types.intp, source.size), 1)
+        return context.get_dummy_value()
+
+    return types.void(source, target), generate
 
 
 @intrinsic

@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths import stack
+from hil.maths.limits import cut_to_range
 
 _LANES: Final = 6
 _ROWS: Final = 10
@@ -93,6 +94,37 @@ def servo_step(position, rate, setpoint, feedforward, kp, tau, rate_max, acceler
                     rate_max[i], acceleration_max[i] * h, low[i], high[i], h,
                 )  # fmt: skip
         first = end
+
+
+@kernel
+def move_servo(axes, now_s):
+    """Move three axes (SERVO) to ``now_s``, unless that is in the past."""
+    left_s = now_s - axes.t_s
+    if left_s <= 0.0:
+        return
+    axes.t_s = now_s
+    servo_step(
+        axes.position, axes.rate, axes.setpoint, axes.feedforward, axes.kp, axes.tau,
+        axes.rate_max, axes.acceleration_max, axes.low, axes.high, left_s,
+    )  # fmt: skip
+
+
+@kernel
+def send_to_servo(axes, position, rate, now_s, accepted):
+    """Set the setpoint of three axes (SERVO) at ``now_s``, ``position`` and ``rate`` (3,), cut to their ranges.
+
+    Writes the accepted positions into ``accepted`` (3,). Returns False, and sets nothing, if a number is not finite.
+    """
+    feedforward = stack.vector(3)
+    if cut_to_range(position, axes.low, axes.high, accepted) >= 0:
+        return False
+    if cut_to_range(rate, axes.rate_min, axes.rate_max, feedforward) >= 0:
+        return False
+    move_servo(axes, now_s)
+    for i in range(3):
+        axes.setpoint[i] = accepted[i] - axes.encoder_offset[i] + axes.disturbance[i]
+        axes.feedforward[i] = feedforward[i] + axes.disturbance_rate[i]
+    return True
 
 
 @kernel

@@ -23,7 +23,7 @@ from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.gnc_backends.library import binary_digest
-from hil.loop.compiled.loop_kernel import run_loop
+from hil.loop.compiled.run_cycles import run_cycles
 from hil.monte_carlo.batch import TRACEBACK, Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
@@ -123,7 +123,7 @@ class CampaignJob:
             "scenario_digest": scenario_digest(self.scenario.value),
             "seed": self.seed,
             "duration_s": self.duration_s,
-            "kernels": digest_of(run_loop),
+            "kernels": digest_of(run_cycles),
             **({"own": hashlib.sha256(self.spec.own).hexdigest()[:16]} if self.spec.own else {}),
         }
 

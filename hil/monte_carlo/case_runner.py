@@ -14,35 +14,25 @@ from hil.bench.kinematics import write_axes
 from hil.config.load import Loaded
 from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
-from hil.core.messages import (
-    ARRIVAL,
-    AXES,
-    AXES_SAMPLE,
-    CYCLE,
-    IMU_SAMPLE,
-    MAX_POSES,
-    POSE,
-    imu_samples,
-    new,
-)
+from hil.core.kernel_record import kernel_record
+from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
-from hil.errors import BadInput, BenchError, LinkTimeout, ProtocolError, SafetyTrip
+from hil.errors import BadInput, BenchError, LinkTimeout, SafetyTrip
 from hil.gnc.fusion import new_memory
-from hil.gnc_backends import external_records
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
-from hil.gnc_backends.external import fault_text, hold_reason, reported_fault
+from hil.gnc_backends.external import hold_reason
 from hil.gnc_backends.library import open_library
+from hil.gnc_backends.library_kernel import output_of
 from hil.gnc_backends.open_backends import OpenBackends
-from hil.gnc_backends.shared_library import gnc_name, step_failed
-from hil.loop.compiled import loop_kernel
-from hil.loop.compiled.library_kernel import output_of
-from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
-from hil.loop.compiled.params import frames_in_transit, loop_params, set_truth
+from hil.gnc_backends.shared_library import gnc_name, library_failure
+from hil.loop.compiled import run_cycles as shell
+from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.compiled.run_stats import RUN_STATS, start_run_stats
+from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.runner import COMPLETED
 from hil.maths.random_streams import noise_source
 from hil.models.camera_timing import TRAVEL_DRAWS
@@ -77,16 +67,11 @@ class CaseRunner:
         self.rig = rig
         self.cycles = round(duration_s / scenario.step_s) + 1
         exposures = math.floor(duration_s * rig.vmu.rate_hz) + 2
-        self._params = self._fixed_params()
-        self._state_block, self._stats_block = (
-            np.zeros(1, dtype).view(np.recarray) for dtype in (LOOP_STATE, RUN_STATS)
-        )
-        self._state, self._stats = self._state_block[0], self._stats_block[0]
-        self._memory = new_memory(self._params.gnc.navigation.fusion)
-        self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
-        self._frames = frames_in_transit(rig, scenario.step_s)
-        self._delayed = self._frames.copy()
-        self._samples = imu_samples(self._state_block["now"], scenario.imu_samples)
+        self._core = CoreMemory(
+            self._fixed_params(), scenario.imu_samples, frames_in_transit(rig, scenario.step_s)
+        )  # fmt: skip
+        self._state, self._stats = self._core.state, kernel_record(new(RUN_STATS))
+        self._memory = new_memory(self._core.params.gnc.navigation.fusion)
         self._imu_noise = np.empty((self.cycles * scenario.imu_samples, IMU_NOISE))
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
@@ -109,6 +94,10 @@ class CaseRunner:
         stats: np.record = self._stats
         return stats
 
+    @property
+    def _params(self) -> np.record:
+        return self._core.params
+
     def _fixed_params(self) -> np.record:
         """Return LOOP_PARAMS with all parameters of the GNC and the rig."""
         scenario, rig = self.scenario, self.rig
@@ -125,7 +114,7 @@ class CaseRunner:
     def set_gnc_scenario(self, scenario: Scenario) -> None:
         """Set the scenario of the GNC; length, rig and thrusters must be the same."""
         self.scenario = self._named(scenario)
-        self._params = self._fixed_params()
+        np.asarray(self._core.params)[...] = self._fixed_params()
         if self._backends.kinds:
             self._backends.setup = gnc_setup(self.scenario)
 
@@ -144,7 +133,7 @@ class CaseRunner:
             return stats, interlock
         self._backends.user_error = None
         with self._library_instance(), self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
-            code = self._run_loop(truth, seed, history)
+            code = self._run_cycles(truth, seed, history)
             stats.ended = code
             return stats, self._reason(int(code))
 
@@ -155,8 +144,8 @@ class CaseRunner:
         return self._interlock()
 
     def outcome(self, code: int, stats: np.record, state: np.record) -> tuple[np.record, str]:
-        """Return what ``run`` returns for a case that ended with ``code`` of ``run_loop`` in other memory."""
-        self._stats_block[0], self._state_block[0] = stats, state
+        """Return what ``run`` returns for a case that ended with ``code`` of ``run_cycles`` in other memory."""
+        np.asarray(self._stats)[...], np.asarray(self._state)[...] = stats, state
         self._stats.ended = code
         return self._stats, self._reason(code)
 
@@ -171,15 +160,15 @@ class CaseRunner:
             gnc.step_address, gnc.instance = self._library.step_address, instance.address
             yield
 
-    def _run_loop(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
+    def _run_cycles(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
         imu_noise = noise_source(seed, "imu").standard_normal(out=self._imu_noise)
-        code: int = run_loop(*self.arguments(truth, seed, imu_noise, _NO_HISTORY if history is None else history))
+        code: int = run_cycles(*self.arguments(truth, seed, imu_noise, _NO_HISTORY if history is None else history))
         return code
 
     def arguments(
         self, truth: Scenario, seed: int, imu_noise: np.ndarray, history: np.ndarray = _NO_HISTORY
     ) -> tuple[Any, ...]:
-        """Return the arguments of ``run_loop`` for the case that was loaded last, valid until the next one."""
+        """Return the arguments of ``run_cycles`` for the case that was loaded last, valid until the next one."""
         return (
             self._params,
             dynamics_params.field(truth),
@@ -189,11 +178,11 @@ class CaseRunner:
             noise_source(seed, "transport").random(out=self._travel_draws),
             self._drawn_monitor_noise(seed),
             self._state,
-            self._samples,
+            self._core.now.samples,
             self._memory,
-            self._poses,
-            self._frames,
-            self._delayed,
+            self._core.poses,
+            self._core.frames,
+            self._core.delayed,
             self._stats,
             history,
             self._arrivals,
@@ -216,7 +205,7 @@ class CaseRunner:
         return {"imu": (self._imu_noise, imu_hz), "vision": (self._vision_noise, self.rig.vmu.rate_hz)}
 
     def prepared(self, truth: Scenario, seed: int) -> tuple[Any, ...]:
-        """Return the arguments of ``run_loop`` before the first cycle of a case, without library and statistics.
+        """Return the arguments of ``run_cycles`` before the first cycle of a case, without library and statistics.
 
         Raises BadInput if the bench could not be armed at the start pose.
         """
@@ -226,7 +215,9 @@ class CaseRunner:
         return self.arguments(truth, seed, noise_source(seed, "imu").standard_normal(out=self._imu_noise))
 
     def _clear(self) -> None:
-        for block in (self._state_block, self._stats_block, self._memory, self._samples):
+        for record in (self._state, self._stats):
+            np.asarray(record)[...] = np.zeros((), record.dtype)
+        for block in (self._memory, self._core.now.samples):
             block.view(np.uint8).fill(0)
         start_run_stats(self._stats)
 
@@ -238,33 +229,35 @@ class CaseRunner:
         state.now.truth = dynamics_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)
         rails, turntable = axes_at_start(truth, self.rig)
-        state.rails, state.turntable = ServoAxes(rails).record, ServoAxes(turntable).record
-        params.nominal_axes.rate_max = np.concatenate([state.rails.rate_max, state.turntable.rate_max])
+        mock = state.mock
+        ServoAxes(rails, mock.rails)
+        ServoAxes(turntable, mock.turntable)
+        params.mock.nominal_axes.rate_max = np.concatenate([mock.rails.rate_max, mock.turntable.rate_max])
 
     def _interlock(self) -> str:
         """Return why the bench could not be armed at the start pose, "" if it could."""
         state, standing = self._state, new(AXES)
         rest = np.zeros(3)
-        write_axes(state.rails.position, rest, state.turntable.position, rest, standing)
+        write_axes(state.mock.rails.position, rest, state.mock.turntable.position, rest, standing)
         breach = guards.first_beyond_travel(self._limits.guard, standing, self._limits.slack, state.breach)
         return "" if breach == guards.NOTHING else str(breach_alarm(0.0, BENCH_AXES, breach, state.breach).trip())
 
     def _reason(self, code: int) -> str:
         """Return why a run ended, with the text of ``hil run``."""
         state = self._state
-        if code == loop_kernel.COMPLETED:
+        if code == shell.COMPLETED:
             return COMPLETED
-        if code == loop_kernel.VISION_SILENT:
+        if code == shell.VISION_SILENT:
             now_s = self._stats.cycles * self.scenario.step_s
-            silent_s, allowed_s = now_s - state.last_rx_s, self.rig.vmu.timeout_s
+            silent_s, allowed_s = now_s - state.mock.transit.last_rx_s, self.rig.vmu.timeout_s
             return str(LinkTimeout("vmu", f"no answer for {silent_s:.3f} s, allowed {allowed_s:g} s"))
-        if code == loop_kernel.GNC_FAILED:
+        if code == shell.GNC_FAILED:
             return str(self._gnc_fault())
-        if code == loop_kernel.GNC_HOLDS:
+        if code == shell.GNC_HOLDS:
             if self._library is None:
                 return str(hold_trip(self._backends.hold_reason(state.gnc.backends)))
             return str(hold_trip(hold_reason(gnc_name(self._library), output_of(state.library))))
-        if code == loop_kernel.NOT_FINITE:
+        if code == shell.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
             return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
@@ -274,10 +267,4 @@ class CaseRunner:
     def _gnc_fault(self) -> BenchError:
         if self._library is None:
             return self._backends.failure(self._state.gnc.backends)
-        gnc, name, n = self._state.library, gnc_name(self._library), int(self._params.gnc.n_thrusters)
-        output = output_of(gnc)
-        if gnc.code != 0:
-            return step_failed(name, gnc.code, output)
-        if gnc.fault != external_records.FINE:
-            return ProtocolError(name, fault_text(output, gnc.fault, gnc.place, gnc.input.cycle, n))
-        return reported_fault(name, output)
+        return library_failure(gnc_name(self._library), self._state.library, int(self._params.gnc.n_thrusters))

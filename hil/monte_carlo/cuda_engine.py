@@ -23,7 +23,7 @@ from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, CampaignStopped, one_line
-from hil.loop.compiled.loop_kernel import COMPLETED, run_loop
+from hil.loop.compiled.run_cycles import COMPLETED, run_cycles
 from hil.maths.random_streams import NoiseSource, noise_source
 from hil.monte_carlo.batch import Case, DrawnCase, Rows, Spec, not_flown
 from hil.monte_carlo.engines import Batch, worker_count
@@ -38,8 +38,8 @@ _COMPARED: Final = 4
 BOUND: Final = 1e-6
 """Largest difference from the CPU, relative to the number, or absolute below 1."""
 
-_NAMES: Final = tuple(inspect.signature(run_loop).parameters)
-"""Names of the arguments of ``run_loop``."""
+_NAMES: Final = tuple(inspect.signature(run_cycles).parameters)
+"""Names of the arguments of ``run_cycles``."""
 _UPLOADED: Final = ("params", "field", "vision_noise", "travel_draws", "monitor_noise", "state", "samples", "stats")
 """Arguments that are copied to the GPU for each case."""
 _BY_CASE: Final = (*_UPLOADED, "memory", "imu_noise", "poses", "frames", "delayed", "codes")
@@ -181,7 +181,7 @@ class _Gpu:
         self._allocate(self.capacity)
 
     def _arguments(self, truth: Scenario, seed: int) -> dict[str, Any]:
-        """Return the arguments of ``run_loop`` of the case that is loaded, by name, without the IMU's noise."""
+        """Return the arguments of ``run_cycles`` of the case that is loaded, by name, without the IMU's noise."""
         return dict(zip(_NAMES, self._case.runner.arguments(truth, seed, _NO_NOISE), strict=True))
 
     def _shape_of(self, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:

@@ -1,6 +1,6 @@
 """Compiled loop on a CUDA GPU, one case per thread.
 
-Each argument of ``run_loop`` that differs between cases is an array with a leading axis of cases. A launch runs all
+Each argument of ``run_cycles`` that differs between cases is an array with a leading axis of cases. A launch runs all
 cases that have not ended to the same cycle, so that the IMU's noise is in memory for the cycles of one launch only.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.core.jit import kernel_cache_folder, prepare_kernel_cache
 from hil.core.kernel_digest import digest_of
-from hil.loop.compiled.loop_kernel import COMPLETED, run_loop
+from hil.loop.compiled.run_cycles import COMPLETED, run_cycles
 
 cuda: Any = importlib.import_module("numba.cuda")
 
@@ -34,10 +34,10 @@ class _Locator:
         (kernel_cache_folder() / "cuda").mkdir(exist_ok=True)
 
     def get_source_stamp(self) -> str:
-        return digest_of(run_loop)
+        return digest_of(run_cycles)
 
     def get_disambiguator(self) -> str:
-        return f"{self._name}-{digest_of(run_loop)}"
+        return f"{self._name}-{digest_of(run_cycles)}"
 
 
 if not cuda.config.ENABLE_CUDASIM:  # the simulator compiles nothing
@@ -59,16 +59,17 @@ def run_cases(
     """Run the first ``cases`` cases to cycle ``end``; write why each ended, COMPLETED if at ``end``, into ``codes``.
 
     imu_noise: (n, rows, IMU_NOISE), of the cycles of this launch. vision_noise, travel_draws, monitor_noise: of the
-    whole run. leds, history, arrivals, axes_log, samples_log: as for ``run_loop``, shared. codes: (n,), COMPLETED at
-    the start. The others: (n, ...) of what ``run_loop`` takes.
+    whole run. leds, history, arrivals, axes_log, samples_log: as for ``run_cycles``, shared. codes: (n,), COMPLETED at
+    the start. The others: (n, ...) of what ``run_cycles`` takes.
     """
     i = cuda.grid(1)
     if i >= cases or codes[i] != COMPLETED:
         return
     case = state[i]
-    exposed, measured = case.next_exposure - case.first_exposure, case.monitor.next
+    transit = case.mock.transit
+    exposed, measured = transit.next_exposure - transit.first_exposure, case.monitor.next
     case.end = end
-    codes[i] = run_loop(
+    codes[i] = run_cycles(
         params[i], field[i], leds, imu_noise[i], vision_noise[i][exposed:], travel_draws[i][exposed:],
         monitor_noise[i][measured:], case, samples[i], memory[i], poses[i], frames[i], delayed[i], stats[i],
         history, arrivals, axes_log, samples_log,

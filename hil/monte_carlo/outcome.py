@@ -11,7 +11,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.approach_events import ABORT_CAUSES
-from hil.loop.compiled.loop_kernel import COMPLETED as COMPLETED_CODE
+from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
 from hil.loop.runner import COMPLETED
 from hil.report.integrity import SafeStop, detection, integrity_part
 from hil.report.verdict import ROW_NAMES, tolerances, verdict_of

@@ -28,14 +28,17 @@ from hil.errors import BadInput
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import SHELL, Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
-from hil.loop.compiled import loop_kernel
-from hil.loop.compiled.library_kernel import LIBRARY
-from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
+from hil.gnc_backends.library_kernel import LIBRARY
+from hil.loop.compiled import run_cycles as shell
+from hil.loop.compiled.run_cycles import run_cycles
+from hil.loop.core import LOOP_STATE
+from hil.loop.mock_bench import MOCK_STATE
+from hil.models.frame_transit import FRAME_TRANSIT
 from hil.monte_carlo.case_runner import CaseRunner
 
 _OMITTED: Final = ("history", "arrivals", "axes_log", "samples_log")
-"""Last arguments of ``run_loop``, which the FMU does without."""
-_PARTS: Final = tuple(inspect.signature(run_loop).parameters)[: -len(_OMITTED)]
+"""Last arguments of ``run_cycles``, which the FMU does without."""
+_PARTS: Final = tuple(inspect.signature(run_cycles).parameters)[: -len(_OMITTED)]
 _FIXED: Final = ("params", "field", "leds", "imu_noise", "vision_noise", "travel_draws", "monitor_noise")
 _CHANGED: Final = tuple(name for name in _PARTS if name not in _FIXED)
 _CODES: Final = (
@@ -47,7 +50,7 @@ _CODES: Final = (
     "GNC_FAILED",
     "GNC_HOLDS",
 )
-"""Reasons for a return of ``run_loop``."""
+"""Reasons for a return of ``run_cycles``."""
 _ROWS: Final = {"imu_noise": "cycle", "vision_noise": "exposure", "travel_draws": "exposure"}
 """Parts of which each call gets the rows from a number on."""
 _ALIGNMENT: Final = 64
@@ -58,7 +61,7 @@ _TRUTH: Final = (
     ("truth_w_CI_C_radps", "w_CI_C", "rad/s", "true rate against inertial space"),
     ("truth_mass_kg", "mass_kg", "kg", "mass of the chaser"),
 )
-_ENTRY: Final = "hil_run_loop"
+_ENTRY: Final = "hil_run_cycles"
 _EXTRA: Final = "extra/hil"
 
 
@@ -149,6 +152,7 @@ def _layout(arguments: Mapping[str, Any], places: Mapping[str, int], size: int, 
         truth.append(f"{{{offset}, {at}, {n}}}")
         at += n
     library = _offset(LOOP_STATE, "library")
+    transit = _offset(LOOP_STATE, "mock") + _offset(MOCK_STATE, "transit")
     numbers = {
         "STEP_S": repr(step_s),
         "CYCLES": steps,
@@ -158,8 +162,8 @@ def _layout(arguments: Mapping[str, Any], places: Mapping[str, int], size: int, 
         "OPENED": _offset(LOOP_STATE, "opened"),
         "CYCLE": _offset(LOOP_STATE, "cycle"),
         "END": _offset(LOOP_STATE, "end"),
-        "NEXT_EXPOSURE": _offset(LOOP_STATE, "next_exposure"),
-        "FIRST_EXPOSURE": _offset(LOOP_STATE, "first_exposure"),
+        "NEXT_EXPOSURE": transit + _offset(FRAME_TRANSIT, "next_exposure"),
+        "FIRST_EXPOSURE": transit + _offset(FRAME_TRANSIT, "first_exposure"),
         "STEP_ADDRESS": library + _offset(LIBRARY, "step_address"),
         "INSTANCE": library + _offset(LIBRARY, "instance"),
         "TRUTH": at,
@@ -170,7 +174,7 @@ def _layout(arguments: Mapping[str, Any], places: Mapping[str, int], size: int, 
     lines += [f"#define PLANT_{name} {value}" for name, value in numbers.items()]
     lines.append(f"static const size_t PLANT_PART_PLACES[] = {{{', '.join(str(places[name]) for name in _PARTS)}}};")
     lines.append("static const struct { size_t offset, at, n; } PLANT_TRUTH_PLACES[] = {" + ", ".join(truth) + "};")
-    lines.append(f"enum {{ {', '.join(f'{name} = {getattr(loop_kernel, name)}' for name in _CODES)} }};")
+    lines.append(f"enum {{ {', '.join(f'{name} = {getattr(shell, name)}' for name in _CODES)} }};")
     return "\n".join([*lines, _call(arguments), ""])
 
 
@@ -205,8 +209,8 @@ def _call(arguments: Mapping[str, Any]) -> str:
 
 
 def _loop_module(arguments: Sequence[Any]) -> llvm.ModuleRef:
-    """Return the code of ``run_loop`` that campaigns run, with one function that other code can call."""
-    loop: Any = run_loop
+    """Return the code of ``run_cycles`` that campaigns run, with one function that other code can call."""
+    loop: Any = run_cycles
     loop.compile(tuple(numba.typeof(argument) for argument in arguments))
     compiled = next(iter(loop.overloads.values()))
     text = str(whole_module(compiled.library))

@@ -39,7 +39,7 @@ def _compile_stages() -> None:
 
 def _compile_gnc() -> None:
     from hil.gnc import navigation
-    from hil.loop.cycle import CycleData
+    from hil.loop.core_memory import CycleData
 
     gnc = make_gnc(load_scenario("scheme-1").value)
     gnc.step(0.0, CycleData(), _NoPoses())

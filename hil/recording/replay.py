@@ -21,7 +21,7 @@ from hil.core.messages import CYCLE, MAX_POSES, POSE
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
-from hil.loop.cycle import CycleData
+from hil.loop.core_memory import CycleData
 from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded, RowBatch

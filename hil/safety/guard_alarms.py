@@ -56,7 +56,7 @@ def bodies_alarm(now_s: float, quantity: str, key: str, found: np.record) -> Ala
 
 
 def is_of_guard(code: int) -> bool:
-    """Return whether the bench guard has ended the compiled loop. code: of ``run_loop``."""
+    """Return whether the bench guard has ended the compiled loop. code: of ``run_cycles``."""
     return bench_guard.KEEP_OUT <= code <= bench_guard.BODIES_MEET or code == guard.COLLISION
 
 

@@ -46,7 +46,7 @@ from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder, RecordingSinks
-from hil.setup.assembly import Devices, RunContext, assemble, library_problems, mocks
+from hil.setup.assembly import Devices, RunContext, assemble, core_memory, library_problems, mocks
 from hil.setup.assembly import Job as Job
 from hil.setup.clock_watch import ClockWatch
 from hil.setup.compiled import compiled_cycles
@@ -252,9 +252,10 @@ def in_memory(
     In simulated time and without an operator its closed loop is the compiled one, if that has all parts of the job.
     images: sink of a rendered vision unit's images; with a paced ``rate`` it must not wait.
     """
-    made_of = mocks(job.truth, job.rig.value, job.seed, images)
-    context = RunContext(operator, on_progress, scheduling, telemetry)
-    runner = assemble(job, job.rig.value, rate, made_of.devices, context)
+    rig = job.rig.value
+    memory = core_memory(job, rig)
+    made_of = mocks(job.truth, rig, job.seed, memory, images)
+    runner = assemble(job, rig, rate, made_of.devices, RunContext(operator, on_progress, scheduling, telemetry), memory)
     if operator is None and isinstance(rate, SimulatedRate) and runs_compiled(job):
         runner.cycles = compiled_cycles(job, runner, rate, made_of)
     return runner

@@ -16,6 +16,7 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
 from hil.core.operator_commands import Operator
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
@@ -38,12 +39,11 @@ from hil.gnc_backends.library import key_of, open_library
 from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
-from hil.loop.cycle import CycleData, Loop
-from hil.loop.fault_stages import AxisFaults, FrameFaults
-from hil.loop.guard_stage import GuardStage
+from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
+from hil.loop.cycle import Loop
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.model_stage import ModelDssStage
-from hil.loop.monitor_stage import MonitorStage, monitor_noise, monitor_record
+from hil.loop.monitor_stage import MonitorStage, monitor_noise
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -52,11 +52,10 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import FixedTarget, PlacedTarget, TargetStage
 from hil.maths.random_streams import NormalRows, noise_source
+from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
-from hil.params import vision as vision_params
-from hil.params.faults import fault_rows
 from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
@@ -170,57 +169,61 @@ def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
     return replace(rig, value=rig.value.model_copy(update={"vmu": selected}))
 
 
-def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunContext) -> Runner:
-    """Return a Runner of ``job`` on these devices, timed by ``rate``."""
+def core_memory(job: Job, rig: Rig) -> CoreMemory:
+    """Return the memory of the core for ``job`` on ``rig``, before its first cycle."""
+    scenario = job.scenario.value
+    gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s)
+    params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario.step_s))
+    set_truth(params, scenario, job.truth, job.seed, dss_as_built(job.truth, job.seed))
+    memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
+    memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)
+    draw_initial_imu_errors(job.truth, job.seed, memory.now.imu)
+    return memory
+
+
+def assemble(
+    job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunContext, memory: CoreMemory | None = None
+) -> Runner:
+    """Return a Runner of ``job`` on these devices, timed by ``rate``. memory: of the core; None: a new one."""
+    memory = memory or core_memory(job, rig)
     scenario = job.scenario.value
     rails, turntable, source, io, target = devices
-    bench = bench_params.bench(rig, scenario.step_s)
     axis_names = (*rails.axis_names, *turntable.axis_names)
-    safety = SafetyMonitor(
-        safety_limits(rig, bench_params.axis_guard(rig, scenario.step_s)),
-        axis_names,
-        _links(rig, rails, turntable, source),
-    )
-    stage = BenchStage(rails, turntable, bench, safety, ticks=job.ticks, cycle_s=scenario.step_s)
+    limits = safety_limits(rig, memory.params.guard)
+    safety = SafetyMonitor(limits, axis_names, _links(rig, rails, turntable, source))
+    stage = BenchStage(rails, turntable, memory, safety)
     moved = _target_stage(job, rig, target)
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
-    monitor = _docking_monitor(job, devices, stage)
+    monitor = _docking_monitor(job, devices, stage, memory)
     loop = Loop(
-        dss=_dss(job.truth, job.seed),
+        memory=memory,
+        dss=_dss(job.truth, job.seed, memory),
         bench=stage,
-        vision=VisionStage(source, vision_params.mounting(rig)),
-        gnc=_backend(job, rig, rate),
+        vision=VisionStage(source, memory),
+        gnc=_backend(job, rig, rate, memory),
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
         health_alarms=HealthAlarms(safety.alarms, scenario, monitor.disagreement if monitor else None),
         monitor=monitor,
-        now=CycleData(scenario.imu_samples),
     )
     if loop.gnc.filter_monitor is not None:
         loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
-    if rig.guard.enabled:
-        loop.guard = GuardStage(bench_params.bench_guard(rig, scenario), loop.bench)
-    plume, plume_memory = loop.dss.params.plume, loop.dss.memory.plume
-    if any(fault.family == "vmu" for fault in job.truth.faults) or plume.dimming > 0.0:
-        faults = fault_rows(job.truth, "vmu", job.seed)
-        loop.vision.faults = FrameFaults(faults, vision_params.mounting(rig), plume, plume_memory)
     if any(fault.family == "axis" for fault in job.truth.faults):
         assert isinstance(rails, MockAxes)
         assert isinstance(turntable, MockAxes)
-        loop.axis_faults = AxisFaults(fault_rows(job.truth, "axis", job.seed), rails.servo(), turntable.servo())
+        loop.axis_faults = _axis_faults(memory.params.mock, rails.servo, turntable.servo)
     if io is not None and rig.io is not None:
         tested_pump_s = rig.io.pump_timeout_s if rig.kind == "hardware" else None
         lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines], tested_pump_s)
+        memory.params.mock.thruster_lines = rig.io.thruster_lines
         loop.safety_io = lines
         loop.bench.emergency_input = lines.emergency_input
         loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
     loop.target = moved
-    loop.now.row["truth"] = dynamics_params.initial_truth(job.truth)
-    draw_initial_imu_errors(job.truth, job.seed, loop.now.imu)
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
@@ -248,6 +251,13 @@ def assemble(job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunConte
     return runner
 
 
+def _axis_faults(params: np.record, rails: np.record, turntable: np.record) -> Callable[[float], None]:
+    """Return what applies the faults of axes in memory at a time of the run. params: MOCK_PARAMS; SERVO of both."""
+    params.nominal_axes.rate_max = np.concatenate([rails.rate_max, turntable.rate_max])
+    faults, nominal = kernel_record(params.axis_faults), kernel_record(params.nominal_axes)
+    return lambda t_s: set_axis_faults(faults, nominal, t_s, rails, turntable)
+
+
 def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     """Return what carries the target: nothing that moves, axes that place it, or axes that rotate it in the run."""
     if axes is None:
@@ -262,34 +272,33 @@ def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
 
 
-def _docking_monitor(job: Job, devices: Devices, bench: BenchStage) -> MonitorStage | None:
+def _docking_monitor(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> MonitorStage | None:
     """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
-    params = monitor_record(job.scenario.value, job.truth, job.seed)
-    if not params.acts:
+    if not memory.params.monitor.acts:
         return None
 
     target, rotated = devices.target, bench.manipulator
 
     def axes() -> tuple[Array, Array]:
         if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
-            found = np.asarray(bench.rails.servo().position), np.asarray(bench.turntable.servo().position)
+            found = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
         else:
             found = bench.feedback[0].position, bench.feedback[1].position
         if isinstance(rotated, RotatedTarget):
-            at = target.servo().position if isinstance(target, MockAxes) else rotated.feedback.position
+            at = target.servo.position if isinstance(target, MockAxes) else rotated.feedback.position
             return relative_axes(bench.params, rotated.params, *found, at)
         return found
 
-    return MonitorStage(params, bench.params, axes, monitor_noise(job.seed))
+    return MonitorStage(memory, axes, monitor_noise(job.seed))
 
 
-def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
+def _backend(job: Job, rig: Rig, rate: Rate, memory: CoreMemory) -> GncBackend:
     """Return the GNC backend: the job's, the rig's flight computer, or the scenario's, in this order."""
     scenario, computer = job.scenario.value, rig.flight_computer
     if job.make_backend is not None:
         return job.make_backend(scenario)
     if computer.command_words == "none":
-        return make_backend(scenario, job.own)
+        return make_backend(scenario, job.own, memory)
     return CommandWordGnc(
         computer,
         CommandWordReceiver(computer, rate.now_s),
@@ -299,26 +308,29 @@ def _backend(job: Job, rig: Rig, rate: Rate) -> GncBackend:
     )
 
 
-def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS) -> BuiltinGnc:
+def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMemory | None = None) -> BuiltinGnc:
     """Return the built-in GNC of ``scenario`` with its backends, before its first cycle. Raises BadInput.
 
-    own: backends that the caller gives.
+    own: backends that the caller gives. memory: of the core in which it works; None: its own.
     """
-    params = gnc_params.gnc(scenario)
+    params, state = (gnc_params.gnc(scenario), None) if memory is None else (memory.params.gnc, memory.state.gnc)
     monitor = FilterMonitor(params.navigation, _shadow_limits(scenario))
     backends = backends_of(scenario, own)
     return BuiltinGnc(
-        params, approach_event_log(scenario), monitor, backends, gnc_setup(scenario) if backends else None
+        params, approach_event_log(scenario), monitor, backends, gnc_setup(scenario) if backends else None, state
     )
 
 
-def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS) -> GncBackend:
+def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMemory | None = None) -> GncBackend:
     """Return the built-in GNC, or the binary that ``scenario`` names. Raises BadInput if it cannot be loaded.
 
-    own: backends of navigation and control that the caller gives.
+    Arguments as of ``make_gnc``.
     """
     library = open_library(scenario.gnc)
-    return make_gnc(scenario, own) if library is None else SharedLibraryGnc(library, backend_setup(scenario))
+    if library is None:
+        return make_gnc(scenario, own, memory)
+    records = (memory.state.gnc.approach, memory.state.library) if memory is not None else ()
+    return SharedLibraryGnc(library, backend_setup(scenario), *records)
 
 
 def library_problems(scenario: Loaded[Scenario], own: OwnBackends = NO_BACKENDS) -> list[Problem]:
@@ -366,16 +378,10 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
     return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
 
 
-def _dss(scenario: Scenario, seed: int) -> DssStage:
+def _dss(scenario: Scenario, seed: int, memory: CoreMemory) -> DssStage:
     """Return the dynamics simulation with this run's thruster errors. Raises BadInput for an FMU that is unsuitable."""
-    params = dss_as_built(scenario, seed)
-    parts = (
-        params,
-        dynamics_params.field(scenario),
-        dynamics_params.imu(scenario, seed),
-        NormalRows(noise_source(seed, "imu"), IMU_NOISE),
-    )
-    models = plant_models(scenario, params)
+    parts = memory, dynamics_params.field(scenario), NormalRows(noise_source(seed, "imu"), IMU_NOISE)
+    models = plant_models(scenario, memory.params.dss)
     return DssStage(*parts) if models is None else ModelDssStage(models, *parts)
 
 
@@ -402,15 +408,16 @@ class Mocks(NamedTuple):
     transport: Transport
 
 
-def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = None) -> Mocks:
-    """Return mock devices whose axes are at the start pose. images: sink of a rendered vision unit's images."""
+def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: ImageSink | None = None) -> Mocks:
+    """Return mock devices in ``memory``, with the axes at the start pose. images: sink of a rendered unit's images."""
     from hil.drivers.io.mock import MockIo
     from hil.drivers.vmu.mock import MockVmu
 
     rails_config, turntable_config = axes_at_start(scenario, rig)
-    rails = MockAxes("rails", rails_config)
-    turntable = MockAxes("turntable", turntable_config)
-    sensor = make_pose_sensor(scenario, rig, seed, images)
+    mock = memory.state.mock
+    rails = MockAxes("rails", rails_config, mock.rails)
+    turntable = MockAxes("turntable", turntable_config, mock.turntable)
+    sensor = make_pose_sensor(scenario, rig, seed, images, mock.vision_memory)
 
     target = MockAxes("target", rig.target_axes) if rig.target_axes else None
     bench, manipulator = bench_params.bench(rig, scenario.step_s), bench_params.manipulator(rig)
@@ -423,7 +430,8 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, images: ImageSink | None = No
 
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     frames = transport(scenario.vmu, seed)
-    return Mocks(Devices(rails, turntable, MockVmu(rig.vmu, pose_at, frames), io, target), sensor, frames)
+    source = MockVmu(rig.vmu, pose_at, frames, mock.transit, memory.frames)
+    return Mocks(Devices(rails, turntable, source, io, target), sensor, frames)
 
 
 def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:

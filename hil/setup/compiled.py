@@ -8,12 +8,10 @@ from typing import Literal
 from hil.cameras.pose_sensor import PoseModel
 from hil.core.jit import mark_of, prepare_kernel_cache, processor, remove_unused_kernels
 from hil.drivers.io.mock import MockIo
-from hil.drivers.mock_axes import MockAxes
-from hil.drivers.vmu.mock import MockVmu
-from hil.loop.compiled.backends import compiled_backend
-from hil.loop.compiled.cycles import CompiledCycles, MockSession
-from hil.loop.compiled.loop_kernel import run_loop
-from hil.loop.compiled.params import frames_in_transit, loop_params, set_truth
+from hil.gnc_backends.builtin import BuiltinGnc
+from hil.gnc_backends.shared_library import SharedLibraryGnc
+from hil.loop.compiled.cycles import CompiledCycles, MockSources
+from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.setup.assembly import Job, Mocks
@@ -65,27 +63,15 @@ def mark_kernels_cached(group: Kernels) -> None:
 
 
 def _mark(group: Kernels) -> Path:
-    loop = mark_of(run_loop)
+    loop = mark_of(run_cycles)
     return loop if group == "loop" else loop.with_name(f"{loop.name}-{group}")
 
 
 def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:
     """Return the compiled cycles of ``runner``, made of ``mocks`` for ``job``."""
-    scenario, rig, loop = job.scenario.value, job.rig.value, runner.loop
-    rails, turntable, source, io, _ = mocks.devices
-    assert isinstance(rails, MockAxes)
-    assert isinstance(turntable, MockAxes)
-    assert isinstance(source, MockVmu)
+    gnc, sensor, io = runner.loop.gnc, mocks.sensor, mocks.devices.io
+    assert isinstance(gnc, BuiltinGnc | SharedLibraryGnc)
+    assert isinstance(sensor, PoseModel)
     assert io is None or isinstance(io, MockIo)
-    assert isinstance(mocks.sensor, PoseModel)
-    backend = compiled_backend(loop.gnc)
-    params = loop_params(scenario, rig, backend.params, loop.bench.params, loop.bench.safety.limits.guard)
-    set_truth(params, scenario, job.truth, job.seed, loop.dss.params)
-    if loop.axis_faults is not None:
-        params.nominal_axes = loop.axis_faults.nominal
-    frames = frames_in_transit(rig, scenario.step_s)
-    session = MockSession(
-        rails, turntable, source, io, mocks.sensor.noise, mocks.transport.draws, frames, frames.copy(),
-        mocks.sensor.leds, mocks.sensor.memory,
-    )  # fmt: skip
-    return CompiledCycles(loop, rate, session, params, backend, runner.cycles, job.cycles)
+    sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)
+    return CompiledCycles(runner.loop, rate, sources, gnc, runner.cycles, job.cycles)

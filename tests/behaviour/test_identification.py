@@ -47,7 +47,7 @@ def worst_error(axis: int, amplitude: float, *settings: str) -> float:
     with standing(*settings) as sequencer:
         bench, now = sequencer.loop.bench, sequencer.loop.now
         tick = sequencer.begin()
-        bench.seed_for_run(tick.now_s, now.feedback)
+        bench.seed_for_run(tick.now_s)
         sequencer.modes.go(Mode.PLACING)
         start, begun_s = bench.motion.position.copy(), tick.now_s
         errors = []
@@ -59,7 +59,7 @@ def worst_error(axis: int, amplitude: float, *settings: str) -> float:
             rate[axis] = amplitude * w * math.sin(w * t)
             wanted.rail_m, wanted.gimbal_rad = position[:3], position[3:]
             wanted.rail_mps, wanted.gimbal_radps = rate[:3], rate[3:]
-            bench.command(wanted, tick.now_s, now.setpoint)
+            bench.command(wanted, tick.now_s)
             tick = sequencer.tick()
             encoder = np.concatenate([now.feedback.rail_m, now.feedback.gimbal_rad])
             errors.append(position[axis] - encoder[axis])

@@ -1,6 +1,6 @@
 """Cases by the CUDA engine in the simulator of numba, which needs a process of its own, and by the CPU.
 
-The simulator runs the kernels as Python. ``run_loop`` that they call is the compiled one of the CPU, on the simulated
+The simulator runs the kernels as Python. ``run_cycles`` that they call is the compiled one of the CPU, on the simulated
 memory of the GPU.
 """
 
@@ -29,13 +29,13 @@ def run_simulated(scenario: str, settings: Sequence[str], duration_s: float) -> 
 
 
 def _main(scenario: str, duration_s: str, *settings: str) -> None:
-    from hil.loop.compiled.loop_kernel import run_loop
+    from hil.loop.compiled.run_cycles import run_cycles
     from hil.monte_carlo import cuda_engine, cuda_kernel
     from hil.monte_carlo.batch import Case, DrawnCase, run_batch
     from hil.monte_carlo.campaign import campaigns_of
 
     def on_memory(*arguments: Any) -> int:
-        return int(run_loop(*(each._item._ary if hasattr(each, "_item") else each for each in arguments)))
+        return int(run_cycles(*(each._item._ary if hasattr(each, "_item") else each for each in arguments)))
 
     class WithoutCaseOne(Case):
         def load(self, case: int) -> DrawnCase:
@@ -43,7 +43,7 @@ def _main(scenario: str, duration_s: str, *settings: str) -> None:
                 raise ValueError("as if it could not be drawn")
             return super().load(case)
 
-    cuda_kernel.run_loop = on_memory
+    cuda_kernel.run_cycles = on_memory
     cuda_engine._CYCLES = 20  # several launches
     cuda_engine._THREADS = cuda_engine._UPLOADED_AT_ONCE = 1
     cuda_engine._MOST_CASES = 2  # the batch of three in two parts

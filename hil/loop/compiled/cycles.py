@@ -1,27 +1,22 @@
-"""Compiled cycles of a session on the mock rig: blocks of ``run_loop`` on the state of the stages in Python.
+"""Compiled cycles of a session on the mock rig: blocks of ``run_cycles`` on the memory of the core.
 
-Each block begins with the state that the stages have and leaves them with its own, so that compiled cycles and cycles
-in Python can follow each other in any order. Rows, frames and events of a block are handed over cycle by cycle, as if
-each had just happened. A cycle that the compiled loop does not complete is run in Python, which raises its error.
+The stages in Python work on the same memory, so that compiled cycles and cycles in Python can follow each other in any
+order. Rows, frames and events of a block are handed over cycle by cycle, as if each had just happened. A cycle that the
+compiled shell does not complete is run in Python, which raises its error.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final, NoReturn
+from typing import Final, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 
-from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, PoseFrame, imu_samples, new
+from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, new
 from hil.drivers.io.mock import MockIo
-from hil.drivers.mock_axes import MockAxes
-from hil.drivers.vmu.mock import MockVmu, MockVmuState
 from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.frmn.ring import NoTelemetry
-from hil.loop.compiled import loop_kernel
-from hil.loop.compiled.backends import CompiledBackend
-from hil.loop.compiled.loop_kernel import LOOP_STATE, run_loop
+from hil.loop.compiled import run_cycles
 from hil.loop.compiled.run_stats import RUN_STATS
 from hil.loop.cycle import Cycles, Loop
 from hil.loop.rate_keeper import SimulatedRate, Tick
@@ -35,65 +30,62 @@ _NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
 _NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
 
 
-@dataclass(frozen=True)
-class MockSession:
-    """Mocks and memory of a compiled session. frames, delayed: see ``params.frames_in_transit``.
+class CompiledGnc(Protocol):
+    """Side of a GNC backend that the compiled shell needs; its state is that of the core."""
+
+    memory: np.ndarray
+    """Of the filters, of ``fusion.new_memory``."""
+
+    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
+        """Check the NIS of ``cycle``, in which poses arrived."""
+
+    def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
+        """Log what has changed since ``before`` (bytes of APPROACH_PROGRESS) in the cycle at ``t_s`` of the run."""
+
+    def hold_as_asked(self) -> None:
+        """Request the hold for which the GNC has asked in the last cycle."""
+
+    def fail(self, t_s: float, before: bytes, supervision: np.record) -> NoReturn:
+        """Log the step in which the GNC has failed; raise its failure."""
+
+
+class MockSources(NamedTuple):
+    """What the compiled shell needs of the mocks beyond the core's memory.
 
     vision_noise, travel_draws: random numbers of the vision unit, one row per exposure. leds: (n, 3), m, in t.
-    vision_memory: VISION_MEMORY.
     """
 
-    rails: MockAxes
-    turntable: MockAxes
-    source: MockVmu
     io: MockIo | None
     vision_noise: RandomRows
     travel_draws: RandomRows
-    frames: np.ndarray
-    delayed: np.ndarray
     leds: np.ndarray
-    vision_memory: np.record
 
 
 class CompiledCycles:
-    """Runs blocks of cycles of ``loop`` on ``mocks``, in simulated time.
+    """Runs blocks of cycles of ``loop`` on mocks, in simulated time.
 
-    params: LOOP_PARAMS. cycles: of the run. python: runs the cycles that the compiled loop cannot run or complete.
+    python: runs the cycles that the compiled shell cannot run or complete. cycles: of the run.
     """
 
     def __init__(
-        self,
-        loop: Loop,
-        rate: SimulatedRate,
-        mocks: MockSession,
-        params: np.record,
-        backend: CompiledBackend,
-        python: Cycles,
-        cycles: int,
+        self, loop: Loop, rate: SimulatedRate, mocks: MockSources, gnc: CompiledGnc, python: Cycles, cycles: int
     ) -> None:
         self._loop = loop
         self._rate = rate
         self._mocks = mocks
-        self._params = params
+        self._gnc = gnc
         self._python = python
         self._cycles = cycles
-        self._backend = backend
-        self._state = new(LOOP_STATE)
-        self._state.opened = 1
-        self._ticks, self._n_samples = int(params.ticks), len(loop.now.samples)
-        self._samples = loop.now.samples
-        if self._n_samples == 1:
-            self._samples = imu_samples(np.asarray(self._state).reshape(1)["now"], 1)
+        self._params, self._state = loop.memory.params, loop.memory.state
+        self._state.opened = self._params.reports = 1
+        self._ticks, self._n_samples = int(self._params.ticks), len(loop.now.samples)
         self._axes_log, self._samples_log = _NO_AXES_SAMPLES, _NO_IMU_SAMPLES
         self._stats = new(RUN_STATS)
         self._arrivals = _NO_ARRIVALS
         self._last_arrivals: dict[int, int] = {}
         self._sent_arrivals = self._sent_axes = self._sent_samples = self._begun = 0
         self._tick: Tick
-        self._block = max(1, round(_BLOCK_S / float(params.step_s)))
-        params.reports = 1
-        if isinstance(loop.safety_io, SafetyIoStage):
-            params.thruster_lines = loop.safety_io.thruster_lines
+        self._block = max(1, round(_BLOCK_S / float(self._params.step_s)))
 
     def advance(self, held_s: float) -> Tick:
         """Run a block of cycles, up to an event at most."""
@@ -111,18 +103,18 @@ class CompiledCycles:
             return self._python.advance(held_s)
         self._load(first, end, tick)
         code = self._run(first, end)
-        self._store(begun, code)
+        self._store(begun)
         last = int(state.cycle)
         self._hand_over(first, last, code)
         match code:
-            case loop_kernel.COMPLETED | loop_kernel.EVENT:
+            case run_cycles.COMPLETED | run_cycles.EVENT:
                 return self._tick
-            case loop_kernel.GNC_HOLDS:
-                self._backend.request_hold()
+            case run_cycles.GNC_HOLDS:
+                self._gnc.hold_as_asked()
                 return self._tick
-            case loop_kernel.GNC_FAILED:
+            case run_cycles.GNC_FAILED:
                 self._fail_in_gnc(last)
-            case loop_kernel.NOT_FINITE:
+            case run_cycles.NOT_FINITE:
                 self._fail_in_setpoint(last)
         rate.seek(self._tick_number())
         return self._python.advance(held_s)
@@ -134,56 +126,34 @@ class CompiledCycles:
 
     def _is_behind(self, now_s: float) -> bool:
         """Return whether more frames are due in the first cycle than in a period, as after a wait."""
-        rate_hz, step_s = float(self._params.vmu_rate_hz), float(self._params.step_s)
-        return now_s * rate_hz - self._mocks.source.state().next_exposure > rate_hz * step_s
+        rate_hz, step_s = float(self._params.mock.vmu_rate_hz), float(self._params.step_s)
+        return now_s * rate_hz - float(self._state.mock.transit.next_exposure) > rate_hz * step_s
 
     def _load(self, first: int, end: int, tick: Tick) -> None:
-        """Write the state of the stages to LOOP_STATE for the cycles ``first`` to ``end`` - 1."""
-        loop, mocks, state = self._loop, self._mocks, self._state
+        """Prepare the state for the cycles ``first`` to ``end`` - 1."""
+        loop, state = self._loop, self._state
         state.cycle, state.end, state.zero_s = first, end, tick.run_zero_s
         loop.vision.set_run_zero(tick.run_zero_s)
         loop.safety_io.check(tick.now_s)
-        state.lines, state.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
-        state.now = loop.now.row[0]
-        state.truth_memory, state.imu_memory = loop.dss.memory, loop.dss.imu_memory
-        state.rails, state.turntable = mocks.rails.servo(), mocks.turntable.servo()
-        state.motion, state.before = loop.bench.motion, loop.bench.accepted
-        state.tick, state.span = loop.bench.tick, loop.bench.span
-        state.desired, state.limited_in_row = loop.bench.wanted, loop.bench.limited_in_row
-        if loop.guard is not None:
-            loop.guard.restart_with_motion()
-            state.bench_guard = loop.guard.memory
-        state.vision_memory = mocks.vision_memory
-        if loop.monitor is not None:
-            state.monitor = loop.monitor.memory
-        source = mocks.source.state()
-        state.next_exposure, state.first_exposure = source.next_exposure, source.first_exposure
-        state.received, state.without_pose = source.received, source.without_pose
-        state.last_rx_s, state.in_transit = source.last_rx_s, len(source.in_transit)
-        for i, frame in enumerate(source.in_transit):
-            frame.write_to(mocks.frames[i : i + 1])
-        if (faults := loop.vision.faults) is not None:
-            state.vmu_memory, state.delayed = faults.memory, len(faults.delayed)
-            for i, frame in enumerate(faults.delayed):
-                frame.write_to(mocks.delayed[i : i + 1])
-        state.logged = state.dropped = state.axes_logged = state.samples_logged = 0
-        self._stats.limited_cycles = 0
-        self._backend.load(state)
+        state.mock.lines, state.mock.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
+        state.logged = state.axes_logged = state.samples_logged = 0
 
     def _run(self, first: int, end: int) -> int:
-        """Run the cycles ``first`` to ``end`` - 1; return the code of ``run_loop``."""
+        """Run the cycles ``first`` to ``end`` - 1; return the code of ``run_cycles``."""
         loop, mocks, state, params = self._loop, self._mocks, self._state, self._params
         end_s = state.zero_s + end * params.step_s
-        next_exposure, next_measured = int(state.next_exposure), int(state.monitor.next)
-        exposures = max(0, math.ceil(end_s * params.vmu_rate_hz) - next_exposure + 1)
+        transit = state.mock.transit
+        next_exposure, next_measured = int(transit.next_exposure), int(state.monitor.next)
+        exposures = max(0, math.ceil(end_s * params.mock.vmu_rate_hz) - next_exposure + 1)
         self._arrivals = _NO_ARRIVALS
         if loop.vision.frame_sink is not None:
-            self._arrivals = np.zeros(2 * exposures + int(state.in_transit), ARRIVAL).view(np.recarray)
+            most = 2 * exposures + int(transit.in_transit) + int(state.delayed)
+            self._arrivals = np.zeros(most, ARRIVAL).view(np.recarray)
         if loop.axes_sink is not None:
             self._axes_log = np.zeros((end - first) * self._ticks, AXES_SAMPLE)
         if loop.dss.sample_sink is not None:
             self._samples_log = np.zeros((end - first) * self._n_samples, IMU_SAMPLE)
-        code: int = run_loop(
+        code: int = run_cycles.run_cycles(
             params,
             loop.dss.field,
             mocks.leds,
@@ -192,11 +162,11 @@ class CompiledCycles:
             mocks.travel_draws.peek(exposures),
             self._monitor_noise(end),
             state,
-            self._samples,
-            self._backend.memory,
-            loop.vision.poses,
-            mocks.frames,
-            mocks.delayed,
+            loop.now.samples,
+            self._gnc.memory,
+            loop.memory.poses,
+            loop.memory.frames,
+            loop.memory.delayed,
             self._stats,
             loop.history[first - loop.first : end - loop.first],
             self._arrivals,
@@ -206,9 +176,9 @@ class CompiledCycles:
         used_in = self._arrivals["cycle"][: state.logged]
         self._last_arrivals = {int(cycle): i + 1 for i, cycle in enumerate(used_in) if cycle >= 0}
         self._sent_arrivals = self._sent_axes = self._sent_samples = 0
-        loop.dss.noise.skip((int(state.cycle) - first + (code == loop_kernel.NOT_FINITE)) * self._n_samples)
+        loop.dss.noise.skip((int(state.cycle) - first + (code == run_cycles.NOT_FINITE)) * self._n_samples)
         for rows in (mocks.vision_noise, mocks.travel_draws):
-            rows.skip(int(state.next_exposure) - next_exposure)
+            rows.skip(int(transit.next_exposure) - next_exposure)
         if loop.monitor is not None:
             loop.monitor.noise.skip(int(state.monitor.next) - next_measured)
         return code
@@ -220,47 +190,12 @@ class CompiledCycles:
         last_s, rate_hz = end * self._params.step_s, self._params.monitor.model.rate_hz
         return self._loop.monitor.noise.peek(max(0, math.ceil(last_s * rate_hz) - int(self._state.monitor.next) + 1))
 
-    def _store(self, begun: int, code: int) -> None:
-        """Write LOOP_STATE to the stages, after a block from tick ``begun`` on that ended with ``code``."""
+    def _store(self, begun: int) -> None:
+        """Tell the devices what a block from tick ``begun`` on has done."""
         loop, mocks, state = self._loop, self._mocks, self._state
-        loop.now.row[0] = state.now
-        np.asarray(loop.dss.memory)[...] = state.truth_memory
-        np.asarray(loop.dss.imu_memory)[...] = state.imu_memory
-        mocks.rails.set_servo(state.rails)
-        mocks.turntable.set_servo(state.turntable)
-        self._store_bench(begun)
-        np.asarray(mocks.vision_memory)[...] = state.vision_memory
-        frames = [PoseFrame.from_record(mocks.frames[i]) for i in range(state.in_transit)]
-        counts = int(state.received), int(state.without_pose)
-        mocks.source.set_state(
-            MockVmuState(int(state.next_exposure), int(state.first_exposure), *counts, float(state.last_rx_s), frames)
-        )
-        if (faults := loop.vision.faults) is not None:
-            np.asarray(faults.memory)[...] = state.vmu_memory
-            faults.delayed = [PoseFrame.from_record(mocks.delayed[i]) for i in range(state.delayed)]
-        loop.vision.arrived = int(state.now.pose.fresh)
-        loop.vision.dropped += int(state.dropped)
-        # the cycle of a failed GNC or setpoint has received its poses
-        loop.vision.cycle = int(state.cycle) - (code not in (loop_kernel.GNC_FAILED, loop_kernel.NOT_FINITE))
-        self._backend.store(state)
         if mocks.io is not None and isinstance(loop.safety_io, SafetyIoStage):
-            mocks.io.set_outputs(loop.safety_io.set_mirrored(), float(state.lines_changed_s))
-
-    def _store_bench(self, begun: int) -> None:
-        """Write feedback and setpoints to the bench stage."""
-        bench, state = self._loop.bench, self._state
-        bench.tick = int(state.tick)
-        np.asarray(bench.span)[...] = state.span
-        np.asarray(bench.motion)[...] = state.motion
-        np.asarray(bench.accepted)[...] = state.before
-        np.asarray(bench.wanted)[...] = state.desired
-        bench.limited_in_row = int(state.limited_in_row)
-        if self._loop.guard is not None:
-            np.asarray(self._loop.guard.memory)[...] = state.bench_guard
-        if self._loop.monitor is not None:
-            np.asarray(self._loop.monitor.memory)[...] = state.monitor
-        bench.limited_cycles += int(self._stats.limited_cycles)
-        feedback, cycle = state.now.feedback, int(state.cycle)
+            mocks.io.set_outputs(loop.safety_io.set_mirrored(), float(state.mock.lines_changed_s))
+        bench, feedback, cycle = loop.bench, loop.now.feedback, int(state.cycle)
         last = ((cycle - 1) * self._ticks + bench.tick if bench.tick else cycle * self._ticks) - 1
         if last >= begun:
             bench.commanded_s = float(state.zero_s + last * self._params.tick_s)
@@ -272,10 +207,10 @@ class CompiledCycles:
     def _hand_over(self, first: int, end: int, code: int) -> None:
         """Send rows, frames and events of the cycles ``first`` to ``end`` - 1 to their sinks.
 
-        code: of ``run_loop``. The state is that of the last of these cycles unless a later one has failed.
+        code: of ``run_cycles``. The state is that of the last of these cycles unless a later one has failed.
         """
         loop = self._loop
-        is_last = code in (loop_kernel.COMPLETED, loop_kernel.EVENT, loop_kernel.GNC_HOLDS)
+        is_last = code in (run_cycles.COMPLETED, run_cycles.EVENT, run_cycles.GNC_HOLDS)
         rows = loop.history[first - loop.first : end - loop.first]
         has_poses = rows["pose"]["fresh"] > 0
         due = has_poses.copy()
@@ -291,9 +226,9 @@ class CompiledCycles:
             k = first + int(i)
             self._begin(k)
             if has_poses[i]:
-                self._backend.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
+                self._gnc.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
             if is_last and k == end - 1:
-                self._backend.log_events(float(rows["t_s"][i]), self._state)
+                self._gnc.log_step(float(rows["t_s"][i]), self._progress_before(), loop.now.supervision)
             loop.now.t_s[0] = rows["t_s"][i]
             loop.health_alarms.update(self._tick.now_s, int(health[i]))
             loop.telemetry.put(rows[i : i + 1])
@@ -333,15 +268,21 @@ class CompiledCycles:
             sink.put(self._arrivals[i : i + 1])
             self._sent_arrivals = i + 1
 
+    def _progress_before(self) -> bytes:
+        """Return APPROACH_PROGRESS at the start of the last cycle."""
+        before: bytes = self._state.progress_before.tobytes()
+        return before
+
     def _fail_in_gnc(self, cycle: int) -> NoReturn:
         """Hand over ``cycle``, in which the GNC has failed, up to there; raise the failure."""
         self._begin(cycle)
-        self._backend.fail(cycle * float(self._params.step_s), self._state, self._loop.now)
+        t_s = cycle * float(self._params.step_s)
+        self._gnc.fail(t_s, self._progress_before(), self._loop.now.supervision)
 
     def _fail_in_setpoint(self, cycle: int) -> NoReturn:
         """Hand over ``cycle``, whose setpoint is not finite, up to there; send it, which raises the error."""
         loop = self._loop
-        self._hand_over(cycle, cycle + 1, loop_kernel.COMPLETED)
+        self._hand_over(cycle, cycle + 1, run_cycles.COMPLETED)
         loop.done = cycle
-        loop.bench.send(self._state.next, self._tick.now_s, loop.now.setpoint)
+        loop.bench.send(self._state.next, self._tick.now_s)
         raise AssertionError("a setpoint that is not finite is rejected")

@@ -20,7 +20,7 @@ RUN_STATS = np.dtype(
     [
         ("cycles", "i8"),
         ("limited_cycles", "i8"),
-        ("ended", "i8"),  # reason of ``run_loop``, written by the caller
+        ("ended", "i8"),  # reason of ``run_cycles``, written by the caller
         ("ready", READY_STATE),
         ("integrity", INTEGRITY_STATE),
         ("aborted", "i8"),  # cause, 0 for none

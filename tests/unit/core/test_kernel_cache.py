@@ -68,7 +68,7 @@ def test_kernel_is_compiled_again_only_if_what_it_is_compiled_from_has_changed(c
 CALL_ONE_ENTRY = """
 import numpy as np, numba
 from hil.core.messages import AXES, new
-from hil.loop.compiled.loop_kernel import LOOP_STATE, _read_axes
+from hil.loop.compiled.run_cycles import LOOP_STATE, _read_axes
 _read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))
 print(sum(_read_axes._cache_hits.values()))
 """
@@ -175,7 +175,7 @@ def test_kernel_of_images_is_compiled_once_for_all_integers_that_it_is_called_wi
 
 
 def test_import_writes_nothing(tmp_path: Path) -> None:
-    done = run_with_cache("import hil.maths.quat, hil.loop.compiled.loop_kernel", tmp_path / "cache", PACKAGE.parent)
+    done = run_with_cache("import hil.maths.quat, hil.loop.compiled.run_cycles", tmp_path / "cache", PACKAGE.parent)
     assert done.returncode == 0, done.stderr
     assert not (tmp_path / "cache").exists()
 

@@ -6,7 +6,7 @@ import pytest
 
 from hil.core.jit import kernel
 from hil.core.kernel_digest import NotDigestible, digest_of
-from hil.loop.compiled.loop_kernel import run_loop
+from hil.loop.compiled.run_cycles import run_cycles
 
 SOURCE = """
 import numpy as np
@@ -88,4 +88,4 @@ def test_kernel_with_a_global_that_has_no_digest_is_compiled_and_not_cached() ->
 
 
 def test_every_kernel_of_the_loop_has_a_digest() -> None:
-    assert len(digest_of(run_loop)) == 16
+    assert len(digest_of(run_cycles)) == 16

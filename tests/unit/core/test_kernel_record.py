@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, new
-from hil.loop.cycle import CycleData
+from hil.loop.core_memory import CycleData
 
 
 def test_it_is_a_view_of_the_record_and_of_each_of_its_fields() -> None:

@@ -81,7 +81,7 @@ print(result.fndesc.mangled_name)
 
 def test_module_of_an_entry_with_all_that_it_calls_lacks_no_kernel() -> None:
     from hil.core.messages import new
-    from hil.loop.compiled.loop_kernel import LOOP_PARAMS, LOOP_STATE, _read_axes, _send_setpoints
+    from hil.loop.compiled.run_cycles import LOOP_PARAMS, LOOP_STATE, _read_axes, _send_setpoints
     from hil.loop.compiled.run_stats import RUN_STATS
 
     _read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))

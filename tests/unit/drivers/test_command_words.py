@@ -25,7 +25,7 @@ from hil.drivers.command_words.receiver import CommandWordReceiver
 from hil.drivers.vmu.codec import PoseDecoder
 from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.gnc_backends.command_words import CommandWordGnc
-from hil.loop.cycle import CycleData
+from hil.loop.core_memory import CycleData
 from hil.setup.gnc_setup import backend_setup
 
 

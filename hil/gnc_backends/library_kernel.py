@@ -1,15 +1,18 @@
-"""Stages 4 to 7 of the compiled loop with a GNC in a shared library, in the order of ``ExternalGnc.step``."""
+"""Stages 4 to 7 of the cycle with a GNC in a shared library, in the order of ``ExternalGnc.step``."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
 from hil.core.foreign_call import same_bytes
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncOrder
 from hil.core.jit import entry, kernel
-from hil.core.messages import new
-from hil.gnc.step import APPROACH_PROGRESS, copy_progress, guide, watch_approach
+from hil.core.kernel_record import kernel_record
+from hil.gnc.step import APPROACH_PROGRESS, guide, watch_approach
 from hil.gnc_backends import external_records
+from hil.maths.record_view import copy_record
 
 _TEXT_BYTES = GNC_OUTPUT["text"].itemsize
 _OUTPUT = np.dtype(
@@ -36,7 +39,7 @@ LIBRARY = np.dtype(
     align=True,
 )
 
-_RUNNING, _ABORT = GncMode.RUNNING.value, GncOrder.ABORT.value
+_RUNNING, _GO, _ABORT = GncMode.RUNNING.value, GncOrder.GO.value, GncOrder.ABORT.value
 
 
 @kernel
@@ -46,15 +49,18 @@ def has_new_text(library):
 
 
 @entry
-def library_step(params, state, poses, n_poses, cycle, t_s):
+def library_step(params, library, approach, now, poses, n_poses, cycle, t_s):
     """Call the library between guidance and approach monitor; return False if its output is a fault.
 
-    params: GNC_PARAMS. state: LOOP_STATE. poses: array of POSE, of which the first ``n_poses`` are new.
+    params: GNC_PARAMS. library: LIBRARY. approach: APPROACH_STATE. now: CYCLE. poses: array of POSE, of which the first
+    ``n_poses`` are new.
     """
-    now, library, approach = state.now, state.library, state.gnc.approach
-    orders = _ABORT if approach.abort_began != 0 else 0
+    progress, orders = approach.progress, _ABORT if approach.abort_began != 0 else 0
+    ordered, phase = progress.go, progress.phase
     guide(params.approach, approach, t_s, now.supervision, now.reference)
-    copy_progress(approach.progress, library.guided)
+    if ordered != 0 and progress.phase != phase:
+        orders |= _GO
+    copy_record(progress, library.guided)
     external_records.write_input(
         cycle, t_s, _RUNNING, orders, now.imu, now.reference, poses, n_poses, library.input
     )  # fmt: skip
@@ -62,10 +68,10 @@ def library_step(params, state, poses, n_poses, cycle, t_s):
         library.step_address, library.instance, library.input, library.output
     )  # fmt: skip
     library.fault, library.place = external_records.fault_of(library.output, cycle, params.n_thrusters)
-    state_of_gnc = library.output.state
-    if library.code != 0 or library.fault != external_records.FINE or state_of_gnc == external_records.FAULT:
+    state, library.asks_for_hold = library.output.state, 0
+    if library.code != 0 or library.fault != external_records.FINE or state == external_records.FAULT:
         return False
-    if state_of_gnc == external_records.ASKS_FOR_HOLD:
+    if state == external_records.ASKS_FOR_HOLD:
         library.asks_for_hold = 1
     external_records.read_output(library.output, params, now.reference.boost, now.navigation, now.command)
     watch_approach(params.approach, approach, t_s, now.navigation, now.reference, now.supervision, True)
@@ -73,13 +79,6 @@ def library_step(params, state, poses, n_poses, cycle, t_s):
 
 
 def output_of(library: np.record) -> np.record:
-    """Return a copy of the output of ``library`` (LIBRARY) as GNC_OUTPUT."""
-    output = new(GNC_OUTPUT)
-    np.asarray(output)[...] = np.frombuffer(library.output.tobytes(), GNC_OUTPUT)[0]
-    return output
-
-
-def set_output(library: np.record, output: np.record) -> None:
-    """Write ``output`` (GNC_OUTPUT) to ``library`` (LIBRARY), its text as logged."""
-    library["output"] = np.frombuffer(output.tobytes(), _OUTPUT)[0]
-    library["last_text"] = library["output"]["text"]
+    """Return the output of ``library`` (LIBRARY) as GNC_OUTPUT, in the same memory."""
+    output: Any = np.asarray(library)["output"].view(GNC_OUTPUT)
+    return kernel_record(output)

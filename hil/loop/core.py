@@ -1,0 +1,306 @@
+"""The cycle as compiled calls on one state record: what is computed, without input, output, clock or random numbers.
+
+``hil.loop.cycle`` makes these calls around devices of any kind, ``hil.loop.compiled.run_cycles`` around the bench in
+memory, both in the same order: read, ``guard_bench``, ``receive_poses``, ``compare_monitor``, the GNC
+(``hil.gnc.step``), ``command``, record, ``advance``, ``next_setpoint``, send. Axes that are faster than the cycle have
+``next_setpoint`` alone between two cycles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.bench import bench_guard, guard, kinematics
+from hil.bench.bench_guard import BENCH_GUARD_MEMORY, BENCH_GUARD_PARAMS
+from hil.bench.guard import BREACH, GUARD
+from hil.bench.kinematics import BENCH_PARAMS, MOTION, SPAN
+from hil.core.jit import entry, kernel
+from hil.core.messages import AXES, CYCLE, MAX_POSES
+from hil.dynamics import imu, truth
+from hil.dynamics.imu import IMU_PARAMS
+from hil.dynamics.imu_faults import IMU_MEMORY
+from hil.dynamics.isolation import isolate
+from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
+from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
+from hil.gnc import integrity, navigation
+from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
+from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
+from hil.gnc.ready_phase import READY_PARAMS
+from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
+from hil.gnc_backends.library_kernel import LIBRARY
+from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
+from hil.loop.monitor_kernel import MONITOR_PARAMS, MONITOR_STATE, compare_received
+from hil.maths import stack
+from hil.maths.record_view import copy_record
+from hil.models.camera_timing import TIME_SLACK_S
+from hil.models.faults import FAULTS
+from hil.models.frame_transit import next_arrival
+from hil.models.mounting import MOUNTING, chaser_pose
+
+LOOP_PARAMS = np.dtype(
+    [
+        ("step_s", "f8"),
+        ("ticks", "i8"),  # setpoints per cycle
+        ("tick_s", "f8"),  # between two setpoints
+        ("counts", "i8"),  # 1: RUN_STATS are counted
+        ("reports", "i8"),  # 1: returns after a cycle with an event
+        ("steady_state_after_s", "f8"),  # navigation errors are counted from here on
+        ("dss", DSS_PARAMS),
+        ("imu", IMU_PARAMS),
+        ("mounting", MOUNTING),
+        ("bench", BENCH_PARAMS),
+        ("guard", GUARD),
+        ("bench_guard", BENCH_GUARD_PARAMS),
+        ("gnc", GNC_PARAMS),
+        ("verdict", APPROACH_MONITOR_PARAMS),  # margins of the verdict, whatever the GNC's own are
+        ("ready", READY_PARAMS),
+        ("integrity", INTEGRITY_PARAMS),
+        ("monitor", MONITOR_PARAMS),
+        ("vmu_faults", FAULTS),
+        ("mock", MOCK_PARAMS),  # used by the bench in memory alone
+    ],
+    align=True,
+)
+
+LOOP_STATE = np.dtype(
+    [
+        ("opened", "i8"),  # 1: the bench is open; 0: ``run_cycles`` opens it
+        ("cycle", "i8"),  # number of the present or the next cycle
+        ("tick", "i8"),  # of the last cycle, the next one to run; 0: all have run
+        ("end", "i8"),  # number of the cycle before which ``run_cycles`` returns
+        ("zero_s", "f8"),  # bench time of the run's time zero
+        ("now", CYCLE),  # the row that is recorded
+        ("truth_memory", TRUTH_MEMORY),
+        ("imu_memory", IMU_MEMORY),
+        ("vmu_memory", VMU_MEMORY),
+        ("motion", MOTION),  # positions and rates of the last setpoints
+        ("wanted", AXES),  # of the last demanded pose, without limits
+        ("span", SPAN),  # course of the axes over the last cycle, if they are faster than it
+        ("next", AXES),  # setpoint to be sent
+        ("accepted", AXES),  # last setpoint that the devices have accepted
+        ("breach", BREACH),
+        ("bench_guard", BENCH_GUARD_MEMORY),
+        ("limited", "i8"),  # setpoints that were limited
+        ("limited_in_row", "i8"),  # setpoints in a row, the last one included
+        ("monitor", MONITOR_STATE),
+        ("gnc", GNC_STATE),
+        ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
+        ("disagreed_before", "i8"),  # the interlock of the cycle before the last one
+        ("library", LIBRARY),
+        ("not_before_s", "f8"),  # frames exposed before this bench time are stale and not used
+        ("delayed", "i8"),  # frames received that faults of the vision unit delay
+        ("arrived_s", "f8", MAX_POSES),  # when the poses of this cycle were received, bench time
+        ("dropped", "i8"),  # frames beyond MAX_POSES in one cycle
+        ("logged", "i8"),  # rows of ARRIVAL written
+        ("axes_logged", "i8"),  # rows of AXES_SAMPLE written
+        ("samples_logged", "i8"),  # rows of IMU_SAMPLE written
+        ("mock", MOCK_STATE),  # used by the bench in memory alone
+    ],
+    align=True,
+)
+
+
+@kernel
+def check_axes(params, state):
+    """Return what is wrong with the axes (``guard.first_breach``), at each reading of the encoders."""
+    return guard.first_breach(params.guard, state.accepted, state.now.feedback, state.breach)
+
+
+@entry
+def guard_bench(params, state, t_s):
+    """Return what the bench guard finds at ``t_s`` of the run, at the start of a cycle; NOTHING if it is off."""
+    now = state.now
+    if params.bench_guard.enabled == 0:
+        return guard.NOTHING
+    return bench_guard.check_bench(
+        params.bench_guard, params.bench, state.bench_guard, t_s, now.truth, state.wanted, now.feedback,
+        t_s - now.sampled_s[0], t_s - now.sampled_s[1], state.limited_in_row, state.breach,
+    )  # fmt: skip
+
+
+@kernel
+def _delay_frames(params, state, frames, n, delayed):
+    """Pass the frames that were received through plumes and the faults of the vision unit, into ``delayed``."""
+    plume = params.dss.plume
+    for i in range(n):
+        frame = frames[i]
+        if plume.dimming > 0.0 and not see_through_plume(
+            plume, state.truth_memory.plume, params.vmu_faults.seed, state.zero_s, frame
+        ):
+            continue
+        if disturb_frame(params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frame):
+            copy_record(frame, delayed[state.delayed])
+            state.delayed += 1
+
+
+@kernel
+def _write_pose(params, state, frame, arrived, poses):
+    """Write ``frame`` as one more of ``poses``, of which the last MAX_POSES are kept; return how many there are."""
+    if arrived == MAX_POSES:
+        for j in range(MAX_POSES - 1):
+            copy_record(poses[j + 1], poses[j])
+            state.arrived_s[j] = state.arrived_s[j + 1]
+        arrived -= 1
+        state.dropped += 1
+    pose = poses[arrived]
+    chaser_pose(params.mounting, frame.t_v, frame.q_vt, frame.covariance, pose)
+    pose.t_s = frame.t_s - state.zero_s
+    pose.status = frame.status
+    state.arrived_s[arrived] = frame.received_s
+    return arrived + 1
+
+
+@kernel
+def _record_newest(state, poses, arrived):
+    """Write the newest of the poses into the present row."""
+    now = state.now
+    if arrived > 0:
+        newest = 0
+        for i in range(1, arrived):
+            if poses[i].t_s > poses[newest].t_s:
+                newest = i
+        copy_record(poses[newest], now.pose)
+        now.received_s = state.arrived_s[newest] - state.zero_s
+    now.pose.fresh = arrived
+
+
+@entry
+def receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals):
+    """Write the poses of the first ``n`` frames, in the order of arrival, into ``poses`` (MAX_POSES,); return how many.
+
+    The newest one goes into the present row, all are compared with the encoders by the bench guard. Of more than
+    MAX_POSES the last ones are kept. delayed: of VMU_FRAME, received and not yet passed on; used if the vision unit has
+    faults or plumes dim its LEDs. arrivals: of ARRIVAL, receives every frame; (0,) for none.
+    """
+    arrived, taken, logged = 0, 0, state.logged
+    has_faults = params.vmu_faults.n != 0 or params.dss.plume.dimming > 0.0
+    if has_faults:
+        _delay_frames(params, state, frames, n, delayed)
+    while True:
+        i = taken
+        if has_faults:
+            i = next_arrival(delayed, 0, state.delayed)
+            if i < 0 or delayed[i].received_s > now_s + TIME_SLACK_S:
+                break
+        elif taken == n:
+            break
+        frame = delayed[i] if has_faults else frames[i]
+        used = frame.t_s >= state.not_before_s
+        if used:
+            arrived = _write_pose(params, state, frame, arrived, poses)
+        if state.logged < arrivals.shape[0]:
+            row = arrivals[state.logged]
+            copy_record(frame, row.frame)
+            row.cycle = state.cycle if used else -1
+            state.logged += 1
+        if has_faults:
+            state.delayed -= 1
+            if i < state.delayed:
+                copy_record(delayed[state.delayed], delayed[i])
+        taken += 1
+    _record_newest(state, poses, arrived)
+    _log_poses(state, poses, arrived, logged, arrivals)
+    if params.bench_guard.enabled != 0:
+        for i in range(arrived):
+            bench_guard.compare_pose(params.bench_guard, params.bench, state.bench_guard, poses[i])
+    return arrived
+
+
+@kernel
+def _log_poses(state, poses, arrived, logged, arrivals):
+    """Add the poses to the rows of their frames, from ``logged`` on; a frame that was dropped was used by no cycle."""
+    left = arrived
+    for row in range(state.logged - 1, logged - 1, -1):
+        if arrivals[row].cycle < 0:
+            continue
+        left -= 1
+        if left >= 0:
+            copy_record(poses[left], arrivals[row].pose)
+        else:
+            arrivals[row].cycle = -1
+
+
+@entry
+def compare_monitor(params, state, t_s):
+    """Compare the navigation with what the docking monitor has measured by ``t_s``; tell the GNC and the row."""
+    approach, now = state.gnc.approach, state.now
+    state.disagreed_before = approach.monitor_disagrees
+    approach.monitor_disagrees = compare_received(params.monitor, state.monitor, t_s, now.navigation)
+    bound_m, measured_s = state.monitor.interlock.bound_m, state.monitor.interlock.last_s
+    integrity.set_second(state.gnc.navigation.integrity, bound_m, measured_s)
+    now.monitor_bound_m, now.monitor_bound_s = bound_m, measured_s
+
+
+@entry
+def command(params, state):
+    """Command what the GNC has decided beyond COMMAND, isolation valves, and check its consistency: NEES of the row.
+
+    NEES are those of both filters in cycles in which they took a pose, nan otherwise.
+    """
+    now, gnc = state.now, state.gnc
+    if gnc.isolated_cycles == 1:
+        isolate(state.truth_memory.isolation, params.gnc.isolates[gnc.thrusters.thruster])
+    now.nees_position = now.nees_attitude = np.nan
+    if gnc.navigation.fused != 0:
+        nees = stack.vector(2)
+        navigation.normalised_errors(
+            gnc.navigation.fusion.filters, params.gnc.navigation.fusion.orbit, now.truth, now.imu, nees
+        )  # fmt: skip
+        now.nees_position, now.nees_attitude = nees[0], nees[1]
+
+
+@entry
+def aim(params, state):
+    """Write the axes for the truth's pose at the end of the cycle."""
+    rate, true = stack.vector(3), state.now.truth
+    truth.rate_against_hill(true, rate)
+    kinematics.axes_of_pose(params.bench, true.r_CT_H, true.v_CT_H, true.q_CH, rate, state.wanted)
+    if params.ticks > 1:
+        kinematics.extend_span(state.span, state.wanted, params.step_s)
+
+
+@entry
+def advance(params, state, field, noise, samples):
+    """Propagate the truth over the cycle, with the thrusters of COMMAND; write the IMU's samples, and ``aim``.
+
+    field: harmonics, ``central_gravity.field_table``. noise: (n, IMU_NOISE), standard normals. samples: (n,) of IMU,
+    which the next cycle uses; (1,) may be ``state.now.imu``.
+    """
+    now = state.now
+    imu.propagate(
+        params.dss, params.imu, field, state.truth_memory, now.truth, now.command.on, noise, state.imu_memory, samples,
+        now.imu,
+    )  # fmt: skip
+    aim(params, state)
+
+
+@entry
+def limit_setpoint(limits, state, target):
+    """Write the setpoint on the way to ``target`` (AXES), within ``limits`` (BENCH_PARAMS); count it if limited."""
+    if kinematics.limit_setpoint(limits, state.motion, target, state.next) != 0:
+        state.limited += 1
+        state.limited_in_row += 1
+    else:
+        state.limited_in_row = 0
+
+
+@kernel
+def next_setpoint(params, state):
+    """Write the setpoint of the present tick: within the limits, and ahead of its time by each axis' lead."""
+    if params.ticks > 1:
+        kinematics.within_span(state.span, params.step_s, (state.tick + 1) / params.ticks, state.wanted)
+    limit_setpoint(params.bench, state, state.wanted)
+
+
+@kernel
+def accept(state, rail_m, gimbal_rad):
+    """Write the positions (3,) that the devices have accepted, with the rates sent, into the row and ``accepted``."""
+    sent = state.next
+    kinematics.write_axes(rail_m, sent.rail_mps, gimbal_rad, sent.gimbal_radps, state.accepted)
+    copy_record(state.accepted, state.now.setpoint)
+
+
+@kernel
+def next_tick(params, state):
+    """Count the tick whose setpoint was sent."""
+    state.tick = state.tick + 1 if state.tick + 1 < params.ticks else 0

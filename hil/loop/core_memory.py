@@ -1,0 +1,134 @@
+"""Memory of the core: its parameters, its state, and the records of the present cycle as Python sees them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.core.kernel_record import kernel_record
+from hil.core.messages import CYCLE, MAX_POSES, POSE, VMU_FRAME, imu_samples, new
+from hil.loop.core import LOOP_PARAMS, LOOP_STATE
+from hil.loop.monitor_kernel import MONITOR_PARAMS
+from hil.models.frame_transit import SPARE_FRAMES
+from hil.params import bench as bench_params
+from hil.params import dynamics as dynamics_params
+from hil.params import monitor as monitor_params
+from hil.params import vision as vision_params
+from hil.params.faults import fault_rows
+
+_TRANSIT_MAX_S: Final = 3.0  # longest delay of a frame: latency, jitter and a fault's latency, at most 1 s each
+
+
+class CycleData:
+    """Records of the present cycle: views into one row of CYCLE, the row that is recorded.
+
+    row: (1,) of CYCLE; None: of its own. samples: of the IMU since the cycle before, (n,) of IMU; ``imu`` is their
+    mean.
+    """
+
+    def __init__(self, n_samples: int = 1, row: np.ndarray | None = None) -> None:
+        self.row = np.zeros(1, CYCLE) if row is None else row
+        self.record = kernel_record(self.row.view(np.recarray)[0])
+        self.samples = imu_samples(self.row, n_samples)
+        records = self.row.view(np.recarray)
+        for name in CYCLE.names or ():
+            setattr(self, name, kernel_record(records[name][0]) if CYCLE[name].names else self.row[name])
+
+    # scalars, arrays of shape (1,): writing into an array is faster than into a record
+    t_s: np.ndarray
+    sampled_s: np.ndarray  # (1, 2)
+    received_s: np.ndarray
+    commanded_s: np.ndarray
+    on_wire_s: np.ndarray
+    lateness_s: np.ndarray
+    nees_position: np.ndarray
+    nees_attitude: np.ndarray
+    monitor_bound_m: np.ndarray
+    monitor_bound_s: np.ndarray
+
+    truth: np.record
+    imu: np.record
+    pose: np.record
+    navigation: np.record
+    reference: np.record
+    supervision: np.record
+    command: np.record
+    setpoint: np.record
+    feedback: np.record
+
+
+class CoreMemory:
+    """What the calls of the core (``hil.loop.core``) read and write; shells and stages hold views of it.
+
+    params: LOOP_PARAMS. state: LOOP_STATE, zeroed but for ``not_before_s``. now: records of ``state.now``. poses:
+    (MAX_POSES,) of POSE, those of the present cycle. frames, delayed: of VMU_FRAME, see ``run_cycles``.
+    """
+
+    def __init__(self, params: np.record, n_samples: int, frames: int) -> None:
+        self.params = kernel_record(params)
+        block = np.zeros(1, LOOP_STATE)
+        self.state: np.record = kernel_record(block.view(np.recarray)[0])
+        self.state.not_before_s = -math.inf
+        assert LOOP_STATE.fields is not None
+        row: np.ndarray = np.ndarray(1, CYCLE, block.view(np.uint8).data, LOOP_STATE.fields["now"][1])
+        self.now = CycleData(n_samples, row)
+        self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
+        self.frames: np.ndarray = np.zeros(frames, VMU_FRAME).view(np.recarray)
+        self.delayed = self.frames.copy()
+
+    def view(self, name: str) -> np.record:
+        """Return the record ``name`` of the state, for kernels that are called often."""
+        return kernel_record(self.state[name])
+
+
+def frames_in_transit(rig: Rig, step_s: float) -> int:
+    """Return how many frames can be on their way at once, each possibly twice, with SPARE_FRAMES more.
+
+    step_s: period of the loop.
+    """
+    return 2 * math.ceil((_TRANSIT_MAX_S + step_s) * rig.vmu.rate_hz) + SPARE_FRAMES + 1
+
+
+def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, guard: np.record) -> np.record:
+    """Return LOOP_PARAMS of the GNC and the rig, without those of the truth.
+
+    gnc, bench, guard: GNC_PARAMS, BENCH_PARAMS, GUARD.
+    """
+    params = new(LOOP_PARAMS)
+    params.step_s = scenario.step_s
+    params.ticks = rig.ticks(scenario.step_s)
+    params.tick_s = bench.dt_s
+    params.mock.vmu_rate_hz, params.mock.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
+    params.mounting, params.mock.camera = vision_params.mounting(rig), vision_params.camera(rig)[0]
+    params.bench, params.guard, params.gnc = bench, guard, gnc
+    params.bench_guard = bench_params.bench_guard(rig, scenario)
+    return params
+
+
+def set_truth(params: np.record, scenario: Scenario, truth: Scenario, seed: int, dss: np.record) -> None:
+    """Write vehicle, sensors, transport of frames and faults of ``truth`` to ``params`` (LOOP_PARAMS). dss: DSS_PARAMS.
+
+    scenario: as the loop has it. seed: of the run.
+    """
+    vmu = truth.vmu
+    params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
+    params.mock.vision = vision_params.vision(truth, seed)
+    params.mock.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
+    params.monitor = monitor_record(scenario, truth, seed)
+    params.vmu_faults, params.mock.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)
+
+
+def monitor_record(scenario: Scenario, truth: Scenario, seed: int) -> np.record:
+    """Return MONITOR_PARAMS. scenario: as the loop has it; truth: with the monitor's errors and faults."""
+    params = new(MONITOR_PARAMS)
+    if truth.monitor.source == "none" or not scenario.monitor.interlock:
+        return params
+    params.acts, params.models = 1, truth.monitor.source == "model"
+    params.model = monitor_params.monitor_model(truth)
+    params.interlock = monitor_params.interlock(scenario)
+    params.faults = fault_rows(truth, "monitor", seed)
+    return params
