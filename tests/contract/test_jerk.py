@@ -43,12 +43,12 @@ class Motions:
         self.dt_s = float(bench.params.dt_s)
         seed, send = bench.seed, bench._send
 
-        def seed_and_begin(now_s: float, feedback: np.record) -> None:
-            seed(now_s, feedback)
+        def seed_and_begin(now_s: float) -> None:
+            seed(now_s)
             self.found.append([np.array(bench.motion.position)])
 
-        def send_and_keep(now_s: float, setpoint: np.record) -> None:
-            send(now_s, setpoint)
+        def send_and_keep(now_s: float) -> None:
+            send(now_s)
             self.found[-1].append(np.array([*bench.accepted.rail_m, *bench.accepted.gimbal_rad]))
 
         bench.seed, bench._send = seed_and_begin, send_and_keep  # type: ignore[method-assign]

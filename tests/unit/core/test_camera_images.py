@@ -35,9 +35,10 @@ from hil.core.messages import CYCLE, PoseFrame
 from hil.frmn.image_memory import ImageMemory, RunTime
 from hil.frmn.ring import Ring
 from hil.loop.stages import VisionStage
-from hil.params import vision as vision_params
 from hil.recording.read import contents
 from hil.recording.writer import RecordingHeader, RunFile
+from hil.setup.assembly import core_memory
+from tests.support.run_settings import make_job
 
 CROSS = {"kind": "cross", "at": [1.5, 2.25], "good": True, "part": "led"}
 PNG = ImagePolicy("png")
@@ -221,17 +222,17 @@ def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None
         def poll(self, now_s: float) -> list[PoseFrame]:
             return []
 
-    vision = VisionStage(Silent(), vision_params.mounting(load_rig("mock").value))  # type: ignore[arg-type]
+    job = make_job(1.0)
+    vision = VisionStage(Silent(), core_memory(job, job.rig.value))  # type: ignore[arg-type]
     told: list[float] = []
     vision.on_run_zero = told.append
-    row = np.zeros(1, CYCLE)[0]
     vision.discard_pending(0.5)
     assert told == []
     for bench_s, zero_s in ((1.0, 1.0), (1.02, 1.0), (1.06, 1.02)):  # a period was lost
-        vision.receive(bench_s, zero_s, row)
+        vision.receive(bench_s, zero_s)
     vision.discard_pending(1.08)
     vision.discard_pending(1.1)
-    vision.receive(1.12, 1.06, row)
+    vision.receive(1.12, 1.06)
     np.testing.assert_array_equal(told, [1.0, 1.02, math.nan, 1.06])
 
 

@@ -68,9 +68,10 @@ def test_kernel_is_compiled_again_only_if_what_it_is_compiled_from_has_changed(c
 CALL_ONE_ENTRY = """
 import numpy as np, numba
 from hil.core.messages import AXES, new
-from hil.loop.compiled.run_cycles import LOOP_STATE, _read_axes
-_read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))
-print(sum(_read_axes._cache_hits.values()))
+from hil.loop.core import LOOP_STATE
+from hil.loop.mock_bench import read_axes
+read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))
+print(sum(read_axes._cache_hits.values()))
 """
 
 

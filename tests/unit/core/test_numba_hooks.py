@@ -81,13 +81,11 @@ print(result.fndesc.mangled_name)
 
 def test_module_of_an_entry_with_all_that_it_calls_lacks_no_kernel() -> None:
     from hil.core.messages import new
-    from hil.loop.compiled.run_cycles import LOOP_PARAMS, LOOP_STATE, _read_axes, _send_setpoints
-    from hil.loop.compiled.run_stats import RUN_STATS
+    from hil.loop.compiled.run_cycles import _send_setpoint
+    from hil.loop.core import LOOP_PARAMS, LOOP_STATE
 
-    _read_axes.compile((numba.typeof(new(LOOP_STATE)), numba.float64))
-    records = [numba.typeof(new(layout)) for layout in (LOOP_PARAMS, LOOP_STATE, RUN_STATS)]
-    sends: Any = _send_setpoints
-    sends.compile((*records, numba.float64))
+    sends: Any = _send_setpoint
+    sends.compile((*(numba.typeof(new(layout)) for layout in (LOOP_PARAMS, LOOP_STATE)), numba.float64))
     module = whole_module(library_of(sends))
     missing = [f.name for f in module.functions if f.is_declaration and "hil" in f.name]
     assert missing == [], _THIS

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.rig import Rig
-from hil.core.messages import ARRIVAL, CYCLE, MAX_POSES, PoseFrame
+from hil.core.messages import ARRIVAL, MAX_POSES, PoseFrame
 from hil.core.observable import ObservableList
 from hil.loop.stages import VisionStage
-from hil.params import vision as vision_params
+from hil.setup.assembly import core_memory
+from tests.support.run_settings import make_job
 
 
 class Source:
@@ -48,13 +49,15 @@ def frame(counter: int, t_s: float) -> PoseFrame:
 
 
 def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
-    source, told, row = Source(), Rows(), np.zeros(1, CYCLE)
-    vision = VisionStage(source, vision_params.mounting(mock_rig))
+    source, told, memory = Source(), Rows(), core_memory(make_job(1.0), mock_rig)
+    vision = VisionStage(source, memory)
     vision.frame_sink = told
+    memory.state.zero_s, memory.state.cycle = 10.0, -1
 
     def cycle(*frames: PoseFrame) -> list[tuple[int, int]]:
         source.frames, told.rows = list(frames), []
-        vision.receive(20.0, 10.0, row[0])
+        memory.state.cycle += 1
+        vision.receive(20.0, 10.0)
         return [(int(r["frame"]["counter"]), int(r["cycle"])) for r in told.rows]
 
     source.frames = [frame(1, 9.0)]

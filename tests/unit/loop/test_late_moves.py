@@ -30,8 +30,8 @@ def test_a_late_cycle_delays_a_move_and_does_not_hasten_it() -> None:
     bench, sent = runner.loop.bench, list[np.ndarray]()
     send = bench._send
 
-    def record(now_s: float, setpoint: np.record) -> None:
-        send(now_s, setpoint)
+    def record(now_s: float) -> None:
+        send(now_s)
         sent.append(np.concatenate([bench.accepted.rail_m, bench.accepted.gimbal_rad]))
 
     bench._send = record  # type: ignore[method-assign]
