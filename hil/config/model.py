@@ -39,7 +39,8 @@ AngleTriple = tuple[
 class ConfigModel(BaseModel):
     """Base of all tables of configuration files."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+    # a table is built with the file that holds it, not at import: most are parts of others
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True, defer_build=True)
 
     @field_validator("*")
     @classmethod

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import importlib
 import os
 import pickle
 import platform
@@ -24,6 +25,7 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar, cast
 
@@ -126,7 +128,7 @@ class KernelCache:
             data = self._read_after_others(path)
         if data is None:
             return None
-        target_context.refresh()
+        _prepare(target_context)
         try:
             return CompileResult._rebuild(target_context, *pickle.loads(data))
         except StaleCaller:
@@ -189,6 +191,21 @@ class KernelCache:
         key = hashlib.sha256(f"{types} {codegen.magic_tuple()} {self._kind}".encode()).hexdigest()[:16]
         name = self._function.__qualname__.replace("<locals>", "")
         return kernel_cache_folder() / self._function.__module__ / f"{name}-{digest}-{key}.nbc"
+
+
+@cache
+def _prepare(target_context: Any) -> None:
+    """Let ``target_context`` load kernels, without scipy.linalg: numba imports it for BLAS, which no kernel here calls.
+
+    A kernel of a user's that calls BLAS imports it when it is compiled.
+    """
+    linalg: Any = importlib.import_module("numba.np.linalg")
+    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure_blas
+    target_context.refresh()
 
 
 def kernel(function: _Function) -> _Function:

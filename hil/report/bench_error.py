@@ -63,7 +63,8 @@ def encoders_at_truth(history: np.ndarray) -> tuple[np.ndarray, Array, Array]:
     t_s = history["t_s"]
     first = sampled_s.min(axis=0).max() - _TIME_SLACK_S
     last = sampled_s.max(axis=0).min() + _TIME_SLACK_S
-    rows = history[(t_s >= first) & (t_s <= last)]
+    begin, end = np.searchsorted(t_s, first, "left"), np.searchsorted(t_s, last, "right")
+    rows = history[begin:end]
     rail_m = _at(rows["t_s"], sampled_s[:, 0], feedback["rail_m"])
     return rows, rail_m, _at(rows["t_s"], sampled_s[:, 1], feedback["gimbal_rad"])
 
@@ -86,9 +87,9 @@ def _navigation_shares(rows: np.ndarray, distance: Array, angle: Array, settled_
     chosen = late if late.any() else known
     if not chosen.any():
         return _shares(None, None)
-    truth, estimate = rows["truth"][chosen], rows["navigation"][chosen]
-    offset = np.linalg.norm(truth["r_CT_H"] - estimate["r_CT_H"], axis=1)
-    cosine = np.abs(np.sum(truth["q_CH"] * estimate["q_CH"], axis=1))
+    truth, estimate = rows["truth"], rows["navigation"]
+    offset = np.linalg.norm((truth["r_CT_H"] - estimate["r_CT_H"])[chosen], axis=1)
+    cosine = np.abs(np.sum((truth["q_CH"] * estimate["q_CH"])[chosen], axis=1))
     angle_off = 2.0 * np.arccos(np.minimum(1.0, cosine))
     return _shares(_ratio(distance[chosen], offset), _ratio(angle[chosen], angle_off))
 
