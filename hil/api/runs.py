@@ -30,7 +30,7 @@ from hil.report.long_run import accumulate
 from hil.report.summary import summarise
 from hil.report.verdict import Verdict
 from hil.session import build, with_docking_monitor
-from hil.session.warm_up import compile_kernels
+from hil.session.warm_up import Compilation
 from hil.setup.assembly import Job
 
 if TYPE_CHECKING:
@@ -92,8 +92,10 @@ def run(
     """
     with named_as_argument():
         job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults, **backends)
-        build.check(job)
-    compile_kernels(job, log.warning)
+    with Compilation(job) as compilation:
+        with named_as_argument():
+            build.check(job)
+        compilation.finish(log.warning)
     found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
     if STOPPED_BY_OPERATOR in found.summary["faults"]:
         raise KeyboardInterrupt(STOPPED_BY_OPERATOR)

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.maths import euler, stack
 from hil.maths.arrays import fill
 from hil.models.bodies import BODIES, CLOSING, DISTANCE, STOPPING, WHICH, clearance
@@ -78,7 +78,7 @@ def _bench_meets(guard, feedback, breach):
     )  # fmt: skip
 
 
-@kernel
+@entry
 def first_breach(guard, setpoint, feedback, breach):
     """Return what is wrong with the axes, NOTHING if all is well; ``breach`` (BREACH) then names axis and limits.
 

@@ -84,8 +84,9 @@ def run(
 
     from hil.api.jobs import loaded_rig, loaded_scenario, make_job
     from hil.api.runs import RunRequest
-    from hil.cli.warm_up import compile_kernels_with_notice
+    from hil.cli.warm_up import finish_with_notice
     from hil.session import build
+    from hil.session.warm_up import Compilation
 
     chosen = () if of_case.dispersions is None else (f"dispersions={of_case.dispersions}",)
     loaded = loaded_scenario(scenario, (*chosen, *options.settings))
@@ -106,9 +107,10 @@ def run(
             more = {"campaign_seed": campaign_seed, "case": case}
             if note:
                 console.print(note, style="yellow", highlight=False, soft_wrap=True, markup=False)
-    with console.status("checking that the rig can follow the scenario"):
-        build.check(job)
-    compile_kernels_with_notice(job, console)
+    with Compilation(job) as compilation:
+        with console.status("checking that the rig can follow the scenario"):
+            build.check(job)
+        finish_with_notice(compilation, console)
     return run_and_print(RunRequest(job, rig, record, more), console, json)
 
 

@@ -19,6 +19,7 @@ from hil.errors import Problem
 
 if TYPE_CHECKING:
     from hil.session.build import Job
+    from hil.session.warm_up import Compilation
 
 _PASSED, _SAFE_STOPPED = 0, 3
 _GROUP_WALL_S: Final = 1800.0
@@ -70,11 +71,17 @@ def _compile_group(group: str) -> float:
 
 
 def compile_kernels_with_notice(job: Job, console: Console) -> None:
-    """Compile every kernel of the loop that is not in the cache, with a notice on the terminal."""
-    from hil.session.warm_up import compile_kernels
+    """Compile every kernel of a checked ``job`` that is not in the cache, with a notice on the terminal."""
+    from hil.session.warm_up import Compilation
 
+    with Compilation(job) as compilation:
+        finish_with_notice(compilation, console)
+
+
+def finish_with_notice(compilation: Compilation, console: Console) -> None:
+    """Compile what is left, with a notice on the terminal."""
     with exit_on_ctrl_c(), console.status("compiling"):
-        compile_kernels(job, lambda text: console.print(text, soft_wrap=True, highlight=False))
+        compilation.finish(lambda text: console.print(text, soft_wrap=True, highlight=False))
 
 
 @contextmanager

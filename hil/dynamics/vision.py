@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from hil.core.jit import kernel
+from hil.core.jit import entry, kernel
 from hil.dynamics import vision_errors
 from hil.dynamics.vision_errors import LEAST_LEDS, PLACES, VISION_ERRORS
 from hil.maths import quat, stack
@@ -70,7 +70,7 @@ def _look(camera, leds, t_v, q_vt, frame):
     return vision_errors.count_leds(left & right) >= min(LEAST_LEDS, leds.shape[0])
 
 
-@kernel
+@entry
 def measure_frame(params, camera, leds, mounting, r_CT_H, q_CH, noise, t_s, memory, frame):
     """Write pose, covariance and LEDs of ``frame`` (VMU_FRAME) of a chaser at ``r_CT_H`` with ``q_CH``.
 

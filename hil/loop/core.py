@@ -222,7 +222,7 @@ def _log_poses(state, poses, arrived, logged, arrivals):
 
 @entry
 def compare_monitor(params, state, t_s):
-    """Compare the navigation with what the docking monitor has measured by ``t_s``; tell the GNC and the row."""
+    """Compare the navigation with what the docking monitor has measured by ``t_s``, for GNC and row."""
     approach, now = state.gnc.approach, state.now
     state.disagreed_before = approach.monitor_disagrees
     approach.monitor_disagrees = compare_received(params.monitor, state.monitor, t_s, now.navigation)
@@ -284,7 +284,7 @@ def limit_setpoint(limits, state, target):
         state.limited_in_row = 0
 
 
-@kernel
+@entry
 def next_setpoint(params, state):
     """Write the setpoint of the present tick: within the limits, and ahead of its time by each axis' lead."""
     if params.ticks > 1:

@@ -89,7 +89,7 @@ class VisionStage:
             self._tell(arrivals[: self._state.logged])
 
     def _make_room(self, n: int) -> int:
-        """Let ``n`` further frames have room; return how many may come to the cycle."""
+        """Enlarge the arrays for ``n`` further frames; return how many frames the cycle may receive."""
         waiting = n + int(self._state["delayed"])
         if n > len(self._frames):
             self._frames = np.resize(self._frames, 2 * n).view(np.recarray)

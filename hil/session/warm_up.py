@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Self
 
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
@@ -26,37 +27,66 @@ _CYCLES = 10
 _CHILD_WALL_S = 600.0  # a computer that is busy takes several minutes
 
 
-def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
-    """Compile the kernels that ``job`` needs and that are not in the cache, on two cores.
+class Compilation:
+    """Compilation of the kernels that ``job`` needs and that are not in the cache, on two cores.
 
-    In simulated time these are the compiled loop's. In real time every kernel of the cycle is also called once: nothing
-    is loaded once the bench is powered.
-    announce: receives FIRST_START if the kernels are not in the cache yet, and then the time that they took.
+    In simulated time these are the compiled shell's. In real time every kernel of the cycle is also called once:
+    nothing is loaded once the bench is powered. As a context it compiles the GNC and the verdict in a child process
+    from the start, while the job is checked; its end ends that process.
     """
-    group: Kernels = "loop" if runs_compiled(job) else "cycle"
-    if not kernels_are_cached(group):
-        prepare_kernel_cache()
-        announce(FIRST_START)
-        started_s = time.perf_counter()
-        compile_group(group, job)
-        announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
-    if group == "cycle" and (job.paced or job.rig.value.kind != "mock"):
-        warm_up(job)
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._group: Kernels = "loop" if runs_compiled(job) else "cycle"
+        self._cached = kernels_are_cached(self._group)
+        self._child: ChildProcess | None = None
+
+    def __enter__(self) -> Self:
+        if not self._cached:
+            prepare_kernel_cache()
+            self._child = _compiler_of_the_gnc()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._child is not None:
+            self._child.kill()
+            self._child.close()
+
+    def finish(self, announce: Callable[[str], None]) -> None:
+        """Compile the others. announce: receives FIRST_START if there are any, and then the time that they took."""
+        if not self._cached:
+            announce(FIRST_START)
+            started_s = time.perf_counter()
+            compile_group(self._group, self._job, self._child)
+            announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
+        if self._group == "cycle" and (self._job.paced or self._job.rig.value.kind != "mock"):
+            warm_up(self._job)
 
 
-def compile_group(group: Kernels, job: Job) -> None:
-    """Compile the kernels of ``group``: those of the GNC in a child process, the others here, with ``job``."""
-    with ChildProcess("precompile process", "hil.processes.precompile", {"group": "gnc"}) as child:
-        try:
-            warm_up_all_but_gnc(job)
-            if group == "loop":
-                in_memory(_short_job(job, compiled=True), SimulatedRate(SimulatedClock(), job.tick_s)).run()
-            else:
-                warm_up(job)
-            child.wait_end(_CHILD_WALL_S)
-        finally:
-            child.kill()
+def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
+    """Compile the kernels that a checked ``job`` needs and that are not in the cache, see ``Compilation``."""
+    with Compilation(job) as compilation:
+        compilation.finish(announce)
+
+
+def compile_group(group: Kernels, job: Job, child: ChildProcess | None = None) -> None:
+    """Compile the kernels of ``group``: those of the GNC and of the verdict in ``child``, the others here."""
+    started = child or _compiler_of_the_gnc()
+    try:
+        warm_up_all_but_gnc(job)
+        if group == "loop":
+            in_memory(_short_job(job, compiled=True), SimulatedRate(SimulatedClock(), job.tick_s)).run()
+        else:
+            warm_up(job)
+        started.wait_end(_CHILD_WALL_S)
+    finally:
+        started.kill()
+        started.close()
     mark_kernels_cached(group)
+
+
+def _compiler_of_the_gnc() -> ChildProcess:
+    return ChildProcess("precompile process", "hil.processes.precompile", {"group": "run"})
 
 
 def warm_up(job: Job) -> None:

@@ -191,7 +191,7 @@ class CompiledCycles:
         return self._loop.monitor.noise.peek(max(0, math.ceil(last_s * rate_hz) - int(self._state.monitor.next) + 1))
 
     def _store(self, begun: int) -> None:
-        """Tell the devices what a block from tick ``begun`` on has done."""
+        """Pass lines, feedback and time of a block from tick ``begun`` on to the devices' stages."""
         loop, mocks, state = self._loop, self._mocks, self._state
         if mocks.io is not None and isinstance(loop.safety_io, SafetyIoStage):
             mocks.io.set_outputs(loop.safety_io.set_mirrored(), float(state.mock.lines_changed_s))
