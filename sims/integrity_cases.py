@@ -127,7 +127,7 @@ def _bench_range_m(runner: Runner) -> float:
     assert isinstance(bench.rails, MockAxes)
     assert isinstance(bench.turntable, MockAxes)
     r, q = np.empty(3), np.empty(4)
-    pose_of_axes(bench.params, bench.rails.servo().position, bench.turntable.servo().position, r, q)
+    pose_of_axes(bench.params, bench.rails.servo.position, bench.turntable.servo.position, r, q)
     return math.hypot(*r)
 
 

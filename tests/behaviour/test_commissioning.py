@@ -80,8 +80,8 @@ def commissioned(
         bench.stop = lambda now_s: (trial.calls.append("stop"), stop(now_s))[1]  # type: ignore[method-assign,func-returns-value]
         bench.close = lambda: (trial.calls.append("close"), close())[1]  # type: ignore[method-assign,func-returns-value]
 
-        def sent(now_s: float, setpoint: np.record) -> None:
-            send(now_s, setpoint)
+        def sent(now_s: float) -> None:
+            send(now_s)
             trial.places.append(bench.motion.position.copy())
 
         bench._send = sent  # type: ignore[method-assign]
@@ -297,10 +297,10 @@ def test_ctrl_c_at_a_question_stops_the_axes_first() -> None:
         calls.append(trial.calls)
         read = runner.loop.bench.read
 
-        def read_or_stop(now_s: float, feedback: np.record) -> None:
+        def read_or_stop(now_s: float) -> None:
             if asked.is_set():
                 raise KeyboardInterrupt
-            read(now_s, feedback)
+            read(now_s)
 
         runner.loop.bench.read = read_or_stop  # type: ignore[method-assign]
 

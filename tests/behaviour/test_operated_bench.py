@@ -395,9 +395,9 @@ def test_references_are_seeded_from_the_encoders_on_every_path_into_motion() -> 
         bench = session.runner.loop.bench
         seed = bench.seed
 
-        def recorded(now_s: float, feedback: np.record) -> None:
+        def recorded(now_s: float) -> None:
             seeded.append(session.mode)
-            seed(now_s, feedback)
+            seed(now_s)
 
         bench.seed = recorded  # type: ignore[method-assign]
 

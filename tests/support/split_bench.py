@@ -87,8 +87,9 @@ class Split:
             loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.gnc.cycle))
             send = loop.bench._send
 
-            def spy(now_s: float, setpoint: np.record) -> None:
-                send(now_s, setpoint)
+            def spy(now_s: float) -> None:
+                send(now_s)
+                setpoint = loop.now.setpoint
                 self.setpoints.append(np.concatenate([setpoint.rail_m, setpoint.gimbal_rad]))
 
             loop.bench._send = spy  # type: ignore[method-assign]
