@@ -190,7 +190,7 @@ class Navigation(ConfigModel):
 
     backend: Annotated[str, Field(min_length=1)] = BUILTIN
     """Fusion of poses and IMU (`builtin`), `vision_alone`, or one of your own: `package:name` of an entry point,
-    `file.py:name`, or a shared library (`.so`)."""
+    `file.py:name`, a shared library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
     gate_sigma: Positive
@@ -477,8 +477,8 @@ class Control(ConfigModel):
     """Backend of control. The built-in one: phase planes of position and attitude, updated once per period."""
 
     backend: Annotated[str, Field(min_length=1)] = BUILTIN
-    """Phase planes (`builtin`), or one of your own: `package:name` of an entry point, `file.py:name`, or a shared
-    library (`.so`)."""
+    """Phase planes (`builtin`), or one of your own: `package:name` of an entry point, `file.py:name`, a shared
+    library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
     deadband_m: Positive

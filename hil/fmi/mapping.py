@@ -65,6 +65,9 @@ def _record_fields(fields: Fields, prefix: str, base: int, group: int) -> Iterat
                 code = part.base.str[1:]
                 yield RecordField(f"{prefix}{field.name}", field.unit, code, base + offset, part.shape, group)
             continue
+        if field.shape == ():
+            yield from _record_fields(field.type, f"{prefix}{field.name}.", base + offset, group)
+            continue
         for i in range(_count(field)):
             place = base + offset + i * part.base.itemsize
             yield from _record_fields(field.type, f"{prefix}{field.name}[{i + 1}].", place, i)

@@ -38,6 +38,9 @@ _UNITS: Final[Mapping[str, Mapping[str, int]]] = {
     "m/s": {"m": 1, "s": -1},
     "m/s^2": {"m": 1, "s": -2},
     "m^2": {"m": 2},
+    "m rad": {"m": 1, "rad": 1},
+    "1/s": {"s": -1},
+    "1/s^2": {"s": -2},
     "kg m^2": {"kg": 1, "m": 2},
 }
 _FLAGS: Final = ("-std=c11", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off")
@@ -58,6 +61,8 @@ class ModelVariable:
     shape: tuple[int, ...] = ()
     unit: str = "1"
     meaning: str = ""
+    tunable: bool = False
+    """A parameter that may change during the run."""
 
     @property
     def size(self) -> int:
@@ -202,9 +207,10 @@ def _variables(root: Element, model: Model, version: int) -> None:
     reference = 0
     for variable in model.variables:
         values = np.frombuffer(model.start, variable.code, variable.size, variable.offset)
+        is_parameter = variable.causality == "parameter"
         common = {
             "causality": variable.causality,
-            "variability": "fixed" if variable.causality == "parameter" else "discrete",
+            "variability": "discrete" if not is_parameter else "tunable" if variable.tunable else "fixed",
             **({"description": variable.meaning} if variable.meaning else {}),
         }
         is_output = variable.causality == "output"

@@ -1,4 +1,4 @@
-"""Step of an FMU as one compiled function with the signature of ``hil_gnc_step``, callable from the compiled loop.
+"""Step of an FMU as one compiled function: ``int step(instance, input, output)``, callable from the compiled loop.
 
 It copies the mapped elements of the input record to staging arrays, sets the FMU's variables, steps it, gets its
 outputs and copies them to the output record. What is copied and called is in tables that a component points to.
@@ -14,7 +14,7 @@ from llvmlite import ir
 from numba import carray, cfunc, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
-from hil.core.gnc_records import GNC_OUTPUT, GncMode
+from hil.core.gnc_records import GncMode
 from hil.core.jit import kernel
 from hil.fmi.binary import LOG_BYTES
 
@@ -60,6 +60,17 @@ CALL: Final = np.dtype(
 GROUP: Final = np.dtype([("copies", "i8"), ("n_copies", "i8"), ("calls", "i8"), ("n_calls", "i8")], align=True)
 """Copies and calls that go together: addresses and lengths."""
 
+NESTED_MAX: Final = 2
+NESTED: Final = np.dtype(
+    [
+        ("groups", "i8"),  # address of GROUP for each record
+        ("n", "i8"),  # records
+        ("count_offset", "i8"),  # of the field in the input with the number of records that are valid
+    ],
+    align=True,
+)
+"""Array of records in the input."""
+
 COMPONENT: Final = np.dtype(
     [
         ("component", "i8"),
@@ -67,12 +78,11 @@ COMPONENT: Final = np.dtype(
         ("do_step", "i8"),
         ("step_s", "f8"),
         ("input", GROUP),
-        ("poses", "i8"),  # address of GROUP for each pose
-        ("n_poses", "i8"),
-        ("poses_offset", "i8"),  # of the field n_poses in the input
+        ("nested", NESTED, NESTED_MAX),
         ("output", GROUP),
-        ("direct", "i8"),  # 1: the outputs open thrusters
-        ("estimate", "i8"),  # 1: the outputs are an estimate
+        ("text_offset", "i8"),  # of the field text in the output
+        ("direct", "i8"),  # offset of the field that says that the outputs open thrusters; 0: that is not set
+        ("estimate", "i8"),  # offset of the field that says that the outputs are an estimate; 0: that is not set
         ("log", "i8"),  # address of the last message
         ("step_text", "u1", FIELD_TEXT),
         ("end_text", "u1", FIELD_TEXT),
@@ -82,9 +92,6 @@ COMPONENT: Final = np.dtype(
 """Component of an FMU and its tables."""
 
 _INPUT_HEAD = np.dtype([("cycle", "i8"), ("t_s", "f8"), ("mode", "i4"), ("orders", "i4")], align=True)
-_TEXT_OFFSET = offset_of(GNC_OUTPUT, "text")
-_DIRECT_OFFSET = offset_of(GNC_OUTPUT, "direct")
-_ESTIMATE_OFFSET = offset_of(GNC_OUTPUT, "estimate")
 _RUNNING = GncMode.RUNNING.value
 _INTEGER_MAX = 2.0**53
 UNUSABLE: Final = 100
@@ -254,10 +261,10 @@ def _write(address, code, value):
 
 
 @kernel
-def _write_text(output, text):
+def _write_text(component, output, text):
     """Write ``text`` (FIELD_TEXT,) as the text of the output record."""
     for i in range(FIELD_TEXT):
-        _store_u1(output + _TEXT_OFFSET + i, text[i])
+        _store_u1(output + component.text_offset + i, text[i])
 
 
 @kernel
@@ -265,9 +272,9 @@ def _fail(component, output, text):
     """Write the FMU's last message, or ``text`` without one, as the text of the output record."""
     log = carray(_pointer(component.log), (LOG_BYTES,), np.uint8)
     if log[0] != 0:
-        _write_text(output, log)
+        _write_text(component, output, log)
     else:
-        _write_text(output, text)
+        _write_text(component, output, text)
 
 
 @kernel
@@ -280,7 +287,7 @@ def _set_group(component, group, record, output):
         if copy.code == 0:
             _store_f8(copy.address, copy.factor * value + copy.shift)
         elif not _write(copy.address, copy.code, copy.factor * value + copy.shift):
-            _write_text(output, copy.text)
+            _write_text(component, output, copy.text)
             return UNUSABLE
     calls = carray(_pointer(group.calls), (group.n_calls,), CALL)
     for i in range(group.n_calls):
@@ -311,26 +318,30 @@ def _get_group(component, group, output):
         copy = copies[i]
         value = copy.factor * _read(copy.address, copy.code) + copy.shift
         if not _write(output + copy.offset, copy.field_code, value):
-            _write_text(output, copy.text)
+            _write_text(component, output, copy.text)
             return UNUSABLE
     return 0
 
 
-def _step(instance, gnc_input, gnc_output):
+@kernel
+def _stepped(instance, record_in, record_out):
+    """Step a component (COMPONENT) with an input record; return the status, 0 if all went well."""
     component = carray(instance, (1,), COMPONENT)[0]
-    head = carray(gnc_input, (1,), _INPUT_HEAD)[0]
-    record, output = _address(gnc_input), _address(gnc_output)
+    head = carray(record_in, (1,), _INPUT_HEAD)[0]
+    record, output = _address(record_in), _address(record_out)
     if head.mode != _RUNNING:
         return 0  # the run's time is held, and with it the FMU's
     status = _set_group(component, component.input, record, output)
     if status != 0:
         return status
-    n_poses = min(_load_i8(record + component.poses_offset), component.n_poses)
-    groups = carray(_pointer(component.poses), (component.n_poses,), GROUP)
-    for i in range(n_poses):
-        status = _set_group(component, groups[i], record, output)
-        if status != 0:
-            return status
+    for j in range(NESTED_MAX):
+        nested = component.nested[j]
+        if nested.n > 0:
+            groups = carray(_pointer(nested.groups), (nested.n,), GROUP)
+            for i in range(min(_load_i8(record + nested.count_offset), nested.n)):
+                status = _set_group(component, groups[i], record, output)
+                if status != 0:
+                    return status
     if component.version == 2:
         status = _do_step_2(component.do_step, component.component, head.t_s, component.step_s)
     else:
@@ -342,13 +353,33 @@ def _step(instance, gnc_input, gnc_output):
         _fail(component, output, component.step_text)
         return status
     if component.direct != 0:
-        _store_i4(output + _DIRECT_OFFSET, np.int32(1))
+        _store_i4(output + component.direct, np.int32(1))
     if component.estimate != 0:
-        _store_i8(output + _ESTIMATE_OFFSET, 1)
+        _store_i8(output + component.estimate, 1)
     return _get_group(component, component.output, output)
+
+
+def _step(instance, record_in, record_out):
+    return _stepped(instance, record_in, record_out)
+
+
+def _step_of_part(record_in, record_out, instance):
+    return _stepped(instance, record_in, record_out)
+
+
+_SIGNATURE = types.int32(types.voidptr, types.voidptr, types.voidptr)
 
 
 @cache
 def step_function() -> Any:
-    """Return the step, a C function; ``address`` is its attribute. Compiled once per process, in about a second."""
-    return cfunc(types.int32(types.voidptr, types.voidptr, types.voidptr))(_step)
+    """Return the step, a C function with the arguments of ``hil_gnc_step``; ``address`` is its attribute.
+
+    Compiled once per process, in about a second.
+    """
+    return cfunc(_SIGNATURE)(_step)
+
+
+@cache
+def step_function_of_part() -> Any:
+    """Return ``step_function`` with the arguments of the step of a backend: input, output, instance."""
+    return cfunc(_SIGNATURE)(_step_of_part)

@@ -28,7 +28,7 @@ from hil.gnc_backends.python_backend import PythonBackend
 OBJECT: Final = "object"
 """Prefix of the name of a backend that the caller gives as a Python object: ``object:Ekf``."""
 NO_BACKENDS: Final = OwnBackends()
-_KINDS: Final = "package:name of an entry point, file.py:name, or a shared library (.so)"
+_KINDS: Final = "package:name of an entry point, file.py:name, a shared library (.so) or an FMU (.fmu)"
 
 
 def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
@@ -151,7 +151,7 @@ def backend_file(name: str, part: str) -> str | None:
     where, _, member = name.rpartition(":")
     if where.endswith(".py"):
         return where
-    if name.endswith(".so"):
+    if name.endswith((".so", ".fmu")):
         return name
     if where in ("", OBJECT):
         return None
@@ -171,7 +171,9 @@ def _of_name(name: str, part: str, refuse: Callable[[str], BadInput]) -> Backend
     if name.endswith(".so"):
         return LibraryBackend(name, part, refuse)
     if name.endswith(".fmu"):
-        raise refuse("an FMU flies as a whole GNC: gnc.fmu")
+        from hil.gnc_backends.fmu import FmuBackend
+
+        return FmuBackend(name, part, refuse)
     where, colon, member = name.rpartition(":")
     if not colon or not where or not member:
         known = ", ".join(f'"{each}"' for each in BUILT_IN[part])

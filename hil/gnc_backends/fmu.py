@@ -1,33 +1,155 @@
-"""GNC in an FMU for co-simulation (FMI 2.0, 3.0): the same interface to the cycle as a shared library."""
+"""GNC, or its navigation or control, in an FMU for co-simulation (FMI 2.0, 3.0): the interfaces of shared libraries."""
 
 from __future__ import annotations
 
 import ctypes
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from hil.config.fmu_mapping import FmuMapping
 from hil.config.load import load_fmu_mapping
 from hil.config.scenario import GncConfig
-from hil.core.gnc_records import GNC_INPUT, GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GNC_SETUP_FIELDS
-from hil.core.messages import MAX_POSES
-from hil.errors import BadInput
+from hil.core.backend_records import (
+    CONTROL_INPUT_FIELDS,
+    CONTROL_OUTPUT_FIELDS,
+    NAVIGATION_INPUT_FIELDS,
+    NAVIGATION_OUTPUT_FIELDS,
+)
+from hil.core.fields import Fields, record_dtype
+from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GNC_SETUP_FIELDS
+from hil.errors import BadInput, DeviceError
 from hil.fmi import step
 from hil.fmi.archive import FmuError
 from hil.fmi.binary import Fmu
 from hil.fmi.description import FmiVariable
 from hil.fmi.mapping import MappedElement, map_record
+from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
 from hil.gnc_backends.shared_library import Instance
 
 KEY: Final = "gnc.fmu"
-_ESTIMATE: Final = frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"})
+_ONLY_ONCE: Final = "can be instantiated only once per process"
 _FORMATS: Final = {"f8": "<d", "i8": "<q", "i4": "<i", "u1": "<B"}
 _MULTIPLE: Final = 1e-6  # tolerance of the quotient of two steps
+
+
+class StepLayout(NamedTuple):
+    """Records of a step. nested: field of an array of records -> field with the number that are valid."""
+
+    inputs: Fields
+    outputs: Fields
+    nested: Mapping[str, str]
+    estimates: str
+    """Field of the output that says whether it is an estimate, "" if it never is."""
+    estimate: frozenset[str]
+    """Fields of an estimate."""
+
+
+_WHOLE: Final = StepLayout(
+    GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, {"poses": "n_poses"}, "estimate",
+    frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"}),
+)  # fmt: skip
+_OF_PART: Final = {
+    "navigation": StepLayout(
+        NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS, {"samples": "n_samples", "poses": "n_poses"}, "valid",
+        frozenset({"r_CT_H", "v_CT_H", "q_CH", "w_CH_C"}),
+    ),
+    "control": StepLayout(CONTROL_INPUT_FIELDS, CONTROL_OUTPUT_FIELDS, {}, "", frozenset()),
+}  # fmt: skip
+
+
+class _FmuSteps:
+    """The FMU at ``path``, stepped with the records of ``layout``. Raises FmuError if it cannot be used.
+
+    parameters: values of variables, by name. own_process: see ``FmuLibrary``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        layout: StepLayout,
+        mapping: FmuMapping,
+        parameters: Mapping[str, bool | int | float | str],
+        own_process: Path | None = None,
+    ) -> None:
+        self.layout, self._parameters = layout, parameters
+        self._tables: list[_Tables] = []
+        """Those that no instance uses."""
+        self.fmu = Fmu(path, own_process)
+        described = self.fmu.description
+        self.inputs = map_record(described, layout.inputs, mapping.inputs, ("input",), "inputs")
+        self.outputs = map_record(described, layout.outputs, mapping.outputs, ("output",), "outputs")
+        self.setup = map_record(described, GNC_SETUP_FIELDS, mapping.setup, ("parameter",), "setup")
+        fed = {element.variable.name for element in self.inputs} | set(parameters)
+        unfed = [v.name for v in described.variables.values() if v.causality == "input" and v.name not in fed]
+        if unfed:
+            more = f" and {len(unfed) - 1} more" if len(unfed) > 1 else ""
+            raise FmuError(f"input {unfed[0]}{more}: no field of that name{self._remedy}")
+        self._check_outputs({element.field.name for element in self.outputs})
+
+    def _check_outputs(self, given: set[str]) -> None:
+        """Raise FmuError if the outputs lack what the bench cannot do without."""
+        layout, demands = self.layout, "force" in {field.name for field in self.layout.outputs}
+        if demands and "on" not in given and not {"force", "torque"} <= given:
+            missing = "force" if "force" not in given else "torque"
+            raise FmuError(f"has no output {missing}[1]: thrusters need force and torque, or on (gnc.fmu_mapping)")
+        estimate = layout.estimate & given
+        if (estimate or not demands) and estimate != layout.estimate:
+            raise FmuError(f"has an estimate without the output {min(layout.estimate - estimate)}")
+        if layout.estimates in given and not estimate:
+            raise FmuError("has the output estimate without r_CT_H_m, v_CT_H_mps, q_CH and w_CH_C_radps")
+
+    @property
+    def _remedy(self) -> str:
+        if self.layout is not _WHOLE:
+            return ": an FMU of one part has inputs by the names of its record"
+        return ": map it (gnc.fmu_mapping) or give it a value (gnc.fmu_parameters)"
+
+    def open(self, setup: np.record, parameters: Mapping[str, Any] | None = None) -> tuple[int, _Tables]:
+        """Return a component set up with ``setup`` (GNC_SETUP), and its tables. Raises FmuError."""
+        fmu, step_s = self.fmu, float(setup.step_s)
+        self._check_step(step_s)
+        component = fmu.instantiate("gnc")
+        try:
+            tables = self._tables.pop() if self._tables else _Tables(self)
+            tables.begin(component, step_s)
+            self._set_parameters(component, setup, self._parameters if parameters is None else parameters)
+            fmu.initialise(component)
+        except FmuError:
+            fmu.free(component)
+            raise
+        return component, tables
+
+    def free(self, component: int, tables: _Tables) -> None:
+        """End a component; its tables serve another one."""
+        self.fmu.free(component)
+        self._tables.append(tables)
+
+    def _check_step(self, step_s: float) -> None:
+        fixed_s = self.fmu.description.step_s
+        if fixed_s is None:
+            return
+        ratio = step_s / fixed_s if fixed_s > 0.0 else math.nan
+        if not (round(ratio) >= 1 and abs(ratio - round(ratio)) < _MULTIPLE * ratio):
+            raise FmuError(f"allows steps of {fixed_s:g} s and multiples: step_s is {step_s:g} s")
+
+    def _set_parameters(self, component: int, setup: np.record, parameters: Mapping[str, Any]) -> None:
+        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and those of the scenario."""
+        block = np.asarray(setup).tobytes()
+        for access, variables in _by_access(self.setup).items():
+            places = {variable.name: i for i, variable in enumerate(variables)}
+            values = [[0.0] * variable.size for variable in variables]
+            for element in self.setup:
+                if (place := places.get(element.variable.name)) is not None:
+                    (number,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
+                    values[place][element.index] = (number - element.shift) / element.factor
+            self.fmu.set_values(component, access, variables, [number for row in values for number in row])
+        for name, value in parameters.items():
+            self.fmu.set_variable(component, name, value)
 
 
 class FmuLibrary:
@@ -42,14 +164,13 @@ class FmuLibrary:
         assert gnc.fmu is not None
         self.path = Path(gnc.fmu).absolute()
         self.name = self.path.name
-        self._shown, self._source, self._own_process = gnc.fmu, source, own_process is not None
-        self._parameters = gnc.fmu_parameters
-        self._tables: list[_Tables] = []
-        """Those that no instance uses."""
+        self._shown, self._source = gnc.fmu, source
         mapping = load_fmu_mapping(gnc.fmu_mapping) if gnc.fmu_mapping is not None else FmuMapping()
         try:
-            self._fmu = Fmu(self.path, own_process)
-            self._map(mapping)
+            self._steps = _FmuSteps(self.path, _WHOLE, mapping, gnc.fmu_parameters, own_process)
+            if self.only_once and own_process is None:
+                raise FmuError(f"{_ONLY_ONCE}: set gnc.fmu_process = true")
+            self._check_parameters(gnc.fmu_parameters)
         except FmuError as error:
             raise self._refusal(error) from error
         self.step_address: int = step.step_function().address
@@ -57,111 +178,115 @@ class FmuLibrary:
     @property
     def only_once(self) -> bool:
         """Whether the FMU can be instantiated only once per process."""
-        return self._fmu.description.only_once
+        return self._steps.fmu.description.only_once
 
     def open(self, setup: np.record) -> Instance:
         """Return a GNC set up with ``setup`` (GNC_SETUP). Raises BadInput if the FMU does not allow it."""
-        fmu = self._fmu
         try:
-            self._check_step(float(setup.step_s))
-            component = fmu.instantiate("gnc")
-            try:
-                tables = self._tables.pop() if self._tables else _Tables(fmu, self.inputs, self.outputs)
-                tables.begin(component, float(setup.step_s))
-                self._set_parameters(component, setup)
-                fmu.initialise(component)
-            except FmuError:
-                fmu.free(component)
-                raise
+            component, tables = self._steps.open(setup)
         except FmuError as error:
             raise self._refusal(error) from error
+        return Instance(lambda _pointer: self._steps.free(component, tables), tables.address)
 
-        def close(_pointer: int) -> None:
-            fmu.free(component)
-            self._tables.append(tables)
-
-        return Instance(close, tables.address)
-
-    def _map(self, mapping: FmuMapping) -> None:
-        """Find the variables of the records, and check what the bench cannot do without."""
-        described = self._fmu.description
-        if described.only_once and not self._own_process:
-            raise FmuError("can be instantiated only once per process: set gnc.fmu_process = true")
-        self.inputs = map_record(described, GNC_INPUT_FIELDS, mapping.inputs, ("input",), "inputs")
-        self.outputs = map_record(described, GNC_OUTPUT_FIELDS, mapping.outputs, ("output",), "outputs")
-        self._setup = map_record(described, GNC_SETUP_FIELDS, mapping.setup, ("parameter",), "setup")
-        for name in self._parameters:
-            variable = described.variables.get(name)
+    def _check_parameters(self, parameters: Mapping[str, Any]) -> None:
+        for name in parameters:
+            variable = self._steps.fmu.description.variables.get(name)
             if variable is None:
                 raise FmuError(f"gnc.fmu_parameters: has no variable {name!r}")
             if variable.causality in ("output", "calculatedParameter", "independent", "structuralParameter"):
                 raise FmuError(f"gnc.fmu_parameters: {name} is of causality {variable.causality} and cannot be set")
-        fed = {element.variable.name for element in self.inputs} | set(self._parameters)
-        unfed = [v.name for v in described.variables.values() if v.causality == "input" and v.name not in fed]
-        if unfed:
-            more = f" and {len(unfed) - 1} more" if len(unfed) > 1 else ""
-            raise FmuError(
-                f"input {unfed[0]}{more}: no field of that name: map it (gnc.fmu_mapping) or give it a value "
-                "(gnc.fmu_parameters)"
-            )
-        given = {element.field.name for element in self.outputs}
-        if "on" not in given and not {"force", "torque"} <= given:
-            missing = "force" if "force" not in given else "torque"
-            raise FmuError(f"has no output {missing}[1]: thrusters need force and torque, or on (gnc.fmu_mapping)")
-        estimate = _ESTIMATE & given
-        if estimate and estimate != _ESTIMATE:
-            raise FmuError(f"has an estimate without the output {min(_ESTIMATE - estimate)}")
-        if "estimate" in given and not estimate:
-            raise FmuError("has the output estimate without r_CT_H_m, v_CT_H_mps, q_CH and w_CH_C_radps")
-
-    def _check_step(self, step_s: float) -> None:
-        described = self._fmu.description
-        fixed_s = described.step_s
-        if fixed_s is None:
-            return
-        ratio = step_s / fixed_s if fixed_s > 0.0 else math.nan
-        if not (round(ratio) >= 1 and abs(ratio - round(ratio)) < _MULTIPLE * ratio):
-            raise FmuError(f"allows steps of {fixed_s:g} s and multiples: step_s is {step_s:g} s")
-
-    def _set_parameters(self, component: int, setup: np.record) -> None:
-        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and those of the scenario."""
-        block = np.asarray(setup).tobytes()
-        for access, variables in _by_access(self._setup).items():
-            places = {variable.name: i for i, variable in enumerate(variables)}
-            values = [[0.0] * variable.size for variable in variables]
-            for element in self._setup:
-                if (place := places.get(element.variable.name)) is not None:
-                    (number,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
-                    values[place][element.index] = (number - element.shift) / element.factor
-            self._fmu.set_values(component, access, variables, [number for row in values for number in row])
-        for name, value in self._parameters.items():
-            self._fmu.set_variable(component, name, value)
 
     def _refusal(self, error: FmuError) -> BadInput:
         return BadInput.single(self._source, KEY, f'"{self._shown}": {error}')
 
 
+class FmuBackend:
+    """The FMU at ``path`` as a backend of ``part``: navigation or control. Raises BadInput, made by ``refuse``.
+
+    Its variables have the names of the fields of the part's records; its tunable parameters are its settings.
+    """
+
+    def __init__(self, path: str, part: str, refuse: Callable[[str], BadInput]) -> None:
+        self._path, self._refuse = Path(path).absolute(), refuse
+        self.name = self._path.name
+        try:
+            self._steps = _FmuSteps(self._path, _OF_PART[part], FmuMapping(), {})
+            if self._steps.fmu.description.only_once:
+                raise FmuError(f"{_ONLY_ONCE}: it flies as a whole GNC, gnc.fmu")
+            of_setup = {element.variable.name for element in self._steps.setup}
+            self.settings = checked_settings(
+                [
+                    Setting(v.name, float(v.start or 0.0), v.unit or "1")
+                    for v in self._steps.fmu.description.variables.values()
+                    if v.causality == "parameter" and v.variability == "tunable" and v.shape == () and v.code != "S"
+                    and v.name not in of_setup
+                ]
+            )  # fmt: skip
+        except (FmuError, ValueError) as error:
+            raise refuse(str(error)) from error
+
+    def check(self, setup: np.record) -> None:
+        """Open and close an instance. Raises BadInput if the FMU does not allow it."""
+        self.open(setup, np.array([setting.default for setting in self.settings])).close()
+
+    def open(self, setup: np.record, values: np.ndarray) -> _FmuInstance:
+        """Return an instance. Raises BadInput if the FMU does not allow it."""
+        names = [setting.name for setting in self.settings]
+        try:
+            return _FmuInstance(self._steps, names, setup, values)
+        except FmuError as error:
+            raise self._refuse(str(error)) from error
+
+
+class _FmuInstance(BackendInstance):
+    def __init__(self, steps: _FmuSteps, names: Sequence[str], setup: np.record, values: np.ndarray) -> None:
+        self._steps, self._names = steps, names
+        self._component, self._tables = steps.open(setup, dict(zip(names, map(float, values), strict=False)))
+        super().__init__(step.step_function_of_part().address, self._tables.address)
+
+    def set_settings(self, values: np.ndarray) -> None:
+        """Set the tunable parameters. Raises DeviceError if the FMU refuses one."""
+        try:
+            for name, value in zip(self._names, values, strict=False):
+                self._steps.fmu.set_variable(self._component, name, float(value))
+        except FmuError as error:
+            raise DeviceError("gnc", str(error)) from error
+
+    def close(self) -> None:
+        """Free it; may be called more than once."""
+        address, self.address = self.address, 0
+        if address:
+            self._steps.free(self._component, self._tables)
+
+
 class _Tables:
     """Tables of one component at a time, which ``hil.fmi.step`` reads; ``address``: of the COMPONENT."""
 
-    def __init__(self, fmu: Fmu, inputs: Sequence[MappedElement], outputs: Sequence[MappedElement]) -> None:
+    def __init__(self, steps: _FmuSteps) -> None:
         self._kept: list[np.ndarray] = []
         self._started: list[tuple[np.ndarray, np.ndarray]] = []
+        fmu, layout, outputs = steps.fmu, steps.layout, steps.outputs
         self._fmu = fmu
         block = self._keep(np.zeros(1, step.COMPONENT))
         table = self._table = block.view(np.recarray)[0]
         version = fmu.description.version
         table.version, table.do_step = version, fmu.address("DoStep")
-        self._fill(table.input, "Set", [element for element in inputs if element.field.group < 0])
-        groups = self._keep(np.zeros(MAX_POSES, step.GROUP)).view(np.recarray)
-        for i in range(MAX_POSES):
-            self._fill(groups[i], "Set", [element for element in inputs if element.field.group == i])
-        table.poses, table.n_poses = groups.ctypes.data, MAX_POSES
-        table.poses_offset = step.offset_of(GNC_INPUT, "n_poses")
+        self._fill(table.input, "Set", [element for element in steps.inputs if element.field.group < 0])
+        input_of, output_of = record_dtype(layout.inputs), record_dtype(layout.outputs)
+        for nested, (name, count) in zip(table.nested, layout.nested.items(), strict=False):
+            mine = [element for element in steps.inputs if element.field.name.startswith(f"{name}[")]
+            n = input_of[name].shape[0]
+            groups = self._keep(np.zeros(n, step.GROUP)).view(np.recarray)
+            for i in range(n):
+                self._fill(groups[i], "Set", [element for element in mine if element.field.group == i])
+            nested.groups, nested.n, nested.count_offset = groups.ctypes.data, n, step.offset_of(input_of, count)
         self._fill(table.output, "Get", outputs)
         given = {element.field.name for element in outputs}
-        table.direct = "on" in given and "direct" not in given and "force" not in given
-        table.estimate = given >= _ESTIMATE and "estimate" not in given
+        table.text_offset = step.offset_of(output_of, "text")
+        if "on" in given and "direct" not in given and "force" not in given:
+            table.direct = step.offset_of(output_of, "direct")
+        if layout.estimates and given >= layout.estimate and layout.estimates not in given:
+            table.estimate = step.offset_of(output_of, layout.estimates)
         table.log = ctypes.addressof(fmu.log)
         prefix = f"fmi{version}DoStep"
         table.step_text, table.end_text = _text(f"{prefix} failed"), _text("the FMU requests the end of the simulation")

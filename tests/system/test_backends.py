@@ -22,7 +22,7 @@ from hil.report.summary import summarise
 from hil.session import build
 from hil.setup.assembly import make_gnc
 from hil.setup.live_tuning import with_setting
-from tests.support.backends import DEAD_BAND, EKF, LQR, OBSERVER, kernel_file, observer_library
+from tests.support.backends import DEAD_BAND, EKF, LQR, OBSERVER, kernel_file, observer_fmu, observer_library
 from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits
 from tests.support.run_settings import make_job
 
@@ -90,6 +90,19 @@ def test_library_of_navigation_has_the_bits_of_the_same_kernel(tmp_path: Path) -
     for more in ((), ("gnc.navigation.settings.position_gain=0.07",)):
         kernel, _ = case((*named(OBSERVER), *LATE, *more))
         assert_same_bits(kernel, case((*named(str(library)), *LATE, *more))[0])
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_fmu_of_navigation_has_the_bits_of_the_same_library(tmp_path: Path, version: int) -> None:
+    library, fmu = observer_library(tmp_path), observer_fmu(tmp_path, version)
+    for more in ((), ("gnc.navigation.settings.position_gain=0.07",)):
+        settings = (*LATE, *more)
+        expected, stop = case((*named(str(library)), *settings))
+        found, same = case((*named(str(fmu)), *settings))
+        assert_same_bits(expected, found)
+        assert stop == same == COMPLETED
+    outcome = flown((*named(str(fmu)), *LATE, "gnc.navigation.settings.position_gain=0.07"), compiled=False)
+    assert_same_bits(outcome.history, found, OF_DIGITAL_LINES)
 
 
 def test_built_in_parts_are_those_of_a_run_without_backends() -> None:
