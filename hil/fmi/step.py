@@ -81,8 +81,8 @@ COMPONENT: Final = np.dtype(
         ("nested", NESTED, NESTED_MAX),
         ("output", GROUP),
         ("text_offset", "i8"),  # of the field text in the output
-        ("direct", "i8"),  # offset of the field that says that the outputs open thrusters; 0: that is not set
-        ("estimate", "i8"),  # offset of the field that says that the outputs are an estimate; 0: that is not set
+        ("direct", "i8"),  # offset of the field direct, set if the outputs open thrusters; 0: it is not set
+        ("estimate", "i8"),  # offset of the field that is 1 with an estimate; 0: it is not set
         ("log", "i8"),  # address of the last message
         ("step_text", "u1", FIELD_TEXT),
         ("end_text", "u1", FIELD_TEXT),

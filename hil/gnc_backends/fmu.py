@@ -44,7 +44,7 @@ class StepLayout(NamedTuple):
     outputs: Fields
     nested: Mapping[str, str]
     estimates: str
-    """Field of the output that says whether it is an estimate, "" if it never is."""
+    """Field of the output that is 1 with an estimate; "" if there never is one."""
     estimate: frozenset[str]
     """Fields of an estimate."""
 
