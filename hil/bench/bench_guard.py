@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.bench.guard import BREACH, NOTHING, bodies_meet
 from hil.bench.kinematics import pose_of_axes
-from hil.core.jit import entry, kernel
+from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 from hil.models.bodies import BODIES
@@ -203,7 +203,7 @@ def _keep(params, memory, t_s, feedback):
         memory.kept_gimbal[memory.newest, i] = feedback.gimbal_rad[i]
 
 
-@entry
+@kernel
 def check_bench(
     params, bench, memory, t_s, truth, wanted, feedback, rails_age_s, turntable_age_s, limited, breach
 ):  # fmt: skip
@@ -291,7 +291,7 @@ def _is_beyond(breach, axis, error, variance, sigmas, calibration):
     return True
 
 
-@entry
+@kernel
 def compare_pose(params, bench, memory, pose):
     """Compare ``pose`` (POSE) with the encoders at its exposure; poses that are older than they are kept do not count.
 

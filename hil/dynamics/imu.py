@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.core.jit import entry, kernel
+from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import imu_errors, imu_faults
 from hil.dynamics import truth as truth_kernels
@@ -67,7 +67,7 @@ def sample_with_errors(params, truth, w_before, noise, memory, imu):
         )
 
 
-@entry
+@kernel
 def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples, imu):
     """Propagate ``truth`` by one cycle, in as many equal steps as there are ``samples``, (n,) of IMU, which are filled.
 

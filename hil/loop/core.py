@@ -249,7 +249,7 @@ def command(params, state):
         now.nees_position, now.nees_attitude = nees[0], nees[1]
 
 
-@entry
+@kernel
 def aim(params, state):
     """Write the axes for the truth's pose at the end of the cycle."""
     rate, true = stack.vector(3), state.now.truth
@@ -274,7 +274,7 @@ def advance(params, state, field, noise, samples):
     aim(params, state)
 
 
-@entry
+@kernel
 def limit_setpoint(limits, state, target):
     """Write the setpoint on the way to ``target`` (AXES), within ``limits`` (BENCH_PARAMS); count it if limited."""
     if kinematics.limit_setpoint(limits, state.motion, target, state.next) != 0:

@@ -215,8 +215,8 @@ class CaseRunner:
         return self.arguments(truth, seed, noise_source(seed, "imu").standard_normal(out=self._imu_noise))
 
     def _clear(self) -> None:
-        for record in (self._state, self._stats):
-            np.asarray(record)[...] = np.zeros((), record.dtype)
+        self._core.clear()
+        np.asarray(self._stats)[...] = np.zeros((), RUN_STATS)
         for block in (self._memory, self._core.now.samples):
             block.view(np.uint8).fill(0)
         start_run_stats(self._stats)

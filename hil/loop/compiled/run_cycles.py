@@ -156,8 +156,10 @@ def run_cycles(
             n = mock_bench.receive_frames(params, state, now_s, frames)
             if n < 0:
                 return VISION_SILENT
-            arrived = core.receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals)
-            forget_frames(transit, n, frames)
+            arrived = now.pose.fresh = 0
+            if n > 0 or state.delayed > 0:
+                arrived = core.receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals)
+                forget_frames(transit, n, frames)
             if params.monitor.acts != 0:
                 mock_bench.measure_monitor(params, state, t_s, monitor_noise, first_measured)
                 core.compare_monitor(params, state, t_s)
