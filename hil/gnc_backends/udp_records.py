@@ -9,6 +9,7 @@ from hil.core.jit import kernel
 from hil.gnc import joint_filter
 from hil.gnc.error_state import ROTATION, R
 from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.record_view import copy_record
 
 _WORKING = GncState.WORKING.value
 
@@ -27,19 +28,7 @@ def read_flight(sent, sent_command, navigation, command):
         and np.isfinite(sent.w_CH_C).all()
     ):
         return False
-    navigation.valid = sent.valid
-    copy_into(navigation.r_CT_H, sent.r_CT_H)
-    copy_into(navigation.v_CT_H, sent.v_CT_H)
-    copy_into(navigation.q_CH, sent.q_CH)
-    copy_into(navigation.w_CH_C, sent.w_CH_C)
-    copy_into(navigation.sigma_r_m, sent.sigma_r_m)
-    copy_into(navigation.sigma_v_mps, sent.sigma_v_mps)
-    copy_into(navigation.sigma_attitude_rad, sent.sigma_attitude_rad)
-    navigation.nis_position = sent.nis_position
-    navigation.nis_attitude = sent.nis_attitude
-    copy_into(navigation.protection_level_m, sent.protection_level_m)
-    navigation.protection_level_rad = sent.protection_level_rad
-    navigation.health = sent.health
+    copy_record(sent, navigation)
     copy_into(command.force, sent_command.force)
     copy_into(command.torque, sent_command.torque)
     copy_into(command.cycles_left, sent_command.cycles_left)

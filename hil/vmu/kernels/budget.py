@@ -24,6 +24,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import cholesky
 from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.record_view import copy_record
 from hil.vmu.kernels.lens import in_image, lens_slopes, project
 from hil.vmu.kernels.match import assign, chi_square_limit, count, keep_assigned
 from hil.vmu.kernels.records import MAX_LEDS, SHARED
@@ -506,7 +507,7 @@ def worst_spot(scene, view, fit, where):
 @kernel
 def without(scene, view, density, fit, where, trial):
     """Write ``fit`` without the spot of one camera and LED, ``where`` (2,), to trial; camera -1: of both cameras."""
-    copy_fit(trial, fit)
+    copy_record(fit, trial)
     for c in range(2):
         if where[0] in (c, -1):
             trial.spot[c, where[1]] = -1
@@ -532,7 +533,7 @@ def best_without(scene, view, density, fit, trial, best):
         where[1] = n
         without(scene, view, density, fit, where, trial)
         if trial.valid == 1 and (best.valid == 0 or trial.score > best.score):
-            copy_fit(best, trial)
+            copy_record(trial, best)
 
 
 @kernel
@@ -570,21 +571,8 @@ def settle(scene, view, density, reach_px, clean, fit, rival):
         best_without(scene, view, density, fit, trial[0], rival[0])
         if rival[0].valid == 0 or not rival[0].score > fit.score:
             return
-        copy_fit(fit, rival[0])
+        copy_record(rival[0], fit)
         rival[0].valid = 0
-
-
-@kernel
-def copy_fit(to, fit):
-    """Copy the pose, the spots and all results of a FIT."""
-    copy_matrix(to.r, fit.r)
-    copy_into(to.t, fit.t)
-    copy_matrix(to.covariance, fit.covariance)
-    copy_matrix(to.noise, fit.noise)
-    copy_into(to.shift, fit.shift)
-    copy_matrix(to.spot, fit.spot)
-    to.chi2, to.misfit, to.floor, to.score = fit.chi2, fit.misfit, fit.floor, fit.score
-    to.points, to.removed, to.unseen, to.valid = fit.points, fit.removed, fit.unseen, fit.valid
 
 
 @kernel

@@ -14,7 +14,8 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.maths.arrays import copy_matrix
-from hil.vmu.kernels.budget import copy_fit, passes, settle
+from hil.maths.record_view import copy_record
+from hil.vmu.kernels.budget import passes, settle
 from hil.vmu.kernels.hypotheses import acceptable, is_known, mirror
 from hil.vmu.kernels.match import converge
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
@@ -120,7 +121,7 @@ def add_settled(scene, view, settings, density, start, fits, state):
         mirror(fit.r, fit.t, settings.normal, settings.centre, start.r, start.t)
         copy_matrix(start.spot, fit.spot)
         if rival[0].valid == 1 and rival[0].score > fit.score - _CLOSE_SCORE:
-            copy_fit(fit, rival[0])
+            copy_record(rival[0], fit)
             add_new(fits, state)
 
 
