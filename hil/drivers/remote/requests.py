@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from contextlib import suppress
 from typing import Any, Final
 
 from hil.errors import LinkLost, LinkTimeout
@@ -42,6 +43,7 @@ class IoRequests:
         return answer
 
     def close(self) -> None:
-        """Close the socket; idempotent."""
-        self._lines.close()
+        """Close the socket; idempotent. A request that a process which has ended did not take is lost with it."""
+        with suppress(OSError):
+            self._lines.close()
         self._socket.close()
