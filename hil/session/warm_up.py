@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Self
 
@@ -38,26 +39,24 @@ class Compilation:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._group: Kernels = "loop" if runs_compiled(job) else "cycle"
-        self._cached = kernels_are_cached(self._group)
         self._child: ChildProcess | None = None
+        self._processes = ExitStack()
 
     def __enter__(self) -> Self:
-        if not self._cached:
+        if not kernels_are_cached(self._group):
             prepare_kernel_cache()
-            self._child = _compiler_of_the_gnc()
+            self._child = self._processes.enter_context(_compiler_of_the_gnc())
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._child is not None:
-            self._child.kill()
-            self._child.close()
+        self._processes.close()
 
     def finish(self, announce: Callable[[str], None]) -> None:
         """Compile the others. announce: receives FIRST_START if there are any, and then the time that they took."""
-        if not self._cached:
+        if self._child is not None:
             announce(FIRST_START)
             started_s = time.perf_counter()
-            compile_group(self._group, self._job, self._child)
+            _compile_beside(self._child, self._group, self._job)
             announce(f"kernels compiled in {time.perf_counter() - started_s:.1f} s")
         if self._group == "cycle" and (self._job.paced or self._job.rig.value.kind != "mock"):
             warm_up(self._job)
@@ -69,24 +68,30 @@ def compile_kernels(job: Job, announce: Callable[[str], None]) -> None:
         compilation.finish(announce)
 
 
-def compile_group(group: Kernels, job: Job, child: ChildProcess | None = None) -> None:
-    """Compile the kernels of ``group``: those of the GNC and of the verdict in ``child``, the others here."""
-    started = child or _compiler_of_the_gnc()
-    try:
-        warm_up_all_but_gnc(job)
-        if group == "loop":
-            in_memory(_short_job(job, compiled=True), SimulatedRate(SimulatedClock(), job.tick_s)).run()
-        else:
-            warm_up(job)
-        started.wait_end(_CHILD_WALL_S)
-    finally:
-        started.kill()
-        started.close()
+def compile_group(group: Kernels, job: Job) -> None:
+    """Compile the kernels of ``group``: those of the GNC and of the verdict in a child process, the others here."""
+    with _compiler_of_the_gnc() as child:
+        _compile_beside(child, group, job)
+
+
+def _compile_beside(child: ChildProcess, group: Kernels, job: Job) -> None:
+    """Compile what ``child`` does not, and wait for it."""
+    warm_up_all_but_gnc(job)
+    if group == "loop":
+        in_memory(_short_job(job, compiled=True), SimulatedRate(SimulatedClock(), job.tick_s)).run()
+    else:
+        warm_up(job)
+    child.wait_end(_CHILD_WALL_S)
     mark_kernels_cached(group)
 
 
-def _compiler_of_the_gnc() -> ChildProcess:
-    return ChildProcess("precompile process", "hil.processes.precompile", {"group": "run"})
+@contextmanager
+def _compiler_of_the_gnc() -> Iterator[ChildProcess]:
+    with ChildProcess("precompile process", "hil.processes.precompile", {"group": "run"}) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
 
 
 def warm_up(job: Job) -> None:

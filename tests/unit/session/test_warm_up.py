@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -16,14 +17,6 @@ Steps = list[str]
 CacheWith = Callable[..., Steps]
 
 
-class Child:
-    """A process that compiles nothing."""
-
-    def kill(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
 @pytest.fixture
 def cache_with(monkeypatch: pytest.MonkeyPatch) -> CacheWith:
     """Return a function that fills the kernel cache with groups; it returns the list of what is done from then on."""
@@ -31,8 +24,8 @@ def cache_with(monkeypatch: pytest.MonkeyPatch) -> CacheWith:
     def fill(*groups: str) -> Steps:
         done: Steps = []
         monkeypatch.setattr(warm_up, "kernels_are_cached", lambda group: group in groups)
-        monkeypatch.setattr(warm_up, "compile_group", lambda group, *_: done.append(f"compile the {group}"))
-        monkeypatch.setattr(warm_up, "_compiler_of_the_gnc", Child)
+        monkeypatch.setattr(warm_up, "_compile_beside", lambda _, group, __: done.append(f"compile the {group}"))
+        monkeypatch.setattr(warm_up, "_compiler_of_the_gnc", lambda: nullcontext("a process"))
         monkeypatch.setattr(warm_up, "warm_up", lambda *_: done.append("call all kernels"))
         return done
 
