@@ -86,6 +86,7 @@ def timed_cycles(
         at = since(at, FUSE if arrived > 0 else PREDICT, spent)
         mock_bench.mirror_thrusters(params, state, now_s)
         core.command(params, state)
+        core.check_consistency(params, state)
         now.t_s, now.commanded_s = t_s, now_s
         at = since(at, COMMAND, spent)
         count_cycle(params, state, stats)

@@ -2,7 +2,8 @@
 
 ``hil.loop.cycle`` makes these calls around devices of any kind, ``hil.loop.compiled.run_cycles`` around the bench in
 memory, both in the same order: read, ``guard_bench``, ``receive_poses``, ``compare_monitor``, the GNC
-(``hil.gnc.step``), ``command``, record, ``advance``, ``next_setpoint``, send. Axes that are faster than the cycle have
+(``hil.gnc.step``), ``command``, ``check_consistency``, record, ``advance``, ``next_setpoint``, send. The cycle of
+devices asks its GNC for the consistency, whose filters may be elsewhere. Axes that are faster than the cycle have
 ``next_setpoint`` alone between two cycles.
 """
 
@@ -231,15 +232,18 @@ def compare_monitor(params, state, t_s):
     now.monitor_bound_m, now.monitor_bound_s = bound_m, measured_s
 
 
-@entry
+@kernel
 def command(params, state):
-    """Command what the GNC has decided beyond COMMAND, isolation valves, and check its consistency: NEES of the row.
-
-    NEES are those of both filters in cycles in which they took a pose, nan otherwise.
-    """
-    now, gnc = state.now, state.gnc
+    """Command what the GNC has decided beyond COMMAND: isolation valves."""
+    gnc = state.gnc
     if gnc.isolated_cycles == 1:
         isolate(state.truth_memory.isolation, params.gnc.isolates[gnc.thrusters.thruster])
+
+
+@entry
+def check_consistency(params, state):
+    """Write the NEES of both filters in cycles in which they took a pose, nan otherwise."""
+    now, gnc = state.now, state.gnc
     now.nees_position = now.nees_attitude = np.nan
     if gnc.navigation.fused != 0:
         nees = stack.vector(2)

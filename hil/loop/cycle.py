@@ -119,8 +119,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s
-    core.command(params, state)  #    isolation valves, consistency of the filters
-    now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)  #    which may be elsewhere
+    core.command(params, state)  #    isolation valves
+    now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     loop.health_alarms.update(bench_s, int(now.navigation.health))
     loop.record(k)  # 8  record of the cycle at t_s

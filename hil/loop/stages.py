@@ -24,7 +24,6 @@ class DssStage:
     """Dynamics simulation (DSS): truth and virtual IMU. imu_noise: one row per sample."""
 
     def __init__(self, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> None:
-        self._memory = memory
         self._params, self._state, self._samples = memory.params, memory.state, memory.now.samples
         self.field = field
         self.noise = imu_noise

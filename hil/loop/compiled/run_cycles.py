@@ -167,6 +167,7 @@ def run_cycles(
                 return GNC_FAILED
             mock_bench.mirror_thrusters(params, state, now_s)
             core.command(params, state)
+            core.check_consistency(params, state)
             now.t_s, now.commanded_s = t_s, now_s - state.zero_s
             if params.counts != 0:
                 count_cycle(params, state, stats)
