@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -106,12 +107,14 @@ class Approach:
         )
         self.log_progress(t_s, before, supervision)
 
-    def log_progress(self, t_s: float, before: bytes, supervision: np.record) -> None:
-        """Log the differences to the progress ``before`` (bytes of APPROACH_PROGRESS); most cycles have none."""
-        if self._progress.tobytes() != before:
-            self.event_log.update(
-                t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], self.approach_state["progress"], supervision
-            )
+    def log_progress(self, t_s: float, before: bytes, supervision: np.record, after: np.record | None = None) -> None:
+        """Log the differences to the progress ``before`` (bytes of APPROACH_PROGRESS); most cycles have none.
+
+        after: APPROACH_PROGRESS; None: the present one.
+        """
+        now: Any = self._progress if after is None else np.asarray(after)
+        if now.tobytes() != before:
+            self.event_log.update(t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], now[()], supervision)
 
     def events(self) -> list[Event]:
         """Return all events so far in the order of time."""

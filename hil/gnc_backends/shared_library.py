@@ -15,7 +15,6 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import new
 from hil.errors import BadInput, DeviceError, ProtocolError
 from hil.gnc.fusion import new_memory
-from hil.gnc.step import APPROACH_PROGRESS
 from hil.gnc_backends import external_records
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc, fault_text, hold_reason, printable, reported_fault
@@ -182,12 +181,11 @@ class SharedLibraryGnc(ExternalGnc):
 
     def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
         """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) in guidance, the text, and what followed."""
-        guided = self._record["guided"].tobytes()
-        if guided != before:
-            self.event_log.update(t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], self._record["guided"], supervision)
+        guided = self._record["guided"]
+        self.log_progress(t_s, before, supervision, guided)
         self.log_text(t_s)
         self._record["last_text"] = self._record["output"]["text"]
-        self.log_progress(t_s, guided, supervision)
+        self.log_progress(t_s, guided.tobytes(), supervision)
 
     def hold_as_asked(self) -> None:
         """Request the hold for which the library has asked."""
@@ -196,7 +194,7 @@ class SharedLibraryGnc(ExternalGnc):
     def fail(self, t_s: float, before: bytes, supervision: np.record) -> NoReturn:
         """Log the step in which the library has failed; raise its failure."""
         record = self._record
-        self.event_log.update(t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], record["guided"], supervision)
+        self.log_progress(t_s, before, supervision, record["guided"])
         if record["code"] == 0 and record["fault"] == external_records.FINE:
             self.log_text(t_s)
         raise library_failure(self.name, record, int(self.params.n_thrusters))
