@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from hil.config.fmu_mapping import MappedVariables, VariableNames
-from hil.core.fields import Field, Fields, record_dtype
+from hil.core.fields import Fields, record_dtype
 from hil.fmi.archive import FmuError
 from hil.fmi.description import FmiVariable, ModelDescription
 from hil.fmi.units import FmiUnit, to_si
@@ -68,13 +68,10 @@ def _record_fields(fields: Fields, prefix: str, base: int, group: int) -> Iterat
         if field.shape == ():
             yield from _record_fields(field.type, f"{prefix}{field.name}.", base + offset, group)
             continue
-        for i in range(_count(field)):
+        assert isinstance(field.shape, int)
+        for i in range(field.shape):
             place = base + offset + i * part.base.itemsize
             yield from _record_fields(field.type, f"{prefix}{field.name}[{i + 1}].", place, i)
-
-
-def _count(field: Field) -> int:
-    return field.shape if isinstance(field.shape, int) else 1
 
 
 def map_record(

@@ -114,7 +114,7 @@ class CaseRunner:
     def set_gnc_scenario(self, scenario: Scenario) -> None:
         """Set the scenario of the GNC; length, rig and thrusters must be the same."""
         self.scenario = self._named(scenario)
-        np.asarray(self._core.params)[...] = self._fixed_params()
+        self._core.params = kernel_record(self._fixed_params())
         if self._backends.kinds:
             self._backends.setup = gnc_setup(self.scenario)
 
