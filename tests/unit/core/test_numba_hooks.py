@@ -89,3 +89,20 @@ def test_module_of_an_entry_with_all_that_it_calls_lacks_no_kernel() -> None:
     module = whole_module(library_of(sends))
     missing = [f.name for f in module.functions if f.is_declaration and "hil" in f.name]
     assert missing == [], _THIS
+
+
+def test_kernels_from_the_cache_do_not_import_blas_and_a_kernel_that_needs_it_does() -> None:
+    code = """
+import sys, numpy as np
+from hil.core.jit import kernel
+from hil.maths.quat import normalise
+
+@kernel
+def product(a, b):
+    return np.dot(a, b)
+
+normalise(np.ones(4))
+print("scipy.linalg" in sys.modules, product(np.ones(3), np.ones(3)), "scipy.linalg" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "False 3.0 True\n", f"{_THIS}: {done.stderr}"
