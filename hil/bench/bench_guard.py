@@ -24,6 +24,9 @@ KEEP_OUT, POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, B
 
 SLOW_MPS = 0.5
 _KEPT = 64  # samples of the encoders, for the times of exposure
+_SLOW_S, _FAST_S = 10.0, 0.4  # time constants of the means of estimate minus encoders: of a filter, of an alarm
+_ESTIMATE_SIGMAS = 3.0  # of the estimate, by which it may be off in addition
+_HYSTERESIS = 0.8  # of a limit, below which an estimate that was beyond it is well again
 
 BENCH_GUARD_PARAMS = np.dtype(
     [
@@ -54,6 +57,10 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("startup_s", "f8"),
         ("settled_cycles", "i8"),  # after which the axes count as having caught up
         ("spacing_s", "f8"),  # of the kept samples
+        ("estimate_position", "f8"),  # m, largest mean error of an estimate ...
+        ("estimate_attitude", "f8"),  # rad
+        ("calibration_position", "f8"),  # m, by which camera and axes may differ
+        ("calibration_attitude", "f8"),  # rad
     ],
     align=True,
 )
@@ -76,6 +83,10 @@ BENCH_GUARD_MEMORY = np.dtype(
         ("kept_s", "f8", _KEPT),
         ("kept_rail", "f8", (_KEPT, 3)),
         ("kept_gimbal", "f8", (_KEPT, 3)),
+        ("compared_s", "f8"),  # for which the estimate has been compared
+        ("off", "f8", 6),  # mean of estimate minus encoders over ``_SLOW_S``: position in H, m, rotation in c, rad
+        ("off_now", "f8", 6),  # and over ``_FAST_S``
+        ("estimate", BREACH),  # the component that was beyond its limit last
     ],
     align=True,
 )
@@ -315,3 +326,43 @@ def compare_pose(params, bench, memory, pose):
             memory.vision_frames += 1
             return
     memory.vision_frames = 0
+
+
+@kernel
+def compare_estimate(params, bench, memory, t_s, estimate, disagrees):
+    """Compare ``estimate`` (NAVIGATION) of ``t_s`` with the encoders; return whether it is off by more than it may be.
+
+    Its mean error may be ``estimate_position`` and ``_ESTIMATE_SIGMAS`` standard deviations, but not more than the
+    protection level that it reports, and what the calibration leaves. disagrees: the result of the cycle before.
+    ``memory.estimate`` has the component that is farthest beyond its limit.
+    """
+    if estimate.valid == 0:
+        memory.compared_s = 0.0
+        return False
+    r, q, rotation = stack.vector(3), stack.vector(4), stack.vector(3)
+    if not _pose_at(bench, memory, t_s, r, q):
+        return disagrees
+    quat.rotation_between(estimate.q_CH, q, rotation)
+    slow = params.step_s / max(params.step_s, min(_SLOW_S, memory.compared_s))
+    fast = params.step_s / max(params.step_s, min(_FAST_S, memory.compared_s))
+    memory.compared_s += params.step_s
+    worst, beyond = 0.0, False
+    for i in range(6):
+        k = i % 3
+        off = estimate.r_CT_H[k] - r[k] if i < 3 else rotation[k]
+        memory.off[i] += slow * (off - memory.off[i])
+        memory.off_now[i] += fast * (off - memory.off_now[i])
+        sigma = estimate.sigma_r_m[k] if i < 3 else estimate.sigma_attitude_rad[k]
+        level = estimate.protection_level_m[k] if i < 3 else estimate.protection_level_rad
+        allowed = params.estimate_position if i < 3 else params.estimate_attitude
+        if sigma > 0.0:  # nan: it reports none
+            allowed += _ESTIMATE_SIGMAS * sigma
+        if level > 0.0:
+            allowed = min(allowed, level)
+        allowed += params.calibration_position if i < 3 else params.calibration_attitude
+        share = abs(memory.off_now[i]) / allowed
+        if share > worst or not math.isfinite(share):
+            worst, found = share, memory.estimate
+            found.axis, found.value, found.low, found.high = i, abs(memory.off_now[i]), 0.0, allowed
+        beyond = beyond or not share <= (_HYSTERESIS if disagrees else 1.0)
+    return beyond and memory.compared_s >= _FAST_S

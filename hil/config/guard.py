@@ -61,5 +61,14 @@ class GuardConfig(ConfigModel):
     """The same for the attitude."""
     vision_frames_max: Count = 5
     """Consecutive poses beyond it that trip."""
+    estimate_error_max_m: Positive = 0.03
+    """Largest mean error of any GNC's estimate against the encoders, per axis, in addition to three standard deviations
+    of it; at most the protection level that it reports. Beyond it the approach reacts (`gnc.reactions.bench_disagrees`)."""
+    estimate_error_max_deg: Positive = 0.5
+    """The same for the attitude."""
+    calibration_m: NotNegative = 0.001
+    """What the calibration between camera and axes leaves, by which estimate and encoders may differ."""
+    calibration_deg: NotNegative = 0.02
+    """The same for the attitude."""
     startup_s: NotNegative = 2.0
     """Longest time at the start, and after a hold, in which the axes catch up with a chaser in motion."""

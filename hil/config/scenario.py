@@ -185,6 +185,27 @@ BUILT_IN: Final = {"navigation": (BUILTIN, VISION_ALONE), "control": (BUILTIN,)}
 Settings = Annotated[dict[str, float], Field(max_length=MAX_SETTINGS)]
 
 
+class CommandedThrust(ConfigModel):
+    """What the filters make of the thrusters that are commanded."""
+
+    enabled: bool = True
+    """The specific force of a step without thrust is known, and the accelerometer measures its bias in it."""
+    disturbance_mps2: Positive = 1e-4
+    """Specific force without thrust, 1 sigma at the start: a leak, solar pressure."""
+    disturbance_walk_mps2: NotNegative = 1e-6
+    """Its random walk over a minute."""
+    velocity_noise_mps: Positive = 2e-6
+    """Change of the velocity within a second that neither thrust nor disturbance explain, 1 sigma."""
+    scale_sigma: Positive = 0.05
+    """Relative error of a commanded thrust: mass, supply pressure, valves. It counts without a sound IMU."""
+    settle_s: NotNegative = 0.2
+    """After a command, in which a valve may still be open."""
+    rate_noise_degps: Positive = 2e-3
+    """Change of the rate within a second that the commanded torques do not explain, 1 sigma, without a sound IMU."""
+    rate_sigma_degps: Positive = 0.1
+    """Rate at the start, 1 sigma, of navigation without an IMU."""
+
+
 class Navigation(ConfigModel):
     """Backend of navigation, and the gate of the innovations of the built-in ones."""
 
@@ -199,6 +220,8 @@ class Navigation(ConfigModel):
     """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
     budget: ErrorBudget = ErrorBudget()
     """Sizes of the sensors' errors, for the filters."""
+    thrust: CommandedThrust = CommandedThrust()
+    """Use of the commanded thrust."""
 
 
 class AttitudeFilter(ConfigModel):
@@ -392,6 +415,12 @@ class NavigationIntegrity(ConfigModel):
 
     risk_probability: Annotated[float, Field(gt=0.0, le=0.01)] = 1e-7
     """Probability per approach that an error exceeds its protection level without a fault."""
+    go_risk_probability: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-4
+    """Probability that docking is a go although an error exceeds the requirement: 1e-4 is 3.9 standard deviations."""
+    go_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.85
+    """Of the requirements, within which the encoders must be for a go; the rest is for the control error after it."""
+    go_cusum_sigmas: Positive = 12.0
+    """Docking is no go while a sum of the CUSUM is larger."""
     pose_range_max_m: Positive = 100.0
     """A pose farther from the target is none."""
     pose_sigma_max_m: Positive = 1.0
@@ -400,7 +429,7 @@ class NavigationIntegrity(ConfigModel):
     """The same for its attitude."""
     lost_after_s: Positive = 2.0
     """Vision is lost if the last accepted pose is older."""
-    suspect_after: Annotated[int, Field(ge=1)] = 3
+    suspect_after: Annotated[int, Field(ge=1)] = 6
     """Vision is suspect after so many consecutive rejections."""
     close_after: Annotated[int, Field(ge=1)] = 8
     """The gate is closed after so many consecutive rejections."""
@@ -438,16 +467,19 @@ class PhaseReactions(ConfigModel):
 
 
 _HOLD = PhaseReactions(approach="hold", hold="hold", wait="hold", final="abort", retreat="continue")
+_CONTINUE = PhaseReactions(approach="continue", hold="continue", wait="continue", final="abort", retreat="continue")
 
 
 class Reactions(ConfigModel):
     """Reactions to the health of the navigation; of several the strongest."""
 
-    vision_lost: PhaseReactions = PhaseReactions()
-    """No usable pose for `gnc.integrity.lost_after_s`."""
+    vision_lost: PhaseReactions = _HOLD
+    """No usable pose for `gnc.integrity.lost_after_s`, and a protection level beyond `coast_fraction` of its limit."""
+    coast_fraction: Annotated[float, Field(ge=0.0, le=1.0)] = 0.7
+    """Of an alert limit, up to which a protection level lets the approach go on without vision."""
     vision_suspect: PhaseReactions = _HOLD
     """Poses are rejected, or their innovations are not those of their covariance."""
-    imu_suspect: PhaseReactions = PhaseReactions()
+    imu_suspect: PhaseReactions = _CONTINUE
     """Readings repeat, or no thruster explains them."""
     thruster_fault: PhaseReactions = PhaseReactions()
     """A thruster is stuck open or dead."""
@@ -455,9 +487,11 @@ class Reactions(ConfigModel):
     """The docking monitor measures another pose."""
     covariance_invalid: PhaseReactions = PhaseReactions()
     """A variance of the filters is not finite or not positive."""
+    bench_disagrees: PhaseReactions = _HOLD
+    """The encoders of the bench contradict the estimate."""
     unprotected: PhaseReactions = PhaseReactions()
     """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
-    hold_max_s: Positive = 30.0
+    hold_max_s: Positive = 60.0
     """A hold or retreat that lasts longer becomes an abort."""
 
     def conditions(self) -> tuple[PhaseReactions, ...]:
@@ -469,6 +503,7 @@ class Reactions(ConfigModel):
             self.thruster_fault,
             self.monitor_disagrees,
             self.covariance_invalid,
+            self.bench_disagrees,
             self.unprotected,
         )
 

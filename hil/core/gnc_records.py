@@ -83,6 +83,7 @@ class GncHealth(IntFlag):
     THRUSTER_FAULT = 8, "a thruster does not do what is commanded"
     MONITOR_DISAGREES = 16, "the docking monitor measures another pose"
     COVARIANCE_INVALID = 32, "a covariance of the filters is not finite or not positive definite"
+    BENCH_DISAGREES = 64, "the bench's encoders contradict the estimate"
 
 
 GNC_ORBIT_FIELDS: Final = (

@@ -181,6 +181,14 @@ CYCLE_FIELDS: Final = (
         "bound on the position error by the docking monitor's newest measurement, at its time; 0: none",
     ),
     Field("monitor_bound_s", "f8", (), "s", "", "time of that measurement, time of the run"),
+    Field(
+        "bench_off",
+        "f8",
+        6,
+        "m, rad",
+        "H, c",
+        "mean of estimate minus encoders: position, then rotation; nan before they were compared",
+    ),
 )
 CYCLE = record_dtype(CYCLE_FIELDS)
 

@@ -26,9 +26,26 @@ from hil.models.bodies import BODIES, clearance
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
-UNPROTECTED, HELD_TOO_LONG = 10, 11
+UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES = 10, 11, 12
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
+
+GO, DEVIATION, HEALTH, LEVEL, ENCODERS = range(5)
+"""What an estimate lacks for a go, GO if nothing."""
+
+GO_CHECK = np.dtype(
+    [
+        ("level_m", "f8", 3),  # of the navigation, with the risk of a go; 0: it has none
+        ("known", "i8"),  # 1: the estimate has been compared with the encoders
+        ("off", "f8", 6),  # mean of estimate minus encoders: position in H, m, rotation in c, rad
+        ("lacks", "i8"),
+        ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations
+        ("value", "f8"),  # m, rad
+        ("limit", "f8"),
+    ],
+    align=True,
+)
+"""What a go requires beyond the ready state of the estimate, and what was missing last."""
 
 APPROACH_MONITOR_PARAMS = np.dtype(
     [
@@ -59,6 +76,10 @@ APPROACH_MONITOR_PARAMS = np.dtype(
         ("ready_rate", "f8", 3),  # m/s
         ("ready_angle", "f8"),  # rad
         ("ready_angular_rate", "f8"),  # rad/s
+        ("level_sigmas", "f8"),  # K of a component's level
+        ("across_sigmas", "f8"),  # of the level of two components
+        ("go_sigmas", "f8"),  # of an estimate without a level of its own
+        ("go_fraction", "f8"),  # of the tolerances within which the encoders must be
     ],
     align=True,
 )
@@ -163,24 +184,46 @@ def alert_limits(params, r_CT_H, v_CT_H, q_CH, limits):
 
 @kernel
 def protection_levels(params, estimate, levels):
-    """Write the protection levels of ``estimate`` in the order of ``alert_limits``, nan if it reports none."""
-    along, across = 0.0, 0.0
+    """Write the protection levels of ``estimate`` in the order of ``alert_limits``, nan if it reports none.
+
+    Across the axis an error has two components: without a fault its length is beyond K2 sigma with the same
+    probability as one component is beyond K sigma, K2 = sqrt(-2 ln p); what else is in the levels adds to it.
+    """
+    along, across, sigma, rest = 0.0, 0.0, 0.0, 0.0
     for i in range(3):
         part, level = abs(params.axis[i]), estimate.protection_level_m[i]
         if part > 0.0:  # a level may be infinite
             along += part * level
         if part < 1.0:
-            across += (1.0 - part * part) * level * level
-    levels[ALONG], levels[ACROSS], levels[ATTITUDE] = along, math.sqrt(across), estimate.protection_level_rad
+            share = 1.0 - part * part
+            across += share * level * level
+            sigma = max(sigma, share * estimate.sigma_r_m[i] ** 2)
+            rest += share * max(0.0, level - params.level_sigmas * estimate.sigma_r_m[i]) ** 2
+    across = math.sqrt(across)
+    if sigma > 0.0:
+        across = min(across, params.across_sigmas * math.sqrt(sigma) + math.sqrt(rest))
+    levels[ALONG], levels[ACROSS], levels[ATTITUDE] = along, across, estimate.protection_level_rad
 
 
 @kernel
 def is_protected(params, estimate):
     """Return whether the protection levels of ``estimate`` are within the alert limits; true if it reports none."""
+    return level_share(params, estimate) <= 1.0
+
+
+@kernel
+def level_share(params, estimate):
+    """Return the largest of the protection levels of ``estimate`` over its alert limit, 0 if it reports none."""
     limits, levels = stack.vector(3), stack.vector(3)
     alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, estimate.q_CH, limits)
     protection_levels(params, estimate, levels)
-    return not (levels[ALONG] > limits[ALONG] or levels[ACROSS] > limits[ACROSS] or levels[ATTITUDE] > limits[ATTITUDE])
+    share = 0.0
+    for i in range(3):
+        if levels[i] > limits[i]:  # the limit may be 0
+            share = max(share, levels[i] / limits[i] if limits[i] > 0.0 else np.inf)
+        elif levels[i] > 0.0:
+            share = max(share, levels[i] / limits[i])
+    return share
 
 
 @kernel
@@ -205,10 +248,45 @@ def _is_ready(params, estimate):
 
 
 @kernel
-def check(params, t_s, estimate, reference, ordered, converged, found):
+def _lack(go, what, axis, value, limit):
+    """Write what is missing for a go."""
+    go.lacks, go.axis, go.value, go.limit = what, axis, value, limit
+    return False
+
+
+@kernel
+def _is_go(params, estimate, go):
+    """Return whether the ready state is certain enough for a go; ``go`` (GO_CHECK) then has what is missing.
+
+    The level of the certificate's risk and the deviation have to be within Table III together, and the encoders'
+    pose, the estimate less its mean error, within a part of it, which leaves room for the control error.
+    """
+    if not _is_ready(params, estimate):
+        return _lack(go, HEALTH if estimate.health != 0 else DEVIATION, 0, 0.0, 0.0)
+    rotation = stack.vector(3)
+    quat.to_rotation_vector_into(estimate.q_CH, rotation)
+    for i in range(3):
+        deviation, level = estimate.r_CT_H[i] - params.ready_point[i], go.level_m[i]
+        if estimate.sigma_r_m[i] > 0.0:
+            level = max(level, params.go_sigmas * estimate.sigma_r_m[i])
+        if not abs(deviation) + level <= params.ready_distance[i]:
+            return _lack(go, LEVEL, i, abs(deviation) + level, params.ready_distance[i])
+        if go.known != 0:
+            allowed = params.go_fraction * params.ready_distance[i]
+            if not abs(deviation - go.off[i]) <= allowed:
+                return _lack(go, ENCODERS, i, abs(deviation - go.off[i]), allowed)
+            allowed = params.go_fraction * params.ready_angle
+            if not abs(rotation[i] - go.off[3 + i]) <= allowed:
+                return _lack(go, ENCODERS, 3 + i, abs(rotation[i] - go.off[3 + i]), allowed)
+    go.lacks = GO
+    return True
+
+
+@kernel
+def check(params, t_s, estimate, reference, ordered, reactions, go, found):
     """Check the estimate (NAVIGATION); write ``found`` (SUPERVISION). Return whether an abort has to begin now.
 
-    ordered: 1 if the operator has ordered an abort. converged: 1 unless the filters still converge. Before the first
+    ordered: 1 if the operator has ordered an abort. reactions: REACTION_STATE. go: GO_CHECK. Before the first
     pose nothing is checked; after an abort the margins are still written, but have no effect. An estimate without
     protection level and sigma is taken as it is.
     """
@@ -217,7 +295,7 @@ def check(params, t_s, estimate, reference, ordered, converged, found):
         return False
     found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
     found.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
-    if not _is_ready(params, estimate):
+    if not _is_go(params, estimate, go):
         found.ready_since_s = np.nan
     elif not found.ready_since_s <= t_s:
         found.ready_since_s = t_s
@@ -227,10 +305,16 @@ def check(params, t_s, estimate, reference, ordered, converged, found):
     off = _length(estimate.protection_level_m)
     off = off if 0.0 < off < np.inf else 0.0  # one without a bound has its own reaction
     off_mps = params.confidence * _largest(estimate.sigma_v_mps)
-    if converged == 0:
+    if reactions.converged == 0:
         off, off_mps = -params.confidence * _largest(estimate.sigma_r_m), -off_mps
+    reactions.outside = 0
+    if found.corridor_margin_m >= 0.0:
+        reactions.entered = 1
     if found.corridor_margin_m < off:
-        cause = CORRIDOR
+        if reactions.entered != 0:
+            cause = CORRIDOR
+        elif reactions.converged != 0:
+            reactions.outside = 1
     elif found.closing_margin_mps < off_mps:
         cause = CLOSING_RATE
     found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
@@ -244,12 +328,12 @@ def check(params, t_s, estimate, reference, ordered, converged, found):
 
 
 @kernel
-def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, converged, found):
+def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, reactions, go, found):
     """Check the estimate; if an abort has to begin, start it in ``guidance_state`` and in ``reference``.
 
     guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. The others as of ``check``.
     """
-    if check(params, t_s, estimate, reference, ordered, converged, found):
+    if check(params, t_s, estimate, reference, ordered, reactions, go, found):
         guidance.start_abort(guidance_params, guidance_state, t_s, estimate.r_CT_H, estimate.v_CT_H)
         guidance.reference(guidance_params, guidance_state, t_s, reference)
 

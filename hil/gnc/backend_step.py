@@ -236,7 +236,7 @@ def navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, co
                 estimate.protection_level_m[i] = np.nan
         if estimate.protection_level_rad == 0.0:
             estimate.protection_level_rad = np.nan
-    state.navigation.t_s += params.navigation.vision_only.dt_s
+    state.navigation.t_s += params.navigation.dt_s
     if n_poses > 0:
         backends.last_pose_s = t_s
     if estimate.valid != 0 and t_s - backends.last_pose_s > params.navigation.integrity.lost_after_s:

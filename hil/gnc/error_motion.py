@@ -3,7 +3,8 @@
 With ``A = A(q_CH)`` in mid-step, ``f`` and ``w`` the specific force and rate without bias and drift, ``B`` the response
 of Hill's equations to an acceleration in H:
 
-    (r, v)' = F (r, v) + B A.T ds,   ds = theta x f - db - s_a f + m_a x f
+    (r, v)' = F (r, v) + B A.T ds,   ds = theta x f - db - s_a f + m_a x f, if f is measured
+                                     ds = theta x f + d, if it is that of commands, with the disturbance d
     theta'  = R theta - dt J dw,     dw = dd + s_g w - m_g x w
 
 ``s``, ``m`` are scale factor and misalignment of a sensor. Terms that are zero in Hill's equations are omitted.
@@ -22,14 +23,19 @@ _TRANSPOSED: Final = 16  # columns for position, velocity and rotation: LLVM mak
 
 
 @kernel
-def force_error(errors, force, rows, lanes, out):
-    """Write the error ``ds`` of the specific force in c, (3, lanes). force: (3,), m/s^2."""
-    f0, f1, f2 = force[0], force[1], force[2]
+def force_error(errors, moved, rows, lanes, out):
+    """Write the error ``ds`` of the specific force in c, (3, lanes). moved: STEP_INPUT."""
+    f0, f1, f2 = moved.force[0], moved.force[1], moved.force[2]
+    k, sign = BIAS, -1.0
+    if moved.measured == 0:
+        k, sign = errors.disturbance, 1.0 if errors.disturbance != 0 else 0.0
     for j in range(lanes):
         t0, t1, t2 = rows[ROTATION, j], rows[ROTATION + 1, j], rows[ROTATION + 2, j]
-        out[0, j] = f2 * t1 - f1 * t2 - rows[BIAS, j]
-        out[1, j] = f0 * t2 - f2 * t0 - rows[BIAS + 1, j]
-        out[2, j] = f1 * t0 - f0 * t1 - rows[BIAS + 2, j]
+        out[0, j] = f2 * t1 - f1 * t2 + sign * rows[k, j]
+        out[1, j] = f0 * t2 - f2 * t0 + sign * rows[k + 1, j]
+        out[2, j] = f1 * t0 - f0 * t1 + sign * rows[k + 2, j]
+    if moved.measured == 0:
+        return
     k = errors.accelerometer_scale
     if k != 0:
         for j in range(lanes):
@@ -97,13 +103,12 @@ def carry_motion(of_pkf, a, force, rows, lanes, out):
 
 
 @kernel
-def add_force_noise(of_pkf, out):
-    """Add the covariance of the accelerometer's white noise to that of r and v in ``out`` (6, _TRANSPOSED).
+def add_force_noise(of_pkf, variance, out):
+    """Add the covariance of the force's white noise to that of r and v in ``out`` (6, _TRANSPOSED).
 
-    It acts as a force in H, because it is isotropic.
+    It acts as a force in H, because it is isotropic. variance: of a step, (m/s^2)^2.
     """
     g, noise = of_pkf.hill_response, stack.matrix(3, _TRANSPOSED)
-    variance = of_pkf.sigma_accelerometer * of_pkf.sigma_accelerometer
     for m in range(3):
         for i in range(6):
             noise[m, i] = variance * g[i, m]
@@ -139,16 +144,16 @@ def carry_rotation(phi, rate, rows, lanes, first, out):
 
 
 @kernel
-def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
+def carry_filters(errors, of_pkf, a, moved, phi, p, lanes):
     """Carry position, velocity and rotation in the covariance ``p`` over the step: ``F p F.T`` and the force's noise.
 
-    The transition is applied to the rows, and then to the rows of the transpose. lanes: columns of ``p`` that are
+    moved: STEP_INPUT. The transition is applied to the rows, and then to the rows of the transpose. lanes: columns of ``p`` that are
     used, a constant, with which the loops become vector instructions.
     """
     n = errors.n
     of_force, of_rate = stack.matrix(3, LANES), stack.matrix(3, LANES)
-    force_error(errors, force, p, lanes, of_force)
-    rate_error(errors, rate, p, lanes, of_rate)
+    force_error(errors, moved, p, lanes, of_force)
+    rate_error(errors, moved.rate, p, lanes, of_rate)
     carry_motion(of_pkf, a, of_force, p, lanes, p)
     carry_rotation(phi, of_rate, p, lanes, ROTATION, p)
     # columns: position and velocity, then rotation
@@ -161,10 +166,10 @@ def carry_filters(errors, of_pkf, a, force, rate, phi, p, lanes):
         _transpose(p, j, transposed)
     for j in range(errors.imu, n):
         _transpose(p, j, transposed)
-    force_error(errors, force, transposed, _TRANSPOSED, of_force_2)
-    rate_error(errors, rate, transposed, _TRANSPOSED, of_rate_2)
+    force_error(errors, moved, transposed, _TRANSPOSED, of_force_2)
+    rate_error(errors, moved.rate, transposed, _TRANSPOSED, of_rate_2)
     carry_motion(of_pkf, a, of_force_2, transposed, _TRANSPOSED, motion)
-    add_force_noise(of_pkf, motion)
+    add_force_noise(of_pkf, moved.variance, motion)
     carry_rotation(phi, of_rate_2, transposed, _TRANSPOSED, 0, rotation)
     for i in range(6):
         for j in range(i + 1):

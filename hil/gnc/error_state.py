@@ -53,6 +53,7 @@ PARAMETER_BLOCKS: Final = (
     _block("bias", 3, "m", BlockMotion.CONSTANT, False),  # of a pose, in c
     _block("scale", 1, "1", BlockMotion.CONSTANT, False),  # of the distance
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
+    _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force beside the thrust, in c
     _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
     _block("gyro_misalignment", 3, "rad", BlockMotion.CONSTANT, False),
     _block("gyro_instability", 3, "rad/s", BlockMotion.MARKOV, True),
@@ -75,7 +76,7 @@ ERROR_STATE = np.dtype(
         ("n", "i8"),  # states
         ("lanes", "i8"),  # the same, rounded up to whole vector registers
         *((block.name, "i8") for block in PARAMETER_BLOCKS),  # index of the first state of each, 0: it is left out
-        ("imu", "i8"),  # index of the first state of the IMU's errors, n: there is none
+        ("imu", "i8"),  # index of the first state that acts on the motion: disturbance, IMU; n: there is none
         ("moves", "i8"),  # 1: a Gauss-Markov process is among the states
         ("variance", "f8", LANES),  # of the parameters
         ("kept", "f8", LANES),  # part of each that is left after a step, 1 of a constant
@@ -90,8 +91,20 @@ ERROR_STATE = np.dtype(
     align=True,
 )
 
+STEP_INPUT = np.dtype(
+    [
+        ("force", "f8", 3),  # m/s^2, specific force in c
+        ("rate", "f8", 3),  # rad/s, in c
+        ("measured", "i8"),  # 1: the force is that of the accelerometer
+        ("variance", "f8"),  # (m/s^2)^2, of the force's noise
+    ],
+    align=True,
+)
+"""What the filters are carried by over a step."""
+
 FILTERS = np.dtype(
     [
+        ("input", STEP_INPUT),
         ("akf", AKF_STATE),
         ("pkf", PKF_STATE),
         ("parameters", "f8", LANES),  # estimates of the added states, from FILTER_ERRORS on

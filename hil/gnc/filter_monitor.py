@@ -86,7 +86,7 @@ class FilterMonitor:
         self.conditions: ObservableList[FilterCondition] = ObservableList()
         """Checks as they begin and cease to fail: alarms of low priority."""
         self.largest_divergence = (0.0, 0.0)  # m, rad
-        self._cycle_s = float(navigation.vision_only.dt_s)
+        self._cycle_s = float(navigation.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]
         self._attitude = [NisMonitor("akf", window) for window in WINDOWS]
         self._limits = shadow_limits

@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.gnc import body_frame, joint_filter, pose_model
+from hil.gnc import body_frame, joint_filter, pose_model, thrust_model
 from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
@@ -28,8 +28,9 @@ from hil.gnc.pkf import PKF_PARAMS
 from hil.gnc.step_memory import POSES_PER_STEP, copy_pose, keep_predicted, return_to, step_at
 from hil.gnc.step_memory import new_memory as new_memory
 from hil.gnc.target_orbit import TARGET_ORBIT, move_hill_frame
+from hil.gnc.thrust_model import QUIET, THRUST_PARAMS, THRUST_STATE
 from hil.maths import quat, stack
-from hil.maths.arrays import copy_into
+from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import to_integer
 
 NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
@@ -44,6 +45,7 @@ FUSION_PARAMS = np.dtype(
         ("akf", AKF_PARAMS),
         ("pkf", PKF_PARAMS),
         ("errors", ERROR_STATE),
+        ("thrust", THRUST_PARAMS),
     ],
     align=True,
 )
@@ -52,7 +54,8 @@ FUSION_STATE = np.dtype(
     [
         ("started", "i8"),
         ("cycle", "i8"),  # number of the present step
-        ("commanded", "i8", MAX_THRUSTERS),  # thrusters, 0 or 1, since the last call, for the memory
+        ("commanded", "i8", MAX_THRUSTERS),  # thrusters, 0 or 1, since the last call
+        ("thrust", THRUST_STATE),
         ("start_cycle", "i8"),
         ("predicted", "i8"),  # number of the last step over which the filters were carried
         ("filters", FILTERS),
@@ -79,6 +82,7 @@ FUSION_STATE = np.dtype(
         ("gain_position", "f8"),  # largest row of the gain
         ("gain_velocity", "f8"),  # 1/s
         ("gain_attitude", "f8"),
+        ("corrected", "f8", 3),  # m/s, by which poses have corrected the velocity, forgotten as ``thrust.spread``
         ("interval_s", "f8"),  # between the last two accepted poses
         ("noise", NOISE_FACTOR),
         ("found_attitude", INNOVATION),
@@ -89,6 +93,7 @@ FUSION_STATE = np.dtype(
 )
 
 _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agree may have between them
+_JUMP_NIS = 64.0  # of quiet readings: a change of bias or disturbance
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
@@ -96,10 +101,12 @@ _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 def _predict(params, state, step):
     """Carry the filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
     filters, axes, errors = state.filters, state.axes, params.errors
+    if step.regains != 0:
+        thrust_model.regain(state.thrust, filters)
     if step.hill.rotates != 0:
         body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
         body_frame.enter_middle(axes, filters, errors.n)
-    joint_filter.predict(errors, params.akf, params.pkf, filters, step.rate_C, step.force_C, step.hill)
+    joint_filter.predict(params, filters, step)
     if step.hill.rotates != 0:
         body_frame.leave_middle(axes, filters, errors.n)
 
@@ -157,6 +164,8 @@ def _remember_update(state):
         state.gain_position = max(state.gain_position, _gain(position, R + i))
         state.gain_velocity = max(state.gain_velocity, _gain(position, V + i))
         state.gain_attitude = max(state.gain_attitude, _gain(attitude, ROTATION + i))
+        for k in range(3):
+            state.corrected[i] += position.gain[k, V + i] * position.value[k]
     state.updated = 1
 
 
@@ -234,7 +243,9 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
         state.accepted += 1
         state.agreeing = 0
         if pose.t_s > state.last_accepted_s:
-            state.interval_s = pose.t_s - state.last_accepted_s
+            interval_s = pose.t_s - state.last_accepted_s
+            # a gap is none: what counts is how soon poses follow each other
+            state.interval_s = min(interval_s, 2.0 * state.interval_s if state.interval_s > 0.0 else 1.0)
             state.last_accepted_s = pose.t_s
     state.rejected_in_a_row = 0 if found >= ACCEPTED else state.rejected_in_a_row + 1
 
@@ -277,8 +288,39 @@ def _place(params, state, memory, pose):
 
 
 @kernel
-def _fuse_step(params, state, step, moment_s):
-    """Fuse the poses of ``step``."""
+def _fuse_bias(params, state, memory, cycle):
+    """Fuse the accelerometer's quiet readings of the window that ends with step ``cycle``, if one does."""
+    window = params.thrust.window
+    if params.thrust.enabled == 0 or cycle % window != 0:
+        return
+    mean, count, found = stack.vector(3), 0, state.found_position
+    fill(mean, 0.0)
+    oldest = max(state.start_cycle + 1, state.cycle - params.memory + 1)
+    for k in range(max(oldest, cycle - window + 1), cycle + 1):
+        step = step_at(params, memory, k)
+        if step.kind == QUIET:
+            count += 1
+            for i in range(3):
+                mean[i] += step.force_C[i]
+    if count == 0:
+        return
+    for i in range(3):
+        mean[i] /= count
+    for turn in range(2):
+        thrust_model.bias_innovation(params.pkf, params.errors, state.filters, mean, count, found)
+        nis = joint_filter.innovate(params.errors, state.filters, R, 9, found)
+        if not nis > _JUMP_NIS:
+            break
+        if turn == 0:
+            thrust_model.admit_jump(params.errors, state.filters, found)
+    joint_filter.update(params.errors, state.filters, found)
+
+
+@kernel
+def _fuse_step(params, state, memory, step, cycle):
+    """Fuse what step number ``cycle`` has measured: quiet readings of the accelerometer, then poses."""
+    _fuse_bias(params, state, memory, cycle)
+    moment_s = cycle * params.pkf.dt_s
     for k in range(step.is_start, step.n_poses):
         step.gated[k] = _fuse_pose(params, state, step.poses[k], moment_s, step.gated[k])
 
@@ -299,7 +341,10 @@ def begin_step(params, state, memory, imu):
     step = step_at(params, memory, state.cycle)
     copy_into(step.rate_C, imu.rate_C)
     copy_into(step.force_C, imu.force_C)
-    copy_into(step.commanded, state.commanded)
+    thrust_model.begin(params, state, state.started != 0, state.commanded, step)
+    thrust_model.count_spread(params.thrust, params.pkf, state.thrust, step)
+    for i in range(3):
+        state.corrected[i] *= 1.0 - params.pkf.dt_s / thrust_model.MEMORY_S
     move_hill_frame(params.orbit, (state.cycle - 1) * params.pkf.dt_s, params.pkf.dt_s, step.hill)
     step.n_poses = 0
     step.is_start = 0
@@ -313,6 +358,7 @@ def predict_step(params, state, memory):
     if state.started != 0 and state.predicted < state.cycle:
         _predict(params, state, step_at(params, memory, state.cycle))
         keep_predicted(params, state.filters, memory, state.cycle)
+        _fuse_bias(params, state, memory, state.cycle)
         state.predicted = state.cycle
 
 
@@ -332,5 +378,28 @@ def fuse(params, state, memory, pose):
         if cycle > first:
             _predict(params, state, step)
             keep_predicted(params, state.filters, memory, cycle)
-        _fuse_step(params, state, step, cycle * params.pkf.dt_s)
+        _fuse_step(params, state, memory, step, cycle)
     state.predicted = state.cycle
+
+
+@entry
+def replace_imu(params, state, memory, steps):
+    """Replace the IMU from the last ``steps`` steps on by what the commands give, and carry the filters over them.
+
+    state.cycle: number of the next step.
+    """
+    last = state.cycle - 1
+    if state.started == 0:
+        thrust_model.lose(state.thrust, state.filters)
+        return
+    first = max(state.start_cycle, last - params.memory + 1, last - steps)
+    return_to(params, state.filters, memory, first)
+    thrust_model.lose(state.thrust, state.filters)
+    copy_into(state.thrust.rate_C, step_at(params, memory, first).rate_C)
+    for cycle in range(first, last + 1):
+        step = step_at(params, memory, cycle)
+        if cycle > first:
+            thrust_model.replace(params.thrust, state.thrust, step)
+            _predict(params, state, step)
+            keep_predicted(params, state.filters, memory, cycle)
+        _fuse_step(params, state, memory, step, cycle)

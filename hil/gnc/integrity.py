@@ -14,7 +14,9 @@ import numpy as np
 
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
-from hil.maths.arrays import copy_into
+from hil.gnc import thrust_model
+from hil.gnc.error_state import V
+from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import is_covariance_3
 
 VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
@@ -24,6 +26,11 @@ VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
 )
 _REPEATS_MAX = 2  # of a pose with all its digits: noise leaves none
 _UNIT_TOLERANCE = 1e-3  # of the length of a quaternion
+_FOLLOW_EACH = 4  # accepted poses
+_CONVERGES = 4.0  # times the variance of the velocity: what it was
+_SPREADS = 6.0  # standard deviations of the corrections of the velocity
+_GAP_INTERVALS = 3.0  # between poses, from which on there is a gap
+_CAP_S = 5.0  # after it
 _CONFIRMED_FRACTION = 4  # of the accepted poses: the longest time over which a bias can have grown while they agree
 
 INTEGRITY_PARAMS = np.dtype(
@@ -39,7 +46,8 @@ INTEGRITY_PARAMS = np.dtype(
         ("nis_limit", "f8"),  # largest mean of three components
         ("gate", "f8"),  # standard deviations of one component that the gate passes
         ("sigmas", "f8"),  # in a protection level, from the integrity risk
-        ("follows", "i8"),  # 1: an undetected bias lasts until the filters follow it, with an error budget
+        ("sigmas_go", "f8"),  # in the level that a go needs, from the certificate's risk
+        ("cusum_go", "f8"),  # largest sum of the CUSUM with which there is one, standard deviations
     ],
     align=True,
 )
@@ -59,6 +67,14 @@ INTEGRITY_STATE = np.dtype(
         ("mean_nis", "f8", 2),  # position, attitude
         ("followed", "f8"),  # standard deviations of an innovation: error of the largest fault that is not found yet
         ("followed_speed", "f8"),  # 1/s, of the ramp that is never found, the same per second
+        ("spread_mps", "f8"),  # standard deviation of the corrections of the velocity, largest
+        ("drags", "i8"),  # 1: they are more than thrust and noise explain
+        ("followed_go", "f8"),  # as followed, of a fault that a sum of ``cusum_go`` does not show
+        ("go_m", "f8", 3),  # level that a go needs, inf while a CUSUM is beyond ``cusum_go``
+        ("level", "f8", 3),  # m, protection level of the cycle before
+        ("cap", "f8", 3),  # m, the level when poses returned after a gap: with them less is possible, not more
+        ("cap_s", "f8"),
+        ("age_s", "f8"),  # of the last accepted pose, in the cycle before
         ("second_m", "f8"),  # bound on the position error by a second sensor, 0 for none
         ("second_s", "f8"),  # at this time of the run
         ("restarted_s", "f8"),  # when the filters were started again: a bound of before is none
@@ -150,6 +166,8 @@ def vision_health(params, state, age_s, rejected_in_a_row):
     noisy = state.monitored * params.nis_weight >= 1.0 and max(state.mean_nis[0], state.mean_nis[1]) > params.nis_limit
     if max(rejected_in_a_row, state.refused_in_a_row) >= params.suspect_after or noisy or state.biased != 0:
         health |= VISION_SUSPECT
+    if state.drags != 0:
+        health |= VISION_SUSPECT
     return health
 
 
@@ -166,33 +184,70 @@ def missed_shift(params, accepted):
 
 
 @kernel
-def follow(params, state, fusion):
-    """Write ``followed`` and ``followed_speed`` for the gains of FUSION_STATE ``fusion``.
+def _largest_missed(params, fusion, n, limit, kind, most):
+    """Return the largest position error to which a fault of the poses leads until it is found, and its size.
 
-    Position and velocity follow a fault of the poses by these gains, and the innovations fade as they do. Of a step or
-    a ramp that is found when its normalised innovations have passed the gate or summed up to the CUSUM's limit, the
-    largest error up to that moment; smaller ones are never found.
+    In standard deviations of an innovation. kind: 0 a step, 1 a ramp of so much per pose. limit: of the CUSUM. n: poses.
+    most: largest fault.
+    Position and velocity follow the fault by the gains of FUSION_STATE ``fusion``, and the innovations fade as they do;
+    it is found when its normalised innovations have passed the gate or summed up to the limit.
     """
-    _, n = missed_shift(params, fusion.accepted)
     gain, gain_speed = fusion.gain_position, fusion.gain_velocity * fusion.interval_s
-    missed = np.inf
-    state.followed = 0.0
-    for kind in range(2):  # a step of one, a ramp of one per pose
-        r, v, total, missed = 0.0, 0.0, 0.0, np.inf
-        for j in range(1, int(n) + 1):
-            fault = 1.0 if kind == 0 else float(j)
-            r += v
-            innovation = fault - r
-            r += gain * innovation
-            v += gain_speed * innovation
-            total += innovation
-            size = (params.mean_shift * j + params.cusum_limit) / total if total > 0.0 else np.inf
-            if innovation > 0.0:
-                size = min(size, params.gate / innovation)
-            if size < missed:
-                missed = size
-                state.followed = max(state.followed, missed * abs(r))
-    state.followed_speed = missed / fusion.interval_s if fusion.interval_s > 0.0 else 0.0
+    r, v, total, missed, largest = 0.0, 0.0, 0.0, most, 0.0
+    for j in range(1, int(n) + 1):
+        fault = 1.0 if kind == 0 else float(j)
+        r += v
+        innovation = fault - r
+        r += gain * innovation
+        v += gain_speed * innovation
+        total += innovation
+        size = (params.mean_shift * j + limit) / total if total > 0.0 else np.inf
+        if innovation > 0.0:
+            size = min(size, params.gate / innovation)
+        missed = min(missed, size)
+        largest = max(largest, missed * abs(r))
+    return largest, missed
+
+
+@kernel
+def follow(params, state, fusion):
+    """Write ``followed``, ``followed_speed`` and ``followed_go``, of the largest faults of the poses that are missed.
+
+    Gains change slowly: one in ``_FOLLOW_EACH`` accepted poses is enough.
+    """
+    if fusion.accepted % _FOLLOW_EACH != 1:
+        return
+    _, n = missed_shift(params, fusion.accepted)
+    most = np.inf  # ramp that corrections of the velocity do not show, per pose
+    if fusion.noise_m > 0.0:
+        most = _SPREADS * state.spread_mps * fusion.interval_s / fusion.noise_m
+    step, _ = _largest_missed(params, fusion, n, params.cusum_limit, 0, np.inf)
+    ramp, speed = _largest_missed(params, fusion, n, params.cusum_limit, 1, most)
+    state.followed = max(step, ramp)
+    state.followed_speed = speed / fusion.interval_s if fusion.interval_s > 0.0 else 0.0
+    n = min(n, params.cusum_go / params.mean_shift)
+    step, _ = _largest_missed(params, fusion, n, params.cusum_go, 0, np.inf)
+    ramp, _ = _largest_missed(params, fusion, n, params.cusum_go, 1, most)
+    state.followed_go = max(step, ramp)
+
+
+@kernel
+def watch_velocity(thrust, errors, state, fusion):
+    """Compare the corrections of the velocity with what thrust and noise explain: the dynamics are a witness.
+
+    A vision unit that drifts pulls the velocity along, however slowly. thrust: THRUST_PARAMS. errors: ERROR_STATE.
+    """
+    largest, state.drags = 0.0, 0
+    variance = max(fusion.filters.p[V, V], fusion.filters.p[V + 1, V + 1], fusion.filters.p[V + 2, V + 2])
+    if fusion.thrust.spread == 0.0 or fusion.thrust.spread > _CONVERGES * variance:
+        fusion.thrust.spread = variance  # corrections while the filters converge are none of these
+        fill(fusion.corrected, 0.0)
+    for i in range(3):
+        spread = thrust_model.velocity_spread(thrust, errors, fusion.filters, fusion.thrust, i)
+        largest = max(largest, spread)
+        if abs(fusion.corrected[i]) > _SPREADS * spread:
+            state.drags = 1
+    state.spread_mps = largest
 
 
 @kernel
@@ -222,27 +277,36 @@ def _second_bound(params, state, fusion, t_s, sigma_v, velocity):
 def protect(params, state, fusion, t_s, out):
     """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
 
-    ``K sigma`` and the error to which an undetected bias of the innovations has led: through the position's
-    gain, the velocity's over the poses since, and as a velocity error since the last pose; and the jump of a gate
-    that was opened again. A bias that the monitors have found has no bound. If poses or IMU are wrong, the second
+    ``K sigma`` and the error to which an undetected fault of the poses has led, as a velocity error since the last pose
+    as well; and the jump of a gate that was opened again. After a gap the level is not above that of its end. A bias that the monitors have found has no bound. If poses or IMU are wrong, the second
     sensor is not: its bound, and the innovations' missed bias that an error of the IMU is, may be less.
     """
     shift, n = missed_shift(params, fusion.accepted)
     age_s = max(0.0, t_s - fusion.last_accepted_s)
-    velocity = shift * fusion.noise_m * n * fusion.gain_velocity
-    bias = shift * fusion.noise_m * n * fusion.gain_position + velocity * (0.5 * n * fusion.interval_s + age_s)
-    if params.follows != 0:
-        velocity = state.followed_speed * fusion.noise_m
-        bias = state.followed * fusion.noise_m + velocity * age_s
+    velocity = state.followed_speed * fusion.noise_m
+    bias = state.followed * fusion.noise_m + velocity * age_s
+    worst_sum = 0.0
+    for i in range(6):
+        worst_sum = max(worst_sum, max(state.high[i], state.low[i]))
+    doubt = state.followed_go * fusion.noise_m if worst_sum <= params.cusum_go else np.inf
     if state.biased != 0:
-        bias = np.inf
+        bias = doubt = np.inf
     second = _second_bound(params, state, fusion, t_s, out.sigma_v_mps, velocity)
+    returns = fusion.updated != 0 and state.age_s > _GAP_INTERVALS * fusion.interval_s
+    if returns:
+        state.cap_s = t_s
+        copy_into(state.cap, state.level)
     largest = 0.0
     for i in range(3):
         noise = params.sigmas * out.sigma_r_m[i]
         other = max(noise + shift * fusion.noise_m, second + fusion.jump_m[i])
-        out.protection_level_m[i] = min(noise + bias + fusion.jump_m[i], other)
+        level = min(noise + bias + fusion.jump_m[i], other)
+        if t_s - state.cap_s < _CAP_S and state.biased == 0:
+            level = min(level, state.cap[i] + velocity * (t_s - state.cap_s) + fusion.jump_m[i])
+        out.protection_level_m[i] = state.level[i] = level
+        state.go_m[i] = params.sigmas_go * out.sigma_r_m[i] + min(doubt, second) + fusion.jump_m[i]
         largest = max(largest, out.sigma_attitude_rad[i])
+    state.age_s = age_s
     out.protection_level_rad = params.sigmas * largest + shift * fusion.noise_rad * n * fusion.gain_attitude
     if state.biased != 0:
         out.protection_level_rad = np.inf

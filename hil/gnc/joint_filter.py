@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.gnc import akf, pkf
+from hil.gnc import akf, pkf, thrust_model
 from hil.gnc.error_motion import add_part, carry_filters, decay
 from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION
 from hil.maths import quat, stack
@@ -21,33 +21,33 @@ from hil.maths.kalman import invert_symmetric_3
 
 
 @kernel
-def predict(errors, of_akf, of_pkf, filters, measured_rate, measured_force, hill):
+def predict(params, filters, step):
     """Carry all estimates and the covariance over one step.
 
-    errors: ERROR_STATE. of_akf, of_pkf: AKF_PARAMS, PKF_PARAMS. measured_rate, measured_force: samples of gyro, rad/s,
-    and accelerometer, m/s^2, (3,), in c. hill: motion of H over the step, HILL_STEP.
+    params: FUSION_PARAMS. step: STEP, with its inputs and the motion of H.
     """
-    middle, rate, force = stack.vector(4), stack.vector(3), stack.vector(3)
-    a, phi = stack.matrix(3, 3), stack.matrix(3, 6)
+    errors, of_akf, of_pkf = params.errors, params.akf, params.pkf
+    middle, a, phi = stack.vector(4), stack.matrix(3, 3), stack.matrix(3, 6)
+    moved = filters.input
+    thrust_model.write_input(params.thrust, of_pkf, errors, filters, step)
     copy_into(middle, filters.akf.x[0:4])
-    akf.predict_state(of_akf, filters.akf, measured_rate, hill, phi)
+    akf.predict_state(of_akf, filters.akf, step.rate_C, step.hill, phi)
     for i in range(4):
         middle[i] += filters.akf.x[i]
     quat.normalise(middle)
     quat.to_matrix_into(middle, a)
-    for i in range(3):
-        rate[i] = measured_rate[i] - filters.akf.x[4 + i]
-        force[i] = measured_force[i] - filters.pkf.x[6 + i]
-    pkf.predict_state(of_pkf, filters.pkf, force, a, hill)
+    pkf.predict_state(of_pkf, filters.pkf, moved.force, a, step.hill)
     if errors.lanes == 16:
-        _carry_filters_16(errors, of_pkf, a, force, rate, phi, filters)
+        _carry_filters_16(errors, of_pkf, a, moved, phi, filters)
     elif errors.lanes == 24:
-        _carry_filters_24(errors, of_pkf, a, force, rate, phi, filters)
+        _carry_filters_24(errors, of_pkf, a, moved, phi, filters)
+    elif errors.lanes == 32:
+        _carry_filters_32(errors, of_pkf, a, moved, phi, filters)
     else:
-        _carry_filters(errors, of_pkf, a, force, rate, phi, filters)
+        _carry_filters(errors, of_pkf, a, moved, phi, filters)
     if errors.moves != 0:
         _predict_processes(errors, filters)
-    _add_noise(errors, of_akf, of_pkf, filters.akf.x, filters.p)
+    _add_noise(params, step.rate_variance, filters.akf.x, filters.p)
 
 
 @kernel
@@ -67,28 +67,39 @@ def _predict_processes(errors, filters):
 
 
 @kernel
-def _carry_filters_16(errors, of_pkf, a, force, rate, phi, filters):
-    carry_filters(errors, of_pkf, a, force, rate, phi, filters.p, 16)
+def _carry_filters_16(errors, of_pkf, a, moved, phi, filters):
+    carry_filters(errors, of_pkf, a, moved, phi, filters.p, 16)
 
 
 @kernel
-def _carry_filters_24(errors, of_pkf, a, force, rate, phi, filters):
-    carry_filters(errors, of_pkf, a, force, rate, phi, filters.p, 24)
+def _carry_filters_24(errors, of_pkf, a, moved, phi, filters):
+    carry_filters(errors, of_pkf, a, moved, phi, filters.p, 24)
 
 
 @kernel
-def _carry_filters(errors, of_pkf, a, force, rate, phi, filters):
-    carry_filters(errors, of_pkf, a, force, rate, phi, filters.p, LANES)
+def _carry_filters_32(errors, of_pkf, a, moved, phi, filters):
+    carry_filters(errors, of_pkf, a, moved, phi, filters.p, 32)
 
 
 @kernel
-def _add_noise(errors, of_akf, of_pkf, attitude, p):
-    """Add the noise of a step: white noise of the gyro, random walks, and the fresh part of the instabilities."""
+def _carry_filters(errors, of_pkf, a, moved, phi, filters):
+    carry_filters(errors, of_pkf, a, moved, phi, filters.p, LANES)
+
+
+@kernel
+def _add_noise(params, rate_variance, attitude, p):
+    """Add the noise of a step: white noise of the gyro, random walks, and the fresh part of the instabilities.
+
+    rate_variance: (rad/s)^2, of the drift beyond its random walk.
+    """
+    errors, of_akf, of_pkf, d = params.errors, params.akf, params.pkf, params.errors.disturbance
     akf.add_in_chaser_axes(of_akf.rate_noise, of_akf.dt_s, attitude, DRIFT, p)
     for i in range(3):
         p[BIAS + i, BIAS + i] += (of_pkf.dt_s * of_pkf.sigma_bias) ** 2
         p[ROTATION + i, ROTATION + i] += (of_akf.dt_s * of_akf.sigma_gyro) ** 2
-        p[DRIFT + i, DRIFT + i] += (of_akf.dt_s * of_akf.sigma_drift) ** 2
+        p[DRIFT + i, DRIFT + i] += (of_akf.dt_s * of_akf.sigma_drift) ** 2 + rate_variance
+        if d != 0:
+            p[d + i, d + i] += params.thrust.walk**2
         if errors.accelerometer_instability != 0:
             _add_fresh(errors, BIAS + i, errors.accelerometer_instability + i, p)
         if errors.gyro_instability != 0:

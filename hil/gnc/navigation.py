@@ -1,16 +1,16 @@
-"""Where the chaser is and how it moves: both Kalman filters, or vision only, behind two functions."""
+"""Where the chaser is and how it moves: both Kalman filters behind two functions."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.gnc import akf, fusion, integrity, joint_filter, vision_alone, vision_only
+from hil.gnc import akf, fusion, integrity, joint_filter, thrust_model
 from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
 from hil.gnc.target_orbit import frame_rate
-from hil.gnc.vision_only import VISION_ONLY_PARAMS, VISION_ONLY_STATE
+from hil.gnc.thrust_model import REGAINED
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import normalised_square
@@ -22,7 +22,7 @@ NAVIGATION_PARAMS = np.dtype(
     [
         ("sensors", "i8"),
         ("fusion", FUSION_PARAMS),
-        ("vision_only", VISION_ONLY_PARAMS),
+        ("dt_s", "f8"),  # of a cycle
         ("integrity", INTEGRITY_PARAMS),
     ],
     align=True,
@@ -30,20 +30,12 @@ NAVIGATION_PARAMS = np.dtype(
 NAVIGATION_STATE = np.dtype(
     [
         ("fusion", FUSION_STATE),
-        ("vision_only", VISION_ONLY_STATE),
         ("integrity", INTEGRITY_STATE),
         ("t_s", "f8"),  # of the next call, time of the run
         ("fused", "i8"),  # 1: the filters were given a pose in this cycle
-        ("without_imu", "i8"),  # 1: the IMU has failed, vision alone is used
     ],
     align=True,
 )
-
-
-@kernel
-def uses_imu(params, state):
-    """Return whether poses and IMU are fused; otherwise navigation is by vision alone."""
-    return params.sensors == VISION_AND_IMU and state.without_imu == 0
 
 
 @kernel
@@ -55,11 +47,16 @@ def bias_of(state, bias, sigma):
 
 
 @kernel
-def drop_imu(params, state, estimate):
-    """Continue by vision alone from ``estimate`` (NAVIGATION)."""
-    if uses_imu(params, state) and estimate.valid != 0:
-        state.without_imu = 1
-        vision_only.continue_from(state.vision_only, estimate, state.fusion.last_accepted_s)
+def use_imu(params, state, memory, monitor, samples):
+    """Let the commands replace an IMU that is suspect, from its first wrong readings on, and the IMU them afterwards.
+
+    monitor: THRUSTER_MONITOR_STATE. samples: of the IMU in a cycle.
+    """
+    thrust = state.fusion.thrust
+    if monitor.imu_suspect != 0 and thrust.without_imu == 0:
+        fusion.replace_imu(params.fusion, state.fusion, memory, monitor.imu_since * samples)
+    elif monitor.imu_suspect == 0 and thrust.without_imu == 1 and params.sensors == VISION_AND_IMU:
+        thrust.without_imu = REGAINED
 
 
 @entry
@@ -68,39 +65,37 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
 
     memory: of ``fusion.new_memory``. samples: (n,) of IMU, each of one step of the filters; the first call, at the
     start of a run, uses none of them. poses: array of POSE, of which the first ``n_poses`` are
-    new. ``out.valid`` is 0 until the first pose. Vision alone has nothing to compare a pose with: it reports no
-    protection level.
+    new. ``out.valid`` is 0 until the first pose. Vision alone has the commands instead of the IMU.
     """
     fill(out.protection_level_m, np.nan)
     out.protection_level_rad = np.nan
-    state.fused = 0
-    if uses_imu(params, state):
-        state.fused = 1 if n_poses > 0 else 0
-        n = samples.shape[0]
-        for i in range(0 if state.fusion.cycle > 0 else n - 1, n):
-            fusion.begin_step(params.fusion, state.fusion, memory, samples[i])
-            if i < n - 1 or n_poses == 0:  # a late pose carries the filters over the last step as well
-                fusion.predict_step(params.fusion, state.fusion, memory)
-            state.fusion.cycle += 1
-        state.fusion.cycle -= 1
-        for i in range(n_poses):
-            if integrity.admits(params.integrity, state.integrity, poses[i]):
-                accepted = state.fusion.accepted
-                fusion.fuse(params.fusion, state.fusion, memory, poses[i])
-                _watch_update(params, state, accepted)
-        fusion.predict_step(params.fusion, state.fusion, memory)
-        state.fusion.cycle += 1
-        age_s = state.t_s - state.fusion.last_accepted_s
-        out.health = integrity.vision_health(params.integrity, state.integrity, age_s, state.fusion.rejected_in_a_row)
-        if state.fusion.started != 0:
-            _write_filters(state.fusion.filters, out)
-            integrity.protect(params.integrity, state.integrity, state.fusion, state.t_s, out)
-        out.nis_position = state.fusion.nis_position
-        out.nis_attitude = state.fusion.nis_attitude
-        out.valid = state.fusion.started
-    else:
-        vision_alone.navigate(params, state, poses, n_poses, out)
-    state.t_s += params.vision_only.dt_s
+    fused = state.fusion
+    state.fused = 1 if n_poses > 0 else 0
+    if fused.cycle == 0 and params.sensors == VISION_ALONE:
+        thrust_model.lose(fused.thrust, fused.filters)
+    n = samples.shape[0]
+    for i in range(0 if fused.cycle > 0 else n - 1, n):
+        fusion.begin_step(params.fusion, fused, memory, samples[i])
+        if i < n - 1 or n_poses == 0:  # a late pose carries the filters over the last step as well
+            fusion.predict_step(params.fusion, fused, memory)
+        fused.cycle += 1
+    fused.cycle -= 1
+    for i in range(n_poses):
+        if integrity.admits(params.integrity, state.integrity, poses[i]):
+            accepted = fused.accepted
+            fusion.fuse(params.fusion, fused, memory, poses[i])
+            _watch_update(params, state, accepted)
+    fusion.predict_step(params.fusion, fused, memory)
+    fused.cycle += 1
+    age_s = state.t_s - fused.last_accepted_s
+    out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row)
+    if fused.started != 0:
+        _write_filters(fused.filters, out)
+        integrity.protect(params.integrity, state.integrity, fused, state.t_s, out)
+    out.nis_position = fused.nis_position
+    out.nis_attitude = fused.nis_attitude
+    out.valid = fused.started
+    state.t_s += params.dt_s
 
 
 @kernel
@@ -109,8 +104,8 @@ def _watch_update(params, state, accepted):
     fused = state.fusion
     if fused.updated != 0:
         integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
-        if params.integrity.follows != 0:
-            integrity.follow(params.integrity, state.integrity, fused)
+        integrity.watch_velocity(params.fusion.thrust, params.fusion.errors, state.integrity, fused)
+        integrity.follow(params.integrity, state.integrity, fused)
     elif fused.accepted != accepted:  # the filters were started again
         state.integrity.restarted_s = state.t_s
 

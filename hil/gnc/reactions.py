@@ -10,12 +10,13 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc import approach_monitor, guidance
-from hil.gnc.approach_monitor import FIRST_HEALTH_CAUSE, HELD_TOO_LONG, NOT_ABORTED, UNPROTECTED
+from hil.gnc.approach_monitor import BENCH_DISAGREES, CORRIDOR, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, NOT_ABORTED, UNPROTECTED
 
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
-HEALTH_BITS = 6
+HEALTH_BITS = 7
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # of phases
+_TWO_HOLDS_S = 60.0  # in which no more than two begin
 
 REACTION_PARAMS = np.dtype(
     [
@@ -24,6 +25,7 @@ REACTION_PARAMS = np.dtype(
         ("acquisition_s", "f8"),  # from the first pose, in which the navigation may converge
         ("converged_mps", "f8"),  # allowance of the closing rate from which on it has
         ("hold_max_s", "f8"),  # longest hold or retreat
+        ("coast_share", "f8"),  # of an alert limit, up to which the approach goes on without vision
     ],
     align=True,
 )
@@ -36,6 +38,10 @@ REACTION_STATE = np.dtype(
         ("held", "i8"),  # HOLD or RETREAT while one lasts
         ("held_since_s", "f8"),
         ("held_phase", "i8"),  # in which it began
+        ("before_s", "f8"),  # when the one before began
+        ("entered", "i8"),  # 1: the corridor was entered
+        ("outside", "i8"),  # 1: it was not, and the estimate is outside
+        ("share", "f8"),  # largest protection level over its alert limit
     ],
     align=True,
 )
@@ -44,6 +50,9 @@ REACTION_STATE = np.dtype(
 @kernel
 def acquire(params, monitor, state, t_s, estimate):
     """Take note whether the navigation has converged, and since when it is not protected."""
+    state.share = approach_monitor.level_share(monitor, estimate)
+    if not estimate.protection_level_m[0] >= 0.0:
+        state.share = np.inf  # one without a level cannot go on without vision
     is_within = approach_monitor.is_protected(monitor, estimate)
     if state.valid_since_s == 0.0:
         state.valid_since_s = t_s + 1e-9
@@ -65,17 +74,26 @@ def acquire(params, monitor, state, t_s, estimate):
 def _wanted(params, state, kind, t_s, health, cause):
     """Return the strongest reaction in a phase of ``kind``; write its cause to ``cause`` (1,)."""
     strongest = CONTINUE
-    if health == 0 and state.unprotected_since_s == 0.0:
+    if state.outside != 0:
+        cause[0] = CORRIDOR
+        strongest = HOLD
+    elif health == 0 and state.unprotected_since_s == 0.0:
         return strongest
     for condition in range(CONDITIONS):
         if condition < HEALTH_BITS:
             applies = (health >> condition) & 1 != 0
+            if condition == 0:  # vision is lost
+                applies = applies and state.share > params.coast_share
         else:
             since_s = state.unprotected_since_s
             applies = since_s != 0.0 and t_s - since_s >= params.time_to_alert_s
         if applies and params.table[condition, kind] > strongest:
             strongest = params.table[condition, kind]
-            cause[0] = FIRST_HEALTH_CAUSE + condition if condition < HEALTH_BITS else UNPROTECTED
+            cause[0] = FIRST_HEALTH_CAUSE + condition
+            if condition == HEALTH_BITS - 1:
+                cause[0] = BENCH_DISAGREES
+            elif condition == HEALTH_BITS:
+                cause[0] = UNPROTECTED
     return strongest
 
 
@@ -92,6 +110,12 @@ def _abort(params, state, t_s, estimate, cause, found):
     found.aborted = cause
     found.aborted_at_s = t_s
     found.reaction = ABORT
+
+
+@kernel
+def _may_resume(guidance_params, state, guidance_state, t_s):
+    """Return whether a hold whose cause has ended may end: at rest, and with no more than two holds in a minute."""
+    return guidance.is_at_rest(guidance_params, guidance_state) and t_s - state.before_s >= _TWO_HOLDS_S
 
 
 @kernel
@@ -117,14 +141,15 @@ def react(params, guidance_params, state, guidance_state, t_s, estimate, referen
         _abort(guidance_params, guidance_state, t_s, estimate, cause[0], found)
     elif wanted >= HOLD and wanted > state.held:
         if state.held == 0:
+            state.before_s = state.held_since_s if state.held_since_s > 0.0 else -np.inf
             state.held_since_s, state.held_phase = t_s, phase
         state.held = wanted
         distance = guidance_params.abort_distance if wanted == RETREAT else 0.0
         _leave(guidance_params, guidance_state, t_s, estimate, distance)
-    elif state.held != 0 and t_s - state.held_since_s > params.hold_max_s:
+    elif state.held != 0 and wanted >= HOLD and t_s - state.held_since_s > params.hold_max_s:
         cause[0] = HELD_TOO_LONG
         _abort(guidance_params, guidance_state, t_s, estimate, HELD_TOO_LONG, found)
-    elif state.held != 0 and wanted < HOLD and guidance.is_at_rest(guidance_params, guidance_state):
+    elif state.held != 0 and wanted < HOLD and _may_resume(guidance_params, state, guidance_state, t_s):
         state.held = 0
         guidance.resume(guidance_params, guidance_state, t_s, state.held_phase)
     else:

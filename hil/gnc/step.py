@@ -26,7 +26,7 @@ from hil.gnc import (
     thruster_monitor,
 )
 from hil.gnc.allocation import ROWS
-from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, NOT_ABORTED
+from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, GO_CHECK, NOT_ABORTED
 from hil.gnc.backend_step import BACKENDS
 from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
@@ -37,7 +37,7 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import has_held
 
-MONITOR_DISAGREES = GncHealth.MONITOR_DISAGREES.value
+MONITOR_DISAGREES, BENCH_DISAGREES = GncHealth.MONITOR_DISAGREES.value, GncHealth.BENCH_DISAGREES.value
 _GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 
 APPROACH_PARAMS = np.dtype(
@@ -92,6 +92,8 @@ APPROACH_STATE = np.dtype(
         ("abort_ordered", "i8"),  # 1: by the operator
         ("abort_began", "i8"),  # 1: in this cycle
         ("monitor_disagrees", "i8"),  # 1: the docking monitor's interlock is set
+        ("bench_disagrees", "i8"),  # 1: the encoders contradict the estimate
+        ("go", GO_CHECK),
         ("progress", APPROACH_PROGRESS),
     ],
     align=True,
@@ -127,7 +129,9 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
         navigation.navigate(params.navigation, state.navigation, memory, samples, poses, n_poses, estimate)
     elif not backend_step.navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, command):
         return False
-    watch_thrusters(params, state, samples, command, estimate)
+    watch_thrusters(params, state, memory, samples, command, estimate)
+    if backends.navigation.step == 0:
+        copy_into(approach.go.level_m, state.navigation.integrity.go_m)
     ordered = approach.progress.go
     guide(params.approach, approach, t_s, supervision, reference)
     watch_approach(params.approach, approach, t_s, estimate, reference, supervision, False)
@@ -160,19 +164,19 @@ def has_event(before, after):
 
 
 @entry
-def watch_thrusters(params, state, samples, command, estimate):
-    """Stage 4: compare the IMU with the thrusters of the cycle before; without a sound IMU continue by vision alone.
+def watch_thrusters(params, state, memory, samples, command, estimate):
+    """Stage 4: compare the IMU with the thrusters of the cycle before; without a sound IMU the commands replace it.
 
     Arguments as of ``gnc_step``.
     """
-    bias, sigma = stack.vector(3), stack.vector(3)
+    bias = stack.vector(6)
     if state.backends.navigation.step == 0:
-        navigation.bias_of(state.navigation, bias, sigma)
+        navigation.bias_of(state.navigation, bias[0:3], bias[3:6])
     else:
-        backend_step.reported_bias(params.navigation.fusion.pkf, state.backends, bias, sigma)
-    thruster_monitor.watch(params.thruster_monitor, state.thrusters, samples, command.on, bias, sigma, estimate)
-    if state.thrusters.imu_suspect != 0:
-        navigation.drop_imu(params.navigation, state.navigation, estimate)
+        backend_step.reported_bias(params.navigation.fusion.pkf, state.backends, bias[0:3], bias[3:6])
+    isolated = state.isolated_cycles > params.closing_cycles
+    thruster_monitor.watch(params.thruster_monitor, state.thrusters, samples, command.on, bias, isolated, estimate)
+    navigation.use_imu(params.navigation, state.navigation, memory, state.thrusters, samples.shape[0])
 
 
 @entry
@@ -208,6 +212,8 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
     """
     if state.monitor_disagrees != 0:
         estimate.health |= MONITOR_DISAGREES
+    if state.bench_disagrees != 0:
+        estimate.health |= BENCH_DISAGREES
     aborted = supervision.aborted
     ordered = state.abort_ordered
     if abort_without_estimate and estimate.valid == 0:
@@ -216,10 +222,10 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
         )
     if estimate.valid != 0:
         reactions.acquire(params.reactions, params.monitor, state.reactions, t_s, estimate)
-    converged = state.reactions.converged
     approach_monitor.update(
-        params.monitor, params.guidance, state.guidance, t_s, estimate, reference, ordered, converged, supervision
-    )
+        params.monitor, params.guidance, state.guidance, t_s, estimate, reference, ordered, state.reactions, state.go,
+        supervision,
+    )  # fmt: skip
     cause = stack.vector(1)
     reactions.react(
         params.reactions, params.guidance, state.reactions, state.guidance, t_s, estimate, reference, supervision, cause
@@ -254,7 +260,7 @@ def _feed_forward(params, state, reference):
         if rate[i] != 0.0 or change[i] != 0.0:
             feed.turned = 1
     copy_into(feed.q_CH, reference.q_CH)
-    t_s = state.navigation.t_s - params.navigation.vision_only.dt_s
+    t_s = state.navigation.t_s - params.navigation.dt_s
     body_frame.feed_forward(
         tumble, t_s, params.control.inertia, reference.q_CH, rate, change, reference, feed.acceleration
     )  # fmt: skip

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.core.messages import MAX_THRUSTERS, POSE
+from hil.core.messages import POSE
 from hil.gnc.akf import AKF_STATE
 from hil.gnc.error_state import LANES
 from hil.gnc.pkf import PKF_STATE
@@ -23,7 +23,11 @@ STEP = np.dtype(
     [
         ("rate_C", "f8", 3),  # the IMU's sample of the step that ended here
         ("force_C", "f8", 3),
-        ("commanded", "i8", MAX_THRUSTERS),  # thrusters that were commanded open in that step, 0 or 1
+        ("kind", "i8"),  # source of the specific force, of ``thrust_model``
+        ("thrust_C", "f8", 3),  # m/s^2, of the commands
+        ("torque_C", "f8", 3),  # rad/s^2
+        ("regains", "i8"),  # 1: the gyros are used again from this step on
+        ("rate_variance", "f8"),  # (rad/s)^2 that the drift gains in that step beyond its random walk
         ("hill", HILL_STEP),
         ("akf", AKF_STATE),  # before the poses of this moment
         ("pkf", PKF_STATE),

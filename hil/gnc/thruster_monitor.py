@@ -5,10 +5,19 @@ residual, six components, is that of one thruster alone if its own force and tor
 sign of a thrust that was not commanded the thruster is open, with the opposite sign while it was commanded it is dead.
 The gyro, which is quiet, separates the thrusters at one place by force, and those of one direction by torque.
 
+Parameters are estimated before a device is accused. A valve delay: the commands of up to ``DELAYS`` cycles ago are
+compared, and those that have explained most so far are used. Mass, thrust and inertia: a residual that is the expected
+thrust times one factor of all forces, and one of all torques, is no fault. A lever arm of the accelerometers: what
+angular acceleration times an arm explains is none either.
+
 It also watches the IMU: readings that repeat themselves with all digits, and accelerations that no thruster explains.
+Every accusation is tested after its reaction, and revoked if readings and commands contradict it.
 """
 
 from __future__ import annotations
+
+import math
+from typing import Final
 
 import numpy as np
 
@@ -30,6 +39,16 @@ _BIAS_SIGMAS = 4.0
 _CLEAR = 3  # of so many cycles one has to be clear
 _REPEATS_MAX = 10  # cycles
 _WITHHELD = 8  # cycles: enough to find either of two
+DELAYS: Final = 8
+"""Valve delays that are compared, in cycles from 0."""
+_DELAY_MEMORY = 0.995  # of the squares of a cycle in the next one
+_DELAY_PRIOR = 1.0  # square that a longer delay has to explain
+_SCALE_MIN, _SCALE_MAX = 0.4, 2.4  # factors of all forces, or torques, that mass, thrust and inertia can have
+_SCALE_WEIGHT = 0.02  # of a cycle in the mean factor of the forces
+_MEAN_WEIGHT = 0.04  # of a cycle in the mean residual
+_ARM_MAX = 0.5  # m, of the accelerometers
+_ARM_WEIGHT = 0.03  # of a cycle in its estimate
+_REVOKED_MAX = 3  # accusations of a device that are revoked, then it stays accused
 
 THRUSTER_MONITOR_PARAMS = np.dtype(
     [
@@ -43,6 +62,7 @@ THRUSTER_MONITOR_PARAMS = np.dtype(
         ("dead_cycles", "i8"),  # with its command, after which it is dead
         ("imu_cycles", "i8"),  # consecutive, after which the IMU is suspect
         ("most", "f8", 6),  # largest of each component with all thrusters that have it
+        ("sound_cycles", "i8"),  # in which readings must agree with the commands before an accusation is revoked
     ],
     align=True,
 )
@@ -52,7 +72,6 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("calls", "i8"),  # since the start or a pause: the first one has no sample, the second none before it
         ("rate", "f8", 3),  # rad/s, mean over the last cycle
         ("force", "f8", 3),  # m/s^2
-        ("thrust", "f8", MAX_THRUSTERS),  # expected open fraction of each thruster in it
         ("open_s", "f8", MAX_THRUSTERS),  # for which each valve has been open
         ("open_count", "i8", MAX_THRUSTERS),
         ("clear_count", "i8", MAX_THRUSTERS),  # of ``open_count`` those that no dead thruster explains
@@ -64,7 +83,20 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("withheld_cycles", "i8"),  # for so many more
         ("unexplained", "i8"),  # cycles
         ("repeats", "i8"),  # cycles in which gyro or accelerometer repeat their readings
-        ("imu_suspect", "i8"),  # 1: it stays so
+        ("imu_suspect", "i8"),  # 1: until its readings agree with the commands again
+        ("imu_since", "i8"),  # cycles before that in which its readings may have been wrong
+        ("sound", "i8"),  # cycles in a row in which a suspect IMU agrees with the commands
+        ("contradicted", "i8"),  # cycles in which the accused thruster contradicts the readings
+        ("imu_revoked", "i8"),  # accusations of the IMU that were revoked
+        ("thruster_revoked", "i8"),
+        ("past", "f8", (DELAYS, MAX_THRUSTERS)),  # expected open fractions of the last cycles, a ring
+        ("mean_residual", "f8", 6),
+        ("row", "i8"),  # of it, of the last cycle
+        ("open_cycles", "i8"),  # cycles since a thruster was expected to be open
+        ("square", "f8", DELAYS),  # what the residuals with each delay sum up to
+        ("delay", "i8"),  # the likeliest, cycles
+        ("scale", "f8"),  # factor of the forces, mean; 0 before the first one
+        ("arm", "f8", 3),  # m, of the accelerometers, in c
     ],
     align=True,
 )
@@ -123,9 +155,10 @@ def _judge(params, state, residual, thrust):
     square = 0.0
     for i in range(6):
         square += residual[i] ** 2
+        state.mean_residual[i] += _MEAN_WEIGHT * (residual[i] - state.mean_residual[i])
         if abs(residual[i]) > _IMPOSSIBLE * params.most[i]:
-            state.imu_suspect = 1
-    is_quiet = square < _RESIDUAL_MIN**2
+            _accuse_imu(state, 2)
+    is_quiet = square < _RESIDUAL_MIN**2 or _is_of_scale(params, state, residual, thrust)
     if is_quiet and state.counts == 0:
         state.unexplained = 0
         return
@@ -138,15 +171,21 @@ def _judge(params, state, residual, thrust):
         _explain(params, residual, thrust, explained)
     for j in range(params.n):
         opens, fails = opens or explained[j] > 0.0, fails or explained[j] < 0.0
-    state.unexplained = 0 if is_quiet or opens or fails else state.unexplained + 1
+    lasts = 0.0  # thrust that is late, or rises and falls slowly, leaves nothing in the mean
+    for i in range(6):
+        lasts += state.mean_residual[i] ** 2
+    is_odd = not (is_quiet or opens or fails) and lasts > _RESIDUAL_MIN**2
+    state.unexplained = state.unexplained + 1 if is_odd else max(0, state.unexplained - 1)
     for j in range(params.n):
         if explained[j] > 0.0:
             state.open_count[j] += 1
             state.clear_count[j] += 0 if fails else 1
+            state.dead_count[j] = max(0, state.dead_count[j] - 1)
         elif is_quiet and thrust[j] == 0.0:
             state.open_count[j] = state.clear_count[j] = 0
         if explained[j] < 0.0:
             state.dead_count[j] += 1
+            state.open_count[j] = max(0, state.open_count[j] - 1)
         elif (thrust[j] > 0.0 and is_quiet) or (thrust[j] == 0.0 and not is_quiet):
             state.dead_count[j] = 0
         suspects = suspects or state.open_count[j] > 0
@@ -172,14 +211,167 @@ def _watch_readings(state, rate, force):
 
 
 @kernel
-def watch(params, state, samples, on, bias, bias_sigma, estimate):
+def _is_of_scale(params, state, residual, thrust):
+    """Return whether ``residual`` is what one factor of all expected forces and one of all torques leave."""
+    remainder = 0.0
+    for first in range(0, 6, 3):
+        product, size, square = 0.0, 0.0, 0.0
+        for i in range(first, first + 3):
+            expected = 0.0
+            for j in range(params.n):
+                expected += thrust[j] * params.signature[j, i]
+            product += expected * residual[i]
+            size += expected * expected
+            square += residual[i] ** 2
+        change = product / size if size > 0.05 else 0.0
+        if not _SCALE_MIN <= 1.0 + change <= _SCALE_MAX:
+            return False
+        remainder += square - change * change * size
+        if first == 0 and size > 0.5 and square - change * change * size < 0.05 * size:
+            mean = state.scale if state.scale > 0.0 else 1.0 + change
+            state.scale = mean + _SCALE_WEIGHT * (1.0 + change - mean)
+    return remainder < _RESIDUAL_MIN**2
+
+
+@kernel
+def _accuse_imu(state, cycles):
+    """Accuse the IMU, whose readings may have been wrong for so many cycles."""
+    if state.imu_suspect == 0:
+        state.imu_suspect, state.imu_since, state.sound = 1, cycles, 0
+
+
+@kernel
+def _remember(params, state, thrust):
+    """Take the expected ``thrust`` (n,) of the last cycle into the ring."""
+    state.row = state.row + 1 if state.row + 1 < DELAYS else 0
+    is_open = False
+    for j in range(params.n):
+        state.past[state.row, j] = thrust[j]
+        is_open = is_open or thrust[j] > 0.0
+    state.open_cycles = 0 if is_open else state.open_cycles + 1
+
+
+@kernel
+def _mean_thrust(params, state, delay, out):
+    """Write the expected mean (n,) over the last two cycles, with the valves ``delay`` cycles late."""
+    last = (state.row - delay + DELAYS) % DELAYS
+    before = (last - 1 + DELAYS) % DELAYS
+    for j in range(params.n):
+        out[j] = 0.5 * (state.past[last, j] + state.past[before, j])
+
+
+@kernel
+def _subtract(params, measured, thrust, residual):
+    """Write ``measured`` (6,) without the forces and torques of ``thrust`` (n,)."""
+    for i in range(6):
+        residual[i] = measured[i]
+    for j in range(params.n):
+        if thrust[j] > 0.0:
+            for i in range(6):
+                residual[i] -= thrust[j] * params.signature[j, i]
+
+
+@kernel
+def _find_delay(params, state, measured, thrust, residual):
+    """Count how much each valve delay leaves of ``measured`` (6,); write thrust and residual of the likeliest.
+
+    Only delays whose older cycle is in the ring are compared: up to ``DELAYS - 2``.
+    """
+    if state.open_cycles < DELAYS:
+        best = np.inf
+        for delay in range(DELAYS - 1):
+            _mean_thrust(params, state, delay, thrust)
+            _subtract(params, measured, thrust, residual)
+            square = 0.0
+            for i in range(6):
+                square += residual[i] ** 2
+            state.square[delay] = _DELAY_MEMORY * state.square[delay] + min(square, 4.0)
+            total = state.square[delay] + _DELAY_PRIOR * delay
+            if total < best:
+                best, state.delay = total, delay
+    _mean_thrust(params, state, state.delay, thrust)
+    _subtract(params, measured, thrust, residual)
+
+
+@kernel
+def _correct_for_arm(params, state, measured):
+    """Take what an arm of the accelerometers explains out of the force in ``measured`` (6,), and estimate the arm.
+
+    An angular acceleration alpha gives alpha x arm, by normalised least mean squares of what thrusters do not explain.
+    """
+    a, scale = stack.vector(3), params.torque_unit / params.force_unit
+    for i in range(3):
+        a[i] = measured[3 + i] * scale
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        measured[i] -= a[j] * state.arm[k] - a[k] * state.arm[j]
+
+
+@kernel
+def _learn_arm(params, state, measured, residual):
+    """Estimate the arm from the forces of ``residual`` (6,) that angular accelerations in ``measured`` come with."""
+    a, scale = stack.vector(3), params.torque_unit / params.force_unit
+    square = 0.0
+    for i in range(3):
+        a[i] = measured[3 + i] * scale
+        square += a[i] ** 2
+    if square < 0.1 * scale * scale:
+        return
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        arm = state.arm[i] + _ARM_WEIGHT * (residual[j] * a[k] - residual[k] * a[j]) / square
+        state.arm[i] = min(_ARM_MAX, max(-_ARM_MAX, arm))
+
+
+@kernel
+def _test_imu(params, state, residual, thrust, repeats):
+    """Revoke the accusation of the IMU once its readings have agreed with the commands for long enough."""
+    square = 0.0
+    for i in range(6):
+        square += residual[i] ** 2
+    agrees = not repeats and (square < _RESIDUAL_MIN**2 or _is_of_scale(params, state, residual, thrust))
+    state.sound = state.sound + 1 if agrees else 0
+    if state.sound >= params.sound_cycles and state.imu_revoked < _REVOKED_MAX:
+        state.imu_suspect = state.sound = state.unexplained = 0
+        state.imu_revoked += 1
+
+
+@kernel
+def _test_thruster(params, state, measured, isolated):
+    """Revoke the accusation of a thruster that the readings contradict. isolated: whether its supply is closed.
+
+    With its reaction the thrusters commanded are those without it: what they give has to be what is measured, with the
+    thrust of one stuck open as long as its supply is not closed.
+    """
+    thrust, residual = stack.vector(MAX_THRUSTERS), stack.vector(6)
+    _mean_thrust(params, state, state.delay, thrust)
+    thrust[state.thruster] = 0.0
+    if state.fault == STUCK_OPEN and not isolated:
+        thrust[state.thruster] = 1.0
+    _subtract(params, measured, thrust, residual)
+    square = 0.0
+    for i in range(6):
+        square += residual[i] ** 2
+    is_quiet = square < (2.0 * _RESIDUAL_MIN) ** 2 or _is_of_scale(params, state, residual, thrust)
+    state.contradicted = max(0, state.contradicted + (-1 if is_quiet else 1))
+    if state.contradicted >= params.sound_cycles and state.thruster_revoked < _REVOKED_MAX:
+        state.fault, state.contradicted = NO_FAULT, 0
+        state.thruster_revoked += 1
+        fill(state.open_count, 0)
+        fill(state.clear_count, 0)
+        fill(state.dead_count, 0)
+        state.counts = 0
+
+
+@kernel
+def watch(params, state, samples, on, bias, isolated, estimate):
     """Compare the IMU's ``samples`` (n,) since the last call with the commands ``on`` (n,) of that time.
 
-    bias, bias_sigma: of the accelerometer, (3,), m/s^2; what the bias may explain is no residual. Adds its bits to
-    ``estimate.health`` (NAVIGATION).
+    bias: (6,), m/s^2, of the accelerometer, then its standard deviation; what the bias may explain is no residual.
+    isolated: whether the supply of an accused thruster is closed. Adds its bits to ``estimate.health`` (NAVIGATION).
     """
     rate, force, thrust = stack.vector(3), stack.vector(3), stack.vector(MAX_THRUSTERS)
-    residual = stack.vector(6)
+    measured, residual = stack.vector(6), stack.vector(6)
     weight = 1.0 / samples.shape[0]
     for i in range(3):
         rate[i] = force[i] = 0.0
@@ -191,26 +383,30 @@ def watch(params, state, samples, on, bias, bias_sigma, estimate):
         state.withheld_cycles -= 1
     if state.calls >= 2:
         _watch_readings(state, rate, force)
-    if state.calls >= 2 and state.imu_suspect == 0 and state.fault == NO_FAULT:
+    _remember(params, state, thrust)
+    if state.calls >= 2:
         per_force, per_torque = 1.0 / params.force_unit, 1.0 / (params.dt_s * params.torque_unit)
         for i in range(3):
-            residual[i] = (0.5 * (force[i] + state.force[i]) - bias[i]) * per_force
-            residual[3 + i] = (rate[i] - state.rate[i]) * per_torque
-        for j in range(params.n):
-            state.thrust[j] = 0.5 * (state.thrust[j] + thrust[j])
-            if state.thrust[j] > 0.0:
-                for i in range(6):
-                    residual[i] -= state.thrust[j] * params.signature[j, i]
+            measured[i] = (0.5 * (force[i] + state.force[i]) - bias[i]) * per_force
+            measured[3 + i] = (rate[i] - state.rate[i]) * per_torque
+        _correct_for_arm(params, state, measured)
+        _find_delay(params, state, measured, thrust, residual)
         for i in range(3):
-            possible = _BIAS_SIGMAS * bias_sigma[i] * per_force
+            possible = _BIAS_SIGMAS * bias[3 + i] * per_force
             residual[i] -= min(possible, max(-possible, residual[i]))
-        _judge(params, state, residual, state.thrust)
-    if state.repeats >= _REPEATS_MAX or state.unexplained >= params.imu_cycles:
-        state.imu_suspect = 1
+        if state.imu_suspect != 0:
+            _test_imu(params, state, residual, thrust, state.repeats > 0)
+        elif state.fault != NO_FAULT:
+            _test_thruster(params, state, measured, isolated)
+        else:
+            _judge(params, state, residual, thrust)
+            _learn_arm(params, state, measured, residual)
+    if state.repeats >= _REPEATS_MAX:
+        _accuse_imu(state, _REPEATS_MAX + 1)
+    elif state.unexplained >= params.imu_cycles:
+        _accuse_imu(state, params.imu_cycles)
     copy_into(state.rate, rate)
     copy_into(state.force, force)
-    for j in range(params.n):
-        state.thrust[j] = thrust[j]
     state.calls += 1
     if state.imu_suspect != 0:
         estimate.health |= IMU_SUSPECT

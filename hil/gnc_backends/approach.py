@@ -80,6 +80,12 @@ class Approach:
         """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
         self.approach_state["monitor_disagrees"] = disagrees
 
+    def set_bench_check(self, off: np.ndarray, disagrees: bool) -> None:
+        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree, before ``step``."""
+        self.approach_state["bench_disagrees"] = disagrees
+        self.approach_state["go"]["known"] = off[0] == off[0]
+        self.approach_state["go"]["off"] = off
+
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Take note of a bound on the position error; an external GNC reports its own protection levels."""
 

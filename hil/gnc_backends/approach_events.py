@@ -24,6 +24,7 @@ ABORT_CAUSES = (
     "a covariance of the filters is invalid",
     "the protection level exceeds the alert limit",
     "a hold lasted too long",
+    "the encoders contradict the estimate",
 )
 _ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"

@@ -134,7 +134,7 @@ class BuiltinGnc(Approach):
         if command is None:
             thruster_monitor.pause(self.state.thrusters)
         else:
-            step.watch_thrusters(self.params, self.state, samples, command, estimate)
+            step.watch_thrusters(self.params, self.state, self.memory, samples, command, estimate)
         self._monitor_filters(samples, vision, estimate)
 
     def actuate(self, estimate: np.record, reference: np.record, command: np.record) -> None:

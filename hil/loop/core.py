@@ -32,11 +32,14 @@ from hil.gnc_backends.library_kernel import LIBRARY
 from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
 from hil.loop.monitor_kernel import MONITOR_PARAMS, MONITOR_STATE, compare_received
 from hil.maths import stack
+from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
 from hil.models.camera_timing import TIME_SLACK_S
 from hil.models.faults import FAULTS
 from hil.models.frame_transit import next_arrival
 from hil.models.mounting import MOUNTING, chaser_pose
+
+_COMPARED_S = 2.0  # for which estimate and encoders are compared before a go relies on it
 
 LOOP_PARAMS = np.dtype(
     [
@@ -107,16 +110,34 @@ def check_axes(params, state):
     return guard.first_breach(params.guard, state.accepted, state.now.feedback, state.breach)
 
 
+@kernel
+def _compare_estimate(params, state):
+    """Compare the navigation of the cycle before with the encoders of its time, for GNC and row."""
+    now, approach, memory = state.now, state.gnc.approach, state.bench_guard
+    disagrees = bench_guard.compare_estimate(
+        params.bench_guard, params.bench, memory, now.t_s, now.navigation, approach.bench_disagrees != 0
+    )
+    approach.bench_disagrees = 1 if disagrees else 0
+    approach.go.known = 1 if memory.compared_s >= _COMPARED_S else 0
+    copy_into(approach.go.off, memory.off)
+    copy_into(now.bench_off, memory.off)
+    if approach.go.known == 0:
+        fill(now.bench_off, np.nan)
+
+
 @entry
 def guard_bench(params, state, t_s):
     """Return what the bench guard finds at ``t_s`` of the run, at the start of a cycle; NOTHING if it is off."""
     now = state.now
     if params.bench_guard.enabled == 0:
         return guard.NOTHING
-    return bench_guard.check_bench(
+    found = bench_guard.check_bench(
         params.bench_guard, params.bench, state.bench_guard, t_s, now.truth, state.wanted, now.feedback,
         t_s - now.sampled_s[0], t_s - now.sampled_s[1], state.limited_in_row, state.breach,
     )  # fmt: skip
+    if found == guard.NOTHING:
+        _compare_estimate(params, state)
+    return found
 
 
 @kernel

@@ -49,6 +49,7 @@ class CycleData:
     nees_attitude: np.ndarray
     monitor_bound_m: np.ndarray
     monitor_bound_s: np.ndarray
+    bench_off: np.ndarray
 
     truth: np.record
     imu: np.record

@@ -115,6 +115,7 @@ class CaseRunner:
         """Set the scenario of the GNC; length, rig and thrusters must be the same."""
         self.scenario = self._named(scenario)
         self._core.params = kernel_record(self._fixed_params())
+        self._memory = new_memory(self._core.params.gnc.navigation.fusion)
         if self._backends.kinds:
             self._backends.setup = gnc_setup(self.scenario)
 

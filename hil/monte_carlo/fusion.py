@@ -42,6 +42,8 @@ LARGEST_RATIO = 1.05
 TABLE_II_SD = ((0.0037, 0.0039, 0.0039), (0.0304, 0.0315, 0.0312))  # m, deg
 TABLE_II_MAX = ((0.0141, 0.0142, 0.0132), (0.1078, 0.1045, 0.1146))
 
+_OF_THE_PAPER = ("gnc.ephemeris.rate_sigma_degps=[0,0,0]", "gnc.navigation.thrust.enabled=false")
+"""The motion of the study is Hill's, the filters' only inputs are the IMU and poses."""
 _ROTATION_TIME_S = 10.0  # the paper's attitude converges in about 10 s
 _BAND = 0.999
 _BATCH = 20
@@ -84,7 +86,7 @@ class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int, form: Form = "multiplicative") -> None:
-        circular = ("gnc.ephemeris.rate_sigma_degps=[0,0,0]", *settings)  # the motion of the study is Hill's
+        circular = (*_OF_THE_PAPER, *settings)
         scenario = load_scenario("scheme-2", circular).value
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz

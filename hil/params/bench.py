@@ -112,5 +112,9 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
         config.vision_error_max_m,
         math.radians(config.vision_error_max_deg),
     )
+    params.estimate_position = config.estimate_error_max_m
+    params.estimate_attitude = math.radians(config.estimate_error_max_deg)
+    params.calibration_position = config.calibration_m
+    params.calibration_attitude = math.radians(config.calibration_deg)
     params.step_s, params.spacing_s, params.settled_cycles = step_s, _KEPT_S, round(_SETTLED_S / step_s)
     return params

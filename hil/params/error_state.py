@@ -13,7 +13,7 @@ from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLO
 
 def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
     """Return the standard deviations at the start of the states of each block that a scenario may add."""
-    given = scenario.gnc.navigation.budget
+    given, thrust = scenario.gnc.navigation.budget, scenario.gnc.navigation.thrust
     rad, one, three = math.radians, np.ones(1), np.ones(3)
     is_correlated = max(given.vision_correlated_fraction, given.bench_sigma_m, given.bench_sigma_deg) > 0.0
     return {
@@ -21,6 +21,7 @@ def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
         "bias": np.array(given.vision_bias_sigma_m),
         "scale": given.vision_scale_sigma * one,
         "correlated": float(is_correlated) * np.ones(6),
+        "disturbance": float(thrust.enabled) * thrust.disturbance_mps2 * three,
         "gyro_scale": given.gyro_scale_sigma * three,
         "gyro_misalignment": rad(given.gyro_misalignment_sigma_deg) * three,
         "gyro_instability": rad(given.gyro_instability_degps) * three,
@@ -49,10 +50,10 @@ def error_state(scenario: Scenario) -> np.record:
         params.estimated[here] = block.estimated
         if block.motion is BlockMotion.MARKOV:
             params.kept[here], params.moves = math.exp(-scenario.sample_s / times_s[block.name]), 1
-        if block.name.startswith(("gyro", "accelerometer")) and params.imu == 0:
+        if block.name.startswith(("disturbance", "gyro", "accelerometer")) and params.imu == 0:
             params.imu = n
         n += block.size
-    params.n, params.lanes = n, next(lanes for lanes in (16, 24, LANES) if lanes >= n)
+    params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, LANES) if lanes >= n)
     params.imu = params.imu or n
     params.fraction = given.vision_correlated_fraction
     params.bench_variance = given.bench_sigma_m**2, math.radians(given.bench_sigma_deg) ** 2

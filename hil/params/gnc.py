@@ -27,6 +27,7 @@ from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.reactions import REACTION_PARAMS
 from hil.gnc.step import GNC_PARAMS
 from hil.gnc.target_orbit import TARGET_ORBIT
+from hil.gnc.thrust_model import THRUST_PARAMS
 from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
@@ -40,8 +41,12 @@ _CORRELATION_S = 10.0  # of the filters' errors
 _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
 _DEAD_CYCLES = 6  # with a command, of which each counts in two
 _IMU_S = 1.0  # for which an IMU must repeat its readings, or read what no thruster explains
+_SOUND_S = 1.0  # for which readings must agree with the commands, or contradict them, to revoke an accusation
 _CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
 _AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no gradient of gravity
+_MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever arm of the accelerometers
+_QUIET_WINDOW_S = 0.32  # over which quiet readings are averaged
+_QUIET_SIGMAS = 5.0  # of a reading that is quiet
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
 
@@ -111,16 +116,29 @@ def navigation(scenario: Scenario) -> np.record:
     pkf.initial_bias = gnc.pkf.accelerometer_bias_mps2
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
     fusion.errors = error_state(scenario)
-    vision = params.vision_only
-    vision.dt_s = scenario.step_s
-    vision.position_lag_s = gnc.vision_only.position_lag_s
-    vision.velocity_lag_s = gnc.vision_only.velocity_lag_s
-    vision.attitude_lag_s = gnc.vision_only.attitude_lag_s
-    vision.rate_lag_s = gnc.vision_only.rate_lag_s
-    vision.gate = gnc.navigation.gate_sigma
-    vision.acceleration, vision.angular_acceleration = largest_accelerations(scenario.chaser)
-    vision.close_after = gnc.integrity.close_after
+    fusion.thrust = _thrust_model(scenario)
+    if params.sensors == VISION_ALONE:  # the drift is the error of a rate that starts from zero
+        akf.initial_drift, akf.initial_drift_sigma = np.zeros(3), math.radians(gnc.navigation.thrust.rate_sigma_degps)
+    params.dt_s = scenario.step_s
     params.integrity = integrity(scenario)
+    return params
+
+
+def _thrust_model(scenario: Scenario) -> np.record:
+    """Return THRUST_PARAMS."""
+    params, given, thrusters = new(THRUST_PARAMS), scenario.gnc.navigation.thrust, scenario.chaser.thrusters
+    dt_s = scenario.sample_s
+    accelerations = _accelerations(scenario.chaser)
+    params.enabled = given.enabled
+    params.n, params.dt_s, params.minimum_on_s = len(accelerations), dt_s, thrusters.minimum_on_s
+    params.force[: params.n], params.torque[: params.n] = accelerations[:, :3], accelerations[:, 3:]
+    params.settle = math.ceil(given.settle_s / dt_s - 1e-9)
+    params.variance = given.velocity_noise_mps**2 / dt_s
+    params.fraction, params.measured_fraction = given.scale_sigma, _MEASURED_FRACTION
+    params.walk = given.disturbance_walk_mps2 * math.sqrt(dt_s / 60.0)
+    params.rate_variance = math.radians(given.rate_noise_degps) ** 2 * dt_s
+    params.window = min(max(1, round(_QUIET_WINDOW_S / dt_s)), scenario.memory_steps)
+    params.gate = _QUIET_SIGMAS
     return params
 
 
@@ -137,15 +155,20 @@ def integrity(scenario: Scenario) -> np.record:
     params.nis_limit = chi_square.upper_quantile(_NIS_TAIL, 3 * n) / n
     params.gate = math.sqrt(_gate(scenario.gnc.navigation.gate_sigma))
     params.sigmas = protection_sigmas(scenario)
-    params.follows = not scenario.gnc.navigation.budget.is_empty
+    params.sigmas_go = math.sqrt(chi_square.upper_quantile(settings.go_risk_probability, 1))
+    params.cusum_go = min(settings.go_cusum_sigmas, settings.cusum_limit_sigmas)
     return params
 
 
 def protection_sigmas(scenario: Scenario) -> float:
     """Return K of the protection levels: half the integrity risk, shared by four errors and independent samples."""
+    return math.sqrt(chi_square.upper_quantile(_level_tail(scenario), 1))
+
+
+def _level_tail(scenario: Scenario) -> float:
+    """Return the probability of an error beyond its protection level, of each of four errors and each sample."""
     samples = max(1.0, scenario.duration_s / _CORRELATION_S)
-    tail = 0.5 * scenario.gnc.integrity.risk_probability / (4.0 * samples)
-    return math.sqrt(chi_square.upper_quantile(tail, 1))
+    return 0.5 * scenario.gnc.integrity.risk_probability / (4.0 * samples)
 
 
 def thruster_monitor(scenario: Scenario) -> np.record:
@@ -163,6 +186,7 @@ def thruster_monitor(scenario: Scenario) -> np.record:
     params.open_cycles = max(1, round(scenario.gnc.integrity.thruster_open_s / scenario.step_s))
     params.dead_cycles = _DEAD_CYCLES
     params.imu_cycles = max(1, round(_IMU_S / scenario.step_s))
+    params.sound_cycles = max(1, round(_SOUND_S / scenario.step_s))
     return params
 
 
@@ -195,6 +219,7 @@ def _reactions(scenario: Scenario) -> np.record:
     params.acquisition_s = scenario.gnc.integrity.acquisition_s
     params.converged_mps = _CONVERGED_FRACTION * scenario.gnc.corridor.closing_rate_mps
     params.hold_max_s = scenario.gnc.reactions.hold_max_s
+    params.coast_share = scenario.gnc.reactions.coast_fraction
     return params
 
 
@@ -287,6 +312,10 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.ready_rate = (wanted.axial_rate_mps, wanted.radial_rate_mps, wanted.radial_rate_mps)
     params.ready_angle = math.radians(wanted.angle_deg)
     params.ready_angular_rate = math.radians(wanted.angular_rate_degps)
+    params.level_sigmas = protection_sigmas(scenario)
+    params.across_sigmas = math.sqrt(-2.0 * math.log(_level_tail(scenario)))
+    params.go_sigmas = math.sqrt(chi_square.upper_quantile(scenario.gnc.integrity.go_risk_probability, 1))
+    params.go_fraction = scenario.gnc.integrity.go_fraction
     return params
 
 

@@ -41,6 +41,12 @@ class HealthAlarms:
             GncHealth.IMU_SUSPECT: ("imu", "readings", "repeated, or explained by no thruster", "explained"),
             GncHealth.THRUSTER_FAULT: ("thrusters", "thrust", "stuck open or dead", "as commanded"),
             GncHealth.COVARIANCE_INVALID: ("navigation", "covariance", "not positive definite", "positive definite"),
+            GncHealth.BENCH_DISAGREES: (
+                "navigation",
+                "estimate against the encoders",
+                "beyond its own bounds",
+                "within rig.guard.estimate_error_max_m and its protection level",
+            ),
         }
         reactions = scenario.gnc.reactions.conditions()
         self._priorities = {

@@ -1,0 +1,126 @@
+"""The decision "docking: go", judged on the truth, and what the navigation states about itself.
+
+A *decision error* is a cycle in which docking is a go, or may still rely on one, while the truth is outside the
+requirement that a go certifies. An estimate whose error exceeds its protection level is wrong about itself; it counts
+unless an alarm follows within ``QUIET_S``. A mean NEES beyond what a consistent filter has in a run is the same.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.gnc_records import GncHealth
+from hil.core.jit import kernel
+from hil.gnc import ready_phase
+from hil.gnc.approach_monitor import NOT_ABORTED, ORDERED
+from hil.gnc.ready_phase import READY_PARAMS
+from hil.maths import quat, stack
+from hil.maths.limits import has_held
+
+QUIET_S = 2.0
+"""Time in which an alarm must follow an error beyond the protection level."""
+_VISION = GncHealth.VISION_LOST.value | GncHealth.VISION_SUSPECT.value
+_IMU, _THRUSTER = GncHealth.IMU_SUSPECT.value, GncHealth.THRUSTER_FAULT.value
+
+DECISION_PARAMS = np.dtype(
+    [
+        ("ready", READY_PARAMS),
+        ("required_s", "f8"),  # for which a go certifies the requirement
+        ("first_fault_s", "f8"),  # onset of the first injected fault, inf for none
+    ],
+    align=True,
+)
+
+DECISION_STATE = np.dtype(
+    [
+        ("go_s", "f8"),  # first time at which docking was a go, nan for never
+        ("error", "i8"),  # 1: a decision error
+        ("beyond", "i8"),  # cycles with an error beyond the level without an alarm
+        ("pending", "i8"),  # cycles beyond it that an alarm may still follow
+        ("pending_s", "f8"),  # time of the first of them, nan for none
+        ("health", "i8"),  # of the cycle before
+        ("false_vision", "i8"),  # accusations before the first fault
+        ("false_imu", "i8"),
+        ("false_thruster", "i8"),
+    ],
+    align=True,
+)
+
+
+@kernel
+def start_decision(state):
+    """Initialise the zeroed ``state`` for a run."""
+    state.go_s = state.pending_s = np.nan
+
+
+@kernel
+def _is_outside(params, truth):
+    """Return whether ``truth`` (TRUTH) is outside the requirement."""
+    deviation, rate = stack.vector(12), stack.vector(3)
+    quat.transform_into(truth.q_CH, truth.w_HI_H, rate)
+    for i in range(3):
+        rate[i] = truth.w_CI_C[i] - rate[i]
+    ready_phase.deviations(params, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, deviation)
+    for i in range(12):
+        if not abs(deviation[i]) <= params.tolerance[i]:
+            return True
+    return False
+
+
+@kernel
+def _is_beyond(truth, estimate):
+    """Return whether a position error, of an axis, or the attitude's exceeds the level that ``estimate`` reports."""
+    rotation, square = stack.vector(3), 0.0
+    quat.rotation_between(truth.q_CH, estimate.q_CH, rotation)
+    for i in range(3):
+        if abs(truth.r_CT_H[i] - estimate.r_CT_H[i]) > estimate.protection_level_m[i]:
+            return True
+        square += rotation[i] * rotation[i]
+    return math.sqrt(square) > math.sqrt(3.0) * estimate.protection_level_rad
+
+
+@kernel
+def _count_accusations(params, state, t_s, health):
+    """Count the bits of ``health`` that appear before the first fault."""
+    new = health & ~state.health
+    state.health = health
+    if new != 0 and t_s < params.first_fault_s:
+        state.false_vision += 1 if new & _VISION != 0 else 0
+        state.false_imu += 1 if new & _IMU != 0 else 0
+        state.false_thruster += 1 if new & _THRUSTER != 0 else 0
+
+
+@kernel
+def update_decision(params, state, now):
+    """Judge the cycle ``now`` (CYCLE)."""
+    estimate, found, t_s = now.navigation, now.supervision, now.t_s
+    _count_accusations(params, state, t_s, estimate.health)
+    if estimate.valid == 0:
+        return
+    aborted = found.aborted != NOT_ABORTED and found.aborted != ORDERED
+    alarm = estimate.health != 0 or found.reaction != 0 or aborted
+    is_go = found.aborted == NOT_ABORTED and has_held(found.ready_since_s, t_s, params.ready.dwell_s)
+    if is_go and math.isnan(state.go_s):
+        state.go_s = t_s
+    relied_on = is_go or (t_s - state.go_s <= params.required_s and not alarm and found.aborted == NOT_ABORTED)
+    if relied_on and state.error == 0 and _is_outside(params.ready, now.truth):
+        state.error = 1
+    if alarm:
+        state.pending, state.pending_s = 0, np.nan
+        return
+    if _is_beyond(now.truth, estimate):
+        state.pending += 1
+        if math.isnan(state.pending_s):
+            state.pending_s = t_s
+    if t_s - state.pending_s > QUIET_S:
+        state.beyond += state.pending
+        state.pending, state.pending_s = 0, np.nan
+
+
+@kernel
+def update_decision_all(params, state, rows):
+    """``update_decision`` for each of ``rows`` (n,) of CYCLE."""
+    for k in range(rows.shape[0]):
+        update_decision(params, state, rows[k])
