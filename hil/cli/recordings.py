@@ -35,9 +35,9 @@ def list_recordings(
     folder
         Recordings folder (default: ./recordings, else .).
     failed
-        Only runs that did not pass: verdict fail, safe-stopped, truncated.
+        Only runs that were not accepted: verdict fail, safe-stopped, truncated.
     passed
-        Only runs that passed.
+        Only runs that were accepted: verdict pass.
     scenario
         Only runs of the scenario of this name.
     since
@@ -116,9 +116,9 @@ def _print(entries: list[dict[str, Any]], path: Path) -> None:
 
 
 def _verdict(entry: dict[str, Any]) -> str:
-    if entry["passed"] is None:
+    if entry["accepted"] is None:
         return str(entry["state"])
-    if entry["passed"]:
+    if entry["accepted"]:
         return "pass"
     return "fail" if entry["stop"] == "completed" else "safe stop"
 
