@@ -64,9 +64,10 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
     }
     allowed = tolerances(scenario.requirements)
     row: dict[str, Any] = {
-        "accepted": is_accepted(stop == COMPLETED, bool(aborted), parts, scenario.requirements),
-        **{column: parts[name] for name, column in PART_COLUMNS.items()},
+        "passed": passed,
         "passed_all_parts": all(parts.values()),
+        **{column: parts[name] for name, column in PART_COLUMNS.items()},
+        "accepted": is_accepted(stop == COMPLETED, bool(aborted), parts, scenario.requirements),
         "false_alerts": integrity["false_alerts"],
         "hmi_cycles": integrity["hmi_cycles"],
         "worst_error_m": integrity["worst_error_m"],
