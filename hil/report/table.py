@@ -133,7 +133,7 @@ def verdict_lines(summary: dict[str, Any]) -> list[tuple[str, bool, str]]:
     """Return name, verdict and key numbers of each part of the verdict, as far as ``summary`` has it."""
     lines = []
     for name, part in parts_of(summary).items():
-        text = _TEXTS[name](part)
+        text = PART_TEXTS[name](part)
         suffix = "" if name in summary["required_parts"] else "; not required"
         lines.append((name.replace("_", " "), bool(part["passed"]), f"{text}{suffix}"))
     return lines
@@ -200,7 +200,7 @@ def _integrity_text(part: dict[str, Any]) -> str:
     return f"{text}; {part['hmi_cycles']} misleading cycles{available}, {part['false_alerts']} false alerts"
 
 
-_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
+PART_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
     "control_precision": _precision_text,
     "security": _security_text,
     "energy": _energy_text,

@@ -14,6 +14,7 @@ from hil.config.scenario import Scenario
 from hil.errors import BadInput
 from hil.monte_carlo.outcome import FLAGS
 from hil.report.acceptance import acceptance, is_accepted, not_required_text
+from hil.report.table import PART_TEXTS
 
 ROOT = Path(__file__).resolve().parents[3]
 ALL = ", ".join(PART_COLUMNS)
@@ -100,6 +101,7 @@ def test_unknown_part_is_one_line_with_file_key_value_and_what_is_allowed(
 def test_each_part_has_a_flag_and_is_described() -> None:
     """A part that is added to the table is judged, printed, a column of campaigns, and on the page of the verdict."""
     assert set(PART_COLUMNS.values()) < set(FLAGS)
+    assert list(PART_TEXTS) == list(PART_COLUMNS)
     assert FLAGS[:3] == ("accepted", "passed", "passed_all_parts")
     page = (ROOT / "docs" / "explanation" / "approach.md").read_text(encoding="utf-8").split("## Verdict")[1]
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == list(PART_COLUMNS)
