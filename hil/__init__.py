@@ -3,7 +3,7 @@
     import hil
 
     run = hil.run("scheme-1", seed=7, overrides={"gnc.control.deadband_m": 0.004})
-    run.passed, run.ready_time_s, run.truth.r_CT_H
+    run.accepted, run.ready_time_s, run.truth.r_CT_H
 
 Each name below is imported from its module when it is first used.
 """

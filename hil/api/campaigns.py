@@ -112,6 +112,15 @@ class Campaign:
         self.cases = cases
 
     @property
+    def accepted_rate(self) -> dict[str, float | int]:
+        """Fraction of the cases that are accepted: completed, not aborted, all parts that the scenario requires.
+
+        Keys as of ``pass_rate``.
+        """
+        found: dict[str, float | int] = self.summary["pass_rate"]["accepted"]
+        return found
+
+    @property
     def pass_rate(self) -> dict[str, float | int]:
         """Fraction of the cases that pass Table III.
 
@@ -142,9 +151,9 @@ class Campaign:
         return percentiles_figure(self.column, self.job.scenario.value)
 
     def __repr__(self) -> str:
-        rate = self.pass_rate
+        rate = self.accepted_rate
         interval = f"{100.0 * rate['low']:.2f} .. {100.0 * rate['high']:.2f} %"
-        return f"<Campaign {self.summary['scenario']}: {rate['passed']} of {rate['runs']} passed, {interval}>"
+        return f"<Campaign {self.summary['scenario']}: {rate['passed']} of {rate['runs']} accepted, {interval}>"
 
     def _repr_html_(self) -> str:
         """Return pass rate and figure for a notebook."""

@@ -97,6 +97,11 @@ class Run:
         """Returns the run in the form of a recording that was read."""
 
     @property
+    def accepted(self) -> bool:
+        """Whether a complete run without abort has passed all parts of the verdict that its scenario requires."""
+        return bool(self.summary["accepted"])
+
+    @property
     def passed(self) -> bool:
         """Whether Table III holds in the whole ready phase of a complete run without abort."""
         return bool(self.summary["passed"])
@@ -210,7 +215,7 @@ class Run:
 
     def __repr__(self) -> str:
         ready = "never ready" if self.ready_time_s is None else f"ready at {self.ready_time_s:.2f} s"
-        verdict = "passed" if self.passed else "failed"
+        verdict = "accepted" if self.accepted else "not accepted"
         name = f"{self.summary['scenario']} on {self.summary['rig']}, seed {self.summary['seed']}"
         return f"<{type(self).__name__} {name}: {verdict}, {ready}, {self.stop}>"
 
@@ -219,7 +224,7 @@ class Run:
         from hil.report import html
         from hil.report.figures import svg_address
 
-        word = "PASS" if self.passed else "FAIL"
+        word = "PASS" if self.accepted else "FAIL"
         text = f"<p><b>{word}</b> {escape(repr(self)[1:-1])}</p>"
         return text + html.image("truth against the ready state", svg_address(self.plot())) if len(self.t_s) else text
 

@@ -25,6 +25,7 @@ _DONE, _NOT_SHOWN = 0, 1
 _LEAST_ROWS: Final = 10
 _CONTRIBUTORS: Final = 10  # largest rank correlations that are printed
 _LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of --rare by --method
+_FLAG_LABELS: Final = {"passed": "Table III", "passed_all_parts": "all parts"}
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
 
@@ -435,6 +436,7 @@ def _title(summary: dict[str, Any]) -> str:
 
 
 def _render_summary(summary: dict[str, Any], console: Console) -> None:
+    from hil.config.required_parts import PART_COLUMNS
     from hil.report.requirements_page import limit_text, result_text
 
     rows = Table(title=f"{_title(summary)}: worst of {summary['runs']} cases", title_justify="left")
@@ -451,13 +453,12 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
                 end_section=i == 2,
             )
     console.print(rows)
-    console.print(
-        f"pass        {_rate_text(summary['pass_rate']['passed'])}, Wilson {summary['confidence']:.0%}", highlight=False
-    )
+    parts = {column: name.replace("_", " ") for name, column in PART_COLUMNS.items()} | _FLAG_LABELS
+    not_required = [name.replace("_", " ") for name in PART_COLUMNS if name not in summary["required_parts"]]
+    beside = f"; not required: {', '.join(not_required)}" if not_required else ""
     for name, rate in summary["pass_rate"].items():
-        if name != "passed":
-            part = name.removesuffix("_passed").removeprefix("passed_").replace("_", " ")
-            console.print(f"{part:<12}{_rate_text(rate)}", highlight=False)
+        more = f", Wilson {summary['confidence']:.0%}{beside}" if name == "accepted" else ""
+        console.print(f"{parts.get(name, name):<15}{_rate_text(rate)}{more}", highlight=False, soft_wrap=True)
     for name, unit in (("ready_time_s", "s"), ("propellant_kg", "kg"), ("firings", "")):
         spread = summary["percentiles"][name]
         if spread["n"]:
@@ -496,19 +497,17 @@ def _render_comparison(found: dict[str, Any], console: Console) -> None:
             f"{cell['low']:+.3g} .. {cell['high']:+.3g}",
         )
     console.print(rows)
-    rate = found["pass_rate"]
-    console.print(
-        f"passed by {found['first']} alone {rate['first_alone']}, by {found['second']} alone {rate['second_alone']}",
-        highlight=False,
-    )
+    for word, rate in (("accepted", found["accepted_rate"]), ("Table III", found["pass_rate"])):
+        cases = ", ".join(f"of {found[each]} alone {rate[f'{each}_alone']}" for each in ("first", "second"))
+        console.print(f"{word:<12}{cases} cases", highlight=False, soft_wrap=True)
 
 
 def _render_sweep(found: dict[str, Any], console: Console) -> None:
     rows = Table(title=f"sweep of {found['key']}", title_justify="left")
-    for column in ("value", "pass", "propellant, kg", "firings", "ready, s"):
+    for column in ("value", "accepted", "propellant, kg", "firings", "ready, s"):
         rows.add_column(column, justify="right")
     for point in found["points"]:
         means = (point[name]["mean"] for name in ("propellant_kg", "firings", "ready_time_s"))
         cells = ("-" if mean is None else f"{mean:.4g}" for mean in means)
-        rows.add_row(f"{point['value']:.6g}", _rate_text(point["pass_rate"]), *cells)
+        rows.add_row(f"{point['value']:.6g}", _rate_text(point["accepted_rate"]), *cells)
     console.print(rows)

@@ -35,9 +35,9 @@ def list_recordings(
     folder
         Recordings folder (default: ./recordings, else .).
     failed
-        Only runs that did not pass: verdict fail, safe-stopped, truncated.
+        Only runs that were not accepted: verdict fail, safe-stopped, truncated.
     passed
-        Only runs that passed.
+        Only runs that were accepted: verdict pass.
     scenario
         Only runs of the scenario of this name.
     since
@@ -116,9 +116,9 @@ def _print(entries: list[dict[str, Any]], path: Path) -> None:
 
 
 def _verdict(entry: dict[str, Any]) -> str:
-    if entry["passed"] is None:
+    if entry["accepted"] is None:
         return str(entry["state"])
-    if entry["passed"]:
+    if entry["accepted"]:
         return "pass"
     return "fail" if entry["stop"] == "completed" else "safe stop"
 
@@ -194,7 +194,8 @@ def verify_recordings(
 ) -> int:
     """Write requirements.html, .xml and .json with the evidence of a campaign and of recorded runs, step by step.
 
-    Exit code 1 if a requirement is not verified by the campaign, or violated in a run; open steps are no failure.
+    The verdict is FAIL, with exit code 1, if a requirement is not verified by the campaign or violated in a run. It is
+    OPEN, with exit code 0, as long as a step has no evidence, and PASS if all steps are verified.
 
     Parameters
     ----------
@@ -212,7 +213,7 @@ def verify_recordings(
     from hil.api.recordings import open_recording
     from hil.monte_carlo.campaign import scenario_digest, write_evidence
     from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
-    from hil.report.requirements_page import OPEN, VERIFIED, with_open_steps
+    from hil.report.requirements_page import evidence_json, requirements_verdict, steps_text, with_open_steps
 
     opened = {Path(name).name: open_recording(name) for name in recordings}
     runs = {name: RecordedRun(run.rig.kind, run.summary, scenario_digest(run.scenario)) for name, run in opened.items()}
@@ -220,14 +221,16 @@ def verify_recordings(
     folder = Path(campaign if out is None else out)
     folder.mkdir(parents=True, exist_ok=True)
     write_evidence(folder, scenario, sources, rows)
-    whole = with_open_steps(rows)
+    verdict = requirements_verdict(rows)
     if json != "-":
+        whole = with_open_steps(rows)
         cells = [(row.id, row.step, row.evidence, row.result, _margin(row.margin), row.status) for row in whole]
         print_columns(("id", "step", "evidence", "result", "margin", "status"), cells, left=(0, 1, 2, 3, 5))
         print(f"results in {folder / 'requirements.html'}")  # noqa: T201
+        print(f"{verdict.upper()} requirements of {scenario}: {steps_text(rows)}")  # noqa: T201
     if json is not None:
-        write_json({"scenario": scenario, "sources": sources, "evidence": [row.as_json() for row in whole]}, json)
-    return int(any(row.status not in (VERIFIED, OPEN) for row in whole))
+        write_json(evidence_json(scenario, sources, rows), json)
+    return int(verdict == "fail")
 
 
 def _margin(value: float | None) -> str:

@@ -144,7 +144,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
             print(error, file=sys.stderr)  # noqa: T201
     if summary["faults"]:
         return _SAFE_STOPPED
-    return _PASSED if found.passed else _FAILED
+    return _PASSED if found.accepted else _FAILED
 
 
 def _mode_shown_on(bar: ProgressBar) -> Callable[[Mode, float], None]:

@@ -47,6 +47,8 @@ _FILES_OF_KEYS = {
     "body": (".toml",),
 }  # values that are names, or paths with these endings
 _NEVER = ("\0",)
+_DISPERSIONS = "dispersions."
+"""Start of the keys of distributions."""
 
 _PROBLEMS_MAX = 20
 _TYPE_LABEL = re.compile(r"float|int|bool|str|constrained-\w+|[A-Z]\w*|.*\[.*")
@@ -187,9 +189,17 @@ def _find(name: str, kind: str) -> Path:
 
 
 def read_with_bases(
-    path: Path, kind: str, model: type[ConfigModel], origin: dict[str, str], chain: tuple[Path, ...] = ()
+    path: Path,
+    kind: str,
+    model: type[ConfigModel],
+    origin: dict[str, str],
+    chain: tuple[Path, ...] = (),
+    prefix: str = "",
 ) -> Table:
-    """Return the file's table merged over that of the file it extends; ``origin`` gets the file of each key."""
+    """Return the file's table merged over that of the file it extends; ``origin`` gets the file of each key.
+
+    prefix: of the keys in ``origin``.
+    """
     table = with_present_names(model.__name__, _read_table(path), str(path))
     _find_files_beside(table, path.parent)
     if model is Scenario and isinstance(table.get("requirements"), list):
@@ -208,10 +218,10 @@ def read_with_bases(
             raise BadInput.single(str(path), "extends", text) from error
         if base_path.resolve() in chain or base_path.resolve() == path.resolve():
             raise BadInput.single(str(path), "extends", f"{base_name!r}: the files extend each other in a circle")
-        base = read_with_bases(base_path, kind, model, origin, (*chain, path.resolve()))
+        base = read_with_bases(base_path, kind, model, origin, (*chain, path.resolve()), prefix)
     if chosen_set is not None:
         _put_dispersion_set(base, chosen_set, origin)
-    merge_tables(base, table, str(path), origin, "")
+    merge_tables(base, table, str(path), origin, prefix)
     return base
 
 
@@ -223,11 +233,11 @@ def _put_dispersion_set(table: Table, name: str, origin: dict[str, str]) -> None
     """Replace the dispersions of a scenario's ``table`` by those of the set ``name``, shipped or a path."""
     path = _find(name, "dispersions")
     origin_of_set: dict[str, str] = {}
-    table["dispersions"] = read_with_bases(path, "dispersions", Dispersions, origin_of_set)
-    for stale in [key for key in origin if key == "dispersions" or key.startswith("dispersions.")]:
+    table["dispersions"] = read_with_bases(path, "dispersions", Dispersions, origin_of_set, prefix=_DISPERSIONS)
+    for stale in [key for key in origin if key == "dispersions" or key.startswith(_DISPERSIONS)]:
         del origin[stale]
     origin["dispersions"] = str(path)
-    origin.update({f"dispersions.{key}": source for key, source in origin_of_set.items()})
+    origin.update(origin_of_set)
 
 
 def _read_table(path: Path) -> Table:
@@ -258,18 +268,23 @@ def _names_a_file(key: str, value: str) -> bool:
 
 
 def merge_tables(base: Table, table: Table, source: str, origin: dict[str, str], prefix: str = "") -> None:
-    """Merge the keys of ``table`` over those of ``base``, table by table."""
+    """Merge the keys of ``table`` over those of ``base``, table by table; a distribution replaces that of its key."""
     for key, value in table.items():
-        dotted = f"{prefix}{key}"
-        if isinstance(value, dict) and isinstance(base.get(key), dict):
+        dotted, present = f"{prefix}{key}", base.get(key)
+        if isinstance(value, dict) and isinstance(present, dict) and not _are_distributions(dotted, value, present):
             origin[dotted] = source  # contradictions within a table are attributed to the last file that changed it
             merge_tables(base[key], value, source, origin, f"{dotted}.")
         else:
-            if isinstance(base.get(key), dict):
+            if isinstance(present, dict):
                 for stale in [known for known in origin if known.startswith(f"{dotted}.")]:
                     del origin[stale]
             base[key] = value
             _note_origin(value, dotted, source, origin)
+
+
+def _are_distributions(dotted: str, value: Table, present: Table) -> bool:
+    """Return whether the tables at ``dotted`` are distributions of a key: whole, as limits go with their kind only."""
+    return dotted.startswith(_DISPERSIONS) and any(isinstance(table.get("kind"), str) for table in (value, present))
 
 
 def _note_origin(value: Any, dotted: str, source: str, origin: dict[str, str]) -> None:

@@ -110,6 +110,7 @@ _NOT_DIGESTED_DEFAULTS: Final[Mapping[str, Any]] = {
     "third_bodies": False,
     "along_track_error_m": 0.0,
     "settings": {},
+    "required_parts": None,
 }
 """Last names of keys that have been added since digests are written -> value with which nothing changes."""
 

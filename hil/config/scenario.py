@@ -17,6 +17,7 @@ from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
 from hil.config.model import AngleTriple, ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.model_fmu import ModelFmu, ThrusterModel
+from hil.config.required_parts import PART_COLUMNS
 from hil.config.target import KnownTarget, MovingTarget
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.backend_records import MAX_SETTINGS
@@ -697,8 +698,26 @@ class Requirements(ConfigModel):
     propellant_factor: Positive = 3.0
     """Allowed propellant over the impulsive minimum of reference and slews."""
 
+    required_parts: tuple[str, ...] | None = None
+    """Parts of the [verdict](../../explanation/approach.md#verdict) that a run must pass to be accepted; unless set,
+    all."""
+
     probabilistic: Annotated[tuple[ProbabilisticRequirement, ...], Field(max_length=200)] = ()
     """Requirements on the cases of a campaign; [[requirements]] in a file that extends another means this list."""
+
+    @field_validator("required_parts")
+    @classmethod
+    def _parts_exist(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if value is None:
+            return None
+        if not value:
+            raise ValueError(f"[]: must have at least one of {', '.join(PART_COLUMNS)}")
+        for i, name in enumerate(value):
+            if name not in PART_COLUMNS:
+                raise ValueError(f'"{name}": must be one of {", ".join(PART_COLUMNS)}')
+            if name in value[:i]:
+                raise ValueError(f'"{name}": given more than once')
+        return value
 
     @field_validator("probabilistic")
     @classmethod

@@ -25,6 +25,7 @@ from hil.errors import BadInput, BenchError
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Outcome
 from hil.recording.session import RunRecorder, recording
+from hil.report.acceptance import parts_of
 from hil.report.docking_monitor import judge_monitor
 from hil.report.long_run import accumulate
 from hil.report.summary import summarise
@@ -143,16 +144,19 @@ def _result(
 ) -> dict[str, Any]:
     """Return the result for the console, and close the recording. numbers: of a long run."""
     rate_hz = 1.0 / job.scenario.value.step_s
-    ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value, "passed": None}
+    ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value}
+    ended |= {"accepted": None, "passed": None}
     summary: dict[str, Any] = {}
     if len(outcome.history):
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz, numbers)
         if watched is not None:
             summary["monitor"] = judge_monitor(watched, outcome.history, job.scenario.value, job.rig.value)
         ended |= {
+            "accepted": summary["accepted"],
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],
-            "parts": {name: part["passed"] for name, part in summary["verdict"].items()},
+            "parts": {name: part["passed"] for name, part in parts_of(summary).items()},
+            "required_parts": summary["required_parts"],
             "cycles": summary["timing"]["cycles"],
             "timing": summary["timing"],
         }

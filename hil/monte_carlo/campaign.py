@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.renamed_keys import first_names_json
+from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_digest import digest_of
@@ -149,7 +150,12 @@ class CampaignJob:
                 speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
                 watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
         store.finish(runs)
-        more = {"seed": self.seed, "dispersions": self.scenario.value.dispersions.name}
+        value = self.scenario.value
+        more = {
+            "seed": self.seed,
+            "dispersions": value.dispersions.name,
+            "required_parts": required_parts(value.requirements.required_parts, PART_COLUMNS),
+        }
         summary = summarise(store, self.scenario.value.name, self.design.names) | more | engine.summary()
         requirements = judge_requirements(store, self.scenario.value)
         summary |= {"tolerance": tolerance_bounds(store), "requirements": requirements}
@@ -259,7 +265,7 @@ def _campaigns(
 
 
 def sweep_summary(sweep: Sweep, stores: Sequence[Store]) -> dict[str, Any]:
-    """Return pass rate and means for each value of the sweep."""
+    """Return rates and means for each value of the sweep."""
     points = []
     for value, store in zip(sweep.values, stores, strict=True):
         passed = np.asarray(store.column("passed"), dtype=bool)
@@ -267,7 +273,9 @@ def sweep_summary(sweep: Sweep, stores: Sequence[Store]) -> dict[str, Any]:
             name: mean_interval(np.asarray(store.column(name), dtype=float))
             for name in ("propellant_kg", "firings", "ready_time_s", "control_margin")
         }
-        points.append({"value": value, "pass_rate": wilson(int(passed.sum()), len(passed)), **means})
+        accepted = wilson(int(np.count_nonzero(store.column("accepted"))), len(passed))
+        rates = {"pass_rate": wilson(int(passed.sum()), len(passed)), "accepted_rate": accepted}
+        points.append({"value": value, **rates, **means})
     return {"key": sweep.key, "points": points}
 
 

@@ -114,15 +114,15 @@ def _curve(place: Any, values: Any, label: str) -> None:
 
 
 def draw_sweep(found: dict[str, Any], path: Path) -> None:
-    """Draw pass rate and propellant along the sweep, with their intervals, into ``path``."""
+    """Draw rate of accepted cases and propellant along the sweep, with their intervals, into ``path``."""
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     points = found["points"]
     x = [point["value"] for point in points]
-    rate = np.array([[point["pass_rate"][k] for k in ("low", "rate", "high")] for point in points]) * 100.0
+    rate = np.array([[point["accepted_rate"][k] for k in ("low", "rate", "high")] for point in points]) * 100.0
     above.fill_between(x, rate[:, 0], rate[:, 2], alpha=0.3)
     above.plot(x, rate[:, 1], marker="o")
-    above.set_ylabel("pass, %")
+    above.set_ylabel("accepted, %")
     spent = np.array([[point["propellant_kg"][k] for k in ("low", "mean", "high")] for point in points], dtype=float)
     below.fill_between(x, spent[:, 0], spent[:, 2], alpha=0.3)
     below.plot(x, spent[:, 1], marker="o")

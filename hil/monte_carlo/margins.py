@@ -15,6 +15,9 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
+from hil.config.required_parts import PART_COLUMNS, required_parts
+from hil.config.scenario import Scenario
+from hil.loop.runner import COMPLETED
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.statistics import wilson
@@ -22,7 +25,6 @@ from hil.monte_carlo.store import Store, atomic_write
 
 _FIRST_S: Final = 0.01
 _WITHIN: Final = 0.05  # of the first delay that fails
-_PARTS: Final = ("passed", "security_passed", "energy_passed", "view_passed", "integrity_passed")
 
 
 @dataclass(frozen=True)
@@ -42,15 +44,15 @@ def delay_margins(
 ) -> list[dict[str, Any]]:
     """Return the margin of each part with the delays that were flown, by the keys of ``hil margins --json``.
 
-    folder: of the campaigns. watch: called with a line before each delay. margin_s: the largest delay that all cases
-    pass with all parts of the verdict, None if they do not even without one. The cases without a delay are the same for
+    folder: of the campaigns. watch: called with a line before each delay. margin_s: the largest delay with which all
+    cases are accepted, None if they are not even without one. The cases without a delay are the same for
     all parts and flown once.
     """
 
     def fly(job: CampaignJob, name: str, delay_s: float) -> dict[str, Any]:
         with job.store(folder / name) as store:
             job.run(store, runs, engine, lambda _: None)
-            return {"delay_s": delay_s} | _judged(store)
+            return {"delay_s": delay_s} | _judged(store, job.scenario.value)
 
     watch("no delay")
     undelayed = fly(parts[0].job(0.0), "undelayed", 0.0)
@@ -68,7 +70,7 @@ def delay_margins(
 def _delay_margin(
     part: DelayedPart, undelayed: dict[str, Any], fly: Callable[[float], dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the margin of one part. undelayed: pass rate without a delay. fly: returns that of a delay, s."""
+    """Return the margin of one part. undelayed: rate of accepted cases without a delay. fly: that of a delay, s."""
     points = {0.0: undelayed}
 
     def passes(delay_s: float) -> bool:
@@ -100,23 +102,24 @@ def _delay_margin(
     }
 
 
-def _judged(store: Store) -> dict[str, Any]:
-    """Return the pass rate of all parts, and why cases fail, the most frequent reason first."""
-    flags = {name: np.asarray(store.column(name), dtype=bool) for name in _PARTS}
-    passed = np.asarray(store.column("passed_all_parts"), dtype=bool)
+def _judged(store: Store, scenario: Scenario) -> dict[str, Any]:
+    """Return the rate of accepted cases, and why others are not accepted, the most frequent reason first."""
+    required = required_parts(scenario.requirements.required_parts, PART_COLUMNS)
+    flags = {name: np.asarray(store.column(PART_COLUMNS[name]), dtype=bool) for name in required}
+    accepted = np.asarray(store.column("accepted"), dtype=bool)
     reasons: Counter[str] = Counter()
-    for i in np.flatnonzero(~passed):
+    for i in np.flatnonzero(~accepted):
         stop, abort = str(store.column("stop")[i]), str(store.column("abort")[i])
-        failed = ", ".join(name.removesuffix("_passed") for name in _PARTS if not flags[name][i])
-        reasons[f"abort: {abort}" if abort else stop if stop != "completed" else f"not passed: {failed}"] += 1
+        failed = ", ".join(name.replace("_", " ") for name, flag in flags.items() if not flag[i])
+        reasons[f"abort: {abort}" if abort else stop if stop != COMPLETED else f"not passed: {failed}"] += 1
     return {
-        "pass_rate": wilson(int(passed.sum()), len(passed)),
+        "pass_rate": wilson(int(accepted.sum()), len(accepted)),
         "why": [{"reason": reason, "cases": cases} for reason, cases in reasons.most_common()],
     }
 
 
 def draw_margins(found: list[dict[str, Any]], path: Path) -> None:
-    """Draw the pass rate of each part against its delay into ``path``."""
+    """Draw the rate of accepted cases of each part against its delay into ``path``."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     plot = figure.subplots()
     for each in found:
@@ -126,7 +129,7 @@ def draw_margins(found: list[dict[str, Any]], path: Path) -> None:
     plot.set_xscale("symlog", linthresh=1e3 * _FIRST_S)
     plot.set_xlim(left=0.0)
     plot.set_xlabel("delay in addition to that of the scenario, ms")
-    plot.set_ylabel("pass, all parts, %")
+    plot.set_ylabel("accepted, %")
     plot.legend(fontsize=8)
     with atomic_write(path) as partial:
         figure.savefig(partial, dpi=110, format="png")

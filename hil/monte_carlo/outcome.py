@@ -7,12 +7,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.required_parts import PART_COLUMNS
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
 from hil.loop.runner import COMPLETED
+from hil.report.acceptance import is_accepted
 from hil.report.integrity import SafeStop, detection, integrity_part
 from hil.report.verdict import ROW_NAMES, tolerances, verdict_of
 from hil.report.verdict_parts import energy_part
@@ -30,7 +32,8 @@ _SINGLE: Final = (
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
-FLAGS: Final = ("passed", "passed_all_parts", "security_passed", "energy_passed", "view_passed", "integrity_passed")
+FLAGS: Final = ("accepted", *dict.fromkeys(("passed", "passed_all_parts", *PART_COLUMNS.values())))
+"""Columns of the verdict: the whole one first, then those of its parts."""
 COUNTS: Final = ("firings", "limited_cycles", "cycles", "false_alerts")
 TEXTS: Final = ("stop", "abort", *_TEXTS_OF_FAULT)
 NUMBERS: Final = (*_SINGLE, *_OF_FAULT, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
@@ -52,16 +55,19 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
     energy = energy_part(float(stats.reference_delta_v), scenario, propellant_kg, firings)
     flown = int(stats.cycles) > 0
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
-    security = bool(flown and stats.corridor_margin >= 0.0 and stats.closing_margin >= 0.0)
-    view = bool(flown and stats.view_margin >= 0.0)
+    parts = {
+        "control_precision": passed,
+        "security": bool(flown and stats.corridor_margin >= 0.0 and stats.closing_margin >= 0.0),
+        "energy": bool(flown and energy["passed"]),
+        "field_of_view": bool(flown and stats.view_margin >= 0.0),
+        "integrity": bool(flown and integrity["passed"]),
+    }
     allowed = tolerances(scenario.requirements)
     row: dict[str, Any] = {
         "passed": passed,
-        "passed_all_parts": passed and security and bool(energy["passed"]) and view and integrity["passed"],
-        "security_passed": security,
-        "energy_passed": bool(flown and energy["passed"]),
-        "view_passed": view,
-        "integrity_passed": bool(flown and integrity["passed"]),
+        "passed_all_parts": all(parts.values()),
+        **{column: parts[name] for name, column in PART_COLUMNS.items()},
+        "accepted": is_accepted(stop == COMPLETED, bool(aborted), parts, scenario.requirements),
         "false_alerts": integrity["false_alerts"],
         "hmi_cycles": integrity["hmi_cycles"],
         "worst_error_m": integrity["worst_error_m"],

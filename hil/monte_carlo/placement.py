@@ -25,7 +25,7 @@ _NAVIGATION: Final = ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg
 _SECURITY: Final = ("corridor_margin_m", "closing_margin_mps", "nearest_m")
 _CONSISTENCY: Final = ("nees_pkf", "nees_akf")
 RUN_OUTCOMES: Final = (
-    "passed", "ready_time_s", "propellant_kg", "firings", *_CONSISTENCY, *_SECURITY,
+    "accepted", "passed", "ready_time_s", "propellant_kg", "firings", *_CONSISTENCY, *_SECURITY,
     *(f"{name}_{axis}" for name in (*ROW_NAMES, *_NAVIGATION) for axis in _AXES),
 )  # fmt: skip
 """Columns of a campaign that a recorded run has too, if it got far enough."""
@@ -36,6 +36,7 @@ def outcomes_of(summary: Mapping[str, Any]) -> dict[str, float]:
     ready, navigation, thrusters = (summary.get(key) or {} for key in ("ready_phase", "navigation", "thrusters"))
     security = (summary.get("verdict") or {}).get("security") or {}
     found = {
+        "accepted": summary.get("accepted"),
         "passed": summary.get("passed"),
         "ready_time_s": summary.get("ready_time_s"),
         "propellant_kg": thrusters.get("propellant_kg"),
@@ -129,7 +130,8 @@ def evidence_of_runs(runs: Mapping[str, RecordedRun], folder: Path) -> tuple[str
                 raise BadInput.single("--campaign", "", text)
         outcomes = outcomes_of(run)
         evidence = f"{name}, rig {run.get('rig', '-')}, seed {run.get('seed', '-')}"
-        sources[name] = f"rig {run.get('rig', '-')}, seed {run.get('seed', '-')}, {run.get('stop', '-')}"
+        verdict = "accepted" if run.get("accepted") else "not accepted"
+        sources[name] = f"rig {run.get('rig', '-')}, seed {run.get('seed', '-')}, {run.get('stop', '-')}, {verdict}"
         known = [each for each in requirements if each["column"] in RUN_OUTCOMES]
         rows += [run_row(each, kind, evidence, outcomes.get(each["column"])) for each in known]
     return campaign.scenario, sources, rows

@@ -154,19 +154,29 @@ def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, An
 
     Cases in which one of both has no value are omitted.
     """
-    passed = [np.asarray(store.column("passed"), dtype=bool) for store in (first, second)]
-    runs = len(passed[0])
-    found: dict[str, Any] = {"first": names[0], "second": names[1], "runs": runs, "confidence": CONFIDENCE}
-    found["pass_rate"] = {
-        "first": wilson(int(passed[0].sum()), runs),
-        "second": wilson(int(passed[1].sum()), runs),
-        "first_alone": int((passed[0] & ~passed[1]).sum()),
-        "second_alone": int((passed[1] & ~passed[0]).sum()),
+    found: dict[str, Any] = {
+        "first": names[0],
+        "second": names[1],
+        "runs": len(first.column("passed")),
+        "confidence": CONFIDENCE,
+        "pass_rate": _paired_rates(first, second, "passed"),
+        "accepted_rate": _paired_rates(first, second, "accepted"),
+        "difference": {},
     }
-    found["difference"] = {}
     for name in COMPARED:
         a, b = (np.asarray(store.column(name), dtype=float) for store in (first, second))
         both = np.isfinite(a) & np.isfinite(b)
         means = (float(a[both].mean()), float(b[both].mean())) if both.any() else (None, None)
         found["difference"][name] = {"first_mean": means[0], "second_mean": means[1], **mean_interval(b - a)}
     return found
+
+
+def _paired_rates(first: Store, second: Store, flag: str) -> dict[str, Any]:
+    """Return the rates of ``flag`` in both campaigns, and the number of cases that have it in one alone."""
+    a, b = (np.asarray(store.column(flag), dtype=bool) for store in (first, second))
+    return {
+        "first": wilson(int(a.sum()), len(a)),
+        "second": wilson(int(b.sum()), len(b)),
+        "first_alone": int((a & ~b).sum()),
+        "second_alone": int((b & ~a).sum()),
+    }

@@ -60,6 +60,7 @@ COLUMNS: Final = (
     "rig",
     "seed",
     "duration_s",
+    "accepted",
     "passed",
     "passed_all_parts",
     "stop",
@@ -73,11 +74,16 @@ COLUMNS: Final = (
     "hil",
 )
 """Columns that are reported."""
+_ENTRIES: Final = """
+SELECT *, coalesce(json_extract(summary, '$.accepted'), passed_all_parts) AS accepted
+FROM runs ORDER BY started_utc, run
+"""
+"""Whether a run was accepted is in its summary; of runs of earlier versions all parts were required."""
 
 
 @dataclass(frozen=True)
 class RecordingFilter:
-    """Selection of runs. failed: verdict fail, safe-stopped or broken off; since: ISO time or its start, UTC."""
+    """Selection of runs. failed: not accepted, safe-stopped or broken off; since: ISO time or its start, UTC."""
 
     failed: bool = False
     passed: bool = False
@@ -163,7 +169,7 @@ class Catalogue:
 
     def _rows(self) -> list[sqlite3.Row]:
         with self._connection("BEGIN") as connection:
-            return connection.execute("SELECT * FROM runs ORDER BY started_utc, run").fetchall()
+            return connection.execute(_ENTRIES).fetchall()
 
     def _rows_of_copy(self) -> list[sqlite3.Row]:
         """Return the rows from a copy elsewhere: SQLite reads none on a disk that is full or read-only."""
@@ -177,7 +183,7 @@ class Catalogue:
     def _entry(self, row: sqlite3.Row) -> dict[str, Any]:
         entry = {name: row[name] for name in COLUMNS}
         entry["file"] = str(self.path.parent / row["file"])
-        for name in ("passed", "passed_all_parts"):
+        for name in ("accepted", "passed", "passed_all_parts"):
             entry[name] = None if entry[name] is None else bool(entry[name])
         if entry["state"] == RUNNING and row["host"] == socket.gethostname() and not _lives(row["process"]):
             entry["state"] = BROKEN_OFF
@@ -217,10 +223,10 @@ def _key_numbers(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def _fits(entry: dict[str, Any], wanted: RecordingFilter) -> bool:
-    failed = entry["passed"] is False or entry["state"] == BROKEN_OFF
+    failed = entry["accepted"] is False or entry["state"] == BROKEN_OFF
     return (
         (not wanted.failed or failed)
-        and (not wanted.passed or entry["passed"] is True)
+        and (not wanted.passed or entry["accepted"] is True)
         and (wanted.scenario is None or entry["scenario"] == wanted.scenario)
         and (wanted.since is None or entry["started_utc"] >= wanted.since)
     )

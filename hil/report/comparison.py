@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.report.acceptance import not_required_text
 from hil.report.verdict import deviations, tolerances
 
 LEFT_SIGMAS: Final = 3.0
@@ -115,7 +116,7 @@ def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
     navigation, thrusters, timing = summary["navigation"], summary["thrusters"], summary["timing"]
     bench, latency = summary["bench"], summary["latency"]
     return [
-        ("verdict", "pass" if summary["passed"] else "fail"),
+        ("verdict", f"pass {not_required_text(summary)}".rstrip() if summary["accepted"] else "fail"),
         ("stop", str(summary["stop"])),
         ("ready, s", _text(summary["ready_time_s"], ".2f")),
         ("least margin to Table III", _percent(summary["verdict"]["control_precision"]["margin"])),

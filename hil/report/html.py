@@ -16,6 +16,7 @@ th:first-child, td:first-child, .words td, .words th { text-align: left; }
 img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px; background: #f5f5f5; padding: .7em; }
 .verdict { font-size: 1.3em; font-weight: 700; padding: .4em .8em; display: inline-block; border: 3px solid; }
 .pass { color: #00543b; border-color: #009e73; } .fail { color: #7c2d00; border-color: #d55e00; }
+.open { color: #5c4400; border-color: #e69f00; }
 .note { background: #fff4d6; padding: .5em .8em; border-left: 5px solid #e69f00; }
 .out { color: #7c2d00; font-weight: 700; }
 .waived { background: #c00000; color: #fff; font-weight: 700; padding: .4em .8em; margin: .3em 0; }

@@ -10,6 +10,7 @@ from typing import Any, Final
 from hil.checks.waivers import Waiver
 from hil.recording.read import Recorded
 from hil.report import html
+from hil.report.acceptance import not_required_text
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
 from hil.report.summary import BROKE_OFF, summary_of
@@ -68,7 +69,9 @@ def _one(run: Judged, alone: bool) -> Iterator[str]:
     recorded, summary = run.recorded, run.summary
     if not alone:
         yield html.heading(1, run.name)
-    yield html.paragraph("PASS" if summary["passed"] else "FAIL", f"verdict {'pass' if summary['passed'] else 'fail'}")
+    accepted = summary["accepted"]
+    text = f"PASS {not_required_text(summary)}".rstrip() if accepted else "FAIL"
+    yield html.paragraph(text, f"verdict {'pass' if accepted else 'fail'}")
     yield html.paragraph(
         f"{recorded.run['run']}, started {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "
         f"ended: {summary['stop']}"

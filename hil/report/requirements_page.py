@@ -18,7 +18,8 @@ Requirement = Mapping[str, Any]
 """Result of a requirement, by the keys of a campaign's ``summary.json``."""
 STEPS: Final = ("mock", "emulated", "hardware")
 _HEAD: Final = ("id", "requirement", "step", "method", "evidence", "result", "margin", "status")
-VERIFIED, OPEN = "verified", "open"
+VERIFIED, OPEN, NOT_VERIFIED = "verified", "open", "not verified"
+"""States of a requirement in a step."""
 _MISSING: Final = {
     "mock": "no campaign or run",
     "emulated": "no run with drivers and wires in real time",
@@ -73,9 +74,9 @@ def run_row(found: Requirement, step: str, evidence: str, value: float | None) -
     """Return the evidence of a run for a requirement of a campaign. value: of its outcome, None without one."""
     text = f"{found['text']} ({limit_text(found)})"
     if value is None:
-        return EvidenceRow(found["id"], text, step, "test", evidence, "outcome not reached", None, "not verified")
+        return EvidenceRow(found["id"], text, step, "test", evidence, "outcome not reached", None, NOT_VERIFIED)
     margin = found["limit"] - value if found["side"] == "at most" else value - found["limit"]
-    status = VERIFIED if margin >= 0.0 else "not verified"
+    status = VERIFIED if margin >= 0.0 else NOT_VERIFIED
     return EvidenceRow(found["id"], text, step, "test", evidence, f"{found['column']} {value:.5g}", margin, status)
 
 
@@ -93,9 +94,11 @@ def with_open_steps(rows: Sequence[EvidenceRow]) -> list[EvidenceRow]:
 
 def requirements_page(scenario: str, sources: Mapping[str, Any], rows: Sequence[EvidenceRow]) -> str:
     """Return the page of ``rows``. sources: what identifies the evidence, as the campaign's identity."""
-    whole = with_open_steps(rows)
-    body = [html.heading(1, f"Requirements of {scenario}"), *_verdicts(whole)]
-    body += [
+    whole, verdict = with_open_steps(rows), requirements_verdict(rows)
+    body = [
+        html.heading(1, f"Requirements of {scenario}"),
+        html.paragraph(verdict.upper(), f"verdict {verdict}"),
+        html.paragraph(steps_text(rows)),
         html.paragraph(
             "Analysis: Monte Carlo simulation of the closed loop, judged by order statistics (NASA TP-2010-216447); a "
             "case without the outcome is a failure. It holds for independent cases: dispersions of a Latin hypercube "
@@ -109,16 +112,27 @@ def requirements_page(scenario: str, sources: Mapping[str, Any], rows: Sequence[
     return html.page(f"Requirements of {scenario}", body)
 
 
-def _verdicts(rows: Sequence[EvidenceRow]) -> list[str]:
-    """Return a line for each step: how many requirements are verified, not verified, open."""
-    lines, failed = [], False
-    for step in STEPS:
-        states = [_state([row for row in own if row.step == step]) for own in _by_requirement(rows)]
-        counts = {state: states.count(state) for state in (VERIFIED, "not verified", OPEN)}
-        failed = failed or counts["not verified"] > 0
+def requirements_verdict(rows: Sequence[EvidenceRow]) -> str:
+    """Return "fail" if a requirement is not verified in a step, "open" if a step has no evidence, else "pass"."""
+    states = [state for states in _states(rows).values() for state in states]
+    if NOT_VERIFIED in states:
+        return "fail"
+    return "open" if OPEN in states or not states else "pass"
+
+
+def steps_text(rows: Sequence[EvidenceRow]) -> str:
+    """Return how many requirements are verified, not verified and open in each step."""
+    lines = []
+    for step, states in _states(rows).items():
+        counts = {state: states.count(state) for state in (VERIFIED, NOT_VERIFIED, OPEN)}
         lines.append(f"{step}: " + ", ".join(f"{number} {state}" for state, number in counts.items() if number))
-    verdict = "FAIL" if failed else "PASS" if any(row.status == VERIFIED for row in rows) else "OPEN"
-    return [html.paragraph(verdict, f"verdict {'fail' if failed else 'pass'}"), html.paragraph("; ".join(lines))]
+    return "; ".join(lines)
+
+
+def _states(rows: Sequence[EvidenceRow]) -> dict[str, list[str]]:
+    """Return the states of the requirements in each step."""
+    whole = _by_requirement(with_open_steps(rows))
+    return {step: [_state([row for row in own if row.step == step]) for own in whole] for step in STEPS}
 
 
 def _by_requirement(rows: Sequence[EvidenceRow]) -> list[list[EvidenceRow]]:
@@ -127,9 +141,8 @@ def _by_requirement(rows: Sequence[EvidenceRow]) -> list[list[EvidenceRow]]:
 
 def _state(rows: Sequence[EvidenceRow]) -> str:
     """Return the state of a requirement in a step from all its evidence there."""
-    if all(row.status == OPEN for row in rows):
-        return OPEN
-    return VERIFIED if all(row.status == VERIFIED for row in rows) else "not verified"
+    states = {row.status for row in rows}
+    return NOT_VERIFIED if states - {VERIFIED, OPEN} else OPEN if OPEN in states else VERIFIED
 
 
 def _cells(rows: Sequence[EvidenceRow]) -> list[tuple[str, ...]]:
@@ -184,10 +197,16 @@ def junit(scenario: str, rows: Sequence[EvidenceRow]) -> str:
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(suite, encoding="unicode") + "\n"
 
 
+def evidence_json(scenario: str, sources: Mapping[str, Any], rows: Sequence[EvidenceRow]) -> dict[str, Any]:
+    """Return the verdict and the rows, with those of open steps, by the keys of ``requirements.json``."""
+    whole = [row.as_json() for row in with_open_steps(rows)]
+    verdict = requirements_verdict(rows)
+    return {"scenario": scenario, "verdict": verdict, "sources": dict(sources), "evidence": whole}
+
+
 def evidence_files(scenario: str, sources: Mapping[str, Any], rows: Sequence[EvidenceRow]) -> dict[str, str]:
     """Return the page, the JUnit XML and the rows as JSON, by the names of their files."""
-    whole = with_open_steps(rows)
-    content = {"scenario": scenario, "sources": dict(sources), "evidence": [row.as_json() for row in whole]}
+    content = evidence_json(scenario, sources, rows)
     return {
         "requirements.html": requirements_page(scenario, sources, rows),
         "requirements.xml": junit(scenario, rows),

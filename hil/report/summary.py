@@ -21,6 +21,7 @@ from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
+from hil.report.acceptance import acceptance, parts_of
 from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
 from hil.report.device_times import count_beyond, execution_times_s, judge_times, with_exchanges
@@ -69,7 +70,6 @@ def summarise(
         "seed": seed,
         "rig": rig_name,
         "passed": passed,
-        "passed_all_parts": passed and all(part["passed"] for part in (*parts.values(), judged["part"])),
         "stop": outcome.stop,
         "ready_time_s": verdict.ready_time_s,
         "held_since_s": verdict.held_since_s,
@@ -110,7 +110,8 @@ def summarise(
         "faults": outcome.faults,
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
-    return summary, verdict
+    summary["passed_all_parts"] = passed and all(part["passed"] for part in parts_of(summary).values())
+    return acceptance(summary, scenario.requirements) | summary, verdict
 
 
 def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[str, Any], Verdict]:
@@ -158,7 +159,9 @@ def devices_of(history: np.ndarray, rig: Rig, scenario: Scenario) -> dict[str, A
 def summary_of(recorded: Recorded) -> dict[str, Any]:
     """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
     if recorded.summary is not None:
-        return {"waived": [waiver.as_json() for waiver in waivers(recorded.rig)], **recorded.summary}
+        of_earlier_versions = acceptance(recorded.summary, recorded.scenario.requirements)
+        waived = [waiver.as_json() for waiver in waivers(recorded.rig)]
+        return {"waived": waived, **of_earlier_versions, **recorded.summary}
     stop = (recorded.end or {}).get("stop", BROKE_OFF)
     run, step_s = recorded.run, recorded.scenario.step_s
     outcome = Outcome(recorded.cycles, stop, faults=[stop])

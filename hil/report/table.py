@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -11,6 +11,7 @@ from rich.table import Table
 from hil.checks.waivers import Waiver
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
+from hil.report.acceptance import missed_parts, not_required_text, parts_of
 from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, tolerances
 
 ROW_LABELS = {
@@ -47,9 +48,11 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     _print_timing(summary["timing"], console)
     print_sign_off(summary["sign_off"], console)
     print_waived(summary["waived"], console)
-    word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
-    why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
-    console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
+    accepted = summary["accepted"]
+    word = "[bold green]PASS[/]" if accepted else "[bold red]FAIL[/]"
+    beside = not_required_text(summary) if accepted else f"({_reason(summary, verdict)})"
+    name = f"{summary['scenario']} on {summary['rig']}, seed {summary['seed']}"
+    console.print(f"{word} {name} {beside}".rstrip(), highlight=False, soft_wrap=True)
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
@@ -128,18 +131,11 @@ def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requir
 
 def verdict_lines(summary: dict[str, Any]) -> list[tuple[str, bool, str]]:
     """Return name, verdict and key numbers of each part of the verdict, as far as ``summary`` has it."""
-    parts = summary["verdict"]
-    lines = [
-        (name.replace("_", " "), parts[name]["passed"], text)
-        for name, text in (
-            ("control_precision", _precision_text(parts["control_precision"])),
-            ("security", _security_text(parts["security"])),
-            ("energy", _energy_text(parts["energy"])),
-            ("field_of_view", _view_text(parts["field_of_view"])),
-        )
-    ]
-    if "integrity" in summary:  # not in recordings of earlier versions
-        lines.append(("integrity", summary["integrity"]["passed"], _integrity_text(summary["integrity"])))
+    lines = []
+    for name, part in parts_of(summary).items():
+        text = PART_TEXTS[name](part)
+        suffix = "" if name in summary["required_parts"] else "; not required"
+        lines.append((name.replace("_", " "), bool(part["passed"]), f"{text}{suffix}"))
     return lines
 
 
@@ -202,6 +198,16 @@ def _integrity_text(part: dict[str, Any]) -> str:
         return f"{text}; no protection levels"
     available = "" if part["availability"] is None else f", available {100.0 * part['availability']:.1f} %"
     return f"{text}; {part['hmi_cycles']} misleading cycles{available}, {part['false_alerts']} false alerts"
+
+
+PART_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
+    "control_precision": _precision_text,
+    "security": _security_text,
+    "energy": _energy_text,
+    "field_of_view": _view_text,
+    "integrity": _integrity_text,
+}
+"""Part of the verdict -> function that returns its key numbers as text."""
 
 
 def _print_times(summary: dict[str, Any], paper_s: float | None, console: Console) -> None:
@@ -312,13 +318,22 @@ def _three(values: list[float], form: str) -> str:
 
 
 def _reason(summary: dict[str, Any], verdict: Verdict) -> str:
+    """Return why a run is not accepted: of several reasons the first in time."""
     if summary["faults"]:
         return "safe stop"
     if summary["verdict"]["security"]["abort"] is not None:
         return "the approach was aborted"
+    missed = [name.replace("_", " ") for name in missed_parts(summary) if name != "control_precision"]
+    reasons = [f"failed: {', '.join(missed)}"] if missed else []
+    if "control_precision" in missed_parts(summary):
+        reasons.insert(0, _not_precise(summary["verdict"]["control_precision"]["required_ready_s"], verdict))
+    return "; ".join(reasons) or str(summary["stop"])
+
+
+def _not_precise(required_s: float, verdict: Verdict) -> str:
+    """Return why control precision was not passed; required_s: least duration of the ready phase, s."""
     if verdict.ready_time_s is None:
         return "the ready phase was not reached"
-    required_s = summary["verdict"]["control_precision"]["required_ready_s"]
     if verdict.ready_duration_s < required_s:
         return f"ready for {verdict.ready_duration_s:.2f} s, required {required_s:g} s"
     return "left the ready state"

@@ -111,7 +111,7 @@ def test_row_of_a_case_holds_the_numbers_of_the_report() -> None:
     summary, _ = summarise(outcome, scenario, job.rig.value, "mock", job.seed, 50.0)
     row = row_of(stats, stop, scenario, job.truth)
     assert summary["ready_time_s"] is not None
-    for name in ("passed", "passed_all_parts", "stop", "ready_time_s", "held_since_s"):
+    for name in ("accepted", "passed", "passed_all_parts", "stop", "ready_time_s", "held_since_s"):
         assert row[name] == summary[name], name
     thrusters, security = summary["thrusters"], summary["verdict"]["security"]
     assert row["firings"] == sum(thrusters["thruster_firings"])

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import BAD_INPUT, execute
+from hil.config.required_parts import PART_COLUMNS
 from hil.console.serve import is_loopback
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
@@ -81,6 +82,8 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
         bob.until(lambda: not bob.now["open"], "the end")
         ended = bob.page["ended"]
         assert ended["stop"] == "stopped by the operator"
+        assert ended["accepted"] is False
+        assert list(ended["parts"]) == ended["required_parts"] == list(PART_COLUMNS)
         assert (ended["recording"]["dropped"], ended["recording"]["problem"]) == (0, "")
         assert bob.ask("order", order="hold")["text"] == "bench: cannot hold, no session is open"
     recorded = load(Path(ended["recording"]["file"]))

@@ -35,7 +35,7 @@ def test_run_is_that_of_the_command_line(run: hil.Run, capsys: pytest.CaptureFix
     for timed in ("timing", "latency"):
         printed.pop(timed), mine.pop(timed)
     assert mine == printed
-    assert (run.passed, run.ready_time_s, run.stop) == (False, None, "completed")
+    assert (run.accepted, run.passed, run.ready_time_s, run.stop) == (False, False, None, "completed")
 
 
 def test_records_are_arrays_with_the_time_of_their_rows(run: hil.Run) -> None:
@@ -60,7 +60,7 @@ def test_run_shows_draws_reports_and_exports_itself(run: hil.Run, tmp_path: Path
     shown = run._repr_html_()
     assert "FAIL" in shown
     assert "data:image/svg+xml" in shown
-    assert repr(run) == "<Run scheme-1 on mock, seed 3: failed, never ready, completed>"
+    assert repr(run) == "<Run scheme-1 on mock, seed 3: not accepted, never ready, completed>"
     run.plot().savefig(tmp_path / "run.png")
     run.report(tmp_path / "run.html")
     page = (tmp_path / "run.html").read_text()
@@ -117,12 +117,13 @@ def test_campaign_has_cases_that_can_be_run_again(tmp_path: Path) -> None:
     assert campaign.pass_rate == {"passed": 0, "runs": 3, "rate": 0.0} | {
         key: pytest.approx(campaign.pass_rate[key]) for key in ("low", "high")
     }
+    assert campaign.accepted_rate == campaign.pass_rate
     assert campaign.cases.column("case").to_pylist() == [0, 1, 2]
     again = campaign.run_case(1)
     assert again.summary["thrusters"]["propellant_kg"] == campaign.column("propellant_kg")[1]
     assert again.summary["case"] == 1
     campaign.figure().savefig(tmp_path / "campaign.png")
-    assert "0 of 3 passed" in campaign._repr_html_()
+    assert "0 of 3 accepted" in campaign._repr_html_()
     assert hil.campaign("scheme-1", runs=3, duration_s=4.0, seed=5, workers=1).cases == campaign.cases
     with pytest.raises(hil.errors.BadInput, match="case: 3: must be 0 to 2"):
         campaign.run_case(3)

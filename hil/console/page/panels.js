@@ -44,8 +44,8 @@ function recording(found) {
 function statusText(now, page) {
   if (now.mode === "hold" && page.hold_reason) return page.hold_reason;
   if (page.ended && !now.open) {
-    const { passed, stop } = page.ended;
-    return `${passed === null ? "" : passed ? "PASS. " : "FAIL. "}${page.word || stop}`;
+    const { accepted, stop } = page.ended;
+    return `${accepted === null ? "" : accepted ? "PASS. " : "FAIL. "}${page.word || stop}`;
   }
   return page.word || (page.ended ? page.ended.stop : `${page.choice.scenario} on ${page.choice.rig}, seed ${page.choice.seed}`);
 }

@@ -13,6 +13,7 @@ ENTRY = {
     "scenario": "scheme-1",
     "rig": "mock",
     "seed": 1,
+    "accepted": True,
     "passed": True,
     "ready_time_s": 161.0,
     "propellant_kg": 0.116,

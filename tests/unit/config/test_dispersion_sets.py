@@ -35,6 +35,55 @@ def test_set_replaces_that_of_the_scenario_and_later_settings_change_it() -> Non
     assert loaded.where("dispersions.initial.rate_degps").endswith("shipped.toml")
 
 
+@pytest.mark.parametrize(
+    ("own", "value"),
+    [
+        ('{ kind = "normal", sigma = 0.1 }', {"kind": "normal", "sigma": 0.1}),  # another kind
+        (
+            '{ kind = "normal", mean = 2.0, sigma = 0.0, relative = true }',  # twice the noise, in all cases
+            {"kind": "normal", "mean": 2.0, "sigma": 0.0, "relative": True},
+        ),
+        (
+            '{ kind = "uniform", low = 0.01, high = 0.02 }',  # the same kind, fewer keys
+            {"kind": "uniform", "low": 0.01, "high": 0.02},
+        ),
+    ],
+)
+@pytest.mark.parametrize("in_scenario", [False, True])
+def test_distribution_replaces_that_of_the_same_key_whole(
+    tmp_path: Path, own: str, value: dict[str, object], in_scenario: bool
+) -> None:
+    prefix = "dispersions." if in_scenario else ""
+    text = f'extends = "{"scheme-1" if in_scenario else "shipped"}"\n[{prefix}vmu]\nsigma_position_m = {own}\n'
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    loaded = load_scenario(str(path)) if in_scenario else load_scenario("scheme-1", (f"dispersions={path}",))
+    found = loaded.value.dispersions
+    assert found.vmu["sigma_position_m"] == value  # shipped: uniform, low 0.8, high 1.2, relative
+    assert found.vmu["latency_s"] == {"kind": "uniform", "low": 0.0, "high": 0.1}  # other keys are those of the base
+    assert found.initial["position_m"]["sigma"] == [0.05, 0.02, 0.02]
+    assert loaded.where("dispersions.vmu.sigma_position_m") == str(path)
+    known = {key for key in loaded.origin if key.startswith("dispersions.vmu.sigma_position_m.")}
+    assert {key.rpartition(".")[2] for key in known} == set(value)
+
+
+def test_noise_of_a_set_that_extends_another_is_drawn_as_it_states(tmp_path: Path) -> None:
+    path = tmp_path / "twice.toml"
+    own = 'sigma_position_m = { kind = "normal", mean = 2.0, sigma = 0.0, relative = true }'
+    path.write_text(f'extends = "shipped"\n[vmu]\n{own}\n')
+    loaded = load_scenario("scheme-1", (f"dispersions={path}",))
+    design = Design(loaded, 0)
+    drawn = [design.apply(design.values(case))[0].vmu.sigma_position_m for case in range(3)]
+    assert drawn == [2.0 * loaded.value.vmu.sigma_position_m] * 3
+
+
+def test_distribution_without_a_kind_of_its_own_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text('extends = "shipped"\n[vmu]\nlatency_s = { high = 0.2 }\n')
+    with pytest.raises(BadInput, match=r"own\.toml: dispersions\.vmu\.latency_s\.kind: is missing"):
+        Design(load_scenario("scheme-1", (f"dispersions={path}",)), 0)
+
+
 def test_scenario_names_a_set_beside_it_and_another_extends_that(tmp_path: Path) -> None:
     (tmp_path / "own-set.toml").write_text(
         'name = "own"\nsampling = "sobol"\n[chaser]\nmass_kg = { kind = "normal", sigma = 5.0 }\n'

@@ -66,7 +66,10 @@ def test_summary_finds_worst_case_failures_and_what_the_outcome_hangs_on(
 def test_comparison_is_made_case_by_case(tmp_path: Path, rng: np.random.Generator) -> None:
     common = rng.normal(5.0, 3.0, 60)
     one = [{"passed": True, "propellant_kg": c} for c in common]
-    two = [{"passed": k > 2, "propellant_kg": c + 0.25 + 0.01 * rng.normal()} for k, c in enumerate(common)]
+    two = [
+        {"passed": k > 2, "accepted": k == 5, "propellant_kg": c + 0.25 + 0.01 * rng.normal()}
+        for k, c in enumerate(common)
+    ]
     two[9]["propellant_kg"] = None
     stores = [finished(tmp_path / name, rows, []) for name, rows in (("one", one), ("two", two))]
     found = compare(stores[0], stores[1], ("one", "two"))
@@ -76,3 +79,4 @@ def test_comparison_is_made_case_by_case(tmp_path: Path, rng: np.random.Generato
     assert difference["high"] - difference["low"] < 0.01  # the common part cancels
     assert found["pass_rate"]["first_alone"] == 3
     assert found["pass_rate"]["second_alone"] == 0
+    assert (found["accepted_rate"]["first_alone"], found["accepted_rate"]["second_alone"]) == (0, 1)

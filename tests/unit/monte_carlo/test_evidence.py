@@ -5,19 +5,22 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from hil.cli.recordings import verify_recordings
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import ProbabilisticRequirement
 from hil.errors import BadInput
 from hil.maths.order_statistics import cases_needed
-from hil.monte_carlo.campaign import CampaignJob
+from hil.monte_carlo.campaign import CampaignJob, scenario_digest
 from hil.monte_carlo.evidence import judge_requirement, tolerance_bound
 from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
+from hil.report import html
 from hil.report.requirements_page import (
     campaign_rows,
     evidence_files,
@@ -107,6 +110,55 @@ def test_recorded_run_is_evidence_of_its_step_with_its_margin() -> None:
         assert "hardware: 1 not verified" in page
     at_least = run_row(found | {"side": "at least"}, "mock", "c.mcap", 0.0061)
     assert (at_least.status, at_least.margin) == ("verified", pytest.approx(0.0001))
+
+
+@pytest.mark.parametrize(
+    ("values", "verdict"),
+    [
+        ({}, "open"),
+        ({"emulated": 0.004}, "open"),
+        ({"emulated": 0.004, "hardware": 0.005}, "pass"),
+        ({"emulated": 0.0061}, "fail"),  # also with a step that is open
+        ({"emulated": 0.004, "hardware": 0.0061}, "fail"),
+    ],
+)
+def test_page_is_open_until_each_step_has_evidence(values: dict[str, float], verdict: str) -> None:
+    found = judged(np.full(852, 0.005))
+    rows = campaign_rows([found], SOURCES) + [run_row(found, step, "a.mcap", v) for step, v in values.items()]
+    files = evidence_files("scheme-1", SOURCES, rows)
+    assert f'<p class="verdict {verdict}">{verdict.upper()}</p>' in files["requirements.html"]
+    assert json.loads(files["requirements.json"])["verdict"] == verdict
+
+
+def test_each_verdict_of_the_page_has_a_colour_of_its_own() -> None:
+    colours = [re.search(rf"\.{verdict} {{ color: (#\w+)", html.STYLE) for verdict in ("pass", "open", "fail")]
+    assert len({colour[1] for colour in colours if colour}) == 3
+
+
+def test_page_without_a_requirement_is_open() -> None:
+    assert '<p class="verdict open">OPEN</p>' in requirements_page("scheme-1", SOURCES, [])
+
+
+@pytest.mark.parametrize(("ready_m", "code", "word"), [(0.003, 0, "OPEN"), (0.0061, 1, "FAIL")])
+def test_command_ends_with_the_verdict_of_the_page(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    ready_m: float,
+    code: int,
+    word: str,
+) -> None:
+    scenario = load_scenario("scheme-1").value
+    identity = {"scenario": "scheme-1", "scenario_digest": scenario_digest(scenario), "seed": 3, "duration_s": 400.0}
+    (tmp_path / "campaign.json").write_text(json.dumps(identity | {"digest": "abc"}))
+    (tmp_path / "summary.json").write_text(json.dumps({"requirements": [judged(np.full(852, 0.005))]}))
+    summary = {"scenario": "scheme-1", "rig": "emulated", "seed": 1, "ready_phase": {"position_m": [ready_m, 0, 0]}}
+    run = SimpleNamespace(rig=SimpleNamespace(kind="emulated"), scenario=scenario, summary=summary)
+    monkeypatch.setattr("hil.api.recordings.open_recording", lambda _: run)
+    assert verify_recordings(["a.mcap"], campaign=str(tmp_path)) == code
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(f"{word} requirements of scheme-1: mock: 1 verified; emulated: 1 ")
+    assert f">{word}<" in (tmp_path / "requirements.html").read_text()
 
 
 def test_evidence_of_runs_stands_beside_that_of_the_campaign(tmp_path: Path) -> None:

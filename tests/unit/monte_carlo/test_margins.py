@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import pytest
 
+from hil.config.load import load_scenario
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.margins import DelayedPart, delay_margins
@@ -21,6 +22,7 @@ class LimitedCampaign:
 
     def __init__(self, delay_s: float, limit_s: float) -> None:
         self.fails = delay_s > limit_s
+        self.scenario = load_scenario("scheme-1")
 
     @contextmanager
     def store(self, _: Path) -> Iterator[LimitedCampaign]:
@@ -32,7 +34,7 @@ class LimitedCampaign:
     def column(self, name: str) -> list[Any]:
         if name in ("stop", "abort"):
             return ["completed" if name == "stop" else ""] * RUNS
-        failed = self.fails and name in ("passed_all_parts", "energy_passed")
+        failed = self.fails and name in ("accepted", "energy_passed")
         return [True] * (RUNS - 1) + [not failed]
 
 

@@ -60,7 +60,7 @@ def test_runs_are_found_by_verdict_scenario_and_date(tmp_path: Path) -> None:
         ("c", "2026-03-03T12:00:00.000Z", "scheme-2", True),
     ):
         catalogue.begin(entry(run, started, scenario))
-        catalogue.end(run, started, DONE, 5, 0, SUMMARY | {"passed": passed})
+        catalogue.end(run, started, DONE, 5, 0, SUMMARY | {"accepted": passed})
     catalogue.begin(entry("d", "2026-03-04T12:00:00.000Z"))
     catalogue.end("d", "2026-03-04T12:00:01.000Z", BROKEN_OFF, 5, 0, {})
     catalogue.begin(entry("e", "2026-03-05T12:00:00.000Z"))
@@ -74,6 +74,22 @@ def test_runs_are_found_by_verdict_scenario_and_date(tmp_path: Path) -> None:
     assert found["position_rmse_mm"] == pytest.approx(5.0)
     assert found["attitude_rmse_deg"] is None
     assert catalogue.runs()[-1]["state"] == RUNNING
+
+
+def test_verdict_is_acceptance_and_of_earlier_versions_that_of_all_parts(tmp_path: Path) -> None:
+    catalogue = Catalogue(tmp_path)
+    for run, of_run in (
+        ("a", {"accepted": True, "passed_all_parts": False}),
+        ("b", {"accepted": False, "passed": True, "passed_all_parts": False}),
+        ("c", {"passed_all_parts": True}),
+        ("d", {"passed_all_parts": False}),
+    ):
+        catalogue.begin(entry(run))
+        catalogue.end(run, "2026-03-01T12:10:00.000Z", DONE, 5, 0, SUMMARY | of_run)
+    catalogue.begin(entry("e"))
+    assert [found["accepted"] for found in catalogue.runs()] == [True, False, True, False, None]
+    assert names(catalogue, RecordingFilter(failed=True)) == ["b", "d"]
+    assert names(catalogue, RecordingFilter(passed=True)) == ["a", "c"]
 
 
 def test_a_run_whose_process_is_gone_counts_as_broken_off(tmp_path: Path) -> None:

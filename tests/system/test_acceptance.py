@@ -1,0 +1,112 @@
+"""One verdict of a run, wherever it is given: last line, exit code, JSON, report, catalogue, Python."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+import hil
+from hil.cli.main import execute
+from hil.recording.read import load
+from hil.report.comparison import key_numbers
+from hil.report.page import report
+from hil.report.summary import summary_of
+
+pytestmark = pytest.mark.xdist_group("campaign")
+
+LEFT_OUT = "(not required: energy fail)"
+ALL_PARTS = 'requirements.required_parts=["control_precision","security","energy","field_of_view","integrity"]'
+
+
+class RecordedCommand(NamedTuple):
+    """A run of the command line, recorded."""
+
+    code: int
+    lines: list[str]
+    summary: dict[str, Any]
+    file: Path
+
+
+def recorded_command(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> RecordedCommand:
+    """Run scheme 3, seed 1, which fails energy alone."""
+    path = folder / "run.json"
+    code = execute(["run", "scheme-3", "--seed", "1", "--record", str(folder), "--json", str(path), *more])
+    (file,) = folder.glob("*.mcap")
+    return RecordedCommand(code, capsys.readouterr().out.splitlines(), json.loads(path.read_text()), file)
+
+
+@pytest.mark.parametrize(
+    ("more", "accepted", "beside", "listed"),
+    [((), True, LEFT_OUT, "pass"), (("--set", ALL_PARTS), False, "(failed: energy)", "fail")],
+    ids=["as shipped", "all parts required"],
+)
+def test_every_output_of_a_run_gives_the_same_verdict(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    more: Sequence[str],
+    accepted: bool,
+    beside: str,
+    listed: str,
+) -> None:
+    found = recorded_command(tmp_path, capsys, *more)
+    word = "PASS" if accepted else "FAIL"
+    assert found.code == (0 if accepted else 1)
+    assert found.lines[-1] == f"{word} scheme-3 on mock, seed 1 {beside}"
+    (energy,) = [line for line in found.lines if line.startswith("fail energy")]
+    assert energy.endswith("; not required") is accepted
+    verdict = {name: found.summary[name] for name in ("accepted", "passed", "passed_all_parts")}
+    assert verdict == {"accepted": accepted, "passed": True, "passed_all_parts": False}
+
+    assert execute(["recordings", "list", str(tmp_path)]) == 0
+    assert f" {listed} " in capsys.readouterr().out.splitlines()[-1]
+    run = hil.open(found.file)
+    assert (run.accepted, run.passed) == (accepted, True)
+    assert f": {'accepted' if accepted else 'not accepted'}, " in repr(run)
+    page = report([load(found.file)])
+    assert f'<p class="verdict {listed}">{word}{f" {LEFT_OUT}" if accepted else ""}</p>' in page
+    assert dict(key_numbers(run.summary))["verdict"] == (f"pass {LEFT_OUT}" if accepted else "fail")
+
+
+def test_recording_of_an_earlier_version_is_judged_by_the_requirements_of_its_scenario(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded = load(recorded_command(tmp_path, capsys).file)
+    assert recorded.summary is not None
+    earlier = {k: v for k, v in recorded.summary.items() if k not in ("accepted", "required_parts")}
+    assert summary_of(replace(recorded, summary=earlier))["accepted"]
+    requirements = recorded.scenario.requirements.model_copy(update={"required_parts": None})
+    scenario = recorded.scenario.model_copy(update={"requirements": requirements})
+    assert not summary_of(replace(recorded, summary=earlier, scenario=scenario))["accepted"]
+
+
+def test_run_that_misses_several_parts_names_them(capsys: pytest.CaptureFixture[str]) -> None:
+    settings = ["--set", "requirements.propellant_factor=0.1", "--set", "requirements.radial_distance_m=0.0001"]
+    assert execute(["run", "scheme-1", "--duration", "30", *settings]) == 1
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == "FAIL scheme-1 on mock, seed 0 (the ready phase was not reached; failed: energy)"
+
+
+def test_campaign_counts_accepted_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["campaign", "scheme-3", "--runs", "4", "--workers", "1", "--out", str(tmp_path / "c")]) == 0
+    out = capsys.readouterr().out
+    summary = json.loads((tmp_path / "c" / "summary.json").read_text())
+    rates = summary["pass_rate"]
+    assert next(iter(rates)) == "accepted"
+    assert rates["accepted"] == rates["passed"] != rates["passed_all_parts"]  # each case fails energy
+    assert rates["accepted"]["low"] < rates["accepted"]["rate"] <= rates["accepted"]["high"]
+    assert summary["required_parts"] == ["control_precision", "security", "field_of_view", "integrity"]
+    (line,) = [line for line in out.splitlines() if line.startswith("accepted ")]
+    assert line.endswith("Wilson 95%; not required: energy")
+    campaign = hil.campaign("scheme-3", runs=4, out=tmp_path / "c", workers=1)
+    assert campaign.accepted_rate == rates["accepted"]
+    assert campaign.column("accepted").sum() == rates["accepted"]["passed"]
+    every = ["--out", str(tmp_path / "all"), "--set", ALL_PARTS]
+    assert execute(["campaign", "scheme-3", "--runs", "4", "--workers", "1", *every]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("accepted ")]
+    assert line.split()[1:4] == ["0", "of", "4,"]
+    assert "not required" not in line
