@@ -16,7 +16,8 @@ import numpy as np
 from rich.progress import track
 
 import hil
-from hil.report.verdict import ROW_NAMES, TABLE_V
+from hil.params.ready import ROW_NAMES
+from hil.report.verdict import TABLE_V
 
 
 def run(scheme: str, seed: int, overrides: dict[str, Any]) -> dict[str, Any]:

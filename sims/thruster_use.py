@@ -12,7 +12,8 @@ import matplotlib as mpl
 import numpy as np
 
 import hil
-from hil.report.verdict import ROW_NAMES, TABLE_V
+from hil.params.ready import ROW_NAMES
+from hil.report.verdict import TABLE_V
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -63,7 +63,7 @@ class GuardConfig(ConfigModel):
     """Consecutive poses beyond it that trip."""
     estimate_error_max_m: Positive = 0.03
     """Largest mean error of any GNC's estimate against the encoders, per axis, in addition to three standard deviations
-    of it; at most the protection level that it reports. Beyond it the approach reacts (`gnc.reactions.bench_disagrees`)."""
+    of it; at most the protection level that it reports. Beyond it: `gnc.reactions.bench_disagrees`."""
     estimate_error_max_deg: Positive = 0.5
     """The same for the attitude."""
     calibration_m: NotNegative = 0.001

@@ -15,6 +15,7 @@ PART_COLUMNS: Final[Mapping[str, str]] = {
     "energy": "energy_passed",
     "field_of_view": "view_passed",
     "integrity": "integrity_passed",
+    "decision": "decision_passed",
 }
 """Part, by its key in the JSON of a run -> flag of a campaign's case."""
 

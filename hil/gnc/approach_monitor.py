@@ -78,6 +78,7 @@ APPROACH_MONITOR_PARAMS = np.dtype(
         ("ready_angular_rate", "f8"),  # rad/s
         ("level_sigmas", "f8"),  # K of a component's level
         ("across_sigmas", "f8"),  # of the level of two components
+        ("across_share", "f8"),  # of what else is in a component's level, of two components
         ("go_sigmas", "f8"),  # of an estimate without a level of its own
         ("go_fraction", "f8"),  # of the tolerances within which the encoders must be
     ],
@@ -198,10 +199,10 @@ def protection_levels(params, estimate, levels):
             share = 1.0 - part * part
             across += share * level * level
             sigma = max(sigma, share * estimate.sigma_r_m[i] ** 2)
-            rest += share * max(0.0, level - params.level_sigmas * estimate.sigma_r_m[i]) ** 2
+            rest = max(rest, share * max(0.0, level - params.level_sigmas * estimate.sigma_r_m[i]) ** 2)
     across = math.sqrt(across)
     if sigma > 0.0:
-        across = min(across, params.across_sigmas * math.sqrt(sigma) + math.sqrt(rest))
+        across = min(across, params.across_sigmas * math.sqrt(sigma) + params.across_share * math.sqrt(rest))
     levels[ALONG], levels[ACROSS], levels[ATTITUDE] = along, across, estimate.protection_level_rad
 
 

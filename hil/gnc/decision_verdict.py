@@ -29,6 +29,7 @@ DECISION_PARAMS = np.dtype(
         ("ready", READY_PARAMS),
         ("required_s", "f8"),  # for which a go certifies the requirement
         ("first_fault_s", "f8"),  # onset of the first injected fault, inf for none
+        ("settled_s", "f8"),  # from which on the NEES counts
     ],
     align=True,
 )
@@ -44,6 +45,8 @@ DECISION_STATE = np.dtype(
         ("false_vision", "i8"),  # accusations before the first fault
         ("false_imu", "i8"),
         ("false_thruster", "i8"),
+        ("fused", "i8", 2),  # updates with a NEES, of position and attitude filter
+        ("nees", "f8", 2),  # their sums
     ],
     align=True,
 )
@@ -63,10 +66,10 @@ def _is_outside(params, truth):
     for i in range(3):
         rate[i] = truth.w_CI_C[i] - rate[i]
     ready_phase.deviations(params, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, deviation)
+    outside = False
     for i in range(12):
-        if not abs(deviation[i]) <= params.tolerance[i]:
-            return True
-    return False
+        outside = outside or not abs(deviation[i]) <= params.tolerance[i]
+    return outside
 
 
 @kernel
@@ -93,12 +96,23 @@ def _count_accusations(params, state, t_s, health):
 
 
 @kernel
+def _count_nees(state, k, nees):
+    """Add the NEES of an update; nan for none."""
+    if not math.isnan(nees):
+        state.fused[k] += 1
+        state.nees[k] += nees
+
+
+@kernel
 def update_decision(params, state, now):
     """Judge the cycle ``now`` (CYCLE)."""
     estimate, found, t_s = now.navigation, now.supervision, now.t_s
     _count_accusations(params, state, t_s, estimate.health)
     if estimate.valid == 0:
         return
+    if t_s >= params.settled_s:
+        _count_nees(state, 0, now.nees_position)
+        _count_nees(state, 1, now.nees_attitude)
     aborted = found.aborted != NOT_ABORTED and found.aborted != ORDERED
     alarm = estimate.health != 0 or found.reaction != 0 or aborted
     is_go = found.aborted == NOT_ABORTED and has_held(found.ready_since_s, t_s, params.ready.dwell_s)
@@ -117,10 +131,3 @@ def update_decision(params, state, now):
     if t_s - state.pending_s > QUIET_S:
         state.beyond += state.pending
         state.pending, state.pending_s = 0, np.nan
-
-
-@kernel
-def update_decision_all(params, state, rows):
-    """``update_decision`` for each of ``rows`` (n,) of CYCLE."""
-    for k in range(rows.shape[0]):
-        update_decision(params, state, rows[k])

@@ -147,8 +147,8 @@ def carry_rotation(phi, rate, rows, lanes, first, out):
 def carry_filters(errors, of_pkf, a, moved, phi, p, lanes):
     """Carry position, velocity and rotation in the covariance ``p`` over the step: ``F p F.T`` and the force's noise.
 
-    moved: STEP_INPUT. The transition is applied to the rows, and then to the rows of the transpose. lanes: columns of ``p`` that are
-    used, a constant, with which the loops become vector instructions.
+    moved: STEP_INPUT. The transition is applied to the rows, and then to the rows of the transpose. lanes: columns of
+    ``p`` that are used, a constant, with which the loops become vector instructions.
     """
     n = errors.n
     of_force, of_rate = stack.matrix(3, LANES), stack.matrix(3, LANES)

@@ -9,6 +9,7 @@ leave possible (docs/explanation/integrity.md).
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -24,6 +25,8 @@ VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
     GncHealth.VISION_SUSPECT.value,
     GncHealth.COVARIANCE_INVALID.value,
 )
+SUMS: Final = 12
+"""CUSUMs: of six innovations, and of sum and difference of each pair of position."""
 _REPEATS_MAX = 2  # of a pose with all its digits: noise leaves none
 _UNIT_TOLERANCE = 1e-3  # of the length of a quaternion
 _FOLLOW_EACH = 4  # accepted poses
@@ -61,8 +64,8 @@ INTEGRITY_STATE = np.dtype(
         ("last_q", "f8", 4),
         ("last_s", "f8"),
         ("monitored", "i8"),  # accepted poses so far
-        ("high", "f8", 6),  # CUSUM of each innovation, position then attitude, upwards
-        ("low", "f8", 6),  # and downwards
+        ("high", "f8", SUMS),  # CUSUM of each innovation, position then attitude, and of pairs of position, upwards
+        ("low", "f8", SUMS),  # and downwards
         ("biased", "i8"),  # 1: a CUSUM has passed its limit; it stays so, as the filters follow a bias
         ("mean_nis", "f8", 2),  # position, attitude
         ("followed", "f8"),  # standard deviations of an innovation: error of the largest fault that is not found yet
@@ -147,9 +150,13 @@ def admits(params, state, pose):
 def monitor(params, state, innovation, nis_position, nis_attitude):
     """Take an accepted pose: its normalised innovation (6,), position then attitude, and the NIS of both filters."""
     state.monitored += 1
-    for i in range(6):
-        state.high[i] = max(0.0, state.high[i] + innovation[i] - params.mean_shift)
-        state.low[i] = max(0.0, state.low[i] - innovation[i] - params.mean_shift)
+    for i in range(SUMS):
+        value = innovation[min(i, 5)]
+        if i >= 6:  # a fault between two axes is no larger before it is found than one along an axis
+            a, b = innovation[(i - 6) // 2], innovation[((i - 6) // 2 + 1) % 3]
+            value = math.sqrt(0.5) * (a + b if i % 2 == 0 else a - b)
+        state.high[i] = max(0.0, state.high[i] + value - params.mean_shift)
+        state.low[i] = max(0.0, state.low[i] - value - params.mean_shift)
         if state.high[i] > params.cusum_limit or state.low[i] > params.cusum_limit:
             state.biased = 1
     weight = max(params.nis_weight, 1.0 / state.monitored)
@@ -187,8 +194,8 @@ def missed_shift(params, accepted):
 def _largest_missed(params, fusion, n, limit, kind, most):
     """Return the largest position error to which a fault of the poses leads until it is found, and its size.
 
-    In standard deviations of an innovation. kind: 0 a step, 1 a ramp of so much per pose. limit: of the CUSUM. n: poses.
-    most: largest fault.
+    In standard deviations of an innovation. kind: 0 a step, 1 a ramp of so much per pose. limit: of the CUSUM. n:
+    poses. most: largest fault.
     Position and velocity follow the fault by the gains of FUSION_STATE ``fusion``, and the innovations fade as they do;
     it is found when its normalised innovations have passed the gate or summed up to the limit.
     """
@@ -278,15 +285,16 @@ def protect(params, state, fusion, t_s, out):
     """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
 
     ``K sigma`` and the error to which an undetected fault of the poses has led, as a velocity error since the last pose
-    as well; and the jump of a gate that was opened again. After a gap the level is not above that of its end. A bias that the monitors have found has no bound. If poses or IMU are wrong, the second
-    sensor is not: its bound, and the innovations' missed bias that an error of the IMU is, may be less.
+    as well; and the jump of a gate that was opened again. After a gap the level is not above that of its end. A bias
+    that the monitors have found has no bound. If poses or IMU are wrong, the second sensor is not: its bound, and the
+    innovations' missed bias that an error of the IMU is, may be less.
     """
     shift, n = missed_shift(params, fusion.accepted)
     age_s = max(0.0, t_s - fusion.last_accepted_s)
     velocity = state.followed_speed * fusion.noise_m
     bias = state.followed * fusion.noise_m + velocity * age_s
     worst_sum = 0.0
-    for i in range(6):
+    for i in range(SUMS):
         worst_sum = max(worst_sum, max(state.high[i], state.low[i]))
     doubt = state.followed_go * fusion.noise_m if worst_sum <= params.cusum_go else np.inf
     if state.biased != 0:
@@ -301,7 +309,7 @@ def protect(params, state, fusion, t_s, out):
         noise = params.sigmas * out.sigma_r_m[i]
         other = max(noise + shift * fusion.noise_m, second + fusion.jump_m[i])
         level = min(noise + bias + fusion.jump_m[i], other)
-        if t_s - state.cap_s < _CAP_S and state.biased == 0:
+        if state.cap_s > 0.0 and t_s - state.cap_s < _CAP_S and state.biased == 0:
             level = min(level, state.cap[i] + velocity * (t_s - state.cap_s) + fusion.jump_m[i])
         out.protection_level_m[i] = state.level[i] = level
         state.go_m[i] = params.sigmas_go * out.sigma_r_m[i] + min(doubt, second) + fusion.jump_m[i]

@@ -27,6 +27,7 @@ from hil.gnc.approach_monitor import (
     corridor_margin,
     protection_levels,
 )
+from hil.gnc.decision_verdict import DECISION_PARAMS, DECISION_STATE, start_decision, update_decision
 from hil.gnc.reactions import ABORT, HOLD
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
@@ -38,6 +39,7 @@ INTEGRITY_PARAMS = np.dtype(
     [
         ("approach", APPROACH_MONITOR_PARAMS),  # with the alert limits
         ("time_to_alert_s", "f8"),
+        ("decision", DECISION_PARAMS),
         ("faults", "i8"),
         ("fault_at_s", "f8", FAULTS_MAX),
     ],
@@ -46,6 +48,7 @@ INTEGRITY_PARAMS = np.dtype(
 
 INTEGRITY_STATE = np.dtype(
     [
+        ("decision", DECISION_STATE),
         ("judged", "i8"),  # cycles with an estimate, without fault and abort
         ("available", "i8"),  # of them those with all protection levels below their alert limits
         ("reported", "i8"),  # 1: a protection level was reported
@@ -79,6 +82,7 @@ INTEGRITY_STATE = np.dtype(
 @kernel
 def start_integrity(state):
     """Initialise the zeroed ``state`` for a run."""
+    start_decision(state.decision)
     state.misleading_s = state.misleading_by_line1_s = state.unnoticed_s = np.nan
     state.nearest = np.inf
     fill(state.worst_level, np.nan)
@@ -154,6 +158,7 @@ def update_integrity(params, state, now):
         square += now.truth.r_CT_H[i] ** 2
     state.nearest = min(state.nearest, math.sqrt(square))
     _detect(params, state, now)
+    update_decision(params.decision, state.decision, now)
     if now.navigation.valid == 0:
         copy_into(state.from_H, now.reference.from_H)
         copy_into(state.to_H, now.reference.to_H)

@@ -10,7 +10,14 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc import approach_monitor, guidance
-from hil.gnc.approach_monitor import BENCH_DISAGREES, CORRIDOR, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, NOT_ABORTED, UNPROTECTED
+from hil.gnc.approach_monitor import (
+    BENCH_DISAGREES,
+    CORRIDOR,
+    FIRST_HEALTH_CAUSE,
+    HELD_TOO_LONG,
+    NOT_ABORTED,
+    UNPROTECTED,
+)
 
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 7

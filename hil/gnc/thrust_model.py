@@ -32,7 +32,7 @@ MEMORY_S: Final = 30.0
 
 THRUST_PARAMS = np.dtype(
     [
-        ("enabled", "i8"),  # 1: a step without thrust is known to be one; 0: commands only replace an IMU that has failed
+        ("enabled", "i8"),  # 1: a step without thrust is known to be one; 0: commands only replace an IMU
         ("n", "i8"),  # thrusters
         ("dt_s", "f8"),
         ("force", "f8", (MAX_THRUSTERS, 3)),  # m/s^2, of each thruster, in c
@@ -117,9 +117,9 @@ def begin(params, state, started, commanded, step):
     if state.thrust.without_imu == REGAINED:
         step.regains, state.thrust.without_imu = 1, 0
     copy_into(state.thrust.rate_C, step.rate_C)
-    if thrust.enabled != 0 and state.thrust.since > thrust.settle:
-        if not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C):
-            step.kind = QUIET
+    is_closed = thrust.enabled != 0 and state.thrust.since > thrust.settle
+    if is_closed and (not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C)):
+        step.kind = QUIET
 
 
 @kernel

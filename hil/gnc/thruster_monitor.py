@@ -16,7 +16,6 @@ Every accusation is tested after its reaction, and revoked if readings and comma
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np

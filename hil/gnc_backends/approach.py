@@ -81,7 +81,7 @@ class Approach:
         self.approach_state["monitor_disagrees"] = disagrees
 
     def set_bench_check(self, off: np.ndarray, disagrees: bool) -> None:
-        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree, before ``step``."""
+        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree."""
         self.approach_state["bench_disagrees"] = disagrees
         self.approach_state["go"]["known"] = off[0] == off[0]
         self.approach_state["go"]["off"] = off

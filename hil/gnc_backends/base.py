@@ -89,7 +89,7 @@ class GncBackend(Protocol):
         """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
 
     def set_bench_check(self, off: np.ndarray, disagrees: bool) -> None:
-        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree, before ``step``."""
+        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree."""
 
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Report the bound on the position error by the docking monitor, 0 for none, before ``step``."""

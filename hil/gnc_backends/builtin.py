@@ -46,6 +46,7 @@ class BuiltinGnc(Approach):
         self.params = kernel_record(params)
         self.state = kernel_record(new(GNC_STATE) if state is None else state)
         self._filters = kernel_record(self.state.navigation.fusion.filters)
+        self._thrust = self.state.navigation.fusion.thrust
         self._orbit = kernel_record(self.params.navigation.fusion.orbit)
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor: FilterMonitor = filter_monitor
@@ -167,6 +168,8 @@ class BuiltinGnc(Approach):
         """
         if self.fused_now:
             navigation.normalised_errors(self._filters, self._orbit, truth, imu, self._nees)
+            if self._thrust.without_imu != 0:  # the drift is the error of a rate by commands
+                self._nees[1] = np.nan
         else:
             self._nees[:] = np.nan
         return self._nees

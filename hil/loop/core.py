@@ -271,7 +271,9 @@ def check_consistency(params, state):
         navigation.normalised_errors(
             gnc.navigation.fusion.filters, params.gnc.navigation.fusion.orbit, now.truth, now.imu, nees
         )  # fmt: skip
-        now.nees_position, now.nees_attitude = nees[0], nees[1]
+        now.nees_position = nees[0]
+        if gnc.navigation.fusion.thrust.without_imu == 0:  # otherwise the drift is the error of a rate by commands
+            now.nees_attitude = nees[1]
 
 
 @kernel

@@ -41,8 +41,8 @@ from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import integrity as integrity_params
 from hil.params import vision as vision_params
+from hil.params.ready import ready_params
 from hil.report.summary import SETTLED_S
-from hil.report.verdict import ready_params
 from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built

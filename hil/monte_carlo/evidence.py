@@ -16,7 +16,7 @@ from hil.errors import Problem
 from hil.maths.order_statistics import acceptance_risk, allowed_failures, cases_needed
 from hil.monte_carlo.outcome import NUMERIC
 from hil.monte_carlo.store import Store
-from hil.report.verdict import ROW_NAMES
+from hil.params.ready import ROW_NAMES
 
 VERIFIED, NOT_VERIFIED, TOO_FEW = "verified", "not verified", "too few cases"
 THREE_SIGMA: Final = 0.9973

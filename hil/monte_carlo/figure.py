@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
 from hil.monte_carlo.store import Store, atomic_write
+from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.figures import RunFigure, draw_stanford
-from hil.report.verdict import ROW_NAMES, TABLE_V, tolerances
+from hil.report.verdict import TABLE_V
 
 _MOST_POINTS = 2000  # of a curve
 _PANELS = (

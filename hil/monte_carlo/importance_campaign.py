@@ -37,7 +37,8 @@ from hil.monte_carlo.importance_density import (
 from hil.monte_carlo.rare_events import ESTIMATED, RareEvent, lognormal_interval
 from hil.monte_carlo.statistics import CONFIDENCE
 from hil.monte_carlo.store import Store, atomic_write
-from hil.report.verdict import ROW_NAMES, deviations
+from hil.params.ready import ROW_NAMES
+from hil.report.verdict import deviations
 
 METHOD: Final = "importance sampling"
 DENSITY: Final = "density.json"

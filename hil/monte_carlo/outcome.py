@@ -14,9 +14,10 @@ from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
 from hil.loop.runner import COMPLETED
+from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import is_accepted
-from hil.report.integrity import SafeStop, detection, integrity_part
-from hil.report.verdict import ROW_NAMES, tolerances, verdict_of
+from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
+from hil.report.verdict import verdict_of
 from hil.report.verdict_parts import energy_part
 from hil.safety.guard_alarms import is_of_guard
 
@@ -28,13 +29,19 @@ _SINGLE: Final = (
     "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
     "aborted_at_s", "hmi_cycles", "worst_error_m", "alert_limit_m", "protection_level_m", "availability",
     "time_to_alert_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf",
-    "nees_akf",
+    "nees_akf", "go_s", "propellant_limit_kg",
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
-FLAGS: Final = ("accepted", *dict.fromkeys(("passed", "passed_all_parts", *PART_COLUMNS.values())))
+_ACCUSED: Final = ("vision", "imu", "thruster")
+FLAGS: Final = (
+    "accepted", *dict.fromkeys(("passed", "passed_all_parts", *PART_COLUMNS.values())), "decision_error", "nees_ok",
+)  # fmt: skip
 """Columns of the verdict: the whole one first, then those of its parts."""
-COUNTS: Final = ("firings", "limited_cycles", "cycles", "false_alerts")
+COUNTS: Final = (
+    "firings", "limited_cycles", "cycles", "false_alerts", "beyond_level_cycles",
+    *(f"false_alarm_{name}" for name in _ACCUSED),
+)  # fmt: skip
 TEXTS: Final = ("stop", "abort", *_TEXTS_OF_FAULT)
 NUMBERS: Final = (*_SINGLE, *_OF_FAULT, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
 """Columns with floats; null where a run did not get far enough."""
@@ -48,7 +55,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
     scenario: as the GNC has it, with the requirements; truth: as it was flown.
     """
     verdict = verdict_of(stats.ready, scenario.requirements)
-    integrity = integrity_part(stats.integrity, scenario)
+    integrity, decision = integrity_part(stats.integrity, scenario), decision_part(stats.integrity)
     aborted = int(stats.aborted)
     firings = int(np.sum(stats.thruster_firings))
     propellant_kg = _propellant_kg(stats, truth)
@@ -61,6 +68,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         "energy": bool(flown and energy["passed"]),
         "field_of_view": bool(flown and stats.view_margin >= 0.0),
         "integrity": bool(flown and integrity["passed"]),
+        "decision": bool(flown and decision["passed"]),
     }
     allowed = tolerances(scenario.requirements)
     row: dict[str, Any] = {
@@ -69,6 +77,12 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         **{column: parts[name] for name, column in PART_COLUMNS.items()},
         "accepted": is_accepted(stop == COMPLETED, bool(aborted), parts, scenario.requirements),
         "false_alerts": integrity["false_alerts"],
+        "decision_error": decision["error"],
+        "nees_ok": decision["nees_ok"],
+        "go_s": decision["go_s"],
+        "beyond_level_cycles": decision["beyond_level_cycles"],
+        **{f"false_alarm_{name}": int(stats.integrity.decision[f"false_{name}"]) for name in _ACCUSED},
+        "propellant_limit_kg": energy["factor"] * energy["least_propellant_kg"],
         "hmi_cycles": integrity["hmi_cycles"],
         "worst_error_m": integrity["worst_error_m"],
         "alert_limit_m": integrity["alert_limit_m"],

@@ -17,8 +17,8 @@ from hil.core.messages import Array
 from hil.errors import BadInput, one_line
 from hil.monte_carlo.store import TABLE, parquet
 from hil.monte_carlo.stored_campaign import StoredCampaign
+from hil.params.ready import ROW_NAMES
 from hil.report.requirements_page import EvidenceRow, campaign_rows, run_row
-from hil.report.verdict import ROW_NAMES
 
 _AXES: Final = "xyz"
 _NAVIGATION: Final = ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg")

@@ -12,7 +12,8 @@ from hil.core.messages import Array
 from hil.loop.runner import COMPLETED
 from hil.monte_carlo.outcome import FLAGS
 from hil.monte_carlo.store import Store
-from hil.report.verdict import ROW_NAMES, TABLE_V
+from hil.params.ready import ROW_NAMES
+from hil.report.verdict import TABLE_V
 
 CONFIDENCE: Final = 0.95
 PERCENTILES: Final = (5.0, 50.0, 95.0, 99.0)

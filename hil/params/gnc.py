@@ -313,6 +313,9 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.ready_angle = math.radians(wanted.angle_deg)
     params.ready_angular_rate = math.radians(wanted.angular_rate_degps)
     params.level_sigmas = protection_sigmas(scenario)
+    # the built-in navigation watches innovations every 45 deg between the axes
+    watches = scenario.gnc.navigation.backend in config.BUILT_IN["navigation"]
+    params.across_share = 1.0 / math.cos(math.pi / 8.0) if watches else math.sqrt(2.0)
     params.across_sigmas = math.sqrt(-2.0 * math.log(_level_tail(scenario)))
     params.go_sigmas = math.sqrt(chi_square.upper_quantile(scenario.gnc.integrity.go_risk_probability, 1))
     params.go_fraction = scenario.gnc.integrity.go_fraction

@@ -11,6 +11,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.params import gnc as gnc_params
+from hil.params.ready import ready_params, settled_s
 
 
 def integrity(scenario: Scenario) -> np.record:
@@ -18,6 +19,9 @@ def integrity(scenario: Scenario) -> np.record:
     params = new(INTEGRITY_PARAMS)
     params.approach = gnc_params.approach_monitor(scenario)
     params.time_to_alert_s = scenario.integrity.time_to_alert_s
+    params.decision.ready = ready_params(scenario.requirements)
+    params.decision.required_s = scenario.requirements.required_ready_s
+    params.decision.settled_s = settled_s(scenario)
     set_faults(params, scenario.faults)
     return params
 
@@ -26,3 +30,4 @@ def set_faults(params: np.record, faults: Sequence[TimedFault]) -> None:
     """Write the onsets of ``faults`` to ``params`` (INTEGRITY_PARAMS)."""
     params.faults = len(faults)
     params.fault_at_s[: len(faults)] = [fault.at_s for fault in faults]
+    params.decision.first_fault_s = min((fault.at_s for fault in faults), default=np.inf)

@@ -19,9 +19,10 @@ from hil.gnc.filter_monitor import WINDOWS, nis_band
 from hil.gnc.integrity_verdict import stanford
 from hil.loop.overrun_monitor import lateness_histogram
 from hil.params import integrity as integrity_params
+from hil.params.ready import tolerances
 from hil.report.bench_error import pose_errors
 from hil.report.summary import attitude_error
-from hil.report.verdict import Verdict, deviations, tolerances
+from hil.report.verdict import Verdict, deviations
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for the colour-blind
 _POINTS = 1500  # per line: more are not visible

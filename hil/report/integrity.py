@@ -17,9 +17,13 @@ from hil.gnc.integrity_verdict import (
     start_integrity,
     update_integrity_all,
 )
+from hil.maths import chi_square
 from hil.params import integrity as integrity_params
 
 SAFE_STOP: Final = "safe stop"
+_NEES_TAIL: Final = 2.5e-4  # of either filter
+_NEES_MAX: Final = tuple(chi_square.upper_quantile(_NEES_TAIL, n) for n in (9, 6))
+"""Largest mean NEES of position and attitude filter."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,25 @@ def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:
         "nearest_m": nearest_m,
         "false_alerts": int(state.false_alerts),
         "sensors": sensor_set(scenario),
+    }
+
+
+def decision_part(state: np.record) -> dict[str, Any]:
+    """Return the part of the verdict about docking's go. state: INTEGRITY_STATE at the end of a run.
+
+    A mean NEES may be as large as that of a consistent filter whose errors stay the same for the whole run: a quantile
+    of chi-square with as many degrees of freedom as it has states.
+    """
+    found = state.decision
+    means = found.nees / np.maximum(found.fused, 1)
+    counted = [bool(mean <= limit) for mean, limit, n in zip(means, _NEES_MAX, found.fused, strict=True) if n]
+    nees_ok = all(counted) if counted else None
+    return {
+        "passed": bool(found.error == 0 and found.beyond + found.pending == 0 and nees_ok is not False),
+        "go_s": _number(found.go_s),
+        "error": bool(found.error),
+        "nees_ok": nees_ok,
+        "beyond_level_cycles": int(found.beyond + found.pending),
     }
 
 

@@ -22,6 +22,7 @@ from hil.core.messages import Array, new
 from hil.gnc import ready_phase
 from hil.loop.overrun_monitor import lateness_percentiles_us
 from hil.loop.runner import Outcome, Runner
+from hil.params.ready import ROW_NAMES, ready_params
 from hil.report import summary
 from hil.report.bench_energy import ENERGY_KEYS, judge_energy_added
 from hil.report.bench_error import judge_bench_error
@@ -29,7 +30,7 @@ from hil.report.device_times import NAMES, count_beyond, execution_times_s, judg
 from hil.report.integrity import IntegrityJudge
 from hil.report.latency import measured, percentiles, pose_to_command_s
 from hil.report.navigation_bound import NavigationBound
-from hil.report.verdict import ROW_NAMES, Verdict, deviations, ready_params, verdict_of
+from hil.report.verdict import Verdict, deviations, verdict_of
 from hil.report.verdict_parts import (
     energy_part,
     frame_delta_v,

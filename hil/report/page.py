@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from hil.checks.waivers import Waiver
+from hil.params.ready import ROW_NAMES, tolerances
 from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.acceptance import not_required_text
@@ -15,7 +16,7 @@ from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_fl
 from hil.report.figures import figures
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ROW_LABELS, verdict_lines
-from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, deviations, judge, tolerances
+from hil.report.verdict import TABLE_V, Verdict, deviations, judge
 
 _VERSIONS: Final = (
     "hil",

@@ -21,14 +21,15 @@ from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.loop.runner import COMPLETED, Outcome
+from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import acceptance, parts_of
 from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
 from hil.report.device_times import count_beyond, execution_times_s, judge_times, with_exchanges
-from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
+from hil.report.integrity import IntegrityJudge, SafeStop, decision_part, detection, integrity_part
 from hil.report.latency import measure_latency
 from hil.report.navigation_bound import NavigationBound
-from hil.report.verdict import ROW_NAMES, Verdict, deviations, judge, tolerances
+from hil.report.verdict import Verdict, deviations, judge
 from hil.report.verdict_parts import frame_delta_v, judge_energy, judge_field_of_view, judge_security
 from hil.safety.guard_alarms import GUARD_QUANTITIES
 
@@ -76,6 +77,7 @@ def summarise(
         "ready_phase": {name: _list(verdict.worst[name]) for name in ROW_NAMES} if verdict.worst else None,
         "verdict": parts,
         "integrity": judged["part"],
+        "decision": judged["decision"],
         "docking_go_s": docking_go_s(outcome.events),
         "navigation": found["navigation"],
         "thrusters": found["thrusters"],
@@ -176,8 +178,8 @@ def judge_integrity(history: np.ndarray, scenario: Scenario) -> np.record:
 
 
 def integrity_of(state: np.record, scenario: Scenario) -> dict[str, Any]:
-    """Return the integrity part of the verdict with the state that it is made of."""
-    return {"part": integrity_part(state, scenario), "state": state}
+    """Return the parts of the verdict about integrity and decision, with the state that they are made of."""
+    return {"part": integrity_part(state, scenario), "decision": decision_part(state), "state": state}
 
 
 def docking_go_s(events: Sequence[Event]) -> float | None:

@@ -11,8 +11,9 @@ from rich.table import Table
 from hil.checks.waivers import Waiver
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
+from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import missed_parts, not_required_text, parts_of
-from hil.report.verdict import ROW_NAMES, TABLE_V, Verdict, tolerances
+from hil.report.verdict import TABLE_V, Verdict
 
 ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
@@ -200,12 +201,21 @@ def _integrity_text(part: dict[str, Any]) -> str:
     return f"{text}; {part['hmi_cycles']} misleading cycles{available}, {part['false_alerts']} false alerts"
 
 
+def _decision_text(part: dict[str, Any]) -> str:
+    go = "never a go" if part["go_s"] is None else f"docking a go at {part['go_s']:.2f} s"
+    if part["error"]:
+        go += ", with the truth outside the requirement"
+    nees = {None: "no NEES", True: "NEES consistent", False: "NEES too large"}[part["nees_ok"]]
+    return f"{go}; {nees}, {part['beyond_level_cycles']} cycles beyond the protection level"
+
+
 PART_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
     "control_precision": _precision_text,
     "security": _security_text,
     "energy": _energy_text,
     "field_of_view": _view_text,
     "integrity": _integrity_text,
+    "decision": _decision_text,
 }
 """Part of the verdict -> function that returns its key numbers as text."""
 

@@ -16,10 +16,9 @@ from hil.config.model import Triple
 from hil.config.scenario import Requirements
 from hil.core.messages import Array, new
 from hil.gnc import ready_phase
+from hil.params.ready import ROW_NAMES, ready_params
 
 _ROUNDING_S = 1e-9
-
-ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 
 
 @dataclass(frozen=True)
@@ -54,26 +53,6 @@ def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     r, v, q, w_c, w_h = (np.ascontiguousarray(truth[name]) for name in ("r_CT_H", "v_CT_H", "q_CH", "w_CI_C", "w_HI_H"))
     ready_phase.all_deviations(ready_params(requirements), r, v, q, w_c, w_h, found)
     return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
-
-
-def ready_params(requirements: Requirements) -> np.record:
-    """Return READY_PARAMS."""
-    params = new(ready_phase.READY_PARAMS)
-    params.axial_distance = requirements.axial_distance_m
-    params.dwell_s = requirements.dwell_s
-    params.tolerance = np.concatenate([tolerances(requirements)[name] for name in ROW_NAMES])
-    return params
-
-
-def tolerances(requirements: Requirements) -> dict[str, Array]:
-    """Return the allowed |deviation| of each row and axis (Table III)."""
-    r = requirements
-    return {
-        "position_m": np.array([r.axial_tolerance_m, r.radial_distance_m, r.radial_distance_m]),
-        "velocity_mps": np.array([r.axial_rate_mps, r.radial_rate_mps, r.radial_rate_mps]),
-        "attitude_deg": np.full(3, r.angle_deg),
-        "rate_degps": np.full(3, r.angular_rate_degps),
-    }
 
 
 def judge(found: Deviations, requirements: Requirements) -> Verdict:

@@ -12,7 +12,8 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_scenario
-from hil.report.verdict import ROW_NAMES, TABLE_V
+from hil.params.ready import ROW_NAMES
+from hil.report.verdict import TABLE_V
 from hil.session import build
 from tests.support.run_settings import make_job, typed
 

@@ -14,7 +14,8 @@ from hil.core.messages import POSE, new
 from hil.maths import euler, quat
 from hil.monte_carlo import akf_additive
 from hil.params import gnc as gnc_params
-from hil.report.verdict import Deviations, judge, tolerances
+from hil.params.ready import tolerances
+from hil.report.verdict import Deviations, judge
 from tests.support.joint_filter import JointFilter
 
 YAW_PITCH_ROLL = np.array([2, 1, 0])
