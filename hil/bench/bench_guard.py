@@ -26,6 +26,7 @@ SLOW_MPS = 0.5
 _KEPT = 64  # samples of the encoders, for the times of exposure
 _SLOW_S, _FAST_S = 10.0, 0.4  # time constants of the means of estimate minus encoders: of a filter, of an alarm
 _ESTIMATE_SIGMAS = 3.0  # of the estimate, by which it may be off in addition
+_LEVEL_FRACTION = 0.9  # of a protection level: an alarm comes before the error is beyond it
 _HYSTERESIS = 0.8  # of a limit, below which an estimate that was beyond it is well again
 
 BENCH_GUARD_PARAMS = np.dtype(
@@ -357,9 +358,9 @@ def compare_estimate(params, bench, memory, t_s, estimate, disagrees):
         allowed = params.estimate_position if i < 3 else params.estimate_attitude
         if sigma > 0.0:  # nan: it reports none
             allowed += _ESTIMATE_SIGMAS * sigma
-        if level > 0.0:
-            allowed = min(allowed, level)
         allowed += params.calibration_position if i < 3 else params.calibration_attitude
+        if level > 0.0:
+            allowed = min(allowed, _LEVEL_FRACTION * level)
         share = abs(memory.off_now[i]) / allowed
         if share > worst or not math.isfinite(share):
             worst, found = share, memory.estimate

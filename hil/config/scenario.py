@@ -418,7 +418,7 @@ class NavigationIntegrity(ConfigModel):
     """Probability per approach that an error exceeds its protection level without a fault."""
     go_risk_probability: Annotated[float, Field(gt=0.0, le=0.1)] = 1e-4
     """Probability that docking is a go although an error exceeds the requirement: 1e-4 is 3.9 standard deviations."""
-    go_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.85
+    go_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = 0.75
     """Of the requirements, within which the encoders must be for a go; the rest is for the control error after it."""
     go_cusum_sigmas: Positive = 12.0
     """Docking is no go while a sum of the CUSUM is larger."""

@@ -149,12 +149,6 @@ def _largest(sigma):
 
 
 @kernel
-def _length(values):
-    """Return the length of ``values`` (3,), nan if one of them is."""
-    return math.sqrt(values[0] ** 2 + values[1] ** 2 + values[2] ** 2)
-
-
-@kernel
 def alert_limits(params, r_CT_H, v_CT_H, q_CH, limits):
     """Write the alert limits ``limits`` (3,): along the docking axis, across it, m, and of the attitude, rad.
 
@@ -303,8 +297,9 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
     if found.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
-    off = _length(estimate.protection_level_m)
-    off = off if 0.0 < off < np.inf else 0.0  # one without a bound has its own reaction
+    levels = stack.vector(3)
+    protection_levels(params, estimate, levels)
+    off = levels[ACROSS] if 0.0 < levels[ACROSS] < np.inf else 0.0  # one without a bound has its own reaction
     off_mps = params.confidence * _largest(estimate.sigma_v_mps)
     if reactions.converged == 0:
         off, off_mps = -params.confidence * _largest(estimate.sigma_r_m), -off_mps

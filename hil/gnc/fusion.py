@@ -93,7 +93,9 @@ FUSION_STATE = np.dtype(
 )
 
 _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agree may have between them
-_JUMP_NIS = 64.0  # of quiet readings: a change of bias or disturbance
+_INTERVAL_WEIGHT = 0.1  # of an interval in the mean of those between poses
+_JUMP_NIS = 45.0  # of quiet readings: a change of bias or disturbance; noise may be 1.5 times as large as assumed
+_JUMP_WINDOWS = 4  # in which they are averaged
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
@@ -245,7 +247,9 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
         if pose.t_s > state.last_accepted_s:
             interval_s = pose.t_s - state.last_accepted_s
             # a gap is none: what counts is how soon poses follow each other
-            state.interval_s = min(interval_s, 2.0 * state.interval_s if state.interval_s > 0.0 else 1.0)
+            if state.interval_s == 0.0:
+                state.interval_s = min(interval_s, 1.0)
+            state.interval_s += _INTERVAL_WEIGHT * (min(interval_s, 2.0 * state.interval_s) - state.interval_s)
             state.last_accepted_s = pose.t_s
     state.rejected_in_a_row = 0 if found >= ACCEPTED else state.rejected_in_a_row + 1
 
@@ -288,32 +292,43 @@ def _place(params, state, memory, pose):
 
 
 @kernel
-def _fuse_bias(params, state, memory, cycle):
-    """Fuse the accelerometer's quiet readings of the window that ends with step ``cycle``, if one does."""
-    window = params.thrust.window
-    if params.thrust.enabled == 0 or cycle % window != 0:
-        return
-    mean, count, found = stack.vector(3), 0, state.found_position
+def _quiet_mean(params, state, memory, cycle, steps, mean):
+    """Write the mean (3,) of the quiet readings of the last ``steps`` steps up to ``cycle``; return their number."""
+    count = 0
     fill(mean, 0.0)
     oldest = max(state.start_cycle + 1, state.cycle - params.memory + 1)
-    for k in range(max(oldest, cycle - window + 1), cycle + 1):
+    for k in range(max(oldest, cycle - steps + 1), cycle + 1):
         step = step_at(params, memory, k)
         if step.kind == QUIET:
             count += 1
             for i in range(3):
                 mean[i] += step.force_C[i]
-    if count == 0:
-        return
     for i in range(3):
-        mean[i] /= count
-    for turn in range(2):
-        thrust_model.bias_innovation(params.pkf, params.errors, state.filters, mean, count, found)
-        nis = joint_filter.innovate(params.errors, state.filters, R, 9, found)
-        if not nis > _JUMP_NIS:
-            break
-        if turn == 0:
-            thrust_model.admit_jump(params.errors, state.filters, found)
-    joint_filter.update(params.errors, state.filters, found)
+        mean[i] /= max(1, count)
+    return count
+
+
+@kernel
+def _fuse_bias(params, state, memory, cycle):
+    """Fuse the accelerometer's quiet readings of the window that ends with step ``cycle``, if one does.
+
+    If those of ``_JUMP_WINDOWS`` agree neither with bias nor disturbance, both may have changed.
+    """
+    window = params.thrust.window
+    if params.thrust.enabled == 0 or cycle % window != 0:
+        return
+    mean, found, errors, filters = stack.vector(3), state.found_position, params.errors, state.filters
+    count = _quiet_mean(params, state, memory, cycle, _JUMP_WINDOWS * window, mean)
+    if count > window:
+        thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, found)
+        if joint_filter.innovate(errors, filters, R, 9, found) > _JUMP_NIS:
+            thrust_model.admit_jump(errors, filters, found)
+            state.thrust.jumped = cycle
+    count = _quiet_mean(params, state, memory, cycle, window, mean)
+    if count > 0:
+        thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, found)
+        joint_filter.innovate(errors, filters, R, 9, found)
+        joint_filter.update(errors, filters, found)
 
 
 @kernel

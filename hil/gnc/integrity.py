@@ -16,7 +16,7 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
 from hil.gnc import thrust_model
-from hil.gnc.error_state import V
+from hil.gnc.error_state import DRIFT, V
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import is_covariance_3
 
@@ -31,8 +31,11 @@ _REPEATS_MAX = 2  # of a pose with all its digits: noise leaves none
 _UNIT_TOLERANCE = 1e-3  # of the length of a quaternion
 _FOLLOW_EACH = 4  # accepted poses
 _CONVERGES = 4.0  # times the variance of the velocity: what it was
+_JUMP_S = 60.0  # in which a change of the dynamics is estimated
 _SPREADS = 6.0  # standard deviations of the corrections of the velocity
 _GAP_INTERVALS = 3.0  # between poses, from which on there is a gap
+_DOUBTS_MAX = 3
+_DOUBT_RADPS = 1e-5  # 1 sigma, of a rate that is estimated anew
 _CAP_S = 5.0  # after it
 _CONFIRMED_FRACTION = 4  # of the accepted poses: the longest time over which a bias can have grown while they agree
 
@@ -66,6 +69,7 @@ INTEGRITY_STATE = np.dtype(
         ("monitored", "i8"),  # accepted poses so far
         ("high", "f8", SUMS),  # CUSUM of each innovation, position then attitude, and of pairs of position, upwards
         ("low", "f8", SUMS),  # and downwards
+        ("doubted", "i8"),  # how often the rate was estimated anew
         ("biased", "i8"),  # 1: a CUSUM has passed its limit; it stays so, as the filters follow a bias
         ("mean_nis", "f8", 2),  # position, attitude
         ("followed", "f8"),  # standard deviations of an innovation: error of the largest fault that is not found yet
@@ -165,6 +169,23 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
 
 
 @kernel
+def doubt_drift(params, state, filters):
+    """Let the filters estimate the rate anew when the attitude's innovations have a mean, before a sensor is accused.
+
+    Such a mean is that of a wrong rate of H (the ephemeris), or of gyros whose drift has changed.
+    """
+    if state.doubted >= _DOUBTS_MAX:
+        return
+    for i in range(3, 6):
+        if max(state.high[i], state.low[i]) > 0.5 * params.cusum_limit:
+            state.doubted += 1
+            for j in range(3):
+                filters.p[DRIFT + j, DRIFT + j] += _DOUBT_RADPS**2
+                state.high[3 + j] = state.low[3 + j] = 0.0
+            return
+
+
+@kernel
 def vision_health(params, state, age_s, rejected_in_a_row):
     """Return the bits of the vision unit. age_s: of the last accepted pose."""
     health = 0
@@ -217,12 +238,15 @@ def _largest_missed(params, fusion, n, limit, kind, most):
 
 
 @kernel
-def follow(params, state, fusion):
+def follow(params, state, fusion, dt_s):
     """Write ``followed``, ``followed_speed`` and ``followed_go``, of the largest faults of the poses that are missed.
 
-    Gains change slowly: one in ``_FOLLOW_EACH`` accepted poses is enough.
+    Gains change slowly: one in ``_FOLLOW_EACH`` accepted poses is enough. After a change of the dynamics that the
+    accelerometer has shown, gains are larger; but then this is the fault, and the poses are sound.
     """
     if fusion.accepted % _FOLLOW_EACH != 1:
+        return
+    if fusion.thrust.jumped > 0 and state.followed > 0.0 and (fusion.cycle - fusion.thrust.jumped) * dt_s < _JUMP_S:
         return
     _, n = missed_shift(params, fusion.accepted)
     most = np.inf  # ramp that corrections of the velocity do not show, per pose

@@ -104,8 +104,9 @@ def _watch_update(params, state, accepted):
     fused = state.fusion
     if fused.updated != 0:
         integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
+        integrity.doubt_drift(params.integrity, state.integrity, fused.filters)
         integrity.watch_velocity(params.fusion.thrust, params.fusion.errors, state.integrity, fused)
-        integrity.follow(params.integrity, state.integrity, fused)
+        integrity.follow(params.integrity, state.integrity, fused, params.fusion.pkf.dt_s)
     elif fused.accepted != accepted:  # the filters were started again
         state.integrity.restarted_s = state.t_s
 

@@ -58,6 +58,7 @@ THRUST_STATE = np.dtype(
         ("rate_C", "f8", 3),  # rad/s, the last one used, with the gyros' drift
         ("drift", "f8", 3),  # rad/s, of the gyros, when they were replaced
         ("drift_variance", "f8", 3),
+        ("jumped", "i8"),  # step at which quiet readings did not agree with bias and disturbance, 0 for none
         ("spread", "f8"),  # (m/s)^2, what white noise adds to the velocity, forgotten over ``MEMORY_S``
         ("gained_C", "f8", 3),  # m/s, velocity by thrust, the same
     ],

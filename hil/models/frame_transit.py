@@ -45,8 +45,12 @@ def next_arrival(frames, first, n):
 def put_exposure(transit, frames, t_s, late, copies):
     """Send the frame ``frames[transit.in_transit]``, exposed at ``t_s``, on its way, ``copies`` times.
 
-    late: (2,), s, of each copy. transit: FRAME_TRANSIT, whose next exposure it is.
+    late: (2,), s, of each copy. transit: FRAME_TRANSIT, whose next exposure it is. A lost pose, without copies, is
+    reported as none: the unit is alive.
     """
+    if copies == 0:
+        frames[transit.in_transit].t_v[0] = np.nan
+        copies = 1
     for copy in range(copies):
         sent = frames[transit.in_transit]
         if copy > 0:

@@ -90,8 +90,9 @@ class VmuEmulator:
             if self._identifies and exposed_s >= identify_s:
                 self._send(encode_identity(IDENTITY), exposed_s)
                 identify_s = exposed_s + IDENTITY_PERIOD_S
-            frame = self._expose(exposed_s)
-            for delay_s in self._transport.delays() if self._transport else (0.0,):
+            delays = self._transport.delays() if self._transport else (0.0,)
+            frame = self._expose(exposed_s, bool(delays))
+            for delay_s in delays or (0.0,):
                 self._send(frame, exposed_s + self._processing_s + delay_s)
             exposure += 1
 
@@ -108,12 +109,12 @@ class VmuEmulator:
             self._line = None
             self._at_end()
 
-    def _expose(self, t_s: float) -> bytes:
+    def _expose(self, t_s: float, has_pose: bool) -> bytes:
         if self.faults.value("freeze") is not None and self._frame:
             return self._frame  # counter and time as they were
         counter = self._counter
         self._counter = (counter + 1) & 0xFFFF_FFFF
-        pose = self._pose_at(t_s)
+        pose = self._pose_at(t_s) if has_pose else None
         stamp_s = max(0.0, t_s + (self.faults.value("clock_jump") or 0.0))
         if pose is None:
             self._frame = self._codec.encode_status(counter, stamp_s, STATUS_NO_POSE)
