@@ -25,6 +25,7 @@ from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
 from hil.errors import one_line
+from hil.loop.runner import COMPLETED
 from hil.params import bench as bench_params
 
 PRESENCE_PERIOD_S: Final = 0.2
@@ -58,6 +59,8 @@ class SessionManager:
         self._print = log
         self.wall_s = wall_s
         self.state = SessionState({}, "no session is open")
+        self.stop_reason = ""
+        """Why the last session ended before its run was complete; shown until it is acknowledged."""
         self.tuner: Tuner | None = None
         self.television: SceneCamera | None = None
         """Camera of the docking monitor that measures on images, None without one."""
@@ -137,6 +140,8 @@ class SessionManager:
             self._in_background(self._connect_faults(message["hello"]["addresses"]))
         for line in self.state.apply(message):
             self.log(line)
+        if "refused" in message or ("ended" in message and message["ended"]["stop"] != COMPLETED):
+            self.stop_reason = self.state.status_text
         self.changed()
 
     async def _connect_faults(self, addresses: dict[str, str]) -> None:

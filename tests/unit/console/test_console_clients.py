@@ -34,8 +34,11 @@ class OpenSession:
         self.asked: list[dict[str, Any]] = []
 
     async def ask(self, **message: Any) -> str:
+        return str((await self.request(**message))["text"])
+
+    async def request(self, **message: Any) -> dict[str, Any]:
         self.asked.append(message)
-        return ""
+        return {"text": ""}
 
     def send(self, **_: Any) -> bool:
         return True
@@ -57,7 +60,7 @@ def answer(service: ConsoleService, client: Client, **command: Any) -> dict[str,
 @pytest.mark.parametrize("order", ["stop", "hold"])
 def test_client_without_the_command_can_stop_and_hold(service: ConsoleService, order: str) -> None:
     assert answer(service, BOB, do="order", order=order)["ok"]
-    assert cast(OpenSession, service.session).asked == [{"order": order, "by": "bob"}]
+    assert cast(OpenSession, service.session).asked == [{"order": order, "by": "bob", "second": ""}]
 
 
 @pytest.mark.parametrize("order", ["home", "arm", "start", "resume", "abort", "go", "park", "reset", "disarm"])

@@ -1,0 +1,174 @@
+"""STOP and HOLD leave the console's page whatever has the focus: keys, mouse and touch on a stub of a session."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from hil.core.modes import Mode
+from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from tests.support.browsers import BrowserPage, chromium, firefox
+from tests.support.stub_console import StubSession, stub_console
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
+
+ORDERS = {"stop": "stop", "hold": "order_hold"}
+WIDTHS = (1280, 390)
+LETTERS = {"stop": ("x", "KeyX", "\u0447", "\u03c7", "F8"), "hold": ("h", "KeyH", "\u0440", "\u03b7", "F2")}
+LAYOUTS = ("plain", "shift", "caps lock", "cyrillic", "greek", "input method", "other place", "further key")
+CONFIRMED = ("home", "arm", "start", "resume", "abort", "go", "park", "reset")
+FIELDS = ("fault_device", "fault_kind", "fault_axis", "fault_value")
+SETTING = "#settinglist tr:nth-child(1) input"
+FOCUS = ("nothing", *FIELDS, *(f"list {name}" for name in FIELDS[:3]), "settings", "setting", "camera", "log",
+         "who name", "who token", *(f"confirm {order}" for order in CONFIRMED), "confirm open",
+         "confirm setting")  # fmt: skip
+BUDGET_MS = 50.0
+
+SCRIPT = """
+localStorage.setItem("hil.name", "ann");
+window.cells = { begun: 0, sent: [] };
+const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (text) {
+  const message = JSON.parse(text);
+  if (message.do === "order") window.cells.sent.push([message.order, performance.now() - window.cells.begun]);
+  return send.call(this, text);
+};
+for (const kind of ["keydown", "pointerdown"]) {
+  window.addEventListener(kind, () => (window.cells.begun = performance.now()), true);
+}
+"""
+
+
+def until(page: BrowserPage, expression: str, wall_s: float = 20.0) -> None:
+    end_s = time.monotonic() + wall_s
+    while not page.evaluate(expression):
+        assert time.monotonic() < end_s, f"{expression} did not come"
+        time.sleep(0.005)
+
+
+@contextmanager
+def opened(page: BrowserPage) -> Iterator[StubSession]:
+    """Load the page of a console with a stub, and take the command."""
+    with stub_console() as (address, _, stub):
+        page.open(f"http://{address}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        page.evaluate("void document.getElementById('take').click()")
+        until(page, "window.hil.now.lease.mine && !document.body.classList.contains('away')")
+        yield stub
+
+
+def set_focus(page: BrowserPage, stub: StubSession, focus: str) -> None:
+    """Bring the page from any state into the one named ``focus``."""
+    what, _, name = focus.partition(" ")
+    stub.mode = Mode.RUNNING
+    if name in CONFIRMED:
+        stub.mode = min(ALLOWED_IN[OperatorCommand(name)], key=lambda mode: mode.value)
+    page.evaluate(
+        "import('/page/dialogs.js').then((dialogs) => { for (const id of ['confirm', 'who'])"
+        " dialogs.closeDialog(document.getElementById(id)); document.getElementById('shade').hidden = true;"
+        " for (const list of document.querySelectorAll('select')) list.removeAttribute('size');"
+        " document.getElementById('settings').hidden = true; document.activeElement.blur(); scrollTo(0, 0); })"
+    )
+    until(page, f"document.getElementById('mode').dataset.mode === '{stub.mode.value}'")
+    if what in FIELDS or what in ("camera",):
+        page.evaluate(f"void document.getElementById('{what}').focus()")
+    elif what == "list":
+        page.evaluate(f"document.getElementById('{name}').scrollIntoView({{block: 'center'}})")
+        page.point("mouse", *middle(page, name))
+        until(page, f"document.getElementById('{name}').size > 1")
+    elif what == "log":
+        page.evaluate("void document.getElementById('loglist').click()")
+    elif what == "who":
+        page.evaluate("import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('who')))")
+        page.evaluate(f"void document.getElementById('{name}').focus()")
+    elif what in ("settings", "setting") or name == "setting":
+        page.evaluate("void document.getElementById('settings_open').click()")
+        until(page, "!document.getElementById('settings').hidden")
+        if what != "settings":
+            page.evaluate(f"void document.querySelector('{SETTING}').focus()")
+        if name == "setting":
+            page.evaluate(f"void (document.querySelector('{SETTING}').value = '0.0003')")
+            page.evaluate("void document.querySelector('#settinglist tr:nth-child(1) button').click()")
+    elif what == "confirm":
+        page.evaluate(
+            f"void (document.getElementById('order_{name}') || document.getElementById('take')).click()"
+            if name != "open"
+            else "import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('confirm')))"
+        )
+    if what == "confirm":
+        until(page, "document.getElementById('confirm').open")
+
+
+def middle(page: BrowserPage, button: str) -> tuple[float, float]:
+    x, y = page.evaluate(
+        f"(() => {{ const b = document.getElementById('{button}').getBoundingClientRect();"
+        " return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+    )
+    return x, y
+
+
+def press(page: BrowserPage, order: str, layout: str) -> None:
+    letter, code, cyrillic, greek, further = LETTERS[order]
+    key = {"shift": letter.upper(), "caps lock": letter.upper(), "cyrillic": cyrillic, "greek": greek,
+           "input method": "Process", "further key": further}.get(layout, letter)  # fmt: skip
+    code = {"other place": "KeyJ", "further key": further}.get(layout, code)
+    page.key(key, code, shift=layout == "shift")
+
+
+def cell(page: BrowserPage, stub: StubSession, focus: str, order: str, how: str) -> str:
+    """Try one cell; return what is wrong with it, "" for nothing."""
+    set_focus(page, stub, focus)
+    page.evaluate("void (window.cells.sent = [])")
+    if how in ("mouse", "touch"):
+        page.point(how, *middle(page, ORDERS[order]))
+    else:
+        press(page, order, how)
+    end_s = time.monotonic() + 1.0
+    while not (sent := page.evaluate("window.cells.sent")):
+        if time.monotonic() > end_s:
+            return "nothing left the page"
+    (left, after_ms) = sent[0]
+    if left != order or len(sent) > 1:
+        return f"sent {json.dumps(sent)}"
+    return "" if after_ms < BUDGET_MS else f"{after_ms:.0f} ms"
+
+
+def wrong_cells(page: BrowserPage, cells: list[tuple[str, str, str, int]]) -> list[str]:
+    """Try all ``cells``: focus, order, way, width; return those that are wrong."""
+    wrong, width = [], 0
+    with opened(page) as stub:
+        for focus, order, how, of_width in cells:
+            if of_width != width:
+                width = of_width
+                page.resize(width, 720)
+            if text := cell(page, stub, focus, order, how):
+                wrong.append(f"{focus}, {order}, {how}, {of_width} px: {text}")
+    return wrong
+
+
+EVERY = [
+    (focus, order, how, width)
+    for width in WIDTHS
+    for focus, order, how in itertools.product(FOCUS, ORDERS, (*LAYOUTS, "mouse", "touch"))
+]
+
+
+def test_stop_and_hold_leave_the_page_whatever_has_the_focus() -> None:
+    some = [c for i, c in enumerate(EVERY) if i % 7 == 0 or (c[0] in ("settings", "confirm arm") and c[3] == 390)]
+    with chromium() as page:
+        assert wrong_cells(page, some) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("browser", ["chromium", "firefox"])
+def test_every_cell_of_stop_and_hold(browser: str, tmp_path: Path) -> None:
+    with chromium() if browser == "chromium" else firefox(tmp_path) as page:
+        wrong = wrong_cells(page, EVERY)
+    print(f"{browser}: {len(EVERY)} cells, {len(wrong)} wrong")  # noqa: T201
+    assert wrong == []
