@@ -150,7 +150,7 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
         screen.until("!window.hil.now.open")
         screen.picture("alarm")
         assert screen.page.is_enabled("#acknowledge")
-        screen.press("n", "open", confirm=True)
+        screen.press("n", "open")
         screen.until("document.getElementById('answer').textContent.includes('is not acknowledged')")
         screen.press("c", "acknowledge")
         screen.until("window.hil.page.alarms.every(alarm => alarm.acknowledged)")
