@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -62,6 +63,11 @@ class ConsoleService(SessionManager):
     """Session manager with the requests and the updates of clients."""
 
     second_person: SecondPerson | None = None
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._halts: dict[str, asyncio.Task[dict[str, Any]]] = {}
+        """STOP and HOLD that are being executed."""
 
     # requests of the clients
 
@@ -186,6 +192,8 @@ class ConsoleService(SessionManager):
                 raise RequestRejected(f"bench: cannot {word} while it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
+        if word in WITHOUT_COMMAND:
+            return await self._halt(client, word, self.session)
         self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
         terms = {key: command[key] for key in ("confirmed", "mode") if key in command}
         answer = await self.session.request(order=word, by=client.name, second=second, **terms)
@@ -193,6 +201,27 @@ class ConsoleService(SessionManager):
             return {"ok": False, "ask": answer["ask"], "mode": answer["mode"]}
         if "second" in answer:
             return self._wait_for_second(client, word, {**command, "mode": answer["mode"]})
+        return self._answer(client, word, answer)
+
+    async def _halt(self, client: Client, word: str, session: SessionProcess) -> dict[str, Any]:
+        """Execute STOP or HOLD. While one is being executed further ones of the same kind share its answer: a flood of
+        them delays no other command."""
+        if word not in self._halts:
+
+            async def execute() -> dict[str, Any]:
+                try:
+                    answer = await session.request(order=word, by=client.name)
+                    if answer.get("unsent") and word == OperatorCommand.STOP.value:
+                        session.interrupt()
+                    return self._answer(client, word, answer)
+                finally:
+                    del self._halts[word]
+
+            self._halts[word] = asyncio.create_task(execute())
+        return await asyncio.shield(self._halts[word])
+
+    def _answer(self, client: Client, word: str, answer: dict[str, Any]) -> dict[str, Any]:
+        """Return the answer of the session to an order for its client, and log it."""
         text = str(answer["text"])
         self.log(f"{client.name}: {word}{f' rejected: {text}' if text else ''}")
         return {"ok": not text, "text": text}

@@ -29,6 +29,8 @@ from hil.loop.runner import COMPLETED
 from hil.params import bench as bench_params
 
 PRESENCE_PERIOD_S: Final = 0.2
+CLIENTS_MAX: Final = 32
+_SILENT_S: Final = 5.0  # a page sends a message every 0.2 s
 _KEPT_LOG: Final = 200
 _LONGEST_LOG_LINE: Final = 1000
 
@@ -82,10 +84,30 @@ class SessionManager:
         self._reported = ("", -math.inf)
         self.log(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
 
+    def admit(self, client: Client) -> None:
+        """Add a client. Beyond ``CLIENTS_MAX`` it displaces another one: a silent one if there is one, then the one
+        whose last request is the oldest, and the operator who has the command only if no other is left."""
+        now_s = client.last_rx_s = self.wall_s()
+        present = [each for each in self.clients if not each.displaced.is_set()]
+        if len(present) >= CLIENTS_MAX:
+
+            def importance(each: Client) -> tuple[bool, bool, float]:
+                return each.key == self.lease.key, now_s - each.last_rx_s < _SILENT_S, each.acted_s
+
+            min(present, key=importance).displaced.set()
+        self.clients.append(client)
+        self.changed()
+
+    def dismiss(self, client: Client) -> None:
+        """Remove a client that has disconnected."""
+        self.clients.remove(client)
+        self.changed()
+
     def refresh(self, client: Client, got: object = None) -> None:
         """Renew the client's lease; got: number of updates that the page has received, if it reports it."""
         if isinstance(got, int):
             client.got = got
+        client.last_rx_s = self.wall_s()
         self.lease.renew(client.key, self.wall_s())
 
     def tick(self) -> None:

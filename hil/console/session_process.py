@@ -85,7 +85,7 @@ class SessionProcess:
         self._answers[number] = answer
         try:
             if not self.send(**message, id=number, until_s=time.monotonic() + _ANSWER_WALL_S):
-                return {"text": "the session receives no messages"}
+                return {"text": "the session receives no messages", "unsent": True}
             return await asyncio.wait_for(answer, _ANSWER_WALL_S)
         except TimeoutError:
             text = f"no answer of the session within {_ANSWER_WALL_S:g} s: its devices are being opened or closed"
