@@ -19,6 +19,7 @@ from hil.config.body import CentralBody
 from hil.config.dispersions import Dispersions
 from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.fmu_mapping import FmuMapping
+from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.renamed_keys import present_key, with_present_names
@@ -91,7 +92,9 @@ class Loaded(Generic[Model]):
 def load_scenario(name: str, settings: Iterable[str] = ()) -> Loaded[Scenario]:
     """Return the scenario ``name`` (shipped, or a path) with ``settings`` applied; raise BadInput."""
     chosen = [text for text in settings if not text.startswith("rig.")]
-    return _load(name, "scenarios", Scenario, chosen, prefix="")
+    loaded = _load(name, "scenarios", Scenario, chosen, prefix="")
+    check_limits(loaded, SCENARIO_LIMITS, "mock", "")
+    return loaded
 
 
 def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
@@ -99,7 +102,15 @@ def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
     chosen = [text for text in settings if text.startswith("rig.")]
     loaded = _load(name, "rigs", Rig, chosen, prefix="rig.")
     check_wires(loaded)
+    check_limits(loaded, RIG_LIMITS, loaded.value.kind, "rig.")
     return loaded
+
+
+def check_limits(loaded: Loaded[Any], limits: tuple[Limit, ...], kind: Kind, prefix: str) -> None:
+    """Raise BadInput if a protective limit is weaker than a rig of ``kind`` accepts. prefix: of their keys."""
+    found = excess(limits, loaded.value, kind)
+    if found:
+        raise BadInput([Problem(loaded.where(key), f"{prefix}{key}", text) for key, text in found])
 
 
 def check_wires(rig: Loaded[Rig]) -> None:

@@ -172,9 +172,11 @@ class ConsoleService(SessionManager):
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= SEED_MAX:
             raise RequestRejected(f"seed {seed!r}: allowed an integer of 0 or more")
         choice = self.choice.model_copy(update=changes)
+        job = choice.job()
+        rig = job.rig.value
         if not command.get("confirmed"):
-            return {"ok": False, "ask": "\n".join([*map(str, waivers(choice.job().rig.value)), OPEN_QUESTION])}
-        if "open" in choice.job().rig.value.console.second_person and not second:
+            return {"ok": False, "ask": "\n".join([*map(str, waivers(rig, job.scenario.value)), OPEN_QUESTION])}
+        if "open" in rig.console.second_person and not second:
             return self._wait_for_second(client, "open", command)
         self.start_session(choice)
         return {"ok": True, "text": ""}

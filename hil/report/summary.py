@@ -101,7 +101,7 @@ def summarise(
         "clocks": outcome.measured.get("clocks"),
         "manipulator": outcome.measured.get("manipulator"),
         "sign_off": sign_off_summary(rig),
-        "waived": [waiver.as_json() for waiver in waivers(rig)],
+        "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "injected": [
             injected(fault, detection(judged["state"], k, fault, safe_stop(outcome, scenario)))
@@ -158,7 +158,7 @@ def devices_of(history: np.ndarray, rig: Rig, scenario: Scenario) -> dict[str, A
 def summary_of(recorded: Recorded) -> dict[str, Any]:
     """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
     if recorded.summary is not None:
-        return {"waived": [waiver.as_json() for waiver in waivers(recorded.rig)], **recorded.summary}
+        return {"waived": [waiver.as_json() for waiver in waivers(recorded.rig, recorded.scenario)], **recorded.summary}
     stop = (recorded.end or {}).get("stop", BROKE_OFF)
     run, step_s = recorded.run, recorded.scenario.step_s
     outcome = Outcome(recorded.cycles, stop, faults=[stop])

@@ -49,7 +49,10 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     print_waived(summary["waived"], console)
     word = "[bold green]PASS[/]" if summary["passed"] else "[bold red]FAIL[/]"
     why = "" if summary["passed"] else f" ({_reason(summary, verdict)})"
-    console.print(f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}", highlight=False)
+    weak = len(summary["waived"])
+    given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
+    text = f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}{given_up}"
+    console.print(text, highlight=False)
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
