@@ -50,6 +50,8 @@ _FILES_OF_KEYS = {
 _NEVER = ("\0",)
 
 _PROBLEMS_MAX = 20
+_DEPTH_MAX = 20
+_MISSING_SHOWN = 5
 _TYPE_LABEL = re.compile(r"float|int|bool|str|constrained-\w+|[A-Z]\w*|.*\[.*")
 """What pydantic adds to the location of an error in a value of several types: the type that it tried."""
 _MUST = "Input should be "
@@ -334,7 +336,10 @@ def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:
         value = value_text.strip()  # a bare word: the shell has removed its quotes
     except ValueError as error:
         raise BadInput.single("--set", text, str(error)) from error
-    return key.removeprefix(prefix).split("."), value
+    path = key.removeprefix(prefix).split(".")
+    if len(path) > _DEPTH_MAX:
+        raise BadInput.single("--set", f"{key[:60]}...", f"{len(path)} levels: allowed up to {_DEPTH_MAX}")
+    return path, value
 
 
 def _problems(
@@ -342,6 +347,13 @@ def _problems(
 ) -> list[Problem]:
     problems = []
     faults = [*_of_one_type(error.errors(), table), *_unknown_in_devices(error, model, table)]
+    missing = [".".join(map(str, fault["loc"])) for fault in faults if fault["type"] == "missing"]
+    if len(missing) > _MISSING_SHOWN:
+        shown = ", ".join(f"{prefix}{key}" for key in missing[:_MISSING_SHOWN])
+        shown += f" and {len(missing) - _MISSING_SHOWN} more"
+        advice = 'are missing: extends = "..." in its first line gives a file the keys of another'
+        problems.append(Problem(source, shown, advice))
+        faults = [fault for fault in faults if fault["type"] != "missing"]
     for fault in faults[:_PROBLEMS_MAX]:
         location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))

@@ -52,7 +52,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     weak = len(summary["waived"])
     given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
     text = f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']}{why}{given_up}"
-    console.print(text, highlight=False)
+    console.print(text, highlight=False, soft_wrap=True)
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
