@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any, Final, Literal
 
 from pydantic import BaseModel
 
+Weakest = tuple[float, float, float]
+"""Recommended, on hardware, and on simulated rigs."""
 Kind = Literal["mock", "emulated", "hardware"]
 
 
@@ -43,7 +44,7 @@ class Limit:
         return f"{weakest:g} or {'more' if self.weak_below else 'less'}"
 
 
-def _axes(device: str, names: str, unit: str, error: tuple[float, ...], speed: tuple[float, ...]) -> tuple[Limit, ...]:
+def _axes(device: str, names: str, unit: str, error: Weakest, speed: Weakest) -> tuple[Limit, ...]:
     return (
         Limit(f"{device}.timeout_s", f"silence of {names}", 1.0, 2.0, 3600.0),
         Limit(f"{device}.following_error_max_{unit}", f"{names} that do not follow their setpoints", *error),
@@ -110,7 +111,9 @@ SCENARIO_LIMITS: Final = (
 def values(limits: tuple[Limit, ...], table: BaseModel) -> Iterator[tuple[Limit, float]]:
     """Yield each of ``limits`` that ``table`` has, and its value."""
     for limit in limits:
-        value: Any = reduce(lambda inner, name: getattr(inner, name, None), limit.key.split("."), table)
+        value: Any = table
+        for name in limit.key.split("."):
+            value = getattr(value, name, None)
         if value is not None:
             yield limit, float(value)
 

@@ -14,6 +14,8 @@ import pytest
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 from tests.support.browsers import BrowserPage, chromium, firefox
+from tests.support.console_client import PATIENT, console
+from tests.support.run_settings import NEAR, typed
 from tests.support.stub_console import StubSession, stub_console
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
@@ -63,19 +65,21 @@ def opened(page: BrowserPage) -> Iterator[StubSession]:
         yield stub
 
 
-def set_focus(page: BrowserPage, stub: StubSession, focus: str) -> None:
-    """Bring the page from any state into the one named ``focus``."""
+def set_focus(page: BrowserPage, stub: StubSession | None, focus: str) -> None:
+    """Bring the page from any state into the one named ``focus``. stub: None for a real session in a run."""
     what, _, name = focus.partition(" ")
-    stub.mode = Mode.RUNNING
+    mode = Mode.RUNNING
     if name in CONFIRMED:
-        stub.mode = min(ALLOWED_IN[OperatorCommand(name)], key=lambda mode: mode.value)
+        mode = min(ALLOWED_IN[OperatorCommand(name)], key=lambda mode: mode.value)
+    if stub is not None:
+        stub.mode = mode
     page.evaluate(
         "import('/page/dialogs.js').then((dialogs) => { for (const id of ['confirm', 'who'])"
         " dialogs.closeDialog(document.getElementById(id)); document.getElementById('shade').hidden = true;"
         " for (const list of document.querySelectorAll('select')) list.removeAttribute('size');"
         " document.getElementById('settings').hidden = true; document.activeElement.blur(); scrollTo(0, 0); })"
     )
-    until(page, f"document.getElementById('mode').dataset.mode === '{stub.mode.value}'")
+    until(page, f"document.getElementById('mode').dataset.mode === '{mode.value}'")
     if what in FIELDS or what in ("camera",):
         page.evaluate(f"void document.getElementById('{what}').focus()")
     elif what == "list":
@@ -172,3 +176,68 @@ def test_every_cell_of_stop_and_hold(browser: str, tmp_path: Path) -> None:
         wrong = wrong_cells(page, EVERY)
     print(f"{browser}: {len(EVERY)} cells, {len(wrong)} wrong")  # noqa: T201
     assert wrong == []
+
+
+KINDS = ("nothing", "fault_value", "list fault_device", "setting", "who name", "confirm abort", "confirm setting")
+WAYS = ("plain", "shift", "caps lock", "cyrillic", "greek", "mouse", "touch")
+STOPPED = {"stop": ("safe-stop", "standby", "off"), "hold": ("hold",)}
+STOPS_WITHIN_MS = 500.0
+WATCH = """
+setInterval(() => {
+  const { cells, hil } = window;
+  if (!cells.goal || cells.reached || !cells.goal.includes(hil.now.mode)) return;
+  cells.reached = performance.now() - cells.begun;
+}, 5);
+"""
+
+
+def ask(page: BrowserPage, **message: object) -> dict[str, object]:
+    answer: dict[str, object] = page.evaluate(f"window.hil.link.ask({json.dumps(message)})")
+    return answer
+
+
+def bring_to_run(page: BrowserPage, rig: str) -> None:
+    """Bring the session into a run, from wherever it is."""
+    mode = "document.getElementById('mode').dataset.mode"
+    if page.evaluate("window.hil.now.mode") == "hold":
+        assert ask(page, do="order", order="resume", confirmed=True)["ok"]
+    if page.evaluate("window.hil.now.mode") != "running":
+        until(page, "!window.hil.now.open", 300.0)  # the first one compiles what judges a run
+        ask(page, do="acknowledge")
+        assert ask(page, do="open", scenario="scheme-1", rig=rig, confirmed=True)["ok"]
+        for order, before in (("arm", "standby"), ("start", "armed")):
+            until(page, f"{mode} === '{before}'", 240.0)
+            while not ask(page, do="order", order=order, confirmed=True)["ok"]:
+                time.sleep(0.1)  # the console has the mode a little before the loop receives orders
+    until(page, f"{mode} === 'running'", 60.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["mock", "emulated"])
+def test_bench_is_off_or_on_hold_within_half_a_second(rig: str) -> None:
+    cells = [
+        (focus, "hold" if (i + j) % 2 else "stop", way, WIDTHS[(i // 2 + j) % 2])
+        for i, focus in enumerate(KINDS)
+        for j, way in enumerate(WAYS)
+    ]
+    took_ms = []
+    with console("--rig", rig, *typed(*NEAR), *PATIENT) as c, chromium() as page:
+        page.open(f"http://{c.address}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        page.evaluate(WATCH)
+        assert ask(page, do="take")["ok"]
+        for focus, order, way, width in cells:
+            page.resize(width, 720)
+            bring_to_run(page, rig)
+            set_focus(page, None, focus)
+            page.evaluate(f"void Object.assign(window.cells, {{ reached: 0, goal: {json.dumps(STOPPED[order])} }})")
+            if way in ("mouse", "touch"):
+                page.point(way, *middle(page, ORDERS[order]))
+            else:
+                press(page, order, way)
+            until(page, "window.cells.reached > 0")
+            took_ms.append((page.evaluate("window.cells.reached"), focus, order, way, width))
+            page.evaluate("void (window.cells.goal = null)")
+    slow = [cell for cell in took_ms if cell[0] > STOPS_WITHIN_MS]
+    print(f"{rig}: {len(took_ms)} cells, {len(slow)} slow, longest {max(took_ms)}")  # noqa: T201
+    assert slow == []
