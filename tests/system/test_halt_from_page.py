@@ -164,9 +164,62 @@ EVERY = [
 
 
 def test_stop_and_hold_leave_the_page_whatever_has_the_focus() -> None:
-    some = [c for i, c in enumerate(EVERY) if i % 7 == 0 or (c[0] in ("settings", "confirm arm") and c[3] == 390)]
+    some = [c for i, c in enumerate(EVERY) if i % 11 == 0 or (c[0] in ("settings", "confirm arm") and c[3] == 390)]
     with chromium() as page:
         assert wrong_cells(page, some) == []
+
+
+def looks_alive(page: BrowserPage) -> list[str]:
+    """Return the buttons that look as if they could be pressed."""
+    return page.evaluate(  # type: ignore[no-any-return]
+        "[...document.querySelectorAll('#left button, #halt button, header button')]"
+        ".filter((b) => getComputedStyle(b).borderTopStyle !== 'dotted').map((b) => b.id)"
+    )
+
+
+def test_page_shows_when_keys_or_orders_do_not_arrive_and_then_no_button_looks_alive() -> None:
+    with chromium() as page, stub_console() as (address, service, stub):
+        page.open(f"http://{address}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        page.evaluate("void document.getElementById('take').click()")
+        until(page, "window.hil.now.lease.mine && document.getElementById('reach').textContent === ''")
+        assert {"stop", "order_hold", "order_abort"} <= set(looks_alive(page))
+
+        page.evaluate("void (document.hasFocus = () => false)")
+        until(page, "document.getElementById('reach').textContent.startsWith('Keys do not reach this window')")
+        assert looks_alive(page) == []
+        page.evaluate("void delete document.hasFocus")
+        until(page, "document.getElementById('reach').textContent === ''")
+
+        (client,) = service.clients
+        client.got, client.sent = 0, 1000  # the console sends nothing more
+        begun_s = time.monotonic()
+        until(page, "document.getElementById('reach').textContent.startsWith('No connection to the console for 0.')")
+        assert 0.2 < time.monotonic() - begun_s < 2.0
+        assert looks_alive(page) == []
+        page.evaluate("void document.getElementById('order_abort').click()")
+        until(page, "document.getElementById('answer').textContent === 'no connection: abort was not sent'")
+        page.key("x", "KeyX")  # may arrive all the same
+        until(page, "window.cells.sent.length > 0")
+        assert "stop" in stub.orders
+
+
+def test_second_click_of_a_double_click_confirms_nothing_and_presses_nothing_behind_the_dialog() -> None:
+    with chromium() as page, opened(page) as stub:
+        for width in WIDTHS:
+            page.resize(width, 720)
+            set_focus(page, stub, "confirm abort")
+            page.point("mouse", *middle(page, "yes"))
+            assert page.evaluate("document.getElementById('confirm').open")
+            time.sleep(0.5)
+            page.evaluate("void (window.cells.sent = [])")
+            where = middle(page, "yes")
+            page.point("mouse", *where)
+            until(page, "!document.getElementById('confirm').open && window.cells.sent.length === 1")
+            page.point("mouse", *where)
+            time.sleep(0.2)
+            assert page.evaluate("window.cells.sent.map((sent) => sent[0])") == ["abort"]
+    assert stub.orders == ["abort", "abort"]
 
 
 @pytest.mark.slow
