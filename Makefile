@@ -20,6 +20,9 @@ CC_MISSING := { apt-get update --quiet && apt-get install --quiet --yes gcc libc
 # cameras are tested against libaravis' fake ones; without it those tests are skipped
 ARAVIS_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no-install-recommends libaravis-0.8-0; }
 
+# the console's page is tested in Chromium; without it those tests are skipped
+CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no-install-recommends chromium; }
+
 .PHONY: demo test slow oracle bench lateness docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
@@ -29,6 +32,7 @@ demo: .venv/ready
 test: .venv/ready
 	command -v cc > /dev/null || $(CC_MISSING)
 	ldconfig -p | grep -q libaravis-0.8 || $(ARAVIS_MISSING) || true
+	command -v chromium > /dev/null || $(CHROMIUM_MISSING) || true
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python -m compileall -q hil  # hundreds of processes start, also where Python may not write bytecode itself

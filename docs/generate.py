@@ -24,6 +24,7 @@ from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
 from hil.config.faults import RESPONSES, TERMS, ErrorTerm
+from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -223,6 +224,26 @@ def _fault_range(term: ErrorTerm) -> str:
     return f"{'magnitude ' if term.values == 3 else ''}{term.low:g} to {term.high:g}"
 
 
+def limit_table() -> str:
+    """Return the page of all protective limits: what each protects from, its ranges, and where a weak one shows."""
+    intro = """# Protective limits
+
+A value outside of the range of its kind of rig is an error (exit code 2). A value weaker than recommended is accepted
+and shown in red, on every kind of rig: by `hil preflight`, before `hil console` opens the bench and on its page, in the
+report and at the terminal, there with the verdict as well; the JSON of runs and preflights, and with it the recording,
+has it in `waived`. On hardware a change of any of these keys ends the [sign-off](../../how-to/commission.md).
+"""
+    head = "| key | protects from | recommended | on hardware | on mock and emulated rigs |"
+    rows = [
+        f"| `{prefix}{limit.key}` | {limit.protects} | "
+        + " | ".join(map(limit.range_text, (limit.recommended, limit.hardware, limit.simulated)))
+        + " |"
+        for prefix, limits in (("rig.", RIG_LIMITS), ("", SCENARIO_LIMITS))
+        for limit in limits
+    ]
+    return f"{intro}\n{head}\n|{'---|' * 5}\n" + "\n".join(rows) + "\n"
+
+
 def other_files() -> str:
     """Return the page of the keys of the other configuration files."""
     parts = {
@@ -240,6 +261,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "command-line": command_line,
     "scenario": scenario_keys,
     "faults": fault_table,
+    "limits": limit_table,
     "rig": rig_keys,
     "files": other_files,
 }

@@ -133,7 +133,7 @@ class ConsoleLine:
             allowed = self._plan and self._runner.safety.modes.mode in ALLOWED_IN[self._plan[0]]
             if allowed and time.monotonic() - sent_s > _BETWEEN_ORDERS_WALL_S:
                 number, sent_s = number + 1, time.monotonic()
-                self._send(order=self._plan.pop(0).value, id=number)
+                self._send(order=self._plan.pop(0).value, confirmed=True, id=number)
 
     def _send(self, **message: Any) -> None:
         with suppress(BlockingIOError):

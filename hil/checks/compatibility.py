@@ -13,6 +13,7 @@ from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
 from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
+from hil.config.limits import SCENARIO_LIMITS, excess
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
@@ -115,6 +116,12 @@ def check_keep_out(scenario: Loaded[Scenario]) -> list[Problem]:
         return []
     text = f"{radius_m:g}: must be below {distances[name]:g}, the distance of {name}, or 0 for a scenario that docks"
     return [Problem(scenario.where(key), key, text)]
+
+
+def check_scenario_limits(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each protective limit of the scenario that is weaker than the kind of rig accepts."""
+    found = excess(SCENARIO_LIMITS, scenario.value, rig.value.kind)
+    return [Problem(scenario.where(key), key, text) for key, text in found]
 
 
 def check_host(rig: Loaded[Rig]) -> list[Problem]:

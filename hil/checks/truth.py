@@ -13,6 +13,8 @@ from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.errors import BadInput, Problem
 from hil.params import dynamics as dynamics_params
 
+_LOWEST_FRACTION = 0.005  # of the radius of the body: lower orbits meet mountains or an atmosphere
+
 
 def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
     """Return the problems of orbit, central body, gravity field and solar array."""
@@ -41,6 +43,10 @@ def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]
             f"{orbit.eccentricity:g}: the periapsis lies {-lowest_m / 1e3:.1f} km inside {body.name}, "
             f"at altitude_m {orbit.altitude_m:g} allowed below {allowed:.4f}"
         )
+        problems.append(Problem(scenario.where(key), key, text))
+    elif lowest_m < (least_m := _LOWEST_FRACTION * body.radius_m):
+        key = "orbit.altitude_m"
+        text = f"{orbit.altitude_m:g}: periapsis {lowest_m:.0f} m above {body.name}, allowed from {least_m:.0f} on"
         problems.append(Problem(scenario.where(key), key, text))
     if scenario.value.truth.relative_motion == "hill" and orbit.eccentricity != 0.0:
         key = "truth.relative_motion"

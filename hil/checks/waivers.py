@@ -1,4 +1,4 @@
-"""Protections that a hardware rig gives up by its own file or options."""
+"""Protections that a rig or a scenario gives up, or weakens, by its own file or options."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hil.checks.compatibility import sign_off_gap
+from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, values
 from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.errors import BadInput
 
 
 @dataclass(frozen=True)
 class Waiver:
-    """A key of the rig, its value, and the protection that is absent because of it."""
+    """A key of rig or scenario, its value, and the protection that is absent or weak because of it."""
 
     key: str
     value: str
@@ -27,9 +29,15 @@ class Waiver:
         return dataclasses.asdict(self)
 
 
-def waivers(rig: Rig) -> list[Waiver]:
-    """Return what ``rig`` waives; empty for mock and emulated rigs, which move nothing."""
-    return list(_waivers(rig)) if rig.kind == "hardware" else []
+def waivers(rig: Rig, scenario: Scenario) -> list[Waiver]:
+    """Return the limits that are weaker than recommended, on every kind of rig, and what hardware waives."""
+    waived = list(_waivers(rig)) if rig.kind == "hardware" else []
+    for prefix, limits, table in (("rig.", RIG_LIMITS, rig), ("", SCENARIO_LIMITS, scenario)):
+        for limit, value in values(limits, table):
+            if limit.is_weaker(value, limit.recommended):
+                text = f"weak protection from {limit.protects}, recommended {limit.range_text(limit.recommended)}"
+                waived.append(Waiver(f"{prefix}{limit.key}", f"{value:g}", text))
+    return waived
 
 
 def _waivers(rig: Rig) -> Iterator[Waiver]:

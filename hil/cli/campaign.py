@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import Group, Integer, OptionalInteger, Output, Settings, at_least, duration_problems, refuse
+from hil.cli.options import (
+    RUNS_MAX,
+    Group,
+    Integer,
+    OptionalInteger,
+    Output,
+    Settings,
+    at_least,
+    at_most,
+    duration_problems,
+    refuse,
+)
 from hil.cli.output import check_json_path, write_json
 from hil.cli.progress import ProgressBar
 from hil.errors import Problem
@@ -117,7 +128,8 @@ class CaseOptions:
     def problems(self) -> list[Problem]:
         """Return a problem for each option that is out of range."""
         runs = {} if self.runs is None else {"runs": (self.runs, 1)}
-        return at_least(**runs, seed=(self.seed, 0)) + duration_problems(self.duration)
+        most = {} if self.runs is None else {"runs": (self.runs, RUNS_MAX)}
+        return at_least(**runs, seed=(self.seed, 0)) + at_most(**most) + duration_problems(self.duration)
 
 
 @dataclass(frozen=True)

@@ -127,7 +127,7 @@ def _foxglove_clients(port: int | None, token: str | None) -> Iterator[FoxgloveC
     from hil.console.foxglove_clients import FoxgloveClients
     from hil.recording.foxglove_server import layout_file
 
-    code = secrets.token_hex(4) if token is None else token
+    code = secrets.token_hex(8) if token is None else token
     clients = FoxgloveClients(port, code, _log)
     try:
         shown = f"; code to take the command: {code}" if token is None else ""

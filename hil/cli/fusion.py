@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hil.cli.options import Integer, Output, Settings, at_least, refuse
+from hil.cli.options import RUNS_MAX, Integer, Output, Settings, at_least, at_most, refuse
 from hil.cli.output import check_figure_path, check_json_path, write_json
 
 _PASSED, _FAILED = 0, 1
@@ -45,7 +45,7 @@ def fusion(
     figure
         Figure of one run's errors with their 3-sigma band, as the paper's Fig. 5 (PNG, PDF or SVG).
     """
-    problems = at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0))
+    problems = at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0)) + at_most(runs=(runs, RUNS_MAX))
     refuse(problems + check_json_path("--json", json) + check_figure_path("--figure", figure))
 
     from hil.config.load import load_rig, load_scenario

@@ -6,8 +6,10 @@ Each command is declared in the file of its name; its module is imported only wh
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
+import resource
 import signal
 import sys
 import traceback
@@ -158,6 +160,8 @@ def execute(arguments: Sequence[str]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
             return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
+        if limit := _host_limit(error):
+            return _fail(limit, BAD_INPUT)
         traceback.print_exc()
         return _fail("internal error: please report it with the traceback above", DEFECT)
     return result if isinstance(result, int) else PASSED
@@ -178,6 +182,18 @@ def _renamed_keys_on_stderr() -> Iterator[None]:
 
         setattr(warnings, "showwarning", show)  # noqa: B010 (restored by catch_warnings)
         yield
+
+
+def _host_limit(error: BaseException | None) -> str:
+    """Return which limit of this host ``error`` or its cause met, and what to do; "" for any other error."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+            most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+            return f"host: this process may open {most} files: raise the limit, ulimit -n 1024"
+        if "can't start new thread" in str(error) or (isinstance(error, OSError) and error.errno == errno.EAGAIN):
+            return "host: no further thread or process can be started: raise the limit, ulimit -u"
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 def _fail(text: str, code: int) -> int:

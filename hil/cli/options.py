@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import cyclopts
 from cyclopts import Parameter
@@ -73,12 +73,25 @@ def wait_problems(wait_s: float) -> list[Problem]:
     return above_zero("--wait", wait_s, "a time above 0 s", _LONGEST_S)
 
 
+RUNS_MAX: Final = 10_000_000
+"""Cases of a campaign, runs of a study: the lists of more do not fit into memory."""
+
+
 def at_least(**options: tuple[int, int]) -> list[Problem]:
     """Return a problem for each option, given as name=(value, least), that is less than allowed."""
     return [
         Problem(f"--{name}", "", f"{value}: must be at least {least}")
         for name, (value, least) in options.items()
         if value < least
+    ]
+
+
+def at_most(**options: tuple[int, int]) -> list[Problem]:
+    """Return a problem for each option, given as name=(value, most), that is more than allowed."""
+    return [
+        Problem(f"--{name}", "", f"{value}: must be at most {most}")
+        for name, (value, most) in options.items()
+        if value > most
     ]
 
 

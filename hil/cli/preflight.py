@@ -39,9 +39,11 @@ def preflight(
     refuse(check_json_path("--json", json))
 
     from hil.checks.preflight_record import write_record
+    from hil.checks.waivers import waivers
     from hil.config.load import load_rig, load_scenario
     from hil.preflight import run
     from hil.preflight.lateness import histogram_lines
+    from hil.report.table import print_waived
 
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
     progress = Console(stderr=True)
@@ -51,8 +53,9 @@ def preflight(
         late = found.lateness
         measured_s = 0.0 if late is None else late.cycles * late.period_s
         write_record(loaded_rig, found.rate_hz, measured_s, found.passed)
+    waived = [waiver.as_json() for waiver in waivers(loaded_rig.value, loaded.value)]
     if json is not None:
-        write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers()}, json)
+        write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers(), "waived": waived}, json)
     if json != "-":
         console = Console()
         table = Table(title=f"Preflight of {rig} for {loaded.value.name}")
@@ -65,6 +68,7 @@ def preflight(
             console.print("Lateness of an empty loop, cycles (bars: logarithm)")
             for line in histogram_lines(found.lateness):
                 console.print(f"  {line}", highlight=False)
+        print_waived(waived, console)
         failed = sum(check.passed is False for check in found.checks)
         word = "[bold green]PASS[/]" if found.passed else f"[bold red]FAIL[/]: {failed} of {len(found.checks)} checks"
         console.print(word, highlight=False)

@@ -24,6 +24,10 @@ _PASSED, _FAILED, _SAFE_STOPPED = 0, 1, 3
 _DEFAULTS = RunOptions()
 
 
+UNFINISHED = "the process ended before the run was over"
+"""``stop`` in the JSON of a run that was killed."""
+
+
 @dataclass(frozen=True)
 class StoredCaseOptions:
     """Options of a campaign's case."""
@@ -122,6 +126,10 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
+    if json not in (None, "-"):  # stays if this process is killed
+        job = request.job
+        begun = {"scenario": job.scenario.value.name, "rig": request.rig_name, "seed": job.seed}
+        write_json({**begun, "passed": False, "accepted": False, "stop": UNFINISHED, "faults": [UNFINISHED]}, str(json))
     with ProgressBar(console, "opening the devices") as bar:
         found = run_job(replace(request, announce=announce, on_progress=_mode_shown_on(bar)))
     summary = found.summary

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from functools import cache
 from typing import Any, Final
 
 from pydantic import BaseModel, field_validator
@@ -67,6 +68,7 @@ class LiveTuning(ConfigModel):
         return value
 
 
+@cache
 def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
     """Return the limits of the number at the dotted ``key`` of ``model``; those of a run, if it is in LIVE_TUNABLE.
 

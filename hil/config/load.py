@@ -19,6 +19,7 @@ from hil.config.body import CentralBody
 from hil.config.dispersions import Dispersions
 from hil.config.driver_registry import DeviceTable, model_of_field
 from hil.config.fmu_mapping import FmuMapping
+from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.renamed_keys import present_key, with_present_names
@@ -51,6 +52,8 @@ _DISPERSIONS = "dispersions."
 """Start of the keys of distributions."""
 
 _PROBLEMS_MAX = 20
+_DEPTH_MAX = 20
+_MISSING_SHOWN = 5
 _TYPE_LABEL = re.compile(r"float|int|bool|str|constrained-\w+|[A-Z]\w*|.*\[.*")
 """What pydantic adds to the location of an error in a value of several types: the type that it tried."""
 _MUST = "Input should be "
@@ -93,7 +96,9 @@ class Loaded(Generic[Model]):
 def load_scenario(name: str, settings: Iterable[str] = ()) -> Loaded[Scenario]:
     """Return the scenario ``name`` (shipped, or a path) with ``settings`` applied; raise BadInput."""
     chosen = [text for text in settings if not text.startswith("rig.")]
-    return _load(name, "scenarios", Scenario, chosen, prefix="")
+    loaded = _load(name, "scenarios", Scenario, chosen, prefix="")
+    check_limits(loaded, SCENARIO_LIMITS, "mock", "")
+    return loaded
 
 
 def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
@@ -101,7 +106,15 @@ def load_rig(name: str, settings: Iterable[str] = ()) -> Loaded[Rig]:
     chosen = [text for text in settings if text.startswith("rig.")]
     loaded = _load(name, "rigs", Rig, chosen, prefix="rig.")
     check_wires(loaded)
+    check_limits(loaded, RIG_LIMITS, loaded.value.kind, "rig.")
     return loaded
+
+
+def check_limits(loaded: Loaded[Any], limits: tuple[Limit, ...], kind: Kind, prefix: str) -> None:
+    """Raise BadInput if a protective limit is weaker than a rig of ``kind`` accepts. prefix: of their keys."""
+    found = excess(limits, loaded.value, kind)
+    if found:
+        raise BadInput([Problem(loaded.where(key), f"{prefix}{key}", text) for key, text in found])
 
 
 def check_wires(rig: Loaded[Rig]) -> None:
@@ -338,7 +351,10 @@ def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:
         value = value_text.strip()  # a bare word: the shell has removed its quotes
     except ValueError as error:
         raise BadInput.single("--set", text, str(error)) from error
-    return key.removeprefix(prefix).split("."), value
+    path = key.removeprefix(prefix).split(".")
+    if len(path) > _DEPTH_MAX:
+        raise BadInput.single("--set", f"{key[:60]}...", f"{len(path)} levels: allowed up to {_DEPTH_MAX}")
+    return path, value
 
 
 def _problems(
@@ -346,6 +362,13 @@ def _problems(
 ) -> list[Problem]:
     problems = []
     faults = [*_of_one_type(error.errors(), table), *_unknown_in_devices(error, model, table)]
+    missing = [".".join(map(str, fault["loc"])) for fault in faults if fault["type"] == "missing"]
+    if len(missing) > _MISSING_SHOWN:
+        shown = ", ".join(f"{prefix}{key}" for key in missing[:_MISSING_SHOWN])
+        shown += f" and {len(missing) - _MISSING_SHOWN} more"
+        advice = 'are missing: extends = "..." in its first line gives a file the keys of another'
+        problems.append(Problem(source, shown, advice))
+        faults = [fault for fault in faults if fault["type"] != "missing"]
     for fault in faults[:_PROBLEMS_MAX]:
         location = _keys_of(fault["loc"], table)
         dotted = ".".join(part for part in location if isinstance(part, str))

@@ -19,6 +19,8 @@ leave the range of a double. Most keys have a narrower range of their own."""
 def _printable(text: str) -> str:
     if not text.isprintable():
         raise ValueError(f"{text!r}: must consist of printable characters")
+    if "/" in text or "\\" in text or text.startswith("."):
+        raise ValueError(f"{text!r}: must have no / or \\ and not begin with a dot")
     return text
 
 

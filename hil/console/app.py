@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import hmac
 import json
 import signal
 import traceback
@@ -33,7 +32,6 @@ _REFUSED: Final = 4401
 _LONGEST_TEXT: Final = 4096
 _LONGEST_NAME: Final = 24
 _LONGEST_KEY: Final = 256
-_CLIENTS_MAX: Final = 32
 _STRANGERS_MAX: Final = 16  # sockets whose first message is awaited
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob:; style-src 'self'; frame-ancestors 'none'",
@@ -112,11 +110,10 @@ class Authenticator:
     """Authenticates clients: see ``make_app``. Bounds those that have not authenticated, fairly among addresses."""
 
     def __init__(self, token: str | None, hosts: frozenset[str] | None, wall_s: Callable[[], float]) -> None:
-        self._token = token
         self._hosts = hosts
         self._wall_s = wall_s
         self._strangers: FairSlots[asyncio.Event] = FairSlots(_STRANGERS_MAX)
-        self._guesses = GuessLimiter()
+        self._guesses = GuessLimiter(token) if token is not None else None
 
     async def admit(self, socket: WebSocket) -> Client:
         """Return the client of a valid first message; raise RequestRejected, or WebSocketDisconnect."""
@@ -134,24 +131,13 @@ class Authenticator:
             text = 'the first message must be {"key": ..., "name": ..., "token": ...}'
             raise RequestRejected("too many clients: try again" if displaced.is_set() else text)
         key, name, given = (str(hello.get(field, "")) for field in ("key", "name", "token"))
-        self._check_token(address, given)
+        if self._guesses is not None:
+            if not given:
+                raise RequestRejected("this console requires a token")
+            self._guesses.check(given, address, self._wall_s())
         if not 16 <= len(key) <= _LONGEST_KEY:
             raise RequestRejected("key: at least 16 random characters")
         return Client(key, plain_name(name) or "unnamed")
-
-    def _check_token(self, address: str, given: str) -> None:
-        """Raise RequestRejected for a wrong token, and for any while its address has to pause."""
-        if self._token is None:
-            return
-        if not given:
-            raise RequestRejected("this console requires a token")
-        now_s = self._wall_s()
-        if pause_s := self._guesses.pause_s(address, now_s):
-            raise RequestRejected(f"wrong tokens came from this address: try again in {pause_s:.1f} s")
-        if not hmac.compare_digest(given.encode(errors="replace"), self._token.encode()):
-            self._guesses.failed(address, now_s)
-            raise RequestRejected("wrong token")
-        self._guesses.succeeded(address)
 
 
 async def _before(event: asyncio.Event, message: Coroutine[Any, Any, str]) -> str:
@@ -172,18 +158,16 @@ async def _serve_client(
     await socket.accept()
     try:
         client = await authenticator.admit(socket)
-        if len(service.clients) >= _CLIENTS_MAX:
-            raise RequestRejected(f"{_CLIENTS_MAX} clients are connected: try again")
     except RequestRejected as error:
         await _reject(socket, str(error))
         return
     except WebSocketDisconnect:
         return
-    service.clients.append(client)
-    service.changed()
+    service.admit(client)
     tasks = [
         asyncio.create_task(_send_updates(socket, service, client, updated)),
         asyncio.create_task(_receive(socket, service, client)),
+        asyncio.create_task(client.displaced.wait()),
     ]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -191,8 +175,11 @@ async def _serve_client(
         for task in tasks:
             task.cancel()
         results = await asyncio.gather(*tasks, return_exceptions=True)
-        service.clients.remove(client)
-        service.changed()
+        service.dismiss(client)
+    if client.displaced.is_set():
+        await _reject(
+            socket, "displaced: another operator came, and this page had been idle for longer than all others"
+        )
     for result in results:
         if isinstance(result, Exception) and not isinstance(result, (WebSocketDisconnect, RuntimeError)):
             raise result  # an internal error: the client is disconnected and the server logs it
@@ -248,6 +235,7 @@ async def _receive(socket: WebSocket, service: ConsoleService, client: Client) -
         service.refresh(client, message.get("got"))
         if message.get("do") == "beat":
             continue
+        client.acted_s = service.wall_s()
         answer = await service.execute(client, message)
         if message.get("id") is not None or not answer["ok"]:
             await socket.send_text(json.dumps({"answer": message.get("id"), **answer}))

@@ -8,7 +8,6 @@ console's code.
 from __future__ import annotations
 
 import asyncio
-import hmac
 import json
 import secrets
 import socket
@@ -41,9 +40,8 @@ class FoxgloveClients:
     """
 
     def __init__(self, port: int, code: str, log: Callable[[str], None]) -> None:
-        self._code = code
         self._log = log
-        self._guesses = GuessLimiter()
+        self._guesses = GuessLimiter(code)
         self._clients: dict[int, Client] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._session: SessionProcess | None = None
@@ -169,23 +167,13 @@ class FoxgloveClients:
         """Execute the request of a client, after its code if it asks for the command."""
         try:
             if request["do"] in ("take", "take_over"):
-                self._check_code(str(request.pop("code", "")))
+                self._guesses.check(str(request.pop("code", "")), _ADDRESS, self._service.wall_s())
                 name = "".join(c for c in str(request.pop("name", "")) if c.isprintable()).strip()[:_NAME_MAX]
                 client.name = name or client.name
         except RequestRejected as error:
-            return {"ok": False, "text": str(error)}
+            where = "the console prints it at its start, or has it in its token file"
+            return {"ok": False, "text": f"code: wrong or missing ({error}): {where}"}
         return await self._service.execute(client, request)
-
-    def _check_code(self, code: str) -> None:
-        now_s = self._service.wall_s()
-        if pause_s := self._guesses.pause_s(_ADDRESS, now_s):
-            raise RequestRejected(f"wrong codes were sent: try again in {pause_s:.1f} s")
-        if not hmac.compare_digest(code.encode(errors="replace"), self._code.encode()):
-            self._guesses.failed(_ADDRESS, now_s)
-            raise RequestRejected(
-                "code: wrong or missing: the console prints it at its start, or has it in its token file"
-            )
-        self._guesses.succeeded(_ADDRESS)
 
     def _end(self) -> None:
         """Report that the process has ended; the console and its session continue."""

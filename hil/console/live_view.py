@@ -6,6 +6,7 @@ images and delays no other.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -32,7 +33,11 @@ _PORTIONS: Final = 3000  # one hour of the docking monitor
 
 @dataclass(slots=True)
 class Client:
-    """One client. key: its secret, which identifies it to the lease; name: of its operator."""
+    """One client. key: its secret, which identifies it to the lease; name: of its operator.
+
+    last_rx_s, acted_s: wall-clock times of its last message and of its last request. displaced: set when its place is
+    given to another client.
+    """
 
     key: str
     name: str
@@ -45,6 +50,9 @@ class Client:
     sent: int = 0
     got: int | None = None
     """Number of messages that it has received, None if it does not report it."""
+    last_rx_s: float = -math.inf
+    acted_s: float = -math.inf
+    displaced: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def congested(self) -> bool:

@@ -3,17 +3,22 @@
 The loop polls the socket once per cycle and never waits: a slow or dead console does not delay it. A message is one
 JSON object per packet of a socket pair.
 
-to the loop    {"order": "hold", "by": "ann", "id": 7}   {"acknowledge": 3, "by": "ann", "id": 8}: an alarm, true: all
+to the loop    {"order": "hold", "by": "ann", "id": 7}
+               {"order": "arm", "by": "ann", "confirmed": true, "mode": "standby", "second": "bob", "id": 7,
+                "until_s": 812.5}: not executed after that time of the monotonic clock
+               {"acknowledge": 3, "by": "ann", "id": 8}: an alarm, true: all
                {"shelve": [3, 600.0], "by": "ann", "id": 9}
                {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
                {"search": [120, 80, 300, 240], "by": "ann", "id": 9}: of the docking monitor, null: the whole image
                {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann", "has the command"]}
-to the console {"answer": 7, "text": ""}    {"alarms": [...]}    {"events": [...]}   and further ``OutgoingMessages``
+to the console {"answer": 7, "text": ""}, with "ask" or "second" and "mode" if a confirmation is missing
+               {"alarms": [...]}    {"events": [...]}   and further ``OutgoingMessages``
 """
 
 from __future__ import annotations
 
 import json
+import math
 import socket
 import time
 from collections import deque
@@ -41,6 +46,18 @@ _PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
 NO_MONITOR: Final = "bench: no docking monitor measures on images in this session"
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
+
+CONFIRMATIONS: Final = {
+    OperatorCommand.HOME: "Home: axes that are not homed search for their switches. Is the bench clear of people?",
+    OperatorCommand.ARM: "Arm: all axes move to the start pose. Is the bench clear of people?",
+    OperatorCommand.START: "Start: the loop is closed and the bench moves automatically. Is the bench clear of people?",
+    OperatorCommand.RESUME: "Resume: the bench continues from its present position. Is the bench clear of people?",
+    OperatorCommand.ABORT: "Abort: the chaser brakes and retreats with the bench. The approach cannot be continued.",
+    OperatorCommand.GO: "Go: the chaser leaves its waiting point and approaches the target.",
+    OperatorCommand.PARK: "Park: all axes move to the park position; the session ends. Is the bench clear of people?",
+    OperatorCommand.RESET: "Reset: the devices open and the drives are powered. Is the cause gone, is the bench clear?",
+}
+"""Commands that require a confirmation, and the question asked."""
 
 
 class OutgoingMessages:
@@ -76,7 +93,7 @@ class RemoteOperator(Operator):
     """Receives commands from ``messages.channel`` in the loop's thread, and reacts to the loss of the operator.
 
     on_loss: reaction after the operator's page, or the console, has been silent for ``lease_s`` of wall-clock time
-    while the bench moves. wall_s: the clock for that.
+    while the bench moves. wall_s: the clock for that. second_person: commands that another person confirms as well.
     """
 
     def __init__(
@@ -86,8 +103,10 @@ class RemoteOperator(Operator):
         on_loss: OnLoss,
         lease_s: float,
         wall_s: Callable[[], float] = time.monotonic,
+        second_person: tuple[str, ...] = (),
     ) -> None:
         super().__init__((), attended=True)
+        self._second_person = second_person
         self._messages = messages
         self._status = status
         self._on_loss = on_loss
@@ -195,12 +214,29 @@ class RemoteOperator(Operator):
         elif "adjust" in message:
             self._messages.send(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
         elif "order" in message:
-            command, mode = OperatorCommand(message["order"]), self._runner.safety.modes.mode
-            refusal = "" if mode in ALLOWED_IN[command] else f"bench: cannot {command.value} in {mode.value}"
-            if not refusal:
-                self.submit(command)
-            self._log_event("operator", message.get("by", ""), f"{command.value}{refusal and f': rejected: {refusal}'}")
-            self._messages.send(answer=message["id"], text=refusal)
+            self._messages.send(answer=message["id"], **self._order(message, message.get("by", "")))
+
+    def _order(self, message: dict[str, Any], operator: str) -> dict[str, Any]:
+        """Submit a command that the present mode allows and that is confirmed for it; return the answer."""
+        command, mode = OperatorCommand(message["order"]), self._runner.safety.modes.mode
+        word, confirmed_in = command.value, message.get("mode") or mode.value
+        refusal = ""
+        if mode not in ALLOWED_IN[command]:
+            refusal = f"bench: cannot {word} in {mode.value}"
+            refusal += ": STOP ends it" if command is OperatorCommand.HOLD and mode not in AT_REST else ""
+        elif command in CONFIRMATIONS:
+            if message.get("confirmed") is not True:
+                return {"text": "", "ask": CONFIRMATIONS[command], "mode": mode.value}
+            if self._wall_s() > message.get("until_s", math.inf):
+                refusal = f"bench: {word} came too late to be executed: command it again"
+            elif confirmed_in != mode.value:
+                refusal = f"bench: {word} was confirmed in {confirmed_in}, not for {mode.value}: confirm it again"
+            elif word in self._second_person and message.get("second", "") in ("", operator):
+                return {"text": "", "second": word, "mode": mode.value}
+        if not refusal:
+            self.submit(command)
+        self._log_event("operator", operator, f"{word}{refusal and f': rejected: {refusal}'}")
+        return {"text": refusal}
 
     def _search_in(self, box: list[int] | None, operator: str) -> str:
         """Set the docking monitor's region of search, u, v, width, height, px; return the reason of a rejection."""

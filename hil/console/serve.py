@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import logging
 import socket
 import ssl
 import stat
@@ -115,6 +116,8 @@ def serve(
     rigs = [*dict.fromkeys([choice.rig, *shipped("rigs")])]
     service = ConsoleService(choice, scenarios, rigs, time.monotonic, log)
     service.warm_up()
+    # one line per client at most, and none from those that have not authenticated
+    logging.getLogger("uvicorn.error").addFilter(lambda record: not str(record.msg).startswith("Invalid UTF-8"))
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(
         make_app(service, token, hosts, foxglove),

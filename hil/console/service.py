@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -14,24 +15,11 @@ from hil.console.live_view import Client
 from hil.console.message import ImageMessage
 from hil.console.remote_operator import NO_MONITOR
 from hil.console.session_manager import SessionManager
+from hil.console.session_process import SessionProcess
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 from hil.errors import BadInput, one_line
 from hil.frmn.search_region import box_text
-from hil.setup.assembly import Job
-
-CONFIRMATIONS: Final = {
-    OperatorCommand.HOME: "Home: axes that are not homed search for their switches. Is the bench clear of people?",
-    OperatorCommand.ARM: "Arm: all axes move to the start pose. Is the bench clear of people?",
-    OperatorCommand.START: "Start: the loop is closed and the bench moves automatically. Is the bench clear of people?",
-    OperatorCommand.RESUME: "Resume: the bench continues from its present position. Is the bench clear of people?",
-    OperatorCommand.ABORT: "Abort: the chaser brakes and retreats with the bench. The approach cannot be continued.",
-    OperatorCommand.GO: "Go: the chaser leaves its waiting point and approaches the target.",
-    OperatorCommand.PARK: "Park: all axes move to the park position; the session ends. Is the bench clear of people?",
-    OperatorCommand.RESET: "Reset: the devices open and the drives are powered. Is the cause gone, is the bench clear?",
-}
-"""Commands that require a confirmation, and the question asked."""
-
 
 OPEN_QUESTION: Final = "Open: the devices open and the drives are powered. Is the bench clear of people?"
 WITHOUT_COMMAND: Final = (OperatorCommand.STOP.value, OperatorCommand.HOLD.value)
@@ -62,18 +50,24 @@ def _box(region: object) -> list[int] | None:
 
 @dataclass(frozen=True)
 class SecondPerson:
-    """Confirmed command of ``client`` that waits until ``until_wall_s`` for the confirmation of another person."""
+    """Confirmed command of ``client`` in ``session`` that waits until ``until_wall_s`` for another person."""
 
     word: str
     client: Client
     command: dict[str, Any]
     until_wall_s: float
+    session: SessionProcess | None
 
 
 class ConsoleService(SessionManager):
     """Session manager with the requests and the updates of clients."""
 
     second_person: SecondPerson | None = None
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._halts: dict[str, asyncio.Task[dict[str, Any]]] = {}
+        """STOP and HOLD that are being executed."""
 
     # requests of the clients
 
@@ -84,7 +78,8 @@ class ConsoleService(SessionManager):
         except (RequestRejected, BadInput) as error:
             return {"ok": False, "text": str(error)}
 
-    async def _execute(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+    async def _execute(self, client: Client, command: dict[str, Any], second: str = "") -> dict[str, Any]:
+        """``execute``. second: name of another person who has confirmed the command, "" for none."""
         match command.get("do"):
             case "take":
                 self.lease.acquire(client.key, client.name, self.wall_s())
@@ -95,13 +90,13 @@ class ConsoleService(SessionManager):
                 self._release(client)
             case "open":
                 self.lease.require(client.key)
-                return self._open(client, command)
+                return self._open(client, command, second)
             case "second":
                 return await self._second(client, str(command.get("order")))
             case "order":
                 if command.get("order") not in WITHOUT_COMMAND:
                     self.lease.require(client.key)
-                return await self._order(client, str(command.get("order")), command)
+                return await self._order(client, str(command.get("order")), command, second)
             case "jog":
                 self.lease.require(client.key)
                 self._jog(str(command.get("axis")), command.get("direction"))
@@ -145,31 +140,26 @@ class ConsoleService(SessionManager):
         self.lease.release(client.key)
         self.log(f"{client.name} released the command")
 
-    def _awaits_second(self, client: Client, word: str, command: dict[str, Any], job: Job) -> dict[str, Any] | None:
-        """Return the answer to a confirmed command that another person has to confirm, None if it may be executed."""
-        if word not in job.rig.value.console.second_person:
-            return None
-        awaited = self.second_person
-        if awaited is not None and awaited.command is command:
-            self.second_person = None
-            return None
-        self.second_person = SecondPerson(word, client, command, self.wall_s() + SECOND_PERSON_S)
+    def _wait_for_second(self, client: Client, word: str, command: dict[str, Any]) -> dict[str, Any]:
+        """Keep a confirmed command until another person confirms it; return the answer to its client."""
+        self.second_person = SecondPerson(word, client, command, self.wall_s() + SECOND_PERSON_S, self.session)
         self.log(f"{client.name}: {word} waits for a second person")
         text = f"{word}: waits {SECOND_PERSON_S:g} s for the confirmation of a second person at another page"
         return {"ok": False, "text": text, "second": word}
 
     async def _second(self, client: Client, word: str) -> dict[str, Any]:
         """Confirm the command of another client, and execute it as this client's."""
-        awaited = self.second_person
-        if awaited is None or awaited.word != word or self.wall_s() > awaited.until_wall_s:
+        awaited = self._awaited()
+        if awaited is None or awaited.word != word:
             raise RequestRejected(f"{word}: no such command waits for a second person")
         if client.key == awaited.client.key or client.name == awaited.client.name:
             raise RequestRejected(f"{word}: {awaited.client.name} commanded it, another person has to confirm it")
+        self.second_person = None
         self.log(f"{client.name} confirmed {word} of {awaited.client.name} as the second person")
         self.record_event("operator", client.name, f"confirmed {word} of {awaited.client.name} as the second person")
-        return await self._execute(awaited.client, awaited.command)
+        return await self._execute(awaited.client, awaited.command, client.name)
 
-    def _open(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+    def _open(self, client: Client, command: dict[str, Any], second: str) -> dict[str, Any]:
         if self.session is not None:
             raise RequestRejected("a session is open: stop it first")
         if self.state.unacknowledged:
@@ -182,14 +172,16 @@ class ConsoleService(SessionManager):
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= SEED_MAX:
             raise RequestRejected(f"seed {seed!r}: allowed an integer of 0 or more")
         choice = self.choice.model_copy(update=changes)
+        job = choice.job()
+        rig = job.rig.value
         if not command.get("confirmed"):
-            return {"ok": False, "ask": "\n".join([*map(str, waivers(choice.job().rig.value)), OPEN_QUESTION])}
-        if answer := self._awaits_second(client, "open", command, choice.job()):
-            return answer
+            return {"ok": False, "ask": "\n".join([*map(str, waivers(rig, job.scenario.value)), OPEN_QUESTION])}
+        if "open" in rig.console.second_person and not second:
+            return self._wait_for_second(client, "open", command)
         self.start_session(choice)
         return {"ok": True, "text": ""}
 
-    async def _order(self, client: Client, word: str, command: dict[str, Any]) -> dict[str, Any]:
+    async def _order(self, client: Client, word: str, command: dict[str, Any], second: str) -> dict[str, Any]:
         if word not in [order.value for order in OperatorCommand if order is not OperatorCommand.JOG]:
             raise RequestRejected(f"{word!r}: unknown order")
         order = OperatorCommand(word)
@@ -202,13 +194,37 @@ class ConsoleService(SessionManager):
                 raise RequestRejected(f"bench: cannot {word} while it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
-        if order in CONFIRMATIONS and self.mode in ALLOWED_IN[order]:
-            if not command.get("confirmed"):
-                return {"ok": False, "ask": CONFIRMATIONS[order]}
-            if answer := self._awaits_second(client, word, command, self.choice.job()):
-                return answer
+        if word in WITHOUT_COMMAND:
+            return await self._halt(client, word, self.session)
         self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
-        text = await self.session.ask(order=word, by=client.name)
+        terms = {key: command[key] for key in ("confirmed", "mode") if key in command}
+        answer = await self.session.request(order=word, by=client.name, second=second, **terms)
+        if "ask" in answer:
+            return {"ok": False, "ask": answer["ask"], "mode": answer["mode"]}
+        if "second" in answer:
+            return self._wait_for_second(client, word, {**command, "mode": answer["mode"]})
+        return self._answer(client, word, answer)
+
+    async def _halt(self, client: Client, word: str, session: SessionProcess) -> dict[str, Any]:
+        """Execute STOP or HOLD. While one is being executed further ones of the same kind share its answer: a flood of
+        them delays no other command."""
+        if word not in self._halts:
+
+            async def execute() -> dict[str, Any]:
+                try:
+                    answer = await session.request(order=word, by=client.name)
+                    if answer.get("unsent") and word == OperatorCommand.STOP.value:
+                        session.interrupt()
+                    return self._answer(client, word, answer)
+                finally:
+                    del self._halts[word]
+
+            self._halts[word] = asyncio.create_task(execute())
+        return await asyncio.shield(self._halts[word])
+
+    def _answer(self, client: Client, word: str, answer: dict[str, Any]) -> dict[str, Any]:
+        """Return the answer of the session to an order for its client, and log it."""
+        text = str(answer["text"])
         self.log(f"{client.name}: {word}{f' rejected: {text}' if text else ''}")
         return {"ok": not text, "text": text}
 
@@ -268,6 +284,7 @@ class ConsoleService(SessionManager):
             if text:
                 raise RequestRejected(text)
         self.state.acknowledge(number)
+        self.stop_reason = "" if number is None else self.stop_reason
         self.log(f"{client.name} acknowledged {'the alarms' if number is None else f'alarm {number}'}")
 
     async def _shelve(self, client: Client, number: int | None, lasting_s: object) -> None:
@@ -295,7 +312,7 @@ class ConsoleService(SessionManager):
 
     def _now(self, client: Client) -> dict[str, Any]:
         now_s = self.wall_s()
-        lease = self.lease
+        lease, awaited = self.lease, self._awaited()
         return {
             "wall_s": now_s,
             "mode": self.mode.value,
@@ -304,17 +321,17 @@ class ConsoleService(SessionManager):
             "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
             "watching": len(self.clients),
             "cameras": self.view.cameras,
-            "second_person": self._second_person(now_s),
+            "second_person": {"order": awaited.word, "by": awaited.client.name} if awaited else None,
             "recording": self.state.recording.as_json() if self.session is not None else None,
             **self.state.live(now_s),
         }
 
-    def _second_person(self, now_s: float) -> dict[str, str] | None:
-        """Return the command that waits for a second person, and who gave it; None if there is none."""
+    def _awaited(self) -> SecondPerson | None:
+        """Return the command of the present session that waits for a second person, None if there is none."""
         awaited = self.second_person
-        if awaited is None or now_s > awaited.until_wall_s:
+        if awaited is None or awaited.session is not self.session or self.wall_s() > awaited.until_wall_s:
             return None
-        return {"order": awaited.word, "by": awaited.client.name}
+        return awaited
 
     def _page(self) -> dict[str, Any]:
         return {
@@ -324,6 +341,7 @@ class ConsoleService(SessionManager):
             "scenarios": self.scenarios,
             "rigs": self.rigs,
             "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in ALLOWED_IN.items()},
+            "stop_reason": self.stop_reason,
             "log": list(self.log_lines)[-40:],
             "settings": self.tuner.available() if self.tuner is not None and self.session is not None else [],
             "faults": {"menu": self.faults.menu, "on": self.faults.on},

@@ -65,7 +65,10 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
         job = choice.job()
         _check_and_compile(job, messages)
         rig = job.rig.value
-        operator = RemoteOperator(messages, status["status"], rig.console.on_loss, rig.console.lease_s)
+        console = rig.console
+        operator = RemoteOperator(
+            messages, status["status"], console.on_loss, console.lease_s, second_person=console.second_person
+        )
 
         def announce(text: str) -> None:
             messages.send(word=text)

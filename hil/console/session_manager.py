@@ -25,9 +25,12 @@ from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
 from hil.errors import one_line
+from hil.loop.runner import COMPLETED
 from hil.params import bench as bench_params
 
 PRESENCE_PERIOD_S: Final = 0.2
+CLIENTS_MAX: Final = 32
+_SILENT_S: Final = 5.0  # a page sends a message every 0.2 s
 _KEPT_LOG: Final = 200
 _LONGEST_LOG_LINE: Final = 1000
 
@@ -58,6 +61,8 @@ class SessionManager:
         self._print = log
         self.wall_s = wall_s
         self.state = SessionState({}, "no session is open")
+        self.stop_reason = ""
+        """Why the last session ended before its run was complete; shown until it is acknowledged."""
         self.tuner: Tuner | None = None
         self.television: SceneCamera | None = None
         """Camera of the docking monitor that measures on images, None without one."""
@@ -79,10 +84,30 @@ class SessionManager:
         self._reported = ("", -math.inf)
         self.log(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
 
+    def admit(self, client: Client) -> None:
+        """Add a client. Beyond ``CLIENTS_MAX`` it displaces another one: a silent one if there is one, then the one
+        whose last request is the oldest, and the operator who has the command only if no other is left."""
+        now_s = client.last_rx_s = self.wall_s()
+        present = [each for each in self.clients if not each.displaced.is_set()]
+        if len(present) >= CLIENTS_MAX:
+
+            def importance(each: Client) -> tuple[bool, bool, float]:
+                return each.key == self.lease.key, now_s - each.last_rx_s < _SILENT_S, each.acted_s
+
+            min(present, key=importance).displaced.set()
+        self.clients.append(client)
+        self.changed()
+
+    def dismiss(self, client: Client) -> None:
+        """Remove a client that has disconnected."""
+        self.clients.remove(client)
+        self.changed()
+
     def refresh(self, client: Client, got: object = None) -> None:
         """Renew the client's lease; got: number of updates that the page has received, if it reports it."""
         if isinstance(got, int):
             client.got = got
+        client.last_rx_s = self.wall_s()
         self.lease.renew(client.key, self.wall_s())
 
     def tick(self) -> None:
@@ -137,6 +162,8 @@ class SessionManager:
             self._in_background(self._connect_faults(message["hello"]["addresses"]))
         for line in self.state.apply(message):
             self.log(line)
+        if "refused" in message or ("ended" in message and message["ended"]["stop"] != COMPLETED):
+            self.stop_reason = self.state.status_text
         self.changed()
 
     async def _connect_faults(self, addresses: dict[str, str]) -> None:

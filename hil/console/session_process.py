@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import socket
+import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -42,7 +43,7 @@ class SessionProcess:
         self.ended = False
         self.addresses: dict[str, str] = {}
         self._on_message = on_message
-        self._answers: dict[int, asyncio.Future[str]] = {}
+        self._answers: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._numbers = itertools.count(1)
         self._readers: dict[str, Reader] = {}
         self._block: MailboxBlock | None = None
@@ -74,16 +75,21 @@ class SessionProcess:
         return self._child.pid
 
     async def ask(self, **message: Any) -> str:
-        """Send one packet and return its answer: "" if executed, else the reason of the rejection."""
+        """Send one packet; return "" if it was executed, else the reason of the rejection."""
+        return str((await self.request(**message))["text"])
+
+    async def request(self, **message: Any) -> dict[str, Any]:
+        """Send one packet and return its answer: ``text``, "" if executed, else the reason of the rejection."""
         number = next(self._numbers)
-        answer: asyncio.Future[str] = self._loop.create_future()
+        answer: asyncio.Future[dict[str, Any]] = self._loop.create_future()
         self._answers[number] = answer
         try:
-            if not self.send(**message, id=number):
-                return "the session receives no messages"
+            if not self.send(**message, id=number, until_s=time.monotonic() + _ANSWER_WALL_S):
+                return {"text": "the session receives no messages", "unsent": True}
             return await asyncio.wait_for(answer, _ANSWER_WALL_S)
         except TimeoutError:
-            return f"no answer of the session within {_ANSWER_WALL_S:g} s: its devices are being opened or closed"
+            text = f"no answer of the session within {_ANSWER_WALL_S:g} s: its devices are being opened or closed"
+            return {"text": text}
         finally:
             del self._answers[number]
 
@@ -186,7 +192,7 @@ class SessionProcess:
         if "answer" in message:
             answer = self._answers.get(message["answer"])
             if answer is not None and not answer.done():
-                answer.set_result(message["text"])
+                answer.set_result(message)
             return True
         self._on_message(message)
         if "ended" in message or "refused" in message:

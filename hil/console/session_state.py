@@ -247,5 +247,5 @@ def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
         "monitor": _monitor_numbers(scenario),
         "nis_bound": nis_band(1, _NIS_TAIL)[1],
         "late_us": rig.host.late_wakeup_us,
-        "waived": [waiver.as_json() for waiver in waivers(rig)],
+        "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],
     }

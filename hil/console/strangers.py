@@ -5,8 +5,11 @@ Time is an argument. An address is that of the other computer, without its port.
 
 from __future__ import annotations
 
+import hmac
 from collections import Counter
 from typing import Final, Generic, TypeVar
+
+from hil.console.lease import RequestRejected
 
 _TYPING_ERRORS: Final = 2
 _FIRST_PAUSE_S: Final = 0.5
@@ -46,13 +49,27 @@ class FairSlots(Generic[T]):
 
 
 class GuessLimiter:
-    """Pause after a wrong token of an address, from the third on: 0.5 s, doubled by each further one, 30 s at most."""
+    """Checks the token of clients. The right one is accepted at any time: guesses of the same address, as behind a
+    tunnel, keep no operator out. A wrong one is answered by a pause, from the third of its address on: 0.5 s, doubled
+    by each further one, 30 s at most.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, token: str) -> None:
+        self._token = token.encode()
         self._wrong: dict[str, tuple[int, float]] = {}  # number of wrong tokens, end of the pause
 
+    def check(self, given: str, address: str, now_s: float) -> None:
+        """Raise RequestRejected for a wrong token."""
+        if hmac.compare_digest(given.encode(errors="replace"), self._token):
+            self._wrong.pop(address, None)
+            return
+        if pause_s := self.pause_s(address, now_s):
+            raise RequestRejected(f"wrong tokens came from this address: try again in {pause_s:.1f} s")
+        self.failed(address, now_s)
+        raise RequestRejected("wrong token")
+
     def pause_s(self, address: str, now_s: float) -> float:
-        """Return the time for which tokens of ``address`` are still rejected unread."""
+        """Return the time for which wrong tokens of ``address`` are not counted."""
         return max(0.0, self._wrong.get(address, (0, 0.0))[1] - now_s)
 
     def failed(self, address: str, now_s: float) -> None:
@@ -64,7 +81,3 @@ class GuessLimiter:
         doublings = min(count - _TYPING_ERRORS - 1, _DOUBLINGS_MAX)
         pause_s = min(_LONGEST_PAUSE_S, _FIRST_PAUSE_S * 2.0**doublings) if doublings >= 0 else 0.0
         self._wrong[address] = (count, now_s + pause_s)
-
-    def succeeded(self, address: str) -> None:
-        """Forget the wrong tokens of ``address``."""
-        self._wrong.pop(address, None)

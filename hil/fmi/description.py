@@ -236,7 +236,7 @@ def _tree(text: bytes) -> Element:
     parser.StartDoctypeDeclHandler = doctype
     try:
         parser.Parse(text, True)
-    except expat.ExpatError as error:
-        raise FmuError(f"its model description is not XML: {error}") from error
+    except (expat.ExpatError, ValueError, LookupError) as error:  # of XML, and of encodings that expat does not have
+        raise FmuError(f"its model description is not XML in UTF-8 or UTF-16: {error}") from error
     root: Element = builder.close()
     return root

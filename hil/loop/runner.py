@@ -26,11 +26,14 @@ from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, Progress
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.root_cause import RootCause
+from hil.loop.safety_io_stage import SAFETY_CHAIN
 from hil.safety.alarms import Alarm, alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
 _PAUSE_S: Final = 0.001
+_LONG_PAUSE_S: Final = 0.03
+_CAUSED_BY_PAUSES: Final = (SAFETY_CHAIN, "age of the setpoint")
 
 
 @dataclass(slots=True)
@@ -363,7 +366,13 @@ class Runner:
             return bool(signals)
 
     def _host_pause(self, cause: BenchError) -> str:
-        """Return the recent pause of the loop, as an addition to the text of a lost or silent link; "" without one."""
+        """Return the recent pause of the loop, as an addition to the text of a fault that it can cause; "" without one.
+
+        The watchdog process opens the chain, and setpoints grow old, after a long pause only.
+        """
+        late = isinstance(cause, SafetyTrip) and cause.quantity in _CAUSED_BY_PAUSES
+        if late and self.rate.pause_s >= _LONG_PAUSE_S:
+            return pause_text("the loop", self.rate.pause_s)
         return pause_text("the loop", self.rate.pause_s) if isinstance(cause, LinkLost | LinkTimeout) else ""
 
     def _controlled_stop(self, signals: list[int]) -> ControlledStop:

@@ -103,7 +103,7 @@ def summarise(
         "clocks": outcome.measured.get("clocks"),
         "manipulator": outcome.measured.get("manipulator"),
         "sign_off": sign_off_summary(rig),
-        "waived": [waiver.as_json() for waiver in waivers(rig)],
+        "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "injected": [
             injected(fault, detection(judged["state"], k, fault, safe_stop(outcome, scenario)))
@@ -162,7 +162,7 @@ def summary_of(recorded: Recorded) -> dict[str, Any]:
     """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
     if recorded.summary is not None:
         of_earlier_versions = acceptance(recorded.summary, recorded.scenario.requirements)
-        waived = [waiver.as_json() for waiver in waivers(recorded.rig)]
+        waived = [waiver.as_json() for waiver in waivers(recorded.rig, recorded.scenario)]
         return {"waived": waived, **of_earlier_versions, **recorded.summary}
     stop = (recorded.end or {}).get("stop", BROKE_OFF)
     run, step_s = recorded.run, recorded.scenario.step_s

@@ -52,8 +52,10 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     accepted = summary["accepted"]
     word = "[bold green]PASS[/]" if accepted else "[bold red]FAIL[/]"
     beside = not_required_text(summary) if accepted else f"({_reason(summary, verdict)})"
-    name = f"{summary['scenario']} on {summary['rig']}, seed {summary['seed']}"
-    console.print(f"{word} {name} {beside}".rstrip(), highlight=False, soft_wrap=True)
+    weak = len(summary["waived"])
+    given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
+    text = f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']} {beside}".rstrip() + given_up
+    console.print(text, highlight=False, soft_wrap=True)
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:

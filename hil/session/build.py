@@ -23,6 +23,7 @@ from hil.checks.compatibility import (
     check_plan,
     check_ports,
     check_rates,
+    check_scenario_limits,
     check_sign_off,
     driver_warnings,
 )
@@ -65,6 +66,7 @@ def check(job: Job) -> None:
     problems = [
         *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
         *(check_approach(job.scenario) or check_abort(job.scenario)),
+        *check_scenario_limits(job.scenario, job.rig),
         *(check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
         *check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),

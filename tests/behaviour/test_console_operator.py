@@ -59,7 +59,7 @@ class Talk:
 
     def order(self, word: str, condition: bool) -> None:
         if self.once(word, condition):
-            self.send(order=word, id=len(self.done))
+            self.send(order=word, confirmed=True, id=len(self.done))
 
     def fly(self) -> None:
         """Arm and start."""

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -51,6 +56,9 @@ def test_unknown_scenario_names_the_known_ones(capsys: pytest.CaptureFixture[str
     ("setting", "words"),
     [
         ("gnc.control.dead_band_m=0.1", ("gnc.control.dead_band_m", "unknown key", "deadband_m")),
+        ("orbit.altitude_m=100", ("orbit.altitude_m", "100 m above the Moon", "8690")),
+        ('name="../../../x"', ("name", "must have no /")),
+        (f"{'a.' * 1000}b=1", ("1001 levels", "allowed up to 20")),
         ("chaser.mass_g=1000.0", ("chaser.mass_g", "mass_kg")),
         ("chaser.mass_kg=-1.0", ("chaser.mass_kg", "-1", "greater than 0")),
         ("chaser.mass_kg=nan", ("chaser.mass_kg", "finite")),
@@ -191,3 +199,48 @@ def test_rig_file_with_a_port_that_this_computer_has_not_is_refused(
 )
 def test_bad_option_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
     assert arguments[0].lstrip("-").split("-")[0] in _refused(capsys, "scheme-1", *arguments).lower()
+
+
+def test_keys_of_a_missing_base_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\n')
+    line = _refused(capsys, str(tmp_path / "mine.toml"))
+    assert "duration_s, step_s, orbit, chaser, initial and 4 more: are missing: extends" in line
+
+
+def test_more_runs_than_fit_into_memory_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (["campaign", "scheme-1", "--out", str(tmp_path / "out")], ["fusion"]):
+        assert execute([*command, "--runs", "10000000000"]) == 2
+        assert capsys.readouterr().err == "--runs: 10000000000: must be at most 10000000\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.EMFILE, "Too many open files"), "raise the limit, ulimit -n"),
+        (RuntimeError("can't start new thread"), "raise the limit, ulimit -u"),
+    ],
+)
+def test_limit_of_the_host_is_one_line_and_no_internal_error(
+    error: Exception, words: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("hil.session.build.check", fail)
+    assert words in _refused(capsys, "scheme-1", "--duration", "1")
+
+
+def test_run_that_is_killed_leaves_its_json(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    options = ["--rig", "mock", "--speed", "1", "--json", str(path)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "hil", "run", "scheme-1", *options], stderr=subprocess.PIPE
+    ) as process:
+        end_s = time.monotonic() + 60.0
+        while not path.exists() and process.poll() is None and time.monotonic() < end_s:
+            time.sleep(0.005)
+        process.kill()
+        process.communicate()
+    left = json.loads(path.read_text())
+    assert (left["scenario"], left["passed"]) == ("scheme-1", False)
+    assert left["stop"] == "the process ended before the run was over"

@@ -100,6 +100,28 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
     assert (entry["stop"], entry["cycles"]) == ("stopped by the operator", ended["cycles"])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["mock", "emulated"])
+def test_unconfirmed_orders_from_the_first_moment_of_a_session_move_nothing(rig: str) -> None:
+    hazardous = ("arm", "home", "start", "resume", "park", "reset", "go", "abort")
+    settings = ("--set", "rig.console.lease_s=30", "--set", 'rig.console.second_person=["park"]')
+    with console("--rig", rig, *settings) as c:
+        page = c.page("ann")
+        assert page.ask("take")["ok"]
+        assert page.ask("open", confirmed=True)["ok"]
+        answers, end_s = [], time.monotonic() + 400.0
+        while time.monotonic() < end_s and sum("ask" in answer for answer in answers) < 100:
+            answers += [page.ask("order", order=order) for order in hazardous]
+            answers.append(page.ask("order", order="park", confirmed=True))  # a second person does not confirm it
+            assert page.now["mode"] in ("off", "standby")
+        assert sum("ask" in answer for answer in answers) >= 100
+        assert not [answer for answer in answers if answer["ok"]]
+        before = page.now["rail_m"]
+        page.until(lambda: page.now["bench_s"] > 0.0, "the time")
+        assert page.now["rail_m"] == pytest.approx(before, abs=1e-4)
+        page.order("stop")
+
+
 def test_axes_of_a_target_that_is_rotated_are_shown_and_jogged() -> None:
     with console("--rig", "mock-manipulator") as c:
         page = c.page("ann")

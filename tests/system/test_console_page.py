@@ -150,7 +150,7 @@ def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
         screen.until("!window.hil.now.open")
         screen.picture("alarm")
         assert screen.page.is_enabled("#acknowledge")
-        screen.press("n", "open", confirm=True)
+        screen.press("n", "open")
         screen.until("document.getElementById('answer').textContent.includes('is not acknowledged')")
         screen.press("c", "acknowledge")
         screen.until("window.hil.page.alarms.every(alarm => alarm.acknowledged)")
@@ -376,7 +376,7 @@ def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictu
         'host.require_realtime = false\nhost.on_overrun = "log"\n'
         + "".join(f"rails.modbus.{name}.port = {port}\n" for port, name in enumerate("xyz", 1))
     )
-    with console("--rig", str(lab), *PATIENT) as c:
+    with console("--rig", str(lab)) as c:
         screen = open_screen(browser, c, pictures)
         screen.press("t", "take")
         screen.press("n", "open")

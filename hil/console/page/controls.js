@@ -1,5 +1,6 @@
 // Buttons, keys, jogging, fault injection: all requests of the page.
 
+import { closeDialog, openDialog, openInPage } from "/page/dialogs.js";
 import { Settings } from "/page/settings.js";
 
 const $ = (id) => document.getElementById(id);
@@ -7,8 +8,11 @@ const SHELVED_S = 600;
 const JOG_MS = 60; // the bench stops 0.2 s after the last message
 const ANSWER_MS = 6000;
 
+const YES_AFTER_MS = 400; // a pointer that has just clicked does not confirm by a second click
+const HALT = { KeyX: "stop", x: "stop", F8: "stop", KeyH: "hold", h: "hold", F2: "hold" };
+
 const ORDERS = [
-  ["hold", "HOLD", "h"], ["home", "Home", "o"], ["arm", "Arm", "m"], ["start", "Start", "s"], ["resume", "Resume", "r"],
+  ["home", "Home", "o"], ["arm", "Arm", "m"], ["start", "Start", "s"], ["resume", "Resume", "r"],
   ["go", "Go", "g"], ["abort", "Abort", "a"], ["disarm", "Disarm", "d"], ["park", "Park", "k"], ["reset", "Reset", "e"],
 ];
 
@@ -26,7 +30,13 @@ export class Controls {
     this.settings = new Settings(this);
     $("take").onclick = () => this.takeOrRelease();
     $("open").onclick = () => this.open();
-    $("stop").onclick = () => this.ask({ do: "order", order: "stop" });
+    for (const order of ["stop", "hold"]) {
+      const button = $(order === "stop" ? "stop" : "order_hold");
+      button.onpointerdown = () => this.halt(order);
+      button.onclick = (event) => event.detail || this.halt(order); // by Enter or the space bar
+    }
+    document.querySelectorAll("select").forEach(openInPage);
+    document.addEventListener("contextmenu", (event) => event.preventDefault()); // an open menu keeps keys from the page
     $("acknowledge").onclick = () => this.ask({ do: "acknowledge" });
     $("alarmlist").onclick = (event) => {
       const row = event.target.closest("li");
@@ -39,8 +49,8 @@ export class Controls {
     $("fault_kind").onchange = () => this.faultAxes();
     $("fault_on").onclick = () => this.switchFault();
     $("fault_clear").onclick = () => this.ask({ do: "fault", device: $("fault_device").value, line: "clear" });
-    $("no").onclick = () => $("confirm").close();
-    document.addEventListener("keydown", (event) => this.keyDown(event));
+    $("no").onclick = () => closeDialog($("confirm"));
+    window.addEventListener("keydown", (event) => this.keyDown(event), true);
     document.addEventListener("keyup", (event) => {
       if (event.key === "ArrowLeft" || event.key === "ArrowRight") this.jog(null);
     });
@@ -53,22 +63,32 @@ export class Controls {
     button.id = `order_${order}`;
     button.textContent = text;
     button.dataset.key = key;
-    if (order === "hold") button.className = "hold";
     button.onclick = () => this.ask({ do: "order", order });
     where.append(button);
   }
 
   // Send a request; if it requires confirmation, ask the operator first.
   async ask(message) {
+    if (this.link.lost) return this.notify(`no connection: ${message.order || message.do} was not sent`);
     const answer = await this.link.ask(message);
     if (!answer.ask) return this.notify(answer.ok ? "" : answer.text);
     this.notify("");
     $("question").textContent = answer.ask;
-    $("yes").onclick = () => {
-      $("confirm").close();
-      this.ask({ ...message, confirmed: true });
+    const asked_ms = performance.now();
+    $("yes").onclick = (event) => {
+      if (event.detail && performance.now() - asked_ms < YES_AFTER_MS) return;
+      closeDialog($("confirm"));
+      this.ask({ ...message, confirmed: true, mode: answer.mode });
     };
-    if (!$("confirm").open) $("confirm").showModal();
+    openDialog($("confirm"));
+  }
+
+  // Send STOP or HOLD before anything else, whatever this page shows.
+  async halt(order) {
+    const answered = this.link.ask({ do: "order", order });
+    closeDialog($("confirm"));
+    const answer = await answered;
+    this.notify(answer.ok ? "" : answer.text);
   }
 
   notify(text) {
@@ -86,10 +106,19 @@ export class Controls {
     this.ask({ do: "open", scenario: $("scenario").value, rig: $("rig").value, seed: Number($("seed").value) });
   }
 
+  // STOP and HOLD first: by the place of the key and by its letter, whatever modifier, layout or focus.
   keyDown(event) {
+    const halt = HALT[event.code] || HALT[String(event.key).toLowerCase()];
+    if (halt && this.now.open && this.link.connected) {
+      event.preventDefault();
+      event.stopPropagation();
+      if (!event.repeat) this.halt(halt);
+      return;
+    }
     if (event.ctrlKey || event.altKey || event.metaKey || $("who").open) return;
     if ($("confirm").open) {
       if (event.key === "y") $("yes").click();
+      if (event.key === "Escape") closeDialog($("confirm"));
       return;
     }
     const typing = /^(INPUT|SELECT)$/.test(event.target.tagName);
@@ -139,14 +168,14 @@ export class Controls {
     const mine = now.lease.mine, open = now.open;
     for (const [order] of ORDERS) {
       const allowed = open ? page.obeyed_in[order].includes(now.mode) : order === "reset" && page.alarms.some((a) => a.latched);
-      $(`order_${order}`).disabled = !((mine || order === "hold") && allowed);
+      $(`order_${order}`).disabled = !(mine && allowed);
     }
     $("open").disabled = !mine || open;
-    $("stop").disabled = !open;
+    $("stop").disabled = $("order_hold").disabled = !open;
     const second = now.second_person;
     $("second").hidden = !second;
     if (second) $("second").textContent = `Second person: confirm ${second.order} of ${second.by}`;
-    $("acknowledge").disabled = !mine || !page.alarms.some((alarm) => !alarm.acknowledged);
+    $("acknowledge").disabled = !mine || !(page.stop_reason || page.alarms.some((alarm) => !alarm.acknowledged));
     this.settings.show(page, mine && open);
     const jogs = mine && open && ["standby", "jogging"].includes(now.mode);
     for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);

@@ -1,6 +1,6 @@
 // Websocket of the page: authentication, updates, requests and heartbeat.
 
-const BEAT_MS = 200, RECONNECT_MS = 1000;
+const BEAT_MS = 200, RECONNECT_MS = 1000, LOST_MS = 500;
 
 export class Link {
   // on: {message(header, rows, data), opened(), refused(text), lost()}
@@ -14,6 +14,15 @@ export class Link {
     // key of this tab, also after a reload: the lease continues
     this.key = sessionStorage.getItem("hil.key") || crypto.getRandomValues(new Uint32Array(6)).join("-");
     sessionStorage.setItem("hil.key", this.key);
+  }
+
+  get connected() {
+    return Boolean(this.socket) && this.socket.readyState === WebSocket.OPEN;
+  }
+
+  // Whether no message has been received for 0.5 s, also if the network fails silently.
+  get lost() {
+    return performance.now() - this.received_ms > LOST_MS;
   }
 
   open(name, token) {
@@ -64,12 +73,12 @@ export class Link {
   }
 
   send(message) {
-    if (this.socket && this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+    if (this.connected) this.socket.send(JSON.stringify(message));
   }
 
   // Send a request; the answer: {ok, text, ask}
   ask(message) {
-    if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ ok: false, text: "no connection" });
+    if (!this.connected) return Promise.resolve({ ok: false, text: "no connection" });
     const id = ++this.number;
     return new Promise((done) => {
       this.waiting.set(id, done);

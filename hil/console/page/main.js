@@ -2,15 +2,16 @@
 
 import { Camera } from "/page/camera.js";
 import { Controls } from "/page/controls.js";
+import { closeDialog, openDialog } from "/page/dialogs.js";
 import { Link } from "/page/link.js";
-import { ages, alarms, header, isStale, log, waived } from "/page/panels.js";
+import { ages, alarms, header, isStale, log, reach, waived } from "/page/panels.js";
 import { Plots } from "/page/plots.js";
 import { Scene } from "/page/scene.js";
 import { Store } from "/page/store.js";
 import { View } from "/page/view.js";
 
 const $ = (id) => document.getElementById(id);
-const SLOW_PERIOD_MS = 500, LOST_MS = 1000, DRAW_PERIOD_MS = 90;
+const SLOW_PERIOD_MS = 500, DRAW_PERIOD_MS = 90;
 
 const store = new Store();
 const plots = new Plots($("plots"));
@@ -36,7 +37,7 @@ const link = new Link({
   refused(text) {
     $("who_text").textContent = text;
     sessionStorage.removeItem("hil.token");
-    if (!$("who").open) $("who").showModal();
+    openDialog($("who"));
   },
   opened() {
     if (camera.wanted) link.send({ do: "watch", camera: camera.wanted });
@@ -73,10 +74,9 @@ let frames = 0;
 
 function draw(time_ms) {
   requestAnimationFrame(draw);
-  // also if the network fails silently
-  document.body.classList.toggle("lost", performance.now() - link.received_ms > LOST_MS);
+  reach(link);
   if (!now || !page) return;
-  const stale = isStale(now) || document.body.classList.contains("lost");
+  const stale = isStale(now) || link.lost;
   header(now, page, store);
   controls.show(now, page);
   view.show(now, page, store);
@@ -101,10 +101,11 @@ function enter() {
   const name = localStorage.getItem("hil.name") || "";
   const token = new URLSearchParams(location.hash.slice(1)).get("token") || sessionStorage.getItem("hil.token") || "";
   if (name) link.open(name, token);
-  else $("who").showModal();
+  else openDialog($("who"));
 }
 
-$("who").addEventListener("close", () => {
+$("who").addEventListener("submit", () => {
+  closeDialog($("who"));
   localStorage.setItem("hil.name", $("name").value.trim() || "operator");
   sessionStorage.setItem("hil.token", $("token").value);
   link.open(localStorage.getItem("hil.name"), $("token").value);

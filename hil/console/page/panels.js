@@ -9,6 +9,16 @@ export function isStale(now) {
   return !now.ready || now.status_age_s === undefined || now.status_age_s > STATUS_OLD_S;
 }
 
+// Show whether keys and orders reach the bench; no button looks alive while they do not.
+export function reach(link) {
+  const lost = link.lost, away = !document.hasFocus();
+  document.body.classList.toggle("lost", lost);
+  document.body.classList.toggle("away", away);
+  const age = Number.isFinite(link.received_ms) ? ` for ${((performance.now() - link.received_ms) / 1000).toFixed(1)} s` : "";
+  const text = lost ? `No connection to the console${age}: STOP may not arrive, use the emergency stop` : "Keys do not reach this window: click into it";
+  $("reach").textContent = lost || away ? text : "";
+}
+
 export function header(now, page, store) {
   const stale = isStale(now);
   document.body.classList.toggle("old", stale);
@@ -78,7 +88,7 @@ export function alarms(page) {
     text(row, `${alarm.t_s.toFixed(2)} s ${alarm.priority}, ${stands}, ${alarm.acknowledged ? "acknowledged" : "NEW"}`, alarm.text);
   });
   const first = order.find((alarm) => alarm.latched && !alarm.shelved_until_s);
-  $("alarmline").textContent = first ? `\u26a0 ${first.text}${first.acknowledged ? " (acknowledged)" : ""}` : "";
+  $("alarmline").textContent = first ? `\u26a0 ${first.text}${first.acknowledged ? " (acknowledged)" : ""}` : page.stop_reason && `\u26a0 ${page.stop_reason}`;
   $("alarmline").classList.toggle("seen", Boolean(first && first.acknowledged));
 }
 

@@ -16,7 +16,7 @@ from hil.cli.commission import Terminal
 from hil.cli.main import execute
 from hil.commission.sign_off import as_toml, signed_before
 from hil.commission.steps import AxisFindings, Findings
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
 from hil.report.summary import sign_off_summary
@@ -86,7 +86,7 @@ def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, moc
     console = Console(file=told, width=200)
     for rig in (load_rig(str(signed(lab))).value, load_rig(str(lab), ["rig.sign_off.waived=true"]).value, mock_rig):
         print_sign_off(sign_off_summary(rig), console)
-        print_waived([waiver.as_json() for waiver in waivers(rig)], console)
+        print_waived([waiver.as_json() for waiver in waivers(rig, load_scenario("scheme-1").value)], console)
     signed_line, waived_line = told.getvalue().strip().splitlines()
     assert signed_line == 'Sign-off    2026-03-01 by A. "Tech" Nician'
     assert waived_line.startswith("WAIVED rig.sign_off.waived = true: ")
@@ -113,6 +113,12 @@ def test_no_other_rig_needs_one(rig: str) -> None:
         "rig.rails.modbus.x.port=1502",
         "rig.io.pump_timeout_s=0.06",
         "rig.safety.command_age_max_s=0.4",
+        "rig.host.overruns_max=6",
+        "rig.vmu.lost_packets_max=11.0",
+        "rig.console.lease_s=2.5",
+        "rig.console.on_loss=continue",
+        "rig.guard.startup_s=2.5",
+        "rig.vmu.rate_hz=5.0",
     ],
 )
 def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: str) -> None:
@@ -122,7 +128,7 @@ def test_change_of_what_decides_the_motion_ends_the_sign_off(lab: Path, change: 
 
 
 @pytest.mark.parametrize(
-    "change", ["rig.rails.x.lead_s=-0.01", "rig.name=other", "rig.host.cpu=1", "rig.vmu.rate_hz=5.0"]
+    "change", ["rig.rails.x.lead_s=-0.01", "rig.name=other", "rig.host.cpu=1", "rig.console.on_loss=stop"]
 )
 def test_change_of_anything_else_does_not(lab: Path, change: str) -> None:
     assert check_sign_off(load_rig(str(signed(lab)), [change])) == []

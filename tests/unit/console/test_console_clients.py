@@ -17,6 +17,7 @@ from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.service import ConsoleService
 from hil.console.session import Choice
+from hil.console.session_manager import CLIENTS_MAX
 from hil.console.session_process import SessionProcess
 from hil.console.tuner import Tuner
 from hil.setup.assembly import Job
@@ -32,10 +33,18 @@ class OpenSession:
 
     def __init__(self) -> None:
         self.asked: list[dict[str, Any]] = []
+        self.reply: dict[str, Any] = {"text": ""}
+        self.interrupted = False
 
     async def ask(self, **message: Any) -> str:
+        return str((await self.request(**message))["text"])
+
+    async def request(self, **message: Any) -> dict[str, Any]:
         self.asked.append(message)
-        return ""
+        return self.reply
+
+    def interrupt(self) -> None:
+        self.interrupted = True
 
     def send(self, **_: Any) -> bool:
         return True
@@ -58,6 +67,36 @@ def answer(service: ConsoleService, client: Client, **command: Any) -> dict[str,
 def test_client_without_the_command_can_stop_and_hold(service: ConsoleService, order: str) -> None:
     assert answer(service, BOB, do="order", order=order)["ok"]
     assert cast(OpenSession, service.session).asked == [{"order": order, "by": "bob"}]
+
+
+def test_flood_of_holds_is_one_message_and_an_unsent_stop_is_a_signal(service: ConsoleService) -> None:
+    session = cast(OpenSession, service.session)
+
+    async def flood() -> list[dict[str, Any]]:
+        holds = (service.execute(BOB, {"do": "order", "order": "hold"}) for _ in range(1000))
+        return list(await asyncio.gather(*holds, service.execute(ANN, {"do": "order", "order": "stop"})))
+
+    assert asyncio.run(flood()) == [{"ok": True, "text": ""}] * 1001
+    assert session.asked == [{"order": "hold", "by": "bob"}, {"order": "stop", "by": "ann"}]
+    session.reply = {"text": "the session receives no messages", "unsent": True}
+    answer(service, BOB, do="order", order="stop")
+    assert session.interrupted
+
+
+def test_newcomer_displaces_the_silent_and_idle_but_never_who_has_the_command(service: ConsoleService) -> None:
+    service.clients = [Client(str(number) * 16, "watcher", last_rx_s=99.9) for number in range(CLIENTS_MAX - 1)]
+    silent, idle = service.clients[7], service.clients[9]
+    for each in service.clients:
+        each.acted_s = 50.0
+    idle.acted_s, silent.last_rx_s, silent.acted_s = 10.0, 90.0, 99.0
+    service.clients.append(ANN)
+    for displaced in (silent, idle):
+        service.admit(Client("n" * 16, "newcomer", acted_s=99.9))
+        assert [each for each in service.clients if each.displaced.is_set()] == [displaced]
+        service.dismiss(displaced)
+    for _ in range(40):
+        service.admit(Client("m" * 16, "crowd"))
+    assert not ANN.displaced.is_set()
 
 
 @pytest.mark.parametrize("order", ["home", "arm", "start", "resume", "abort", "go", "park", "reset", "disarm"])

@@ -11,7 +11,8 @@ import pytest
 from hil.config.load import load_scene
 from hil.console.live_view import Client
 from hil.console.message import ImageMessage, pack, unpack
-from hil.console.service import CONFIRMATIONS, ConsoleService
+from hil.console.remote_operator import CONFIRMATIONS
+from hil.console.service import ConsoleService
 from hil.console.session import Choice
 from hil.console.session_state import SessionState
 from hil.core.modes import Mode
@@ -210,3 +211,31 @@ def test_account_logs_each_alarm_and_hold_once() -> None:
     assert state.apply(message) == []
     assert state.mode is Mode.OFF
     assert state.live(5.0) == {}
+
+
+@pytest.mark.parametrize(
+    ("message", "text"),
+    [
+        ({"ended": {"stop": "stopped by the operator"}}, "session ended: stopped by the operator"),
+        (
+            {"refused": ["the session's process ended by SIGKILL without a result"]},
+            "the session's process ended by SIGKILL",
+        ),
+        ({"ended": {"stop": "completed"}}, ""),
+    ],
+)
+def test_reason_of_a_stop_stays_on_the_page_until_it_is_acknowledged(
+    service: ConsoleService, message: dict[str, Any], text: str
+) -> None:
+    def shown() -> str:
+        service.changed()
+        page = service.update_for(ANN)[1]
+        assert page is not None
+        return str(page["stop_reason"])
+
+    service._on_message(message)
+    service.state = SessionState({}, "another session")
+    assert shown().startswith(text)
+    assert bool(shown()) == bool(text)
+    assert ask(service, do="acknowledge") == "ok"
+    assert shown() == ""

@@ -74,15 +74,19 @@ class Desk:
     def open(self) -> None:
         """Open the session."""
 
-        async def ask(**message: Any) -> str:
+        async def request(**message: Any) -> dict[str, Any]:
             self.orders.append(message)
-            return ""
+            return {"text": ""}
+
+        async def ask(**message: Any) -> str:
+            return str((await request(**message))["text"])
 
         choice = self.service.choice
         self.service.tuner = Tuner(choice.job())
         self.service.session = SimpleNamespace(  # type: ignore[assignment]
             ready=True,
             ask=ask,
+            request=request,
             send=lambda **_: True,
             rings=self.rings,
             run_time=self.run_time.descriptor,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+
+from hil.console.lease import RequestRejected
 from hil.console.strangers import FairSlots, GuessLimiter
 
 
@@ -18,20 +21,32 @@ def test_newcomer_displaces_the_oldest_of_the_address_that_has_most() -> None:
 
 
 def test_pause_after_wrong_tokens_doubles_up_to_half_a_minute_and_concerns_one_address() -> None:
-    limiter, pauses = GuessLimiter(), []
+    limiter, pauses = GuessLimiter("right"), []
     for _ in range(12):
         limiter.failed("a", 100.0)
         pauses.append(limiter.pause_s("a", 100.0))
     assert pauses == [0.0, 0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0, 30.0]
     assert limiter.pause_s("a", 130.0) == 0.0
     assert limiter.pause_s("b", 100.0) == 0.0
-    limiter.succeeded("a")
+    limiter.check("right", "a", 100.0)
     limiter.failed("a", 200.0)
     assert limiter.pause_s("a", 200.0) == 0.0
 
 
+def test_right_token_is_accepted_during_the_pause_of_its_address() -> None:
+    limiter = GuessLimiter("right")
+    for _ in range(12):
+        with pytest.raises(RequestRejected):
+            limiter.check("wrong", "a", 100.0)
+    with pytest.raises(RequestRejected, match=r"wrong tokens came from this address: try again in 0\.5 s"):
+        limiter.check("wrong", "a", 100.0)
+    limiter.check("right", "a", 100.0)
+    with pytest.raises(RequestRejected, match=r"wrong token$"):
+        limiter.check("wrong", "a", 100.0)
+
+
 def test_only_a_bounded_number_of_addresses_is_remembered() -> None:
-    limiter = GuessLimiter()
+    limiter = GuessLimiter("right")
     for number in range(5000):
         limiter.failed(str(number), 0.0)
     assert len(limiter._wrong) == 1024

@@ -44,6 +44,24 @@ with locked_wires(load_rig(sys.argv[1]).value):
 """
 
 
+def test_lock_of_another_user_is_taken_whatever_his_umask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, before = tmp_path / "a.lock", os.umask(0o077)
+    try:
+        os.close(wire_lock._opened(path))
+    finally:
+        os.umask(before)
+    assert path.stat().st_mode & 0o777 == 0o666
+    opened = os.open
+
+    def of_another_user(name: Path, flags: int, mode: int = 0o777) -> int:
+        if flags & (os.O_RDWR | os.O_CREAT):
+            raise PermissionError(13, "Permission denied")
+        return opened(name, flags, mode)
+
+    monkeypatch.setattr(os, "open", of_another_user)
+    os.close(wire_lock._opened(path))
+
+
 @pytest.fixture(autouse=True)
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wire_lock, "_FOLDER", f"hil-wires-test-{tmp_path.name}")

@@ -120,3 +120,9 @@ BOMB = (
 def test_model_description_that_cannot_be_used_is_refused(text: bytes, says: str) -> None:
     with pytest.raises(FmuError, match=says):
         parse(text)
+
+
+@pytest.mark.parametrize("encoding", ["utf-7", "utf-32", "no-such-encoding"])
+def test_encoding_that_the_parser_does_not_have_is_an_error_of_the_file(encoding: str) -> None:
+    with pytest.raises(FmuError, match="is not XML in UTF-8 or UTF-16"):
+        parse(f'<?xml version="1.0" encoding="{encoding}"?><fmiModelDescription/>'.encode())

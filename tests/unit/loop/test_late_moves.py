@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hil.core.clock import SimulatedClock
 from hil.core.messages import AXES, new
-from hil.errors import LinkLost
+from hil.errors import BenchError, LinkLost, SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate, Tick
 from hil.session.build import in_memory
@@ -49,17 +50,25 @@ def test_a_late_cycle_delays_a_move_and_does_not_hasten_it() -> None:
     assert np.abs(np.diff(speeds)).max() <= Move.FRACTION_OF_LIMITS * bench.params.acceleration_max[0] * 0.02 * 1.001
 
 
-def test_a_lost_link_after_a_pause_of_the_host_names_the_pause() -> None:
+@pytest.mark.parametrize(
+    "fault",
+    [
+        LinkLost("rails", "stopped: the loop has been silent for 0.052 s"),
+        SafetyTrip("io", "safety chain", "open", "closed"),
+        SafetyTrip("bench", "age of the setpoint", "0.520 s", "0.5 s"),
+    ],
+)
+def test_fault_that_a_pause_of_the_host_can_cause_names_the_pause(fault: BenchError) -> None:
     job = make_job(2.0)
     rate = LateRate(SimulatedClock(), job.scenario.value.step_s)
     rate.pause_s = 0.051
     runner = in_memory(job, rate)
 
-    def lost(now_s: float) -> None:
-        raise LinkLost("rails", "stopped: the loop has been silent for 0.052 s")
+    def fail(now_s: float) -> None:
+        raise fault
 
-    runner.loop.bench.rails.read = lost  # type: ignore[method-assign, assignment]
+    runner.loop.bench.rails.read = fail  # type: ignore[method-assign, assignment]
     outcome = runner.run()
-    text = "rails: stopped: the loop has been silent for 0.052 s (the host paused the loop for 51 ms)"
+    text = f"{fault} (the host paused the loop for 51 ms)"
     assert outcome.stop == text
     assert [alarm.text for alarm in outcome.alarms] == [text]

@@ -1,0 +1,131 @@
+"""Protective limits: for each key its recommended range, and the ranges that hardware and simulated rigs accept.
+
+From this table come the checks of files and options, the waivers of weak limits, and the page of the reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel
+
+Weakest = tuple[float, float, float]
+"""Recommended, on hardware, and on simulated rigs."""
+Kind = Literal["mock", "emulated", "hardware"]
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Key of a rig or scenario that protects the bench or the verdict.
+
+    protects: what it detects or prevents. recommended, hardware, simulated: its weakest recommended value, and the
+    weakest ones accepted on hardware, and on mock and emulated rigs. weak_below: whether smaller values are weaker.
+    """
+
+    key: str
+    protects: str
+    recommended: float
+    hardware: float
+    simulated: float
+    weak_below: bool = False
+
+    def accepted(self, kind: Kind) -> float:
+        """Return the weakest value accepted on a rig of ``kind``."""
+        return self.hardware if kind == "hardware" else self.simulated
+
+    def is_weaker(self, value: float, than: float) -> bool:
+        """Return whether ``value`` protects less than the value ``than``."""
+        return value < than if self.weak_below else value > than
+
+    def range_text(self, weakest: float) -> str:
+        """Return the range that ends at ``weakest``."""
+        return f"{weakest:g} or {'more' if self.weak_below else 'less'}"
+
+
+def _axes(device: str, names: str, unit: str, error: Weakest, speed: Weakest) -> tuple[Limit, ...]:
+    return (
+        Limit(f"{device}.timeout_s", f"silence of {names}", 1.0, 2.0, 3600.0),
+        Limit(f"{device}.following_error_max_{unit}", f"{names} that do not follow their setpoints", *error),
+        Limit(f"{device}.speed_mismatch_max_{unit}ps", f"{names} with a wrong reported speed", *speed),
+        *_link(device, f"loose connectors of {names}", 0.2),
+    )
+
+
+def _link(device: str, protects: str, window_s: float) -> tuple[Limit, ...]:
+    return (
+        Limit(f"{device}.lost_packets_max", protects, 20.0, 100.0, 1e6),
+        Limit(f"{device}.lost_packets_window_s", protects, window_s, 0.1 * window_s, 1e-3, True),
+    )
+
+
+RIG_LIMITS: Final = (
+    Limit("host.overruns_max", "a bench that moves on late setpoints", 10, 100, 1e6),
+    Limit("host.overruns_window_s", "a bench that moves on late setpoints", 0.5, 0.1, 1e-3, True),
+    *_axes("rails", "rails", "m", (0.1, 0.5, 1e3), (0.1, 0.5, 1e3)),
+    *_axes("turntable", "gimbals", "deg", (5.0, 20.0, 1e3), (10.0, 45.0, 1e4)),
+    *_axes("target_manipulator", "rails of the target", "m", (0.1, 0.5, 1e3), (0.1, 0.5, 1e3)),
+    *_axes("rotary_manipulator", "gimbals of the target", "deg", (5.0, 20.0, 1e3), (10.0, 45.0, 1e4)),
+    Limit("vmu.timeout_s", "a run without poses", 2.0, 10.0, 3600.0),
+    *_link("vmu", "a vision unit that loses frames", 0.1),
+    Limit("vmu.bench_sigma_m", "poses that differ from the encoders", 0.01, 0.05, 10.0),
+    Limit("vmu.bench_sigma_deg", "poses that differ from the encoders", 0.5, 2.0, 90.0),
+    Limit("io.timeout_s", "silence of the coupler of the safety chain", 1.0, 2.0, 3600.0),
+    Limit("io.pump_timeout_s", "torque of a controller that is dead or hangs", 0.2, 1.0, 60.0),
+    Limit("safety.command_age_max_s", "axes that move without new setpoints", 0.5, 1.0, 3600.0),
+    Limit("safety.homing_timeout_s", "an axis that misses its home switch", 600.0, 3600.0, 1e6),
+    Limit("console.lease_s", "a bench that moves without its operator", 5.0, 30.0, 60.0),
+    Limit("bench.bodies_distance_m", "collisions of carriage, arm and target", 0.02, 0.005, 1e-6, True),
+    Limit("guard.reaction_s", "a chaser that enters the keep-out", 0.05, 0.02, 0.0, True),
+    Limit("guard.pose_error_max_m", "a bench that does not show the truth", 0.02, 0.1, 1e3),
+    Limit("guard.pose_error_max_deg", "a bench that does not show the truth", 1.0, 5.0, 1e3),
+    Limit("guard.pose_error_per_speed_s", "a bench that does not show the truth", 0.5, 2.0, 1e3),
+    Limit("guard.pose_error_cycles", "a bench that does not show the truth", 25, 250, 1e4),
+    Limit("guard.limited_max_s", "a bench that cannot follow the truth", 2.0, 10.0, 3600.0),
+    Limit("guard.axis_error_max_m", "a rail that sticks", 0.005, 0.05, 1e3),
+    Limit("guard.axis_error_max_deg", "a gimbal that sticks", 0.2, 2.0, 1e3),
+    Limit("guard.axis_error_per_speed_s", "an axis that sticks", 0.2, 1.0, 1e3),
+    Limit("guard.axis_error_cycles", "an axis that sticks", 15, 150, 1e4),
+    Limit("guard.vision_sigmas", "a vision unit that contradicts the encoders", 8.0, 20.0, 1e3),
+    Limit("guard.vision_error_max_m", "a vision unit that contradicts the encoders", 0.01, 0.05, 1e3),
+    Limit("guard.vision_error_max_deg", "a vision unit that contradicts the encoders", 0.5, 2.0, 1e3),
+    Limit("guard.vision_frames_max", "a vision unit that contradicts the encoders", 20, 100, 1e4),
+    Limit("guard.startup_s", "axes that do not catch up after the start", 5.0, 30.0, 3600.0),
+)
+"""Limits of a rig; a table that the rig does not have is skipped."""
+
+SCENARIO_LIMITS: Final = (
+    Limit("gnc.navigation.gate_sigma", "outliers in the estimate", 8.0, 20.0, 1e3),
+    Limit("monitor.interlock_sigmas", "a docking monitor that contradicts the estimate", 8.0, 20.0, 1e3),
+    Limit("keep_out.radius_m", "contact of chaser and target", 0.05, 0.0, 0.0, True),
+    Limit("keep_out.distance_m", "contact of the bodies of chaser and target", 0.02, 0.005, 1e-6, True),
+    Limit("integrity.alert_axial_m", "an unnoticed error along the docking axis", 0.3, 1.0, 1e3),
+    Limit("integrity.alert_axial_per_range_scale", "an unnoticed error along the docking axis", 0.2, 1.0, 1e3),
+    Limit("integrity.alert_attitude_deg", "an unnoticed error of attitude", 5.0, 20.0, 1e3),
+    Limit("integrity.time_to_alert_s", "an error that is noticed late", 5.0, 30.0, 3600.0),
+)
+"""Limits of a scenario."""
+
+
+def values(limits: tuple[Limit, ...], table: BaseModel) -> Iterator[tuple[Limit, float]]:
+    """Yield each of ``limits`` that ``table`` has, and its value."""
+    for limit in limits:
+        value: Any = table
+        for name in limit.key.split("."):
+            value = getattr(value, name, None)
+        if value is not None:
+            yield limit, float(value)
+
+
+def excess(limits: tuple[Limit, ...], table: BaseModel, kind: Kind) -> list[tuple[str, str]]:
+    """Return the key of each limit that is weaker than a rig of ``kind`` accepts, and the text of the error."""
+    return [
+        (
+            limit.key,
+            f"{value:g}: allowed on {kind} {limit.range_text(limit.accepted(kind))}, recommended "
+            f"{limit.range_text(limit.recommended)}: it protects from {limit.protects}",
+        )
+        for limit, value in values(limits, table)
+        if limit.is_weaker(value, limit.accepted(kind))
+    ]

@@ -1,0 +1,296 @@
+"""STOP and HOLD leave the console's page whatever has the focus: keys, mouse and touch on a stub of a session."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from hil.core.modes import Mode
+from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from tests.support.browsers import BrowserPage, chromium, firefox
+from tests.support.console_client import PATIENT, console
+from tests.support.run_settings import NEAR, typed
+from tests.support.stub_console import StubSession, stub_console
+
+pytestmark = [pytest.mark.wires, pytest.mark.timeout(900)]
+
+ORDERS = {"stop": "stop", "hold": "order_hold"}
+WIDTHS = (1280, 390)
+LETTERS = {"stop": ("x", "KeyX", "\u0447", "\u03c7", "F8"), "hold": ("h", "KeyH", "\u0440", "\u03b7", "F2")}
+LAYOUTS = ("plain", "shift", "caps lock", "cyrillic", "greek", "input method", "other place", "further key")
+CONFIRMED = ("home", "arm", "start", "resume", "abort", "go", "park", "reset")
+FIELDS = ("fault_device", "fault_kind", "fault_axis", "fault_value")
+SETTING = "#settinglist tr:nth-child(1) input"
+FOCUS = ("nothing", *FIELDS, *(f"list {name}" for name in FIELDS[:3]), "settings", "setting", "camera", "log",
+         "who name", "who token", *(f"confirm {order}" for order in CONFIRMED), "confirm open",
+         "confirm setting")  # fmt: skip
+BUDGET_MS = 50.0
+
+SCRIPT = """
+localStorage.setItem("hil.name", "ann");
+window.cells = { begun: 0, sent: [] };
+const send = WebSocket.prototype.send;
+WebSocket.prototype.send = function (text) {
+  const message = JSON.parse(text);
+  if (message.do === "order") window.cells.sent.push([message.order, performance.now() - window.cells.begun]);
+  return send.call(this, text);
+};
+for (const kind of ["keydown", "pointerdown"]) {
+  window.addEventListener(kind, () => (window.cells.begun = performance.now()), true);
+}
+"""
+
+
+def until(page: BrowserPage, expression: str, wall_s: float = 20.0) -> None:
+    end_s = time.monotonic() + wall_s
+    while not page.evaluate(expression):
+        assert time.monotonic() < end_s, f"{expression} did not come"
+        time.sleep(0.005)
+
+
+@contextmanager
+def opened(page: BrowserPage) -> Iterator[StubSession]:
+    """Load the page of a console with a stub, and take the command."""
+    with stub_console() as (address, _, stub):
+        page.open(f"http://{address}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        page.evaluate("void document.getElementById('take').click()")
+        until(page, "window.hil.now.lease.mine && !document.body.classList.contains('away')")
+        yield stub
+
+
+def set_focus(page: BrowserPage, stub: StubSession | None, focus: str) -> None:
+    """Bring the page from any state into the one named ``focus``. stub: None for a real session in a run."""
+    what, _, name = focus.partition(" ")
+    mode = Mode.RUNNING
+    if name in CONFIRMED:
+        mode = min(ALLOWED_IN[OperatorCommand(name)], key=lambda mode: mode.value)
+    if stub is not None:
+        stub.mode = mode
+    page.evaluate(
+        "import('/page/dialogs.js').then((dialogs) => { for (const id of ['confirm', 'who'])"
+        " dialogs.closeDialog(document.getElementById(id)); document.getElementById('shade').hidden = true;"
+        " for (const list of document.querySelectorAll('select')) list.removeAttribute('size');"
+        " document.getElementById('settings').hidden = true; document.activeElement.blur(); scrollTo(0, 0); })"
+    )
+    until(page, f"document.getElementById('mode').dataset.mode === '{mode.value}'")
+    if what in FIELDS or what in ("camera",):
+        page.evaluate(f"void document.getElementById('{what}').focus()")
+    elif what == "list":
+        page.evaluate(f"document.getElementById('{name}').scrollIntoView({{block: 'center'}})")
+        page.point("mouse", *middle(page, name))
+        until(page, f"document.getElementById('{name}').size > 1")
+    elif what == "log":
+        page.evaluate("void document.getElementById('loglist').click()")
+    elif what == "who":
+        page.evaluate("import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('who')))")
+        page.evaluate(f"void document.getElementById('{name}').focus()")
+    elif what in ("settings", "setting") or name == "setting":
+        page.evaluate("void document.getElementById('settings_open').click()")
+        until(page, "!document.getElementById('settings').hidden")
+        if what != "settings":
+            page.evaluate(f"void document.querySelector('{SETTING}').focus()")
+        if name == "setting":
+            page.evaluate(f"void (document.querySelector('{SETTING}').value = '0.0003')")
+            page.evaluate("void document.querySelector('#settinglist tr:nth-child(1) button').click()")
+    elif what == "confirm":
+        page.evaluate(
+            f"void (document.getElementById('order_{name}') || document.getElementById('take')).click()"
+            if name != "open"
+            else "import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('confirm')))"
+        )
+    if what == "confirm":
+        until(page, "document.getElementById('confirm').open")
+
+
+def middle(page: BrowserPage, button: str) -> tuple[float, float]:
+    x, y = page.evaluate(
+        f"(() => {{ const b = document.getElementById('{button}').getBoundingClientRect();"
+        " return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+    )
+    return x, y
+
+
+def press(page: BrowserPage, order: str, layout: str) -> None:
+    letter, code, cyrillic, greek, further = LETTERS[order]
+    key = {"shift": letter.upper(), "caps lock": letter.upper(), "cyrillic": cyrillic, "greek": greek,
+           "input method": "Process", "further key": further}.get(layout, letter)  # fmt: skip
+    code = {"other place": "KeyJ", "further key": further}.get(layout, code)
+    page.key(key, code, shift=layout == "shift")
+
+
+def cell(page: BrowserPage, stub: StubSession, focus: str, order: str, how: str) -> str:
+    """Try one cell; return what is wrong with it, "" for nothing."""
+    set_focus(page, stub, focus)
+    page.evaluate("void (window.cells.sent = [])")
+    if how in ("mouse", "touch"):
+        page.point(how, *middle(page, ORDERS[order]))
+    else:
+        press(page, order, how)
+    end_s = time.monotonic() + 1.0
+    while not (sent := page.evaluate("window.cells.sent")):
+        if time.monotonic() > end_s:
+            return "nothing left the page"
+    (left, after_ms) = sent[0]
+    if left != order or len(sent) > 1:
+        return f"sent {json.dumps(sent)}"
+    return "" if after_ms < BUDGET_MS else f"{after_ms:.0f} ms"
+
+
+def wrong_cells(page: BrowserPage, cells: list[tuple[str, str, str, int]]) -> list[str]:
+    """Try all ``cells``: focus, order, way, width; return those that are wrong."""
+    wrong, width = [], 0
+    with opened(page) as stub:
+        for focus, order, how, of_width in cells:
+            if of_width != width:
+                width = of_width
+                page.resize(width, 720)
+            if text := cell(page, stub, focus, order, how):
+                wrong.append(f"{focus}, {order}, {how}, {of_width} px: {text}")
+    return wrong
+
+
+EVERY = [
+    (focus, order, how, width)
+    for width in WIDTHS
+    for focus, order, how in itertools.product(FOCUS, ORDERS, (*LAYOUTS, "mouse", "touch"))
+]
+
+
+def test_stop_and_hold_leave_the_page_whatever_has_the_focus() -> None:
+    some = [c for i, c in enumerate(EVERY) if i % 11 == 0 or (c[0] in ("settings", "confirm arm") and c[3] == 390)]
+    with chromium() as page:
+        assert wrong_cells(page, some) == []
+
+
+def looks_alive(page: BrowserPage) -> list[str]:
+    """Return the buttons that look as if they could be pressed."""
+    return page.evaluate(  # type: ignore[no-any-return]
+        "[...document.querySelectorAll('#left button, #halt button, header button')]"
+        ".filter((b) => getComputedStyle(b).borderTopStyle !== 'dotted').map((b) => b.id)"
+    )
+
+
+def test_page_shows_when_keys_or_orders_do_not_arrive_and_then_no_button_looks_alive() -> None:
+    with chromium() as page, stub_console() as (address, service, stub):
+        page.open(f"http://{address}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        page.evaluate("void document.getElementById('take').click()")
+        until(page, "window.hil.now.lease.mine && document.getElementById('reach').textContent === ''")
+        assert {"stop", "order_hold", "order_abort"} <= set(looks_alive(page))
+
+        page.evaluate("void (document.hasFocus = () => false)")
+        until(page, "document.getElementById('reach').textContent.startsWith('Keys do not reach this window')")
+        assert looks_alive(page) == []
+        page.evaluate("void delete document.hasFocus")
+        until(page, "document.getElementById('reach').textContent === ''")
+
+        (client,) = service.clients
+        client.got, client.sent = 0, 1000  # the console sends nothing more
+        begun_s = time.monotonic()
+        until(page, "document.getElementById('reach').textContent.startsWith('No connection to the console for 0.')")
+        assert 0.2 < time.monotonic() - begun_s < 2.0
+        assert looks_alive(page) == []
+        page.evaluate("void document.getElementById('order_abort').click()")
+        until(page, "document.getElementById('answer').textContent === 'no connection: abort was not sent'")
+        page.key("x", "KeyX")  # may arrive all the same
+        until(page, "window.cells.sent.length > 0")
+        assert "stop" in stub.orders
+
+
+def test_second_click_of_a_double_click_confirms_nothing_and_presses_nothing_behind_the_dialog() -> None:
+    with chromium() as page, opened(page) as stub:
+        for width in WIDTHS:
+            page.resize(width, 720)
+            set_focus(page, stub, "confirm abort")
+            page.point("mouse", *middle(page, "yes"))
+            assert page.evaluate("document.getElementById('confirm').open")
+            time.sleep(0.5)
+            page.evaluate("void (window.cells.sent = [])")
+            where = middle(page, "yes")
+            page.point("mouse", *where)
+            until(page, "!document.getElementById('confirm').open && window.cells.sent.length === 1")
+            page.point("mouse", *where)
+            time.sleep(0.2)
+            assert page.evaluate("window.cells.sent.map((sent) => sent[0])") == ["abort"]
+    assert stub.orders == ["abort", "abort"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("browser", ["chromium", "firefox"])
+def test_every_cell_of_stop_and_hold(browser: str, tmp_path: Path) -> None:
+    with chromium() if browser == "chromium" else firefox(tmp_path) as page:
+        wrong = wrong_cells(page, EVERY)
+    print(f"{browser}: {len(EVERY)} cells, {len(wrong)} wrong")  # noqa: T201
+    assert wrong == []
+
+
+KINDS = ("nothing", "fault_value", "list fault_device", "setting", "who name", "confirm abort", "confirm setting")
+WAYS = ("plain", "shift", "caps lock", "cyrillic", "greek", "mouse", "touch")
+STOPPED = {"stop": ("safe-stop", "standby", "off"), "hold": ("hold",)}
+STOPS_WITHIN_MS = 500.0
+WATCH = """
+setInterval(() => {
+  const { cells, hil } = window;
+  if (!cells.goal || cells.reached || !cells.goal.includes(hil.now.mode)) return;
+  cells.reached = performance.now() - cells.begun;
+}, 5);
+"""
+
+
+def ask(page: BrowserPage, **message: object) -> dict[str, object]:
+    answer: dict[str, object] = page.evaluate(f"window.hil.link.ask({json.dumps(message)})")
+    return answer
+
+
+def bring_to_run(page: BrowserPage, rig: str) -> None:
+    """Bring the session into a run, from wherever it is."""
+    mode = "document.getElementById('mode').dataset.mode"
+    if page.evaluate("window.hil.now.mode") == "hold":
+        assert ask(page, do="order", order="resume", confirmed=True)["ok"]
+    if page.evaluate("window.hil.now.mode") != "running":
+        until(page, "!window.hil.now.open", 300.0)  # the first one compiles what judges a run
+        ask(page, do="acknowledge")
+        assert ask(page, do="open", scenario="scheme-1", rig=rig, confirmed=True)["ok"]
+        for order, before in (("arm", "standby"), ("start", "armed")):
+            until(page, f"{mode} === '{before}'", 240.0)
+            while not ask(page, do="order", order=order, confirmed=True)["ok"]:
+                time.sleep(0.1)  # the console has the mode a little before the loop receives orders
+    until(page, f"{mode} === 'running'", 60.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", ["mock", "emulated"])
+def test_bench_is_off_or_on_hold_within_half_a_second(rig: str) -> None:
+    cells = [
+        (focus, "hold" if (i + j) % 2 else "stop", way, WIDTHS[(i // 2 + j) % 2])
+        for i, focus in enumerate(KINDS)
+        for j, way in enumerate(WAYS)
+    ]
+    took_ms = []
+    with console("--rig", rig, *typed(*NEAR), *PATIENT) as c, chromium() as page:
+        page.open(f"http://{c.address}/", SCRIPT)
+        until(page, "Boolean(window.hil && window.hil.page)")
+        page.evaluate(WATCH)
+        assert ask(page, do="take")["ok"]
+        for focus, order, way, width in cells:
+            page.resize(width, 720)
+            bring_to_run(page, rig)
+            set_focus(page, None, focus)
+            page.evaluate(f"void Object.assign(window.cells, {{ reached: 0, goal: {json.dumps(STOPPED[order])} }})")
+            if way in ("mouse", "touch"):
+                page.point(way, *middle(page, ORDERS[order]))
+            else:
+                press(page, order, way)
+            until(page, "window.cells.reached > 0")
+            took_ms.append((page.evaluate("window.cells.reached"), focus, order, way, width))
+            page.evaluate("void (window.cells.goal = null)")
+    slow = [cell for cell in took_ms if cell[0] > STOPS_WITHIN_MS]
+    print(f"{rig}: {len(took_ms)} cells, {len(slow)} slow, longest {max(took_ms)}")  # noqa: T201
+    assert slow == []
