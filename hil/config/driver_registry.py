@@ -111,6 +111,8 @@ class DriverEntry:
     emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
     setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
     if its speed does not matter.
+    keeps_bench_time: whether driver and emulator wait by the clock that they are given, and count the bytes of their
+    wires by it: required in lock-step.
     """
 
     device: Device
@@ -125,6 +127,7 @@ class DriverEntry:
     has_processes: bool = False
     emulated_parts: Sequence[str] = ()
     setpoints_hz: Callable[[Any], float] = lambda table: math.inf
+    keeps_bench_time: Callable[[Any], bool] = lambda table: False
 
 
 @cache

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-import threading
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final
 
 from hil.config.io import Io
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, Order
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import LineMap
@@ -36,7 +35,9 @@ class ModbusIo(LoopThread):
     between the first request and the last answer of an exchange.
     """
 
-    def __init__(self, config: Io, clock: WallClock) -> None:
+    _order = Order.COUPLER_DRIVER
+
+    def __init__(self, config: Io, clock: BenchClock) -> None:
         self.name = NAME
         self._config = config
         self._clock = clock
@@ -49,7 +50,7 @@ class ModbusIo(LoopThread):
         self._thrusters = b""
         self._thrusters_s = math.nan
         self._stopped = True
-        self._is_off = threading.Event()
+        self._is_off = clock.event()
 
     def open(self, now_s: float) -> None:
         """Connect, check the identity, set all outputs off, read the inputs."""

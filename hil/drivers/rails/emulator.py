@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import RAIL_NAMES, Rails
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.base import full_names
 from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel, FaultyWire
@@ -31,7 +31,7 @@ class EmulatedRails:
     def __init__(
         self,
         config: Rails,
-        clock: WallClock,
+        clock: BenchClock,
         shared: SharedAxisState,
         chain: ReadChain | None = None,
         seed: int = 0,
@@ -72,7 +72,7 @@ class RailsEmulator(ModbusTcpEmulator):
     are those of ``EmulatedRails``.
     """
 
-    def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
+    def __init__(self, config: Rails, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         super().__init__(clock, clock.paced_s(STEP_S))
         self._config = config
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
@@ -103,7 +103,7 @@ class RailsEmulator(ModbusTcpEmulator):
 class RtuRailsEmulator:
     """Three drives on one serial line, a pseudo terminal with the timing of the real line."""
 
-    def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
+    def __init__(self, config: Rails, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         self._clock = clock
         self._rtu = config.rtu or ModbusRtu()
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
