@@ -84,6 +84,9 @@ class BenchClock(Clock, Protocol):
     def poll_s(self, period_s: float) -> float:
         """Return the wall time between two looks of a server that is to look every ``period_s``."""
 
+    def idle_s(self, period_s: float) -> float:
+        """Return the wall time after which an exchange takes place that nothing has triggered for ``period_s``."""
+
     def sleep_until(self, t_s: float) -> None:
         """Sleep until bench time ``t_s``; return at once if that has passed."""
 
@@ -178,6 +181,9 @@ class WallClock:
 
     def poll_s(self, period_s: float) -> float:
         return period_s
+
+    def idle_s(self, period_s: float) -> float:
+        return period_s / self.speed
 
     def sleep(self, wall_s: float) -> None:
         time.sleep(wall_s)

@@ -57,7 +57,7 @@ from hil.setup.exchange_rates import ExchangeRates
 from hil.setup.true_axes import TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
-_GRID_S = 0.01  # lock-step: longest time between two steps of emulators and servers
+_GRID_S = 0.02  # lock-step: longest time between two steps of emulators and servers
 TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
 
 

@@ -118,7 +118,7 @@ class ModbusIo(LoopThread):
             await coupler.identify()
             await self._begin(coupler)
             opened.set_result(None)
-            idle_wall_s = self._clock.wall_s(self._clock.paced_s(IDLE_PERIOD_S))
+            idle_wall_s = self._clock.idle_s(self._clock.paced_s(IDLE_PERIOD_S))
             while not self._closing:
                 with suppress(TimeoutError):  # nothing changed: exchange all the same
                     async with asyncio.timeout(idle_wall_s):

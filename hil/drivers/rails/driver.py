@@ -186,7 +186,7 @@ class ModbusRails(LoopThread):
                     wire.bus.close()
 
     async def _serve(self) -> None:
-        idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
+        idle_wall_s = self._clock.idle_s(IDLE_PERIOD_S)
         while not self._closing:
             with suppress(TimeoutError):  # no setpoint: exchange all the same
                 async with asyncio.timeout(idle_wall_s):
