@@ -6,6 +6,7 @@ import asyncio
 import math
 import selectors
 import socket
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +15,7 @@ from hil.core.lock_step import LockStepWire
 if TYPE_CHECKING:
     from hil.core.lock_step import LockStepClock
 
-_DELIVERY_WALL_S: Final = 1.0  # longest delay of bytes and connections by the kernel
+_DELIVERY_WALL_S: Final = 5e-5  # between two looks for bytes and connections that the kernel delivers
 
 
 class _CountedSocket(socket.socket):
@@ -54,23 +55,28 @@ class _LockStepSelector(selectors.DefaultSelector):  # type: ignore[valid-type, 
         self.called = clock.event()
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        if not (self._is_delivering() or (timeout is not None and timeout <= 0.0) or self.called.begin()):
+        if not (self._expected() or (timeout is not None and timeout <= 0.0) or self.called.begin()):
             listens = 0
             for wire in self.wires.values():
                 listens |= wire.listens
-            self._clock.wait_until_ns(
-                self._clock.deadline_ns(math.inf if timeout is None else timeout), listens, self.accepts
-            )
+            deadline_ns = self._clock.deadline_ns(math.inf if timeout is None else timeout)
+            self._clock.wait_until_ns(deadline_ns, listens, self.accepts)
         self.called.clear()
-        found: list[tuple[selectors.SelectorKey, int]] = super().select(
-            _DELIVERY_WALL_S if self._is_delivering() else 0.0
-        )
-        return found
+        found: list[tuple[selectors.SelectorKey, int]] = super().select(0.0)
+        while not self._expected() <= {key.fd for key, _ in found}:
+            time.sleep(_DELIVERY_WALL_S)
+            found = super().select(0.0)
+        return sorted(found, key=lambda ready: ready[0].fd)  # in the same order each time
 
-    def _is_delivering(self) -> bool:
-        """Return whether a descriptor is to be ready by itself: bytes are counted, or a connection is being made."""
-        writes = any(key.events & selectors.EVENT_WRITE for key in self.get_map().values())
-        return writes or any(wire.is_readable for wire in self.wires.values())
+    def _expected(self) -> set[int]:
+        """Return the descriptors that are or will be ready by themselves: of counted bytes, of a new connection."""
+        keys = self._fd_to_key.values()
+        writes = {key.fd for key in keys if key.events & selectors.EVENT_WRITE}
+        return writes | {
+            key.fd
+            for key in keys
+            if key.events & selectors.EVENT_READ and key.fd in self.wires and self.wires[key.fd].is_readable
+        }
 
 
 class LockStepEventLoop(asyncio.SelectorEventLoop):

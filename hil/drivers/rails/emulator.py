@@ -85,9 +85,9 @@ class RailsEmulator(ModbusTcpEmulator):
         axes = tcp_axes(self._config)
         for index, axis in enumerate(axes):
             groups.setdefault(index if axis.port is None else (axis.host, axis.port), []).append(index)
-        wire = FaultyWire(self.faults, self._rails.wire_noise)
-        for group in groups.values():
+        for group, noise in zip(groups.values(), self._rails.wire_noise.spawn(len(groups)), strict=True):
             server = self._rails.server({index: axes[index].device_id for index in group}, tcp=True)
+            wire = FaultyWire(self.faults, noise)
             self._ports.append(ModbusTcpPort(server.feed, wire, self._clock))
         self._listen()
         ports = {index: port for port, group in zip(self._ports, groups.values(), strict=True) for index in group}
