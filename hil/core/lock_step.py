@@ -229,7 +229,7 @@ class LockStepClock:
         return self._words[NOW]
 
     def now_s(self) -> float:
-        return self._words[NOW] * 1e-9
+        return self._words[NOW] / 1e9
 
     def host_s(self) -> float:
         """Return the time by which time-outs of programs are counted, s."""
@@ -240,7 +240,7 @@ class LockStepClock:
 
     def paced_s(self, period_s: float) -> float:
         """Return the time between two steps of work that is due every ``period_s``, s: at least the grid."""
-        return max(period_s, 1e-9 * self._words[GRID])
+        return max(period_s, self._words[GRID] / 1e9)
 
     poll_s = paced_s
 

@@ -84,11 +84,13 @@ class LockStepEventLoop(asyncio.SelectorEventLoop):
 
     def __init__(self, clock: LockStepClock) -> None:
         self._waits = _LockStepSelector(clock)
-        self._clock = clock
+        self.clock = clock
+        self.wires = self._waits.wires
+        """Wires whose bytes are work of this loop, by descriptor."""
         super().__init__(self._waits)
 
     def time(self) -> float:
-        return self._clock.now_s()
+        return self.clock.now_s()
 
     async def create_server(self, *args: Any, **kwargs: Any) -> asyncio.Server:
         server = await super().create_server(*args, **kwargs)
@@ -106,8 +108,8 @@ class LockStepEventLoop(asyncio.SelectorEventLoop):
         key = f"{here}>{there}" if accepted else f"{there}>{here}"
         counted = _CountedSocket(fileno=sock.detach())
         counted.setblocking(False)
-        wires = self._waits.wires
-        counted.wire = wires[counted.fileno()] = LockStepWire(self._clock, key, int(not accepted), of_line=False)
+        wires = self.wires
+        counted.wire = wires[counted.fileno()] = LockStepWire(self.clock, key, int(not accepted), of_line=False)
         counted.on_close = lambda descriptor: wires.pop(descriptor, None)
         return super()._make_socket_transport(  # type: ignore[misc]
             counted, protocol, waiter, extra=extra, server=server

@@ -11,6 +11,7 @@ from hil.core.clock import BenchClock
 from hil.core.lock_step import LockStepClock, LockStepWire
 
 _DRIVER: Final = 1
+_HANDLERS: Final = "hil.drivers.serial_urls"
 
 
 def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> serial.Serial:
@@ -20,21 +21,53 @@ def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> ser
     ValueError or termios.error.
     """
     if isinstance(clock, LockStepClock):
-        return _CountedSerial(clock, path, baud, **settings)
+        return CountedSerial(clock, path, baud, **settings)
     port = serial.Serial(path, baud, **settings)
     port.reset_input_buffer()
     return port
 
 
-class _CountedSerial(serial.Serial):  # type: ignore[misc]
-    """A serial port in lock-step."""
+def url_of(clock: BenchClock, path: str) -> str:
+    """Return the name of a port for a library that opens it by pyserial, in an event loop of ``clock``."""
+    if not isinstance(clock, LockStepClock):
+        return path
+    if _HANDLERS not in serial.protocol_handler_packages:
+        serial.protocol_handler_packages.append(_HANDLERS)
+    return f"lockstep://{path}"
 
-    def __init__(self, clock: LockStepClock, path: str, baud: int, **settings: Any) -> None:
+
+def wait_readable(port: serial.Serial, wall_s: float) -> bool:
+    """Wait at most ``wall_s`` until there is something to read; return whether there is."""
+    if isinstance(port, CountedSerial):
+        return port.wire is not None and port.wire.wait(port.fileno(), wall_s)
+    return bool(select.select([port.fileno()], [], [], wall_s)[0])
+
+
+class CountedSerial(serial.Serial):  # type: ignore[misc]
+    """A serial port in lock-step. wires: of an event loop, by descriptor, in which the port is entered."""
+
+    def __init__(
+        self,
+        clock: LockStepClock,
+        port: str | None = None,
+        baudrate: int = 9600,
+        wires: dict[int, LockStepWire] | None = None,
+        **settings: Any,
+    ) -> None:
         self.wire: LockStepWire | None = None
-        super().__init__(path, baud, **settings)
-        self.wire = clock.wire(path, _DRIVER)
-        while self.wire.pending > 0:
-            self.wire.read(self.fileno(), self.wire.pending)
+        self._clock = clock
+        self._wires = {} if wires is None else wires
+        super().__init__(port, baudrate, **settings)
+
+    def open(self) -> None:
+        super().open()
+        wire = self._clock.wire(str(self.port), _DRIVER)
+        while wire.pending > 0:
+            wire.read(self.fileno(), wire.pending)
+        self.wire = self._wires[self.fileno()] = wire
+
+    def _reset_input_buffer(self) -> None:
+        """Do nothing: what the kernel discards would not be counted."""
 
     @property
     def in_waiting(self) -> int:
@@ -51,24 +84,17 @@ class _CountedSerial(serial.Serial):  # type: ignore[misc]
 
     def write(self, data: Any) -> int:
         assert self.wire is not None
-        sent = len(data)
-        if self.wire.sending(sent):
-            try:
-                super().write(data)
-            except BaseException:
-                self.wire.sending(-sent)
-                raise
-        return sent
+        self.wire.sending(len(data))
+        taken = 0
+        try:
+            taken = super().write(data) or 0
+        finally:
+            self.wire.sending(taken - len(data))
+        return taken
 
     def close(self) -> None:
         if self.wire is not None:
             self.wire.close()
+            self._wires.pop(self.fileno(), None)
             self.wire = None
         super().close()
-
-
-def wait_readable(port: serial.Serial, wall_s: float) -> bool:
-    """Wait at most ``wall_s`` until there is something to read; return whether there is."""
-    if isinstance(port, _CountedSerial):
-        return port.wire is not None and port.wire.wait(port.fileno(), wall_s)
-    return bool(select.select([port.fileno()], [], [], wall_s)[0])

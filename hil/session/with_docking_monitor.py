@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from hil.config.load import load_scene
@@ -139,10 +139,11 @@ def runner(
             prepare(bench, made)
             yield made, _after_the_run(job, sinks)
         return
-    with (
-        build.wired_bench(job, announce, sinks) as bench,
-        beside(job, bench.telemetry, bench.clock, announce, sinks) as results,
-    ):
+    with ExitStack() as stack:
+        bench = stack.enter_context(build.wired_bench(job, announce, sinks))
+        assert isinstance(bench.clock, WallClock)
+        assert isinstance(bench.telemetry, Ring)
+        results = stack.enter_context(beside(job, bench.telemetry, bench.clock, announce, sinks))
         made = bench.runner(on_progress, operator)
         prepare(bench, made)
         results.attach(made)

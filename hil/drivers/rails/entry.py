@@ -77,4 +77,5 @@ RTU: Final = DriverEntry(
     check=_check_rtu,
     identity=_identity,
     setpoints_hz=_rtu_setpoints_hz,
+    keeps_bench_time=lambda table: True,
 )

@@ -21,6 +21,7 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 from hil.config.rail_wires import ModbusRtu
 from hil.core.clock import BenchClock
 from hil.drivers.rails.frames import READ, READ_WRITE, WRITE_ONE, Counters, Expected, ModbusFrame, ResponseMatcher
+from hil.drivers.serial_port import url_of
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PARITY: Final = {"none": "N", "even": "E", "odd": "O"}
@@ -120,7 +121,7 @@ class ModbusBus:
         """Return a bus on a serial port."""
         line = cls(port, False, counters, clock, exchange_s, config.gap_s)
         line._client = AsyncModbusSerialClient(
-            port,
+            url_of(clock, port),
             baudrate=config.baud,
             parity=_PARITY[config.parity],
             stopbits=config.stopbits,
