@@ -10,6 +10,7 @@ delay of a wire has an effect on the sequence of events.
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import select
@@ -86,14 +87,14 @@ class LockStepWire:
         return self.pending > 0 or bool(self._words[self._at + CLOSED + self._theirs])
 
     def wait(self, descriptor: int, wall_s: float) -> bool:
-        """Wait at most ``wall_s`` until the wire is readable; return whether it is."""
+        """Wait at most ``wall_s`` until the wire is readable; return whether it is. Raises OSError after ``release``."""
         clock = self._clock
         deadline_ns = clock.deadline_ns(wall_s)
         while not self.is_readable:
             if clock.now_ns >= deadline_ns:
                 return False
             if clock.wait_until_ns(deadline_ns, self.listens):
-                return self.is_readable
+                raise OSError(errno.ESHUTDOWN, "the bench has ended")
         return True
 
     def read(self, descriptor: int, size: int) -> bytes:

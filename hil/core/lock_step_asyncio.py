@@ -43,7 +43,7 @@ class _CountedSocket(socket.socket):
         self.wire.close()
 
 
-class _LockStepSelector(selectors.DefaultSelector):  # type: ignore[valid-type, misc]
+class _LockStepSelector(selectors.DefaultSelector):
     """Selector that waits in bench time, and for bytes that are counted as long as the kernel takes to deliver them."""
 
     def __init__(self, clock: LockStepClock) -> None:
@@ -70,7 +70,7 @@ class _LockStepSelector(selectors.DefaultSelector):  # type: ignore[valid-type, 
 
     def _expected(self) -> set[int]:
         """Return the descriptors that are or will be ready by themselves: of counted bytes, of a new connection."""
-        keys = self._fd_to_key.values()
+        keys = self.get_map().values()
         writes = {key.fd for key in keys if key.events & selectors.EVENT_WRITE}
         return writes | {
             key.fd

@@ -152,7 +152,7 @@ def wire_at(wire: int) -> int:
 
 
 @kernel
-def _next_work(words):
+def _next_work(words: np.ndarray) -> tuple[int, int]:
     """Return the slot with the next work and its time, ns; NOBODY if the participant of one is at work.
 
     The loop's comes after all others of the same time. A participant has work at its time, or now: bytes, the end of a

@@ -13,7 +13,7 @@ from hil.config.driver_registry import DeviceTable
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.child_process import Message, Service, serve
-from hil.core.clock import clock_of
+from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
 from hil.drivers.shared_state import SharedAxisState
@@ -64,6 +64,7 @@ def make_emulator(configuration: Message) -> Emulator:
     if device == "monitor":
         from hil.setup.emulated_cameras import emulated_television
 
+        assert isinstance(clock, WallClock)  # as of ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
     table: DeviceTable | None = rig.target_axes if device == "target" else getattr(rig, device)
     assert table is not None

@@ -25,6 +25,7 @@ from hil.errors import DriveFault, LinkLost
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nothing changes
 _OFF: Final = IoOutputs(False, b"")
 _OPENING_TIME_S: Final = 0.5
+_OPENING_POLL_WALL_S: Final = 0.001
 _STOP_WAIT_WALL_S: Final = 0.08
 
 
@@ -139,7 +140,7 @@ class ModbusIo(LoopThread):
             if self._clock.now_s() > deadline_s:
                 text = f"the safety chain is closed {_OPENING_TIME_S:g} s after enable went off: contacts or wiring"
                 raise DriveFault(NAME, text)
-            await asyncio.sleep(0.0)
+            await asyncio.sleep(_OPENING_POLL_WALL_S)
             await self._exchange(coupler)
 
     async def _exchange(self, coupler: Coupler) -> None:

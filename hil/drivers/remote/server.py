@@ -159,6 +159,7 @@ class DeviceServer:
         with contextlib.suppress(OSError, ValueError):  # the loop has ended
             while (request := self._requests.receive()) is not None:
                 self._requests.send(self._handle(request["do"], request["device"]))
+        self._requests.close()
 
     def _handle(self, do: str, name: str) -> dict[str, Any]:
         device, now_s = self._devices[name], self.clock.now_s()
