@@ -17,7 +17,7 @@ class HostConfig(ConfigModel):
     time: Literal["wall_clock", "lock_step"] = "wall_clock"
     """Time of an emulated rig: in lock-step it advances when all processes have done their part, without deadlines."""
     lock_step_timeout_s: Positive = 60.0
-    """Wall time after which a process that does not do its part in lock-step is reported."""
+    """Wall time after which a process that does not do its part in lock-step is ended and reported."""
     fifo: bool = True
     """Request SCHED_FIFO 80, for the loop's thread only."""
     cpu: Annotated[int, Field(ge=0)] | None = None

@@ -14,6 +14,7 @@ import errno
 import math
 import os
 import select
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -428,12 +429,14 @@ class LockStepConductor(LockStepClock):
         return processes
 
     def _give_up(self) -> None:
-        """Go on without the participants that do not do their part, and name them: raise LinkTimeout."""
+        """End the processes that do not do their part, whose wires end then, and name them: raise LinkTimeout."""
         late = self._late()
         names = ", ".join(map(self.page.name_of, late)) or "lock-step"
         text = f"has not done its part at {self.now_s():.6f} s of bench time within {self._timeout_s:g} s of wall time"
-        for slot in late:
-            self.page.remove_process(self._words[slot_at(slot) + PROCESS])
+        for process in {self._words[slot_at(slot) + PROCESS] for slot in late}:
+            if process != os.getpid():
+                os.kill(process, signal.SIGKILL)
+            self.page.remove_process(process)
         self._words[BATON] = LOOP_SLOT
         self._begin(slot_at(LOOP_SLOT))
         raise LinkTimeout(names, f"{text} (lock-step)")

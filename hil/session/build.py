@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 
 from hil.checks.abort import check_abort
@@ -37,7 +37,7 @@ from hil.core.clock import BenchClock, SimulatedClock, WallClock
 from hil.core.lock_step import LockStepConductor
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
-from hil.core.realtime import REAL_TIME, DefaultScheduling, RealTime, SchedulingPolicy, speed_held
+from hil.core.realtime import REAL_TIME, DefaultScheduling, RealTime, SchedulingPolicy, short_turns, speed_held
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.shared_state import SharedAxisState
@@ -216,10 +216,8 @@ def _timed(job: Job, announce: Callable[[str], None]) -> Iterator[tuple[BenchClo
     host = job.rig.value.host
     if host.time == "lock_step":
         conductor = LockStepConductor(min(_GRID_S, job.tick_s), host.lock_step_timeout_s)
-        try:
+        with closing(conductor), short_turns():
             yield conductor, DefaultScheduling()
-        finally:
-            conductor.close()
         return
     with RealTime(host.fifo, host.cpu) as realtime:
         _require_realtime(job.rig, realtime)
