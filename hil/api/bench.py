@@ -175,9 +175,9 @@ class Bench:
 
     Each method executes one command and returns when it has ended. A bench that leaves its ``with`` stands still,
     without torque, and its devices are closed. Times are bench time: simulated on the mock rig and in lock-step, where
-    time stands between two commands, and wall clock times ``speed`` on all others. Methods raise BenchError if the bench rejects
-    the command in its present mode, if a device or the safety monitor stops the bench, and after the time-out; the
-    text names the device.
+    time stands between two commands, and wall clock times ``speed`` on all others. Methods raise BenchError if the
+    bench rejects the command in its present mode, if a device or the safety monitor stops the bench, and after the
+    time-out; the text names the device.
     """
 
     def __init__(

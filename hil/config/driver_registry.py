@@ -155,6 +155,12 @@ def driver_entry(device: str, name: str) -> DriverEntry:
     return loaded
 
 
+def registered_drivers() -> dict[str, str]:
+    """Return the package of each driver of wires, by the setting that selects it: ``rig.rails.driver=modbus``."""
+    keys = [(key, _PACKAGE) for key in _BUILT_IN] + [(p.name, _package(p)) for p in entry_points(group=GROUP)]
+    return {f"rig.{key.partition('.')[0]}.driver={key.partition('.')[2]}": package for key, package in keys}
+
+
 def _listed(device: str) -> str:
     own = [key.removeprefix(f"{device}.") for key in _BUILT_IN if key.startswith(f"{device}.")]
     others = [

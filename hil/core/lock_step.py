@@ -88,7 +88,10 @@ class LockStepWire:
         return self.pending > 0 or bool(self._words[self._at + CLOSED + self._theirs])
 
     def wait(self, descriptor: int, wall_s: float) -> bool:
-        """Wait at most ``wall_s`` until the wire is readable; return whether it is. Raises OSError after ``release``."""
+        """Wait at most ``wall_s`` until the wire is readable; return whether it is. Raises OSError after ``release``.
+
+        descriptor: not used, the counts decide.
+        """
         clock = self._clock
         deadline_ns = clock.deadline_ns(wall_s)
         while not self.is_readable:

@@ -186,8 +186,9 @@ class RemoteAxes(_RemoteDevice):
 
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
+        if self._is_open:  # also while the device reports a failure: the loop is alive
+            self._link.beat(now_s, watched=not self._disabled)
         self._check(now_s)
-        self._link.beat(now_s, watched=not self._disabled)
         box = self._block[f"{self.name}.feedback"]
         if box.written > self._received:
             self._received, _ = box.read(self._feedback)
