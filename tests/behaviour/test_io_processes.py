@@ -138,7 +138,7 @@ def sides() -> Iterator[Sides]:
     host.start()
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
-    requests, ended = IoRequests(here, IO), list[str]()
+    requests, ended = IoRequests(here, IO, clock), list[str]()
     link = IoLink(IO, memory, requests, clock, lambda: ended[0] if ended else "")
     rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteTurntable("turntable", RIG.turntable, link)
     made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)
