@@ -82,10 +82,10 @@ class BenchClock(Clock, Protocol):
         """Return the bench time between two steps of work of this host that is due every ``period_s`` in real time."""
 
     def poll_s(self, period_s: float) -> float:
-        """Return the wall time between two looks of a server that is to look every ``period_s``."""
+        """Return the period of a server that is to check its devices every ``period_s``, s of wall time."""
 
     def idle_s(self, period_s: float) -> float:
-        """Return the wall time after which an exchange takes place that nothing has triggered for ``period_s``."""
+        """Return the time, s of wall time, after which an exchange of ``period_s`` takes place without a trigger."""
 
     def sleep_until(self, t_s: float) -> None:
         """Sleep until bench time ``t_s``; return at once if that has passed."""

@@ -1,11 +1,11 @@
 """Lock-step: bench time that advances when every participant of a bench has done its part, however long that takes.
 
 A participant is a thread that drives, serves or emulates a device, in any process. Each has a slot in the shared page
-with the time at which it next has work. Nothing but the conductor, the thread of the loop, wakes a participant: once
-all of them wait, it sets bench time to the earliest of those times and wakes those that are due, in a fixed order, one
-order after the other. Bytes on a wire are counted by their sender; they are work of their receiver, at the time at
-which they were sent, and a receiver reads exactly those that are counted. So neither the load of the computer nor the
-delay of a wire has an effect on the sequence of events.
+with the time at which it next has work. One participant works at a time: when it has done its part, it sets bench time
+to the earliest of those times and wakes the participant that has it, in a fixed order at equal times. Bytes on a wire
+are counted by their sender; they are work of their receiver, at the time at which they were sent, and a receiver reads
+exactly those that are counted. So neither the load of the computer nor the delay of a wire has an effect on the
+sequence of events.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from hil.core.clock import Order
 from hil.core.lock_step_page import (
     ACCEPTS,
     ANSWERED,
+    AT_WORK,
     ATTACHED,
     BATON,
     BUSY,
@@ -38,7 +39,6 @@ from hil.core.lock_step_page import (
     LISTENS,
     LOOP_SLOT,
     NEVER,
-    NOBODY,
     NOW,
     PASSES,
     PROCESS,
@@ -64,7 +64,8 @@ _LOOK_WALL_S: Final = 0.1  # between two looks for a participant whose process h
 class LockStepWire:
     """One end of a wire whose bytes are counted. key: the same for both ends. end: 0 of the device, 1 of its driver.
 
-    of_line: a line persists when an end leaves it; what is sent to nobody is lost. A connection ends with one end.
+    of_line: a line persists when an end leaves it; what is sent without another end is lost. A connection ends with its
+    first end.
     """
 
     def __init__(self, clock: LockStepClock, key: str, end: int, of_line: bool) -> None:
@@ -327,7 +328,7 @@ class LockStepClock:
     def wait_until_ns(self, deadline_ns: int, listens: int = 0, accepts: bool = False) -> bool:
         """Wait until ``deadline_ns``, or until this thread's participant has other work; return True after ``release``.
 
-        listens: wire ends, by bits, whose bytes are work. accepts: as is a connection that nobody has accepted.
+        listens: wire ends, by bits, whose bytes are work. accepts: as is a connection that has not been accepted yet.
         """
         if self._released:
             time.sleep(1e-3)  # what still runs ends with the process
@@ -357,7 +358,7 @@ class LockStepClock:
         """
         words = self._words
         following, due_ns = self.page.next_work()
-        if following == NOBODY:
+        if following == AT_WORK:
             following = LOOP_SLOT
         elif due_ns != words[NOW]:
             words[NOW] = due_ns
@@ -411,7 +412,7 @@ class LockStepConductor(LockStepClock):
 
     def _has_turn(self) -> bool:
         """Return whether the next work is the loop's; let others do theirs before."""
-        return self.page.next_work()[0] != NOBODY and self._pass_on(LOOP_SLOT)
+        return self.page.next_work()[0] != AT_WORK and self._pass_on(LOOP_SLOT)
 
     def _late(self) -> list[int]:
         """Return the participants for which all others wait."""

@@ -29,7 +29,7 @@ SENT, RECEIVED, ATTACHED, CLOSED, OWNER = 1, 3, 5, 7, 9
 """Words of a wire: of its end 0; those of end 1 follow."""
 
 LOOP_SLOT: Final = 0
-NOBODY: Final = -1
+AT_WORK: Final = -1
 _SLOTS: Final = 32
 _WIRES: Final = 31  # their ends are bits of a word
 _NAME: Final = 48  # bytes
@@ -67,7 +67,7 @@ class LockStepPage:
         return page
 
     def next_work(self) -> tuple[int, int]:
-        """Return the slot that has the next work and its time, ns; NOBODY while one is at work."""
+        """Return the slot that has the next work and its time, ns; AT_WORK while a participant is."""
         slot, due_ns = _next_work(self._array)
         return int(slot), int(due_ns)
 
@@ -153,7 +153,7 @@ def wire_at(wire: int) -> int:
 
 @kernel
 def _next_work(words: np.ndarray) -> tuple[int, int]:
-    """Return the slot with the next work and its time, ns; NOBODY if the participant of one is at work.
+    """Return the slot with the next work and its time, ns; AT_WORK while a participant is.
 
     The loop's comes after all others of the same time. A participant has work at its time, or now: bytes, the end of a
     wire, a call, or, of a server, a connection that has not been accepted.
@@ -164,11 +164,11 @@ def _next_work(words: np.ndarray) -> tuple[int, int]:
         at = _HEAD + _SLOTS * _SLOT_WORDS + wire * _WIRE_WORDS
         if words[at + KEY] != 0 and words[at + ATTACHED + 1] != 0 and words[at + ATTACHED] == 0:
             is_unaccepted = True
-    best, best_ns, best_order = NOBODY, NEVER, 1000
+    best, best_ns, best_order = AT_WORK, NEVER, 1000
     for slot in range(_SLOTS):
         at = _HEAD + slot * _SLOT_WORDS
         if words[at] == BUSY:
-            return NOBODY, now_ns
+            return AT_WORK, now_ns
         if words[at] == FREE:
             continue
         due_ns, order = max(words[at + DEADLINE], now_ns), words[at + ORDER]

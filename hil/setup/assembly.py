@@ -142,7 +142,7 @@ class Job:
 
     @property
     def waits_for_all(self) -> bool:
-        """Whether time does not go on while the run is recorded or displayed: in memory, or in lock-step."""
+        """Whether time stands while a row is recorded: in memory, or in lock-step."""
         rig = self.rig.value
         return (rig.kind == "mock" and not self.paced) or rig.host.time == "lock_step"
 

@@ -30,7 +30,7 @@ _BEAT_WALL_S: Final = 0.004  # least time between two heartbeats: a setpoint may
 def raise_priority(clock: BenchClock) -> None:
     """Schedule this thread, and those it starts, before everything but the loop, if the system allows it.
 
-    In lock-step, where nothing has a deadline, do nothing.
+    Without effect in lock-step, which has no deadlines.
     """
     if not isinstance(clock, WallClock):
         return
