@@ -70,13 +70,13 @@ class _LockStepSelector(selectors.DefaultSelector):
 
     def _expected(self) -> set[int]:
         """Return the descriptors that are or will be ready by themselves: of counted bytes, of a new connection."""
-        keys = self.get_map().values()
-        writes = {key.fd for key in keys if key.events & selectors.EVENT_WRITE}
-        return writes | {
-            key.fd
-            for key in keys
-            if key.events & selectors.EVENT_READ and key.fd in self.wires and self.wires[key.fd].is_readable
-        }
+        found = set()
+        keys: dict[int, selectors.SelectorKey] = self._fd_to_key  # type: ignore[attr-defined]
+        for descriptor, key in keys.items():
+            wire = self.wires.get(descriptor)
+            if key.events & selectors.EVENT_WRITE or (wire is not None and wire.is_readable):
+                found.add(descriptor)
+        return found
 
 
 class LockStepEventLoop(asyncio.SelectorEventLoop):
