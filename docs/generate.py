@@ -1,23 +1,18 @@
 """Reference pages that are made from the code when the documentation is built.
 
 ``pages()`` has the text of each page by its path below ``docs/``: the command line from its declarations, the keys of
-configuration files from the models that validate them. The meaning of a key is the docstring under its field.
+configuration files from ``hil.config.key_reference``.
 """
 
 from __future__ import annotations
 
-import ast
 import inspect
-import json
 import re
-import textwrap
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple, get_args, get_origin
+from typing import Final
 
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from hil.cli.main import app
 from hil.config.body import CentralBody
@@ -25,6 +20,7 @@ from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
 from hil.config.faults import RESPONSES, TERMS, ErrorTerm
 from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS
+from hil.config.key_reference import KeyTable, own_keys, tables
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
@@ -33,77 +29,6 @@ from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 
 FOLDER: Final = "reference/generated"
-
-UNITS: Final = {
-    "db": "dB",
-    "m": "m",
-    "mm": "mm",
-    "m2": "m²",
-    "mps": "m/s",
-    "mps2": "m/s²",
-    "mps3": "m/s³",
-    "deg": "deg",
-    "degps": "deg/s",
-    "degps2": "deg/s²",
-    "degps3": "deg/s³",
-    "rad": "rad",
-    "s": "s",
-    "us": "us",
-    "hz": "Hz",
-    "kg": "kg",
-    "kg_m2": "kg m²",
-    "kgpm2": "kg/m²",
-    "kgpm3": "kg/m³",
-    "km": "km",
-    "km3ps2": "km³/s²",
-    "au": "au",
-    "d": "d",
-    "n": "N",
-    "n_per_mps": "N s/m",
-    "nm": "Nm",
-    "nm_per_degps": "Nm s/deg",
-    "px": "px",
-    "levels": "grey levels",
-    "per_s": "1/s",
-    "per_level": "1/grey level",
-    "cycles": "cycles",
-    "bytes": "bytes",
-}
-"""Last words of a key -> unit."""
-NO_UNIT: Final = re.compile(
-    r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
-    r"|direction|pole|zonal|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk|exponent)$"
-)
-"""Numbers without unit. New keys need a unit in their name, or one of these words."""
-NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
-    "fps": "1/s",
-    "level": "grey levels",
-    "sky": "grey levels",
-    "read": "grey levels",
-    "at_most": "of the column",
-    "at_least": "of the column",
-}
-"""Keys of cameras, scenes and requirements in the notation of their field -> unit."""
-
-
-class Key(NamedTuple):
-    """One key of a configuration table, as its row in the reference shows it."""
-
-    name: str
-    type: str
-    unit: str
-    allowed: str
-    default: str
-    meaning: str
-
-
-class Table(NamedTuple):
-    """One table of a configuration file: the places at which it occurs, its model, and its own keys."""
-
-    places: list[str]
-    model: type[BaseModel]
-    inherits: str
-    keys: list[Key]
 
 
 def pages() -> dict[str, str]:
@@ -153,7 +78,7 @@ signs](../../explanation/frames.md).
 
 `[dispersions]` repeats the tables of the scenario; each of their decimal numbers may have a distribution:
 """
-    spread = _rows(Table([], Spread, "", _own_keys(Spread)))
+    spread = _rows(KeyTable([], Spread, "", own_keys(Spread)))
     return f"{intro}\n{spread}\n{_sections(Scenario)}"
 
 
@@ -267,119 +192,6 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
 }
 
 
-def tables(root: type[BaseModel]) -> list[Table]:
-    """Return the tables of a file in the order of its model; a model that occurs at several places is one table."""
-    found: dict[type[BaseModel], Table] = {}
-    _visit(root, "", found)
-    return list(found.values())
-
-
-def _visit(model: type[BaseModel], place: str, found: dict[type[BaseModel], Table]) -> None:
-    base = next((base for base in model.__mro__[1:] if base in found), None)
-    inherited = set(base.model_fields) if base else set()
-    if model in found:
-        found[model].places.append(place)
-    else:
-        keys = [key for key in _own_keys(model) if key.name not in inherited]
-        found[model] = Table([place], model, f"`[{found[base].places[0]}]`" if base else "", keys)
-    for name, field in model.model_fields.items():
-        if name not in inherited:
-            for inner, suffix in _inner_models(field.annotation):
-                _visit(inner, f"{place}.{name}{suffix}".lstrip("."), found)
-
-
-def _inner_models(annotation: Any, suffix: str = "") -> Iterator[tuple[type[BaseModel], str]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation, suffix
-        return
-    origin = get_origin(annotation)
-    for argument in get_args(annotation):
-        yield from _inner_models(argument, ".NAME" if origin is dict else "[]" if origin is tuple else suffix)
-
-
-def _own_keys(model: type[BaseModel]) -> list[Key]:
-    schema = model.model_json_schema()
-    return [
-        _key(model, name, field, schema["properties"][name])
-        for name, field in model.model_fields.items()
-        if name in meanings(model) or not list(_inner_models(field.annotation))
-    ]
-
-
-def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, Any]) -> Key:
-    default = "required" if field.is_required() else _shown(schema.get("default"))
-    if list(_inner_models(field.annotation)):
-        return Key(name, "table", "", "", default, meanings(model)[name])
-    options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
-    option = options[0]
-    kind = " or ".join(dict.fromkeys(_type(each) for each in options))
-    return Key(name, kind, unit_of(name, kind), _allowed(option), default, meanings(model).get(name, ""))
-
-
-def unit_of(name: str, kind: str) -> str:
-    """Return the unit of a key, "" for a number without one or another type; ValueError for a number without either."""
-    if name in NOTATION:
-        return NOTATION[name]
-    if "number" not in kind:
-        return ""
-    words = name.split("_")
-    for start in range(len(words)):
-        if start > 0 and (unit := UNITS.get("_".join(words[start:]))):
-            return unit
-    if NO_UNIT.search(name):
-        return ""
-    raise ValueError(f"{name}: a key with a number needs a unit at the end of its name")
-
-
-def _type(schema: dict[str, Any]) -> str:
-    if "prefixItems" in schema:
-        return f"{_type(schema['prefixItems'][0])}[{len(schema['prefixItems'])}]"
-    if schema.get("type") == "array":
-        return f"{_type(schema.get('items', {}))}[]"
-    if schema.get("type") == "object":
-        return "table"
-    names = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
-    return names.get(str(schema.get("type")), "text" if "enum" in schema else "integer" if "const" in schema else "any")
-
-
-def _allowed(schema: dict[str, Any]) -> str:
-    if "enum" in schema:
-        return ", ".join(_shown(value) for value in schema["enum"])
-    inner = schema.get("prefixItems", [schema.get("items", {})])[0] if schema.get("type") == "array" else schema
-    if inner is not schema:
-        return _allowed(inner)
-    low = _bound("above", schema.get("exclusiveMinimum")) or _bound("from", schema.get("minimum"))
-    high = _bound("below", schema.get("exclusiveMaximum")) or _bound("to", schema.get("maximum"))
-    return f"{low} {high}".strip()
-
-
-def _bound(word: str, value: float | None) -> str:
-    return "" if value is None else f"{word} {value if isinstance(value, int) else f'{value:g}'}"
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "not set"
-    text = json.dumps(value, ensure_ascii=False)
-    return f"`{text}`" if len(text) <= 60 else "see `configs/`"
-
-
-@cache
-def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """Return the docstrings under the fields of a model, inherited ones included, as one line each."""
-    found: dict[str, str] = {}
-    for base in reversed(model.__mro__):
-        if not (issubclass(base, BaseModel) and base.__module__.startswith("hil.")):
-            continue
-        (node,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-        assert isinstance(node, ast.ClassDef)
-        for field, text in zip(node.body, node.body[1:], strict=False):
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-                assert isinstance(text.value, ast.Constant)
-                found[field.target.id] = " ".join(str(text.value.value).split())
-    return found
-
-
 def _sections(root: type[BaseModel], level: int = 2) -> str:
     sections = []
     for table in tables(root):
@@ -400,7 +212,7 @@ def _prose(model: type[BaseModel]) -> str:
     return re.sub(r"docs/([\w/-]+)/([\w-]+)\.md", r"[\2](../../\1/\2.md)", text)
 
 
-def _rows(table: Table) -> str:
+def _rows(table: KeyTable) -> str:
     rows = ["| key | type | unit | allowed | default | meaning |", "|---|---|---|---|---|---|"]
     for key in table.keys:
         meaning = key.meaning.replace("``", "`").replace("|", "\\|")

@@ -1,8 +1,9 @@
 """Fault matrix: each fault of each emulated device in each applicable mode, with the reaction of the bench.
 
-    python sims/fault_matrix.py [running|standby|armed|hold ...] [--console|--unattended] [KEY=VALUE ...]
+    python sims/fault_matrix.py [running|standby|armed|hold ...] [--lock-step] [--console|--unattended] [KEY=VALUE ...]
 
---console: the commands come from an operator at the console; --unattended: only running.
+--lock-step: the same reactions to the bit whatever the load; their digest is printed. --console: the commands come
+from an operator at the console; --unattended: only running.
 Each case runs a session on the emulated bench up to a mode, switches one fault on, and reports the time of detection,
 the reached mode, the text of the alarm and the time until the axes are at rest (docs/explanation/safety.md).
 Exit code 1 if a reaction is not as expected.
@@ -10,12 +11,14 @@ Exit code 1 if a reaction is not as expected.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -25,6 +28,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from hil.api.jobs import IN_LOCK_STEP
 from hil.config.load import load_rig, load_scenario
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS
@@ -32,6 +36,7 @@ from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
 from hil.drivers.fault_injection import AXIS, WIRE, FaultControl
 from hil.frmn.mailbox import MailboxBlock
+from hil.loop.rate_keeper import Tick
 from hil.loop.runner import Runner
 from hil.session.build import Job, WiredBench, check, wired_bench
 from hil.session.warm_up import warm_up
@@ -46,6 +51,8 @@ class Attendance(Enum):
 
 
 TRIPS, CONTINUES = "trips", "continues"
+_ADDRESS: Final = re.compile(r"127\.0\.0\.1:\d+|/dev/pts/\d+")  # given by the system
+_CYCLE_S: Final = 0.02
 STANDSTILL: Final = 2e-3  # m/s or rad/s
 _PLANS: Final = {
     Mode.STANDBY: (OperatorCommand.HOME,),
@@ -53,10 +60,9 @@ _PLANS: Final = {
     Mode.RUNNING: (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
     Mode.HOLD: (OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START),
 }
-_MODE_TIMEOUT_WALL_S: Final = 30.0
-_IN_MODE_WALL_S: Final = 0.4  # before the fault is switched on
-_REST_TIMEOUT_WALL_S: Final = 2.0
-_POLL_WALL_S: Final = 0.001
+_MODE_TIMEOUT_S: Final = 60.0
+_IN_MODE_S: Final = 0.4  # before the fault is switched on
+_REST_TIMEOUT_S: Final = 8.0  # from the fault
 _LEASE_WALL_S: Final = 2.0
 _PRESENCE_WALL_S: Final = 0.05
 _BETWEEN_ORDERS_WALL_S: Final = 0.3  # the mode follows an order in the next cycle
@@ -160,24 +166,95 @@ def _run(
 ) -> FaultReaction:
     runner = bench.runner(operator=operator)
     begin(runner)
-    reactions: list[FaultReaction] = []
-    failures: list[RuntimeError] = []
+    injection = _Injection(bench, runner, operator, case)
+    wait = runner.rate.wait
 
-    def inject() -> None:
-        try:
-            reactions.append(_inject(bench, runner, operator, case))
-        except RuntimeError as failure:
-            failures.append(failure)
-        finally:
-            operator.submit(OperatorCommand.STOP)
+    def wait_and_act() -> Tick:
+        tick = wait()
+        injection.act(tick.now_s)
+        return tick
 
-    injector = threading.Thread(target=inject, name="fault-case")
-    injector.start()
-    runner.run()
-    injector.join()
-    if failures:
-        raise failures[0]
-    return reactions[0]
+    runner.rate.wait = wait_and_act  # type: ignore[method-assign]
+    stop = runner.run().stop
+    end_s = runner.now_s() + _REST_TIMEOUT_S
+    while injection.reaction is None and runner.now_s() < end_s:  # axes without torque may still move
+        injection.act(runner.now_s())
+        bench.clock.sleep(_CYCLE_S)
+    if injection.reaction is None:
+        clear_faults(bench)
+        raise RuntimeError(injection.failure or f"{case.mode.value} was not reached: {stop}")
+    return injection.reaction
+
+
+class _Injection:
+    """What is done in each cycle of a session: the fault is switched on, its reaction awaited, the session ended."""
+
+    def __init__(self, bench: WiredBench, runner: Runner, operator: Operator, case: FaultCase) -> None:
+        self.reaction: FaultReaction | None = None
+        self.failure = ""
+        self._bench, self._runner, self._operator, self._case = bench, runner, operator, case
+        self._steps = self._script()
+        self._now_s = 0.0
+
+    def act(self, now_s: float) -> None:
+        """Do what is due at ``now_s`` of bench time."""
+        self._now_s = now_s
+        next(self._steps, None)
+
+    def _script(self) -> Iterator[None]:
+        """Yield until the next cycle."""
+        case, modes = self._case, self._runner.safety.modes
+        first = Mode.RUNNING if case.mode is Mode.HOLD else case.mode
+        yield from self._await(first)
+        if case.mode is Mode.HOLD and not self.failure:
+            self._operator.submit(OperatorCommand.HOLD)
+            yield from self._await(case.mode)
+        if not self.failure:
+            start_s = self._now_s
+            _send(self._bench.addresses[f"{case.device}.faults"], case.line)
+            while modes.mode is not Mode.SAFE_STOP and self._now_s - start_s < case.watched_s:
+                yield
+            yield from self._judge(start_s)
+        clear_faults(self._bench)
+        if " delay " in case.line:  # delayed messages still arrive
+            yield from self._pass(float(case.line.split()[-1]))
+        self._operator.submit(OperatorCommand.STOP)
+
+    def _await(self, mode: Mode) -> Iterator[None]:
+        end_s = self._now_s + _MODE_TIMEOUT_S
+        while self._runner.safety.modes.mode is not mode:
+            alarms = "; ".join(alarm.text for alarm in self._runner.safety.alarms.all())
+            if alarms or self._now_s > end_s:
+                found = alarms or self._runner.safety.modes.mode.value
+                self.failure = f"{mode.value} was not reached: {found}"
+                return
+            yield
+        yield from self._pass(_IN_MODE_S)
+
+    def _pass(self, duration_s: float) -> Iterator[None]:
+        end_s = self._now_s + duration_s
+        while self._now_s < end_s:
+            yield
+
+    def _judge(self, start_s: float) -> Iterator[None]:
+        reached = self._runner.safety.modes.mode
+        at_rest_s = None
+        while reached is Mode.SAFE_STOP and at_rest_s is None and self._now_s - start_s < _REST_TIMEOUT_S:
+            if self._is_at_rest():
+                at_rest_s = self._now_s - start_s
+            else:
+                yield
+        alarms = self._runner.safety.alarms.all()
+        detected_s = alarms[0].t_s - start_s if alarms else None
+        text = alarms[0].text if alarms else ""
+        self.reaction = FaultReaction(self._case, reached, text, detected_s, at_rest_s if alarms else None)
+
+    def _is_at_rest(self) -> bool:
+        board = self._bench.board
+        assert board is not None
+        return all(
+            float(np.abs(board.read(device, self._now_s)[1]).max()) < STANDSTILL for device in ("rails", "turntable")
+        )
 
 
 def clear_faults(bench: WiredBench) -> None:
@@ -185,53 +262,6 @@ def clear_faults(bench: WiredBench) -> None:
     for name, address in bench.addresses.items():
         if name.endswith(".faults"):
             _send(address, "clear")
-
-
-def _inject(bench: WiredBench, runner: Runner, operator: Operator, case: FaultCase) -> FaultReaction:
-    modes, now_s = runner.safety.modes, runner.now_s
-    if case.mode is Mode.HOLD:
-        _await(runner, Mode.RUNNING)
-        time.sleep(_IN_MODE_WALL_S)
-        operator.submit(OperatorCommand.HOLD)
-    _await(runner, case.mode)
-    time.sleep(_IN_MODE_WALL_S)
-    start_s = now_s()
-    try:
-        _send(bench.addresses[f"{case.device}.faults"], case.line)
-        while modes.mode is not Mode.SAFE_STOP and now_s() - start_s < case.watched_s:
-            time.sleep(_POLL_WALL_S)
-        reached = modes.mode
-        alarms = runner.safety.alarms.all()
-        at_rest_s = _at_rest_s(bench, runner, start_s) if reached is Mode.SAFE_STOP else None
-        if not alarms:
-            return FaultReaction(case, reached, "", None, None)
-        return FaultReaction(case, reached, alarms[0].text, alarms[0].t_s - start_s, at_rest_s)
-    finally:
-        clear_faults(bench)
-        if " delay " in case.line:  # delayed messages still arrive
-            time.sleep(float(case.line.split()[-1]))
-
-
-def _await(runner: Runner, mode: Mode) -> None:
-    end_s = time.monotonic() + _MODE_TIMEOUT_WALL_S
-    while runner.safety.modes.mode is not mode:
-        alarms = "; ".join(alarm.text for alarm in runner.safety.alarms.all())
-        if alarms or time.monotonic() > end_s:
-            raise RuntimeError(f"{mode.value} was not reached: {alarms or runner.safety.modes.mode.value}")
-        time.sleep(_POLL_WALL_S)
-
-
-def _at_rest_s(bench: WiredBench, runner: Runner, start_s: float) -> float | None:
-    """Return the time from ``start_s`` until the emulated axes were at rest; None if they were not."""
-    assert bench.board is not None
-    end_s = time.monotonic() + _REST_TIMEOUT_WALL_S
-    while time.monotonic() < end_s:
-        now_s = runner.now_s()
-        rates = [np.abs(bench.board.read(device, now_s)[1]).max() for device in ("rails", "turntable")]
-        if max(rates) < STANDSTILL:
-            return now_s - start_s
-        time.sleep(_POLL_WALL_S)
-    return None
 
 
 def _send(address: str, line: str) -> None:
@@ -300,9 +330,10 @@ TIGHT: Final = (
 
 def main(arguments: list[str]) -> int:
     by = next((each for each in Attendance if f"--{each.value}" in arguments), Attendance.SCRIPT)
+    lock_step = "--lock-step" in arguments
     named = [Mode(word) for word in arguments if "=" not in word and not word.startswith("--")]
     modes = named or ([Mode.RUNNING] if by is Attendance.UNATTENDED else [Mode.RUNNING, *_STILL])
-    settings = (*TIGHT, *(word for word in arguments if "=" in word))
+    settings = (*TIGHT, *(IN_LOCK_STEP if lock_step else ()), *(word for word in arguments if "=" in word))
     job = Job(load_scenario("scheme-1", settings), load_rig("emulated", settings), 0, 60.0, 1.0)
     check(job)
     warm_up(job)
@@ -324,6 +355,9 @@ def main(arguments: list[str]) -> int:
         console.print(_table(reactions, mode))
     missed = [reaction.case.name for reaction in reactions if not reaction.as_expected]
     console.print(f"{len(reactions)} cases, {len(missed)} not as expected {missed or ''}")
+    if lock_step:
+        text = _ADDRESS.sub("", repr(reactions))
+        console.print(f"digest {hashlib.sha256(text.encode()).hexdigest()[:16]}", highlight=False)
     return 1 if missed else 0
 
 

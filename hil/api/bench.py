@@ -34,6 +34,7 @@ from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_object import PythonGnc
+from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Outcome, Runner
 from hil.report.requirements_page import EvidenceRow
 from hil.safety.alarms import Alarm
@@ -68,7 +69,7 @@ class _Step:
 class ProcedureOperator(Operator):
     """Operator whose commands come from a procedure in another thread, one step after the other.
 
-    On a rig in simulated time the time stands between two steps.
+    On a rig in simulated time, or in lock-step, the time stands between two steps.
     """
 
     def __init__(self) -> None:
@@ -98,13 +99,13 @@ class ProcedureOperator(Operator):
         return command
 
     def poll(self, now_s: float) -> None:
-        """Check whether the present step has ended; in simulated time wait for the next one."""
+        """Check whether the present step has ended; unless time is the wall clock's, wait for the next one."""
         runner = self.runner
         assert runner is not None
         with self._changed:
             if self._step is not None and not self._step.done:
                 self._check(self._step, runner, now_s)
-            while not runner.rate.paced and self._is_between_steps(runner, now_s):
+            while not isinstance(runner.rate, WallClockRate) and self._is_between_steps(runner, now_s):
                 self._changed.wait()
 
     def execute(self, step: _Step) -> bool:
@@ -173,10 +174,10 @@ class Bench:
             run = bench.start(until="ready", timeout_s=300)
 
     Each method executes one command and returns when it has ended. A bench that leaves its ``with`` stands still,
-    without torque, and its devices are closed. Times are bench time: simulated on the mock rig, where time stands
-    between two commands, and wall clock times ``speed`` on all others. Methods raise BenchError if the bench rejects
-    the command in its present mode, if a device or the safety monitor stops the bench, and after the time-out; the
-    text names the device.
+    without torque, and its devices are closed. Times are bench time: simulated on the mock rig and in lock-step, where
+    time stands between two commands, and wall clock times ``speed`` on all others. Methods raise BenchError if the
+    bench rejects the command in its present mode, if a device or the safety monitor stops the bench, and after the
+    time-out; the text names the device.
     """
 
     def __init__(

@@ -41,6 +41,8 @@ class BackendArguments(TypedDict, total=False):
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 
+IN_LOCK_STEP: tuple[str, ...] = ('rig.host.time="lock_step"',)
+"""Setting of a rig in lock-step."""
 _OPTION, _ARGUMENT = "--set", "overrides"
 
 

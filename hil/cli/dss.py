@@ -30,7 +30,7 @@ class GncLinkOptions:
     gnc: str | None = None
     """Address and port of the GNC, the only peer that is accepted; instead of --listen."""
     lock_step: Flag = False
-    """Each cycle waits for the reply of the GNC; on a mock rig the trajectory is that of hil run."""
+    """Each cycle waits for the reply of the GNC; on a mock or emulated rig the trajectory is that of hil run."""
     wait: float = 60.0
     """Wall-clock time to wait for a GNC, s."""
     key_file: str | None = None
@@ -70,9 +70,11 @@ def dss(
     bind, peer = link_addresses("--listen", link_options.listen, "--gnc", link_options.gnc)
     refuse_wires_in_use(rig, options.settings)
 
-    from hil.api.jobs import loaded_rig, loaded_scenario, make_job, other_gnc_problems
+    from hil.api.jobs import IN_LOCK_STEP, loaded_rig, loaded_scenario, make_job, other_gnc_problems
 
     loaded, bench = loaded_scenario(scenario, options.settings), loaded_rig(rig, options.settings)
+    if lock_step and bench.value.kind == "emulated":
+        bench = loaded_rig(rig, (*options.settings, *IN_LOCK_STEP))
     refuse(other_gnc_problems(loaded, bench))
     is_mock = bench.value.kind == "mock"
     if is_mock and lock_step and options.speed != 1.0:
@@ -100,7 +102,7 @@ def dss(
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
         compile_kernels_with_notice(job, console)
-        period_s = loaded.value.step_s / options.speed if paced or not is_mock else None
+        period_s = None if job.waits_for_all else loaded.value.step_s / options.speed
         backend = make_udp_gnc(loaded.value, link, bench.value.gnc_link, lock_step, period_s)
         where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
         console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)

@@ -55,6 +55,8 @@ COMMANDS: Final = {
     "export": "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
     "fmu-export": "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
     "warm-up": "Compile all kernels for this computer, and print the time that each group of them takes.",
+    "list": "List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends of the GNC.",
+    "keys": "List the keys of scenario and rig files that --set takes, with unit, range, default and meaning.",
     "report": "Write a self-contained HTML report of a run, or a comparison of several.",
 }
 """Command -> summary: the function of that name, with _ for -, in the module of that name."""
@@ -84,6 +86,7 @@ for _name, _summary in GROUPS.items():
     app.command(f"hil.cli.{_name}:app", name=_name, help=_summary)
 for _name, _path in _EARLIER_NAMES.items():
     app.command(_path, name=_name, show=False)
+app.register_install_completion_command(name="--install-completion", help="Install completion for this shell.")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -59,6 +59,7 @@ def run(
     /,
     *,
     rig: str = "mock",
+    lock_step: Flag = False,
     options: Group[RunOptions] = _DEFAULTS,
     until_stopped: Flag = False,
     of_case: Group[StoredCaseOptions] = _NO_CASE,
@@ -73,6 +74,9 @@ def run(
         scheme-1, scheme-2, scheme-3, or the path of a scenario file.
     rig
         mock, emulated, or the path of a rig file.
+    lock_step
+        Let the time of an emulated rig advance when all processes have done their part: the same seed gives the same
+        run, whatever the load of the computer.
     until_stopped
         Run until Ctrl-C, which ends the run normally; memory does not grow.
     record
@@ -86,7 +90,7 @@ def run(
     refuse(problems)
     refuse_wires_in_use(rig, options.settings)
 
-    from hil.api.jobs import loaded_rig, loaded_scenario, make_job
+    from hil.api.jobs import IN_LOCK_STEP, loaded_rig, loaded_scenario, make_job
     from hil.api.runs import RunRequest
     from hil.cli.warm_up import finish_with_notice
     from hil.session import build
@@ -94,10 +98,11 @@ def run(
 
     chosen = () if of_case.dispersions is None else (f"dispersions={of_case.dispersions}",)
     loaded = loaded_scenario(scenario, (*chosen, *options.settings))
+    bench = loaded_rig(rig, (*options.settings, *(IN_LOCK_STEP if lock_step else ())))
     if loaded.value.gnc.binary is not None and sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # a library that crashes takes this process with it: print where
     console = Console(stderr=True)
-    job = make_job(loaded, loaded_rig(rig, options.settings), options.seed, options.duration, options.speed)
+    job = make_job(loaded, bench, options.seed, options.duration, options.speed)
     job = replace(job, until_stopped=until_stopped)
     more = {}
     if (case := of_case.case) is not None:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from hil.commission.view_plan import Clearance, IsClear, PlanRequest, axes_record, plan_views
+from hil.core.clock import WallClock
 from hil.core.messages import Array
 from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.pairing import Pairing
@@ -157,6 +158,7 @@ def take_views(bench: WiredBench, plan: DrivePlan, settle_s: float, on_progress:
 
     settle_s: from rest to the exposure.
     """
+    assert isinstance(bench.clock, WallClock)
     cameras = vision_cameras(bench.rig.vmu, plan.sizes, bench.clock)
     with closing(cameras), bench.axes_runner().axes_only() as sequencer:
         pairing = vision_pairing(bench.rig.vmu)

@@ -111,6 +111,8 @@ class DriverEntry:
     emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
     setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
     if its speed does not matter.
+    keeps_bench_time: whether driver and emulator wait by the clock that they are given, and count the bytes of their
+    wires by it: required in lock-step.
     """
 
     device: Device
@@ -125,6 +127,7 @@ class DriverEntry:
     has_processes: bool = False
     emulated_parts: Sequence[str] = ()
     setpoints_hz: Callable[[Any], float] = lambda table: math.inf
+    keeps_bench_time: Callable[[Any], bool] = lambda table: False
 
 
 @cache
@@ -150,6 +153,12 @@ def driver_entry(device: str, name: str) -> DriverEntry:
     if (loaded.device, loaded.name) != (device, name):
         raise ValueError(f"{what} is the entry of {loaded.device}.{loaded.name}, expected {key}")
     return loaded
+
+
+def registered_drivers() -> dict[str, str]:
+    """Return the package of each driver of wires, by the setting that selects it: ``rig.rails.driver=modbus``."""
+    keys = [(key, _PACKAGE) for key in _BUILT_IN] + [(p.name, _package(p)) for p in entry_points(group=GROUP)]
+    return {f"rig.{key.partition('.')[0]}.driver={key.partition('.')[2]}": package for key, package in keys}
 
 
 def _listed(device: str) -> str:

@@ -14,6 +14,10 @@ OnOverrun = Literal["log", "hold", "safe_stop"]
 class HostConfig(ConfigModel):
     """Real-time privileges of the loop, and its overrun policy."""
 
+    time: Literal["wall_clock", "lock_step"] = "wall_clock"
+    """Time of an emulated rig: in lock-step it advances when all processes have done their part, without deadlines."""
+    lock_step_timeout_s: Positive = 60.0
+    """Wall time after which a process that does not do its part in lock-step is ended and reported."""
     fifo: bool = True
     """Request SCHED_FIFO 80, for the loop's thread only."""
     cpu: Annotated[int, Field(ge=0)] | None = None

@@ -26,6 +26,7 @@ from hil.config.renamed_keys import present_key, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.units import converted
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
@@ -459,7 +460,7 @@ def _message(fault: Any, model: type[BaseModel], location: list[str], table: Tab
     if kind == "missing":
         return f"is missing{_expected(model, location)}"
     if kind == "extra_forbidden":
-        return _unknown_key(model, location)
+        return _unknown_key(model, location, fault["input"])
     text = str(fault["msg"]).removeprefix("Value error, ")
     if kind == "value_error":
         return text
@@ -485,14 +486,16 @@ def _expected(model: type[BaseModel], location: list[str]) -> str:
     return f": a value in {unit.group(1)}"
 
 
-def _unknown_key(model: type[BaseModel], location: list[str]) -> str:
+def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str:
     parent = _model_at(model, location[:-1])
     known = sorted(parent.model_fields) if parent is not None else []
     key = location[-1]
+    if meant := converted(key, value, known):
+        return f"unknown key: did you mean {meant}?"
     stem = _UNIT.sub("", key)
     same_stem = [name for name in known if _UNIT.sub("", name) == stem]
     if same_stem:
-        return f"unknown key: the unit is part of the name, here it is {same_stem[0]}"
+        return f"unknown key: the unit is part of the name, here it is {' or '.join(same_stem)}"
     close = difflib.get_close_matches(key, known, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
     return f"unknown key: {hint}known here: {', '.join(known)}"

@@ -11,6 +11,7 @@ from hil.console.remote_operator import RemoteOperator
 from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import WallClock
 from hil.core.realtime import RealTime
+from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.loop.rate_keeper import WallClockRate
@@ -46,6 +47,9 @@ def opened(
     job: build.Job, operator: RemoteOperator, announce: Callable[[str], None], recorder: RecordingSinks | None = None
 ) -> Iterator[ConsoleBench]:
     """Yield the bench of ``job``; its processes are ended afterwards. recorder: sinks of a recording."""
+    if job.rig.value.host.time == "lock_step":
+        text = '"lock_step": an operator at the console has the wall clock'
+        raise BadInput.single(job.rig.where("host.time"), "rig.host.time", text)
     with ExitStack() as stack:
         sinks = recorder or stack.enter_context(_unrecorded_sinks(job))
         rings = {name: ring for name in RINGS if isinstance(ring := getattr(sinks, name), Ring)}
@@ -53,14 +57,13 @@ def opened(
         assert sinks.run_time is not None
         if job.rig.value.kind != "mock":
             bench = stack.enter_context(build.wired_bench(job, announce, sinks))
-            watched = stack.enter_context(
-                with_docking_monitor.beside(job, bench.telemetry, bench.clock, announce, sinks)
-            )
+            assert isinstance(bench.clock, WallClock)
+            watched = stack.enter_context(with_docking_monitor.beside(job, sinks.cycles, bench.clock, announce, sinks))
             runner = bench.runner(operator.on_progress, operator)
             watched.attach(runner)
             yield ConsoleBench(
                 runner,
-                bench.telemetry,
+                sinks.cycles,
                 bench.clock,
                 sinks.run_time,
                 bench.event_recorder,

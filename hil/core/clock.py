@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
+import select
+import threading
 import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Protocol
+from enum import IntEnum
+from typing import Any, Protocol
+
+
+class Order(IntEnum):
+    """Order of the participants of a bench in lock-step that have work at the same time."""
+
+    COUPLER = 0
+    AXES = 1
+    CAMERAS = 2
+    COUPLER_DRIVER = 3
+    DRIVERS = 4
+    REQUESTS = 5
+    WATCHDOG = 6
+    IO = 7
+    LOOP = 8
 
 
 class Clock(Protocol):
@@ -15,6 +36,102 @@ class Clock(Protocol):
     def speed(self) -> float: ...
 
     def now_s(self) -> float: ...
+
+
+class ClockEvent(Protocol):
+    """Event as of ``threading.Event``."""
+
+    def is_set(self) -> bool: ...
+
+    def set(self) -> None: ...
+
+    def clear(self) -> None: ...
+
+    def wait(self, timeout: float | None = None, /) -> bool: ...
+
+
+class WireEnd(Protocol):
+    """One end of a serial line, whose descriptor is an argument."""
+
+    def wait(self, descriptor: int, wall_s: float) -> bool:
+        """Wait at most ``wall_s`` until there is something to read; return whether there is."""
+
+    def read(self, descriptor: int, size: int) -> bytes:
+        """Return what has arrived, at most ``size`` bytes."""
+
+    def write(self, descriptor: int, data: bytes) -> int:
+        """Write ``data``; return the number of bytes that the line has taken."""
+
+    def close(self) -> None:
+        """Leave the line. Idempotent."""
+
+
+class BenchClock(Clock, Protocol):
+    """Bench time for drivers, emulators and servers, and every wait for it: by the wall clock, or in lock-step.
+
+    Times named ``wall_s`` are wall time by the wall clock, and bench time in lock-step.
+    """
+
+    def host_s(self) -> float:
+        """Return the monotonic time by which time-outs of programs are counted, s."""
+
+    def wall_s(self, duration_s: float) -> float:
+        """Return ``duration_s`` of bench time in s of wall time."""
+
+    def paced_s(self, period_s: float) -> float:
+        """Return the bench time between two steps of work of this host that is due every ``period_s`` in real time."""
+
+    def poll_s(self, period_s: float) -> float:
+        """Return the period of a server that is to check its devices every ``period_s``, s of wall time."""
+
+    def idle_s(self, period_s: float) -> float:
+        """Return the time, s of wall time, after which an exchange of ``period_s`` takes place without a trigger."""
+
+    def sleep_until(self, t_s: float) -> None:
+        """Sleep until bench time ``t_s``; return at once if that has passed."""
+
+    def sleep(self, wall_s: float) -> None:
+        """Sleep for ``wall_s``."""
+
+    def event(self) -> ClockEvent:
+        """Return an event, whose wait has its time-out in wall time."""
+
+    def wire(self, key: str, end: int) -> WireEnd:
+        """Return an end of the serial line ``key``: 0 of the emulated device, 1 of its driver."""
+
+    def new_event_loop(self) -> asyncio.AbstractEventLoop:
+        """Return an event loop whose time is wall time."""
+
+    def start_thread(self, target: Callable[[], object], name: str, order: Order = Order.DRIVERS) -> threading.Thread:
+        """Start and return a thread that waits by this clock."""
+
+    def join(self, thread: threading.Thread, wall_s: float) -> None:
+        """Wait at most ``wall_s`` for the end of a thread of ``start_thread``."""
+
+    def wake(self, name: str, descriptor: int) -> None:
+        """End the ``wait_wake`` of the process ``name``, by the eventfd ``descriptor``; never waits."""
+
+    def wait_wake(self, descriptor: int, wall_s: float) -> None:
+        """Wait at most ``wall_s`` for a ``wake``."""
+
+    def release(self) -> None:
+        """End all waits of this process: its parent ends it."""
+
+    def configuration(self, order: Order, name: str) -> dict[str, Any]:
+        """Return the clock of the child process ``name`` for ``clock_of``."""
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Descriptors that a child process needs for this clock."""
+
+
+def clock_of(configuration: Mapping[str, Any]) -> BenchClock:
+    """Return the clock of a child process, of its configuration's key ``clock``."""
+    if "page" not in configuration["clock"]:
+        return WallClock(**configuration["clock"])
+    from hil.core.lock_step import LockStepClock
+
+    return LockStepClock.attach(configuration["clock"])
 
 
 @dataclass(slots=True)
@@ -58,6 +175,69 @@ class WallClock:
         left_ns = self.wall_ns(t_s) - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)
+
+    def host_s(self) -> float:
+        return time.monotonic()
+
+    def poll_s(self, period_s: float) -> float:
+        return period_s
+
+    def idle_s(self, period_s: float) -> float:
+        return period_s / self.speed
+
+    def sleep(self, wall_s: float) -> None:
+        time.sleep(wall_s)
+
+    def event(self) -> threading.Event:
+        return threading.Event()
+
+    def wire(self, key: str, end: int) -> PlainWire:
+        return PlainWire()
+
+    def new_event_loop(self) -> asyncio.AbstractEventLoop:
+        return asyncio.new_event_loop()
+
+    def start_thread(self, target: Callable[[], object], name: str, order: Order = Order.DRIVERS) -> threading.Thread:
+        thread = threading.Thread(target=target, name=name, daemon=True)
+        thread.start()
+        return thread
+
+    def join(self, thread: threading.Thread, wall_s: float) -> None:
+        thread.join(wall_s)
+
+    def wake(self, name: str, descriptor: int) -> None:
+        os.eventfd_write(descriptor, 1)
+
+    def wait_wake(self, descriptor: int, wall_s: float) -> None:
+        if select.select([descriptor], [], [], wall_s)[0]:
+            with suppress(BlockingIOError):
+                os.eventfd_read(descriptor)
+
+    def release(self) -> None:
+        """Do nothing: every wait by the wall clock ends."""
+
+    def configuration(self, order: Order, name: str) -> dict[str, Any]:
+        return {"epoch_ns": self.epoch_ns, "speed": self.speed}
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        return ()
+
+
+class PlainWire:
+    """End of a serial line by the wall clock."""
+
+    def wait(self, descriptor: int, wall_s: float) -> bool:
+        return bool(select.select([descriptor], [], [], wall_s)[0])
+
+    def read(self, descriptor: int, size: int) -> bytes:
+        return os.read(descriptor, size)
+
+    def write(self, descriptor: int, data: bytes) -> int:
+        return os.write(descriptor, data)
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 def utc_ns() -> int:

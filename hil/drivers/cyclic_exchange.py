@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from hil.config.rig import AxisGroupTable
-from hil.core.clock import Clock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
@@ -76,7 +76,7 @@ class CyclicAxisGroup:
     position that they hold. The same applies while an axis is not homed, and after ``move_to``.
     """
 
-    def __init__(self, config: AxisGroupTable, clock: Clock, link: ExchangeLink, name: str) -> None:
+    def __init__(self, config: AxisGroupTable, clock: BenchClock, link: ExchangeLink, name: str) -> None:
         self.name = name
         self.axis_names = full_names(name, config.axis_names)
         self._config = config
@@ -89,10 +89,10 @@ class CyclicAxisGroup:
         self._box: Latest[AxisFeedback] = Latest(name)
         self._box.fail(LinkLost(name, "is not open"))
         self._thread: threading.Thread | None = None
-        self._wake = threading.Event()
+        self._wake = clock.event()
         self._closing = threading.Event()
         self._stopping = threading.Event()
-        self._stopped = threading.Event()
+        self._stopped = clock.event()
         self._disabling = threading.Event()
         self._disabled = False
         self._homing_requested = threading.Event()
@@ -127,8 +127,7 @@ class CyclicAxisGroup:
         self._limiters = setpoint_limiters(self._config)
         self._restart_limiters()
         self._box.put(feedback, self._clock.now_s())
-        self._thread = threading.Thread(target=self._run, daemon=True, name=f"{self.name}-io")
-        self._thread.start()
+        self._thread = self._clock.start_thread(self._run, f"{self.name}-io")
 
     def home(self, now_s: float) -> None:
         """Start homing of each axis that is not homed; ``read`` reports the progress."""
@@ -215,7 +214,7 @@ class CyclicAxisGroup:
         self._closing.set()
         self._wake.set()
         if self._thread is not None:
-            self._thread.join(_STOP_WALL_S)
+            self._clock.join(self._thread, _STOP_WALL_S)
         self._box.fail(LinkLost(self.name, "is closed"))
 
     def _run(self) -> None:

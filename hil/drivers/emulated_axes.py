@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import AxisGroupTable
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array, Homing
 from hil.drivers.axes import axes_of
 from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
@@ -19,7 +19,7 @@ from hil.drivers.io.relay import HoldingBrakes
 from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.maths.random_streams import stream
 
-STEP_S: Final = 0.004  # longest time between two updates of the axes, as WallClock.paced_s
+STEP_S: Final = 0.004  # longest time between two updates of the axes, as BenchClock.paced_s
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
 _SAMPLING_S: Final = 1e-4  # of a drive's encoder: what is asked more often is answered with the last sample
@@ -52,7 +52,7 @@ class EmulatedAxes:
         self,
         device: str,
         config: AxisGroupTable,
-        clock: WallClock,
+        clock: BenchClock,
         shared: SharedAxisState,
         faults: Faults | None = None,
         chain: ReadChain | None = None,

@@ -7,11 +7,12 @@ from typing import Self
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.child_process import ChildProcess
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, Order
 from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.image_memory import ImageMemory
 
 _READY_WALL_S = 60.0  # the first start compiles
+_ORDERS = {"io": Order.COUPLER, "rails": Order.AXES, "turntable": Order.AXES, "target": Order.AXES}
 
 
 class EmulatedDevices:
@@ -21,15 +22,13 @@ class EmulatedDevices:
     """
 
     def __init__(
-        self, scenario: Scenario, rig: Rig, clock: WallClock, seed: int, images: ImageMemory | None = None
+        self, scenario: Scenario, rig: Rig, clock: BenchClock, seed: int, images: ImageMemory | None = None
     ) -> None:
         self.board = SharedAxisState.create()
         self._rig = rig
         configuration = {
             "scenario": scenario.model_dump(mode="json"),
             "rig": rig.model_dump(mode="json"),
-            "epoch_ns": clock.epoch_ns,
-            "speed": clock.speed,
             "seed": seed,
             "board": self.board.descriptor,
         }
@@ -41,8 +40,13 @@ class EmulatedDevices:
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",
                     "hil.processes.emulators",
-                    {**configuration, "device": device, "images": memory},
-                    (self.board.descriptor, *(memory.descriptors if memory else ())),
+                    {
+                        **configuration,
+                        "device": device,
+                        "images": memory,
+                        "clock": clock.configuration(_ORDERS.get(device, Order.CAMERAS), f"{device} emulator"),
+                    },
+                    (self.board.descriptor, *clock.descriptors, *(memory.descriptors if memory else ())),
                 )
         except BaseException:
             self.close()

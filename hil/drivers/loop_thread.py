@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, Final
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, Order
 from hil.drivers.latest import Latest
 from hil.errors import DeviceError, LinkLost, LinkTimeout
 
@@ -24,9 +24,10 @@ class LoopThread:
     """
 
     name: str
-    _clock: WallClock
+    _clock: BenchClock
     _box: Latest[Any]
     _thread: threading.Thread | None = None
+    _order = Order.DRIVERS
     _loop: asyncio.AbstractEventLoop
     _wake: asyncio.Event
     _closing = False
@@ -40,14 +41,14 @@ class LoopThread:
         """
         self._closing = False
         self._wake = asyncio.Event()
-        self._loop = asyncio.new_event_loop()
+        self._loop = self._clock.new_event_loop()
         opened: Future[None] = Future()
-        self._thread = threading.Thread(target=self._run, args=(opened,), name=f"{self.name}-modbus", daemon=True)
-        self._thread.start()
-        try:
-            opened.result(timeout=self._clock.wall_s(bound_s))
-        except TimeoutError as error:
-            raise LinkTimeout(self.name, f"not open after {bound_s:g} s") from error
+        ready = self._clock.event()
+        opened.add_done_callback(lambda _: ready.set())
+        self._thread = self._clock.start_thread(lambda: self._run(opened), f"{self.name}-modbus", self._order)
+        if not ready.wait(self._clock.wall_s(bound_s)):
+            raise LinkTimeout(self.name, f"not open after {bound_s:g} s")
+        opened.result()
 
     def _end(self) -> None:
         """End the thread; wait for it, at most 0.1 s of wall time. Idempotent.
@@ -59,7 +60,7 @@ class LoopThread:
         if not self._closing:
             self._closing = True
             self._call(self._cancel)
-        self._thread.join(_END_WAIT_WALL_S)
+        self._clock.join(self._thread, _END_WAIT_WALL_S)
         if not self._thread.is_alive():
             self._thread = None
 
@@ -69,7 +70,7 @@ class LoopThread:
         Until it has ended nothing that it uses may be replaced. Raises LinkTimeout.
         """
         if self._thread is not None:
-            self._thread.join(self._clock.wall_s(bound_s))
+            self._clock.join(self._thread, self._clock.wall_s(bound_s))
             if self._thread.is_alive():
                 raise LinkTimeout(self.name, f"not closed after {bound_s:g} s")
         self._thread = None

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.fault_injection import FaultyWire
 
 _READ_BYTES: Final = 4096
@@ -20,7 +20,7 @@ Feed = Callable[[bytes], tuple[int, list[bytes]]]
 class ModbusTcpPort:
     """A listening port on 127.0.0.1 and its connections; responses pass the faulty wire."""
 
-    def __init__(self, feed: Feed, wire: FaultyWire, clock: WallClock) -> None:
+    def __init__(self, feed: Feed, wire: FaultyWire, clock: BenchClock) -> None:
         self.number = 0
         self._feed = feed
         self._wire = wire
@@ -81,10 +81,10 @@ class ModbusTcpPort:
 class ModbusTcpEmulator:
     """Emulated device behind Modbus TCP ports. Subclasses fill ``_ports`` and define ``_step``."""
 
-    def __init__(self, clock: WallClock, period_s: float) -> None:
+    def __init__(self, clock: BenchClock, period_s: float) -> None:
         self._clock = clock
         self._period_s = period_s
-        self._loop = asyncio.new_event_loop()
+        self._loop = clock.new_event_loop()
         self._ports: list[ModbusTcpPort] = []
 
     def _step(self) -> None:

@@ -7,12 +7,12 @@ turn-around. The other end opens ``path`` like any port.
 from __future__ import annotations
 
 import os
-import select
 import termios
 import threading
 import tty
+from contextlib import suppress
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 
 _BITS_PER_BYTE = 10
 _CHUNK = 4096
@@ -28,47 +28,41 @@ def _open_raw_pty() -> tuple[int, int, str]:
 class PtyLine:
     """The device's end of a serial line. ``path`` is the port for the other end."""
 
-    def __init__(self, baud: int, clock: WallClock) -> None:
+    def __init__(self, baud: int, clock: BenchClock) -> None:
         self._clock = clock
         self._byte_s = _BITS_PER_BYTE / baud
         self._master, self._slave, self.path = _open_raw_pty()
+        self._wire = clock.wire(self.path, 0)
         self._sent_until_s = 0.0
         self._write_lock = threading.Lock()
         self._open = True
 
     def read(self, timeout_s: float) -> bytes:
         """Return the data received within ``timeout_s`` of bench time, b"" if none, after its line time."""
-        ready, _, _ = select.select([self._master], [], [], self._clock.wall_s(timeout_s))
-        if not ready:
+        if not self._wire.wait(self._master, self._clock.wall_s(timeout_s)):
             return b""
         arrived_s = self._clock.now_s()
-        data = os.read(self._master, _CHUNK)
+        data = self._wire.read(self._master, _CHUNK)
         self._clock.sleep_until(arrived_s + len(data) * self._byte_s)
         return data
 
     def write(self, data: bytes) -> None:
         """Send ``data``; returns, and the bytes arrive, after their line time.
 
-        Unread data is lost once the kernel's buffer is full, as on a real line.
+        Unread data is lost once the kernel's buffer is full.
         """
         with self._write_lock:
             start_s = max(self._clock.now_s(), self._sent_until_s)
             self._sent_until_s = start_s + len(data) * self._byte_s
             self._clock.sleep_until(self._sent_until_s)
-            _write_or_lose(self._master, data)
+            with suppress(BlockingIOError):  # what exceeds the kernel's buffer is lost, as on a real line
+                while data:
+                    data = data[self._wire.write(self._master, data) :]
 
     def close(self) -> None:
         """Close the line. Idempotent."""
         if self._open:
             self._open = False
+            self._wire.close()
             os.close(self._slave)
             os.close(self._master)
-
-
-def _write_or_lose(descriptor: int, data: bytes) -> None:
-    """Write ``data`` to a non-blocking ``descriptor``; data beyond its buffer is lost, as on a real line."""
-    try:
-        while data:
-            data = data[os.write(descriptor, data) :]
-    except BlockingIOError:
-        return

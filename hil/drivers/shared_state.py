@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array
 from hil.frmn.mailbox import MailboxBlock
 
@@ -68,7 +68,7 @@ class SharedAxisState:
         record[0] = chain
         self._block["chain"].write(record, t_s)
 
-    def read_chain(self, clock: WallClock) -> ChainState:
+    def read_chain(self, clock: BenchClock) -> ChainState:
         """Return the state of the chain; closed if it was never written: a bench without such a device.
 
         Open if the state is older than 0.25 s of wall time.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -66,11 +66,12 @@ class OverrunMonitor:
             raise trip
 
 
-def lateness_percentiles_us(lateness_s: Array) -> dict[str, float]:
-    """Return p50, p99, p999 and max in microseconds."""
-    if not len(lateness_s):
-        return {"p50": 0.0, "p99": 0.0, "p999": 0.0, "max": 0.0}
-    p50, p99, p999, largest = np.percentile(lateness_s * 1e6, [50.0, 99.0, 99.9, 100.0])
+def lateness_percentiles_us(lateness_s: Array) -> dict[str, Any]:
+    """Return p50, p99, p999 and max in microseconds; None if no cycle has a lateness, as in lock-step."""
+    known = lateness_s[np.isfinite(lateness_s)]
+    if not len(known):
+        return dict.fromkeys(("p50", "p99", "p999", "max"), None if len(lateness_s) else 0.0)
+    p50, p99, p999, largest = np.percentile(known * 1e6, [50.0, 99.0, 99.9, 100.0])
     return {"p50": float(p50), "p99": float(p99), "p999": float(p999), "max": float(largest)}
 
 
@@ -79,6 +80,6 @@ def lateness_histogram(lateness_s: Array) -> list[dict[str, float | int | None]]
 
     The last entry, ``below_us`` None, counts those beyond the largest bound.
     """
-    bins = np.searchsorted(_HISTOGRAM_US, lateness_s * 1e6, side="right")
+    bins = np.searchsorted(_HISTOGRAM_US, lateness_s[np.isfinite(lateness_s)] * 1e6, side="right")
     counts = np.bincount(bins, minlength=len(_HISTOGRAM_US) + 1)
     return [{"below_us": b, "cycles": int(n)} for b, n in zip((*_HISTOGRAM_US, None), counts, strict=True)]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from hil.core.clock import SimulatedClock, WallClock
+from hil.core.clock import BenchClock, SimulatedClock, WallClock
 from hil.core.host_pauses import HostPauses
 from hil.core.wait import wait_until
 
+_PAUSE_S = 0.001
 _SPIN_NS = 200_000  # the last of each wait: the kernel's wake-up is coarser than this
 _RETURN_NS = 6_000  # from compiled code, with the interpreter's lock: the rest of the wait is in Python
 _SPIN_FRACTION = 0.5  # of a period at most: the kernel preempts a real-time thread that never sleeps
@@ -41,7 +43,7 @@ class Rate(Protocol):
     skipped_periods: int
     """Periods in which no cycle started, because an earlier one was still running."""
     paced: bool
-    """Whether cycles have deadlines in real time."""
+    """Whether time passes between cycles: in real time, or in lock-step."""
 
     @property
     def pause_s(self) -> float:
@@ -55,6 +57,9 @@ class Rate(Protocol):
 
     def wait(self) -> Tick:
         """Wait for the next cycle's deadline."""
+
+    def pause(self) -> None:
+        """Let a short time pass outside of the cycles, and other threads run."""
 
 
 class SimulatedRate:
@@ -83,6 +88,38 @@ class SimulatedRate:
         self._clock.t_s = self._zero_s + self.executed * self._step_s
         self.executed += 1
         return Tick(self._clock.t_s, self._zero_s, 0.0)
+
+    def pause(self) -> None:
+        time.sleep(_PAUSE_S)
+
+
+class LockStepRate:
+    """Bench time in lock-step: a cycle is never late, so it has no lateness: nan."""
+
+    def __init__(self, clock: BenchClock, step_s: float) -> None:
+        self._clock = clock
+        self._step_s = step_s
+        self.executed = self.overruns = self.skipped_periods = 0
+        self.paced = True
+        self.pause_s = 0.0
+        self.restart()
+
+    def now_s(self) -> float:
+        return self._clock.now_s()
+
+    def restart(self) -> None:
+        self._zero_s = self._clock.now_s() + self._step_s
+        self.executed = 0
+
+    def wait(self) -> Tick:
+        while (due_s := self._zero_s + self.executed * self._step_s) < self._clock.now_s():
+            self._zero_s += self._step_s  # as after the opening of a device
+        self._clock.sleep_until(due_s)
+        self.executed += 1
+        return Tick(self._clock.now_s(), self._zero_s, math.nan)
+
+    def pause(self) -> None:
+        self._clock.sleep(_PAUSE_S)
 
 
 class WallClockRate:
@@ -140,6 +177,9 @@ class WallClockRate:
         if not skipped:
             return Tick(self._bench_s(now_ns), self._zero_s, lateness_s)
         return Tick(self._bench_s(now_ns), self._zero_s, lateness_s, skipped, late_ns * 1e-9)
+
+    def pause(self) -> None:
+        time.sleep(_PAUSE_S)
 
     def _bench_s(self, monotonic_ns: int) -> float:
         return (monotonic_ns - self._clock.epoch_ns) * 1e-9 * self._clock.speed

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
@@ -31,7 +30,6 @@ from hil.safety.alarms import Alarm, alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
-_PAUSE_S: Final = 0.001
 _LONG_PAUSE_S: Final = 0.03
 _CAUSED_BY_PAUSES: Final = (SAFETY_CHAIN, "age of the setpoint")
 
@@ -359,7 +357,7 @@ class Runner:
                 stop.brake(report_cause)
             while self._modes.mode is not Mode.SAFE_STOP:
                 report_cause(self.rate.now_s() if stop.cut or not self._powered else stop.watch())
-                time.sleep(_PAUSE_S)
+                self.rate.pause()
             if self._powered:
                 stop.remove_torque()
             self._powered = False
@@ -413,7 +411,7 @@ class Runner:
                     break
                 self.operator.rejections.append(alarm.text)
             if not self.rate.paced:
-                time.sleep(_PAUSE_S)  # simulated time runs without waiting: leave the CPU to other threads
+                self.rate.pause()  # simulated time runs without waiting: leave the CPU to other threads
         self._shut_down()
         self._faults.clear()
         self._modes.go(Mode.OFF)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from typing import Protocol
 
@@ -12,7 +13,7 @@ from hil.config.driver_registry import DeviceTable
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.child_process import Message, Service, serve
-from hil.core.clock import WallClock
+from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
 from hil.drivers.shared_state import SharedAxisState
@@ -58,11 +59,12 @@ def make_emulator(configuration: Message) -> Emulator:
     (device, _, part), seed = configuration["device"].partition("."), configuration["seed"]
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
-    clock = WallClock(configuration["epoch_ns"], configuration["speed"])
+    clock = clock_of(configuration)
     board = SharedAxisState(configuration["board"])
     if device == "monitor":
         from hil.setup.emulated_cameras import emulated_television
 
+        assert isinstance(clock, WallClock)  # as of ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
     table: DeviceTable | None = rig.target_axes if device == "target" else getattr(rig, device)
     assert table is not None
@@ -88,13 +90,13 @@ def make(configuration: Message) -> Service:
 
     At more than twice the speed that this computer holds the emulators and the bench together can fill all cores, which
     a real-time policy must not: then only the coupler has it, whose relay opens if it does not run for 50 ms. Those
-    that make images take so much of a core that they have it only up to real time.
+    that make images take so much of a core that they have it only up to real time. In lock-step nothing is in time.
     """
     service = FaultInjectionService(make_emulator(configuration))
-    device, speed = configuration["device"], configuration["speed"]
+    device, speed = configuration["device"], configuration["clock"].get("speed", math.inf)
     is_camera = device == "monitor" or "." in device
     makes_images = is_camera or (device == "vmu" and configuration["scenario"]["vmu"]["source"] != "model")
-    if device == "io" or speed <= (1.0 if makes_images else 2.0 * speed_held()):
+    if (device == "io" and speed < math.inf) or speed <= (1.0 if makes_images else 2.0 * speed_held()):
         take_fifo(_CAMERA_FIFO_PRIORITY if is_camera else _FIFO_PRIORITY)
     return service
 

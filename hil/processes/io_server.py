@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.child_process import Message, serve
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, clock_of
 from hil.core.messages import VMU_FRAME, AxisFeedback
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks, PoseSource
 from hil.drivers.factory import make_drivers
@@ -33,7 +33,7 @@ class IoServer(DeviceServer):
         poses: PoseSource,
         memory: IoSharedMemory,
         requests: socket.socket,
-        clock: WallClock,
+        clock: BenchClock,
     ) -> None:
         super().__init__({**axes, "vmu": poses}, memory, requests, clock, io_layout.IO)
         self._axes = axes
@@ -52,12 +52,10 @@ class IoServer(DeviceServer):
         self._step_poses(now_s)
         self._check_loop(now_s)
 
-    def close(self) -> None:
-        """Stop all axes, then close all devices."""
-        now_s = self.clock.now_s()
+    def stop_all(self, now_s: float) -> None:
+        """Stop all axes."""
         for device in self._axes.values():
             device.stop(now_s)
-        super().close()
 
     def on_opened(self, name: str) -> None:
         """Skip setpoints from before the opening, and write the first feedback before the request is answered."""
@@ -132,9 +130,9 @@ class IoServer(DeviceServer):
 def make(configuration: Message) -> IoServer:
     """Return the server of the configured rig; the threads of this process get its priority."""
     compile_profile()  # the first kernel loads the compiler, which would keep the heartbeat waiting later
-    raise_priority()
+    clock = clock_of(configuration)
+    raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
-    clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     rails, turntable, poses, target = make_drivers(rig, clock)
     axes = {"rails": rails, "turntable": turntable} | ({"target": target} if target is not None else {})
     memory = IoSharedMemory.attach(tuple(configuration["descriptors"]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.child_process import Message, serve
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, clock_of
 from hil.drivers.base import DiscreteIo
 from hil.drivers.io import NAME
 from hil.drivers.remote import io_layout
@@ -29,7 +29,7 @@ _WATCHED = {io_layout.LOOP: "the loop", io_layout.IO: "the I/O process"}
 class Watchdog(DeviceServer):
     """Server of the digital I/O; opens the safety chain when the loop or the I/O process is silent."""
 
-    def __init__(self, lines: DiscreteIo, memory: IoSharedMemory, requests: socket.socket, clock: WallClock) -> None:
+    def __init__(self, lines: DiscreteIo, memory: IoSharedMemory, requests: socket.socket, clock: BenchClock) -> None:
         super().__init__({NAME: lines}, memory, requests, clock, io_layout.WATCHDOG, _PERIOD_WALL_S)
         self._lines = lines
         self._outputs = np.zeros(1, io_layout.OUTPUTS)
@@ -62,10 +62,9 @@ class Watchdog(DeviceServer):
         self._inputs_s = -1.0
         self._write_inputs(self.clock.now_s())
 
-    def close(self) -> None:
-        """Set all outputs off, then close the link."""
-        self._lines.stop(self.clock.now_s())
-        super().close()
+    def stop_all(self, now_s: float) -> None:
+        """Set all outputs off."""
+        self._lines.stop(now_s)
 
     def _write_inputs(self, now_s: float) -> None:
         inputs = self._lines.read(now_s)
@@ -84,9 +83,9 @@ class Watchdog(DeviceServer):
 
 def make(configuration: Message) -> Watchdog:
     """Return the watchdog of the configured rig; the threads of this process get its priority."""
-    raise_priority()
+    clock = clock_of(configuration)
+    raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
-    clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     assert rig.io is not None
     memory = IoSharedMemory.attach(tuple(configuration["descriptors"]))
     return Watchdog(rig.io.make_driver(clock), memory, socket.socket(fileno=configuration["requests"]), clock)

@@ -106,8 +106,9 @@ def recording(
     header = header_of(job, rig_name, run, started_ns)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        in_memory = job.rig.value.kind == "mock" and not paced
-        made: _Recorder = _InMemory(path, header) if in_memory else _RecorderProcess(job, path, run, header)
+        made: _Recorder = (
+            _InMemory(path, header) if job.waits_for_all and not paced else _RecorderProcess(job, path, run, header)
+        )
     except OSError as error:
         text = f"{folder}: cannot record there: {error.strerror or error}"
         raise BadInput.single("--record", "", text) from error

@@ -133,7 +133,7 @@ def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("pose to command p50 p99, ms", _times(latency["pose_to_command_ms"])),
         ("setpoint to encoder p50 p99, ms", _times(latency["setpoint_to_encoder_ms"])),
         ("overruns, periods lost", f"{timing['overruns']}, {timing['skipped_periods']}"),
-        ("lateness p50 p99 max, us", " ".join(f"{timing['lateness_us'][p]:.0f}" for p in ("p50", "p99", "max"))),
+        ("lateness p50 p99 max, us", " ".join(_text(timing["lateness_us"][p], ".0f") for p in ("p50", "p99", "max"))),
     ]
 
 

@@ -25,7 +25,7 @@ _STAMP_S: Final = 1e-3  # a command is stamped just after its lines were passed 
 
 def execution_times_s(history: np.ndarray) -> dict[str, Array]:
     """Return the times in the rows (n,) of CYCLE, s of bench time, by what they are of."""
-    begun_s = history["t_s"] + history["lateness_s"]
+    begun_s = history["t_s"] + np.nan_to_num(history["lateness_s"])  # in lock-step it has none
     used = history[history["pose"]["fresh"] > 0]
     return {
         "cycle": history["commanded_s"] - begun_s,

@@ -72,11 +72,11 @@ def print_waived(waived: Sequence[dict[str, str]], console: Console) -> None:
 
 
 def _print_timing(timing: dict[str, Any], console: Console) -> None:
-    late = timing["lateness_us"]
+    late = {name: "-" if value is None else f"{value:.0f}" for name, value in timing["lateness_us"].items()}
     console.print(
         f"Timing      {timing['cycles']} cycles at {timing['rate_hz']:g} Hz, {timing['overruns']} overruns, "
         f"{timing['skipped_periods']} periods lost, {timing['late_wakeups']} late wake-ups, "
-        f"lateness p50 {late['p50']:.0f} p99 {late['p99']:.0f} p99.9 {late['p999']:.0f} max {late['max']:.0f} us",
+        f"lateness p50 {late['p50']} p99 {late['p99']} p99.9 {late['p999']} max {late['max']} us",
         highlight=False,
         soft_wrap=True,
     )

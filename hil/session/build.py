@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 
 from hil.checks.abort import check_abort
@@ -28,15 +28,17 @@ from hil.checks.compatibility import (
     driver_warnings,
 )
 from hil.checks.faults import check_faults
+from hil.checks.lock_step import check_lock_step
 from hil.checks.preflight_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.core.camera_images import ImageSink
-from hil.core.clock import SimulatedClock, WallClock
+from hil.core.clock import BenchClock, SimulatedClock, WallClock
+from hil.core.lock_step import LockStepConductor
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
-from hil.core.realtime import REAL_TIME, RealTime, SchedulingPolicy, speed_held
+from hil.core.realtime import REAL_TIME, DefaultScheduling, RealTime, SchedulingPolicy, short_turns, speed_held
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.shared_state import SharedAxisState
@@ -44,7 +46,7 @@ from hil.drivers.wire_lock import locked_wires
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import Ring, Telemetry
 from hil.loop.motion_sequences import ProgressCallback
-from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
+from hil.loop.rate_keeper import LockStepRate, Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, core_memory, library_problems, mocks
@@ -56,6 +58,7 @@ from hil.setup.exchange_rates import ExchangeRates
 from hil.setup.true_axes import TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
+_GRID_S = 0.02  # lock-step: longest time between two steps of emulators and servers
 TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
 
 
@@ -98,6 +101,7 @@ def _rig_problems(job: Job) -> list[Problem]:
         *check_budget(job.scenario, job.rig),
         *check_drivers(job.rig),
         *check_flight_computer(job.scenario, job.rig),
+        *check_lock_step(job.scenario, job.rig, job.speed),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
         problems.append(Problem("--speed", f"{job.speed:g}", "a mock rig does not run in real time: omit --speed"))
@@ -146,10 +150,10 @@ class WiredBench:
 
     job: Job
     rig: Rig
-    clock: WallClock
-    realtime: RealTime
+    clock: BenchClock
+    scheduling: SchedulingPolicy
     devices: Devices
-    telemetry: Ring
+    telemetry: Telemetry
     sinks: RecordingSinks | None
     pids: dict[str, int]
     addresses: dict[str, str]
@@ -158,8 +162,10 @@ class WiredBench:
 
     def axes_runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner without recording, which only moves the axes."""
-        rate = WallClockRate(self.clock, self.job.tick_s)
-        context = RunContext(operator, on_progress, self.realtime, self.telemetry, _FRAMES_TO_ARM)
+        step_s = self.job.tick_s
+        clock = self.clock
+        rate = WallClockRate(clock, step_s) if isinstance(clock, WallClock) else LockStepRate(clock, step_s)
+        context = RunContext(operator, on_progress, self.scheduling, self.telemetry, _FRAMES_TO_ARM)
         return assemble(self.job, self.rig, rate, self.devices, context)
 
     def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
@@ -189,25 +195,39 @@ def wired_bench(
     does not start.
     """
     rig = job.rig.value
-    with RealTime(rig.host.fifo, rig.host.cpu) as realtime:
-        _require_realtime(job.rig, realtime)
-        for line in (*map(str, realtime.refused()), *driver_warnings(rig)):
+    with (
+        _timed(job, announce) as (clock, scheduling),
+        _emulators(job, clock, announce, sinks) as (wired, emulated, addresses),
+        IoProcesses(wired, clock) as io,
+        telemetry_ring(sinks) as telemetry,
+    ):
+        for line in driver_warnings(rig):
             announce(line)
-        if rig.kind == "emulated" and job.speed > speed_held():
+        io.wait_ready()
+        for name, pid in io.pids.items():
+            announce(f"{name} process {pid}")
+        pids = {**(emulated.pids if emulated else {}), **io.pids}
+        board = emulated.board if emulated else None
+        devices = Devices(*io.devices())
+        yield WiredBench(job, wired, clock, scheduling, devices, telemetry, sinks, pids, addresses, board)
+
+
+@contextmanager
+def _timed(job: Job, announce: Callable[[str], None]) -> Iterator[tuple[BenchClock, SchedulingPolicy]]:
+    """Give the clock of a bench on wires, and the privileges of its loop, which lock-step does not need."""
+    host = job.rig.value.host
+    if host.time == "lock_step":
+        conductor = LockStepConductor(min(_GRID_S, job.tick_s), host.lock_step_timeout_s)
+        with closing(conductor), short_turns():
+            yield conductor, DefaultScheduling()
+        return
+    with RealTime(host.fifo, host.cpu) as realtime:
+        _require_realtime(job.rig, realtime)
+        for grant in realtime.refused():
+            announce(str(grant))
+        if job.rig.value.kind == "emulated" and job.speed > speed_held():
             announce(f"--speed {job.speed:g}: this computer keeps the time of an emulated rig up to {speed_held():g}")
-        clock = WallClock(speed=job.speed)
-        with (
-            _emulators(job, clock, announce, sinks) as (wired, emulated, addresses),
-            IoProcesses(wired, clock) as io,
-            telemetry_ring(sinks) as telemetry,
-        ):
-            io.wait_ready()
-            for name, pid in io.pids.items():
-                announce(f"{name} process {pid}")
-            pids = {**(emulated.pids if emulated else {}), **io.pids}
-            board = emulated.board if emulated else None
-            devices = Devices(*io.devices())
-            yield WiredBench(job, wired, clock, realtime, devices, telemetry, sinks, pids, addresses, board)
+        yield WallClock(speed=job.speed), realtime
 
 
 def _require_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
@@ -226,11 +246,9 @@ def _require_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 
 @contextmanager
-def telemetry_ring(sinks: RecordingSinks | None) -> Iterator[Ring]:
-    """Give the ring of CYCLE that other processes read; a recording has its own."""
+def telemetry_ring(sinks: RecordingSinks | None) -> Iterator[Telemetry]:
+    """Give the sink of CYCLE: that of a recording, or a ring that other processes read."""
     if sinks:
-        if not isinstance(sinks.cycles, Ring):
-            raise TypeError("a paced run is recorded by another process, from a ring")
         yield sinks.cycles
         return
     ring = Ring.create(CYCLE, TELEMETRY_ROWS)
@@ -265,7 +283,7 @@ def in_memory(
 
 @contextmanager
 def _emulators(
-    job: Job, clock: WallClock, announce: Callable[[str], None], sinks: RecordingSinks | None
+    job: Job, clock: BenchClock, announce: Callable[[str], None], sinks: RecordingSinks | None
 ) -> Iterator[tuple[Rig, EmulatedDevices | None, dict[str, str]]]:
     """Give the rig with all its wires; the emulators of an emulated rig run as long as this lasts."""
     rig = job.rig.value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from hil.config.load import load_scene
@@ -119,33 +119,47 @@ def runner(
             yield plain, MonitorResults(lambda _: None)
         return
     if rig.kind == "mock":
-        from hil.setup.docking_monitor import CameraMonitor, InLoopMonitor, MonitorSinks, monitor_recorded
+        from hil.setup.docking_monitor import CameraMonitor, InLoopMonitor, MonitorSinks
 
         scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, on_progress, announce, operator, sinks) as in_memory:
-            outlets = MonitorSinks(sinks.monitor_image_encoder(rig), sinks.portions) if sinks else MonitorSinks()
             if in_memory.loop.monitor is None or job.paced:  # to render takes longer than a cycle
-                yield (
-                    in_memory,
-                    MonitorResults(
-                        lambda outcome: monitor_recorded(scenario, scene, rig, seed, outcome.history, outlets)
-                    ),
-                )
+                yield in_memory, _after_the_run(job, sinks)
                 return
+            outlets = MonitorSinks(sinks.monitor_image_encoder(rig), sinks.portions) if sinks else MonitorSinks()
             in_loop = InLoopMonitor(CameraMonitor(scenario, scene, rig, seed, outlets), in_memory.loop.telemetry)
             in_memory.loop.telemetry = in_loop
             results = MonitorResults(lambda _: in_loop.finish(), in_loop)
             results.attach(in_memory)
             yield in_memory, results
         return
-    with (
-        build.wired_bench(job, announce, sinks) as bench,
-        beside(job, bench.telemetry, bench.clock, announce, sinks) as results,
-    ):
+    if job.waits_for_all:
+        with build.wired_bench(job, announce, sinks) as bench:
+            made = bench.runner(on_progress, operator)
+            prepare(bench, made)
+            yield made, _after_the_run(job, sinks)
+        return
+    with ExitStack() as stack:
+        bench = stack.enter_context(build.wired_bench(job, announce, sinks))
+        assert isinstance(bench.clock, WallClock)
+        assert isinstance(bench.telemetry, Ring)
+        results = stack.enter_context(beside(job, bench.telemetry, bench.clock, announce, sinks))
         made = bench.runner(on_progress, operator)
         prepare(bench, made)
         results.attach(made)
         yield made, results
+
+
+def _after_the_run(job: build.Job, sinks: RecordingSinks | None) -> MonitorResults:
+    """Return the results of a docking monitor that looks at the recorded run."""
+    scenario, rig = job.scenario.value, job.rig.value
+    if not scenario.monitor.has_images:
+        return MonitorResults(lambda _: None)
+    from hil.setup.docking_monitor import MonitorSinks, monitor_recorded
+
+    scene = load_scene(scenario.monitor.scene).value
+    outlets = MonitorSinks(sinks.monitor_image_encoder(rig), sinks.portions) if sinks else MonitorSinks()
+    return MonitorResults(lambda outcome: monitor_recorded(scenario, scene, rig, job.seed, outcome.history, outlets))
 
 
 def _rings(sinks: RecordingSinks | None) -> tuple[Ring | None, Ring | None]:

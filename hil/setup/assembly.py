@@ -141,6 +141,12 @@ class Job:
         return round(self.duration_s / self.scenario.value.step_s) + 1
 
     @property
+    def waits_for_all(self) -> bool:
+        """Whether time stands while a row is recorded: in memory, or in lock-step."""
+        rig = self.rig.value
+        return (rig.kind == "mock" and not self.paced) or rig.host.time == "lock_step"
+
+    @property
     def ticks(self) -> int:
         """Setpoints per cycle."""
         return self.rig.value.ticks(self.scenario.value.step_s)

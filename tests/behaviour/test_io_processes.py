@@ -19,11 +19,11 @@ import pytest
 
 from hil.config.load import load_rig
 from hil.config.rig import RAIL_NAMES
+from hil.core import clock
 from hil.core.clock import WallClock
 from hil.core.messages import AxisFeedback, Homing, PoseFrame
 from hil.drivers.axes import ServoAxes
 from hil.drivers.mock_axes import MockAxes
-from hil.drivers.remote import server
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import IO, SETPOINT, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.processes import IoProcesses
@@ -138,7 +138,7 @@ def sides() -> Iterator[Sides]:
     host.start()
     thread = threading.Thread(target=host.run, args=(stop,))
     thread.start()
-    requests, ended = IoRequests(here, IO), list[str]()
+    requests, ended = IoRequests(here, IO, clock), list[str]()
     link = IoLink(IO, memory, requests, clock, lambda: ended[0] if ended else "")
     rails, turntable = RemoteAxes("rails", RIG.rails, link), RemoteTurntable("turntable", RIG.turntable, link)
     made = Sides(clock, axes, unit, rails, turntable, RemotePoses(RIG.vmu, link), ended)
@@ -240,11 +240,11 @@ def test_a_process_that_was_paused_itself_says_so_for_a_second(monkeypatch: pyte
         stop.set()
         return [], [], []
 
-    monkeypatch.setattr(server.select, "select", select_after_a_pause)
+    monkeypatch.setattr(clock.select, "select", select_after_a_pause)
     assert host.own_pause() == ""
     host.run(stop)
     assert re.fullmatch(r" \(the host paused this process for \d+ ms\)", host.own_pause())
-    monkeypatch.setattr(server.time, "monotonic", lambda: time.perf_counter() + 1e6)
+    monkeypatch.setattr(clock.time, "monotonic", lambda: time.perf_counter() + 1e6)
     assert host.own_pause() == ""
     here.close()
     there.close()

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import socket
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,7 +14,7 @@ import pytest
 
 from hil.config.load import load_rig
 from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbus, ModbusAxis, Rails, Turntable
-from hil.core.clock import SimulatedClock, WallClock
+from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
 from hil.drivers.mock_axes import MockAxes
@@ -27,10 +26,10 @@ from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
 from hil.processes.io_server import IoServer
 from tests.support import example_driver
+from tests.support.lock_step import in_lock_step, serving
 
 pytestmark = pytest.mark.wires
 
-SPEED = 2.0
 RIG = load_rig("emulated").value
 RTU_RAILS = load_rig("emulated-rtu").value.rails
 GATEWAY = RIG.rails.model_copy(
@@ -77,51 +76,32 @@ def _mock(config: AxisGroupTable) -> Iterator[Backend]:
 @contextmanager
 def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
     """The selected driver against its emulator, both from the registry of drivers."""
-    clock, board, stop = WallClock(speed=SPEED), SharedAxisState.create(), threading.Event()
-    emulator = config.make_emulator(clock, board, name=config.device)
-    wired = config.connected(config.device, emulator.start())
-    thread = threading.Thread(target=emulator.run, args=(stop,))
-    thread.start()
-    device = wired.make_driver(clock, config.device)
-    try:
-        yield Backend(device, clock.now_s, lambda s: clock.sleep_until(clock.now_s() + s), *_travel(config))
-    finally:
-        device.close()
-        stop.set()
-        thread.join(5.0)
-        emulator.close()
-        board.close()
+    with in_lock_step() as clock, closing(SharedAxisState.create()) as board:
+        emulator = config.make_emulator(clock, board, name=config.device)
+        wired = config.connected(config.device, emulator.start())
+        with serving(clock, emulator), closing(wired.make_driver(clock, config.device)) as device:
+            yield Backend(device, clock.now_s, clock.sleep, *_travel(config))
 
 
 @contextmanager
 def _behind_the_io_process(config: AxisGroupTable) -> Iterator[Backend]:
     """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
-    clock, stop = WallClock(speed=SPEED), threading.Event()
     here, there = socket.socketpair()
     memory = IoSharedMemory.create()
     axes: dict[str, AxisGroup] = {
         "rails": MockAxes("rails", RIG.rails),
         "turntable": MockAxes("turntable", RIG.turntable),
     }
-    host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
-    host.start()
-    thread = threading.Thread(target=host.run, args=(stop,))
-    thread.start()
-    requests = IoRequests(here, IO)
-    link = IoLink(IO, memory, requests, clock, lambda: "")
-    device = RemoteAxes(config.device, config, link)
-    try:
-        yield Backend(device, clock.now_s, lambda s: _pass(device, clock, s), *_travel(config))
-    finally:
-        device.close()
-        stop.set()
-        thread.join(5.0)
-        host.close()
-        requests.close()
-        memory.close()
+    with in_lock_step() as clock, closing(memory):
+        host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
+        host.start()
+        with serving(clock, host, Order.IO), closing(IoRequests(here, IO, clock)) as requests:
+            link = IoLink(IO, memory, requests, clock, lambda: "")
+            with closing(RemoteAxes(config.device, config, link)) as device:
+                yield Backend(device, clock.now_s, partial(_pass, device, clock), *_travel(config))
 
 
-def _pass(device: RemoteAxes, clock: WallClock, seconds: float) -> None:
+def _pass(device: RemoteAxes, clock: BenchClock, seconds: float) -> None:
     """Let time pass as a loop does: with a look at the device in each cycle."""
     end_s = clock.now_s() + seconds
     while clock.now_s() < end_s:

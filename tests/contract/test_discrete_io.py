@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
 import pytest
 
 from hil.config.io import Io
-from hil.core.clock import SimulatedClock, WallClock
+from hil.core.clock import Order, SimulatedClock
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo
 from hil.drivers.io.driver import ModbusIo
 from hil.drivers.io.emulator import IoEmulator
 from hil.drivers.io.mock import MockIo
 from hil.errors import DeviceError, LinkTimeout
+from tests.support.lock_step import in_lock_step, serving
 
 pytestmark = pytest.mark.wires
 
@@ -89,29 +88,21 @@ def _mock() -> Iterator[Backend]:
 
 @contextmanager
 def _on_the_wire() -> Iterator[Backend]:
-    clock, stop = WallClock(), threading.Event()
-    emulator = IoEmulator(config("modbus"), clock, lambda closed, t_s: None)
-    port = int(emulator.start()["io"].rpartition(":")[2])
-    thread = threading.Thread(target=emulator.run, args=(stop,))
-    thread.start()
-    io = ModbusIo(config("modbus", port=port), clock)
-    faults = emulator.faults
-    try:
-        yield Backend(
-            io,
-            clock.now_s,
-            time.sleep,
-            lambda pressed: faults.on("estop") if pressed else faults.off("estop"),
-            lambda is_open: faults.on("interlock", "door") if is_open else faults.off("interlock", "door"),
-            lambda off: faults.on("local_enable_off") if off else faults.off("local_enable_off"),
-            lambda: emulator.coupler.thrusters,
-            lambda: faults.on("link_down"),
-        )
-    finally:
-        io.close()
-        stop.set()
-        thread.join(5.0)
-        emulator.close()
+    with in_lock_step() as clock:
+        emulator = IoEmulator(config("modbus"), clock, lambda closed, t_s: None)
+        port = int(emulator.start()["io"].rpartition(":")[2])
+        faults = emulator.faults
+        with serving(clock, emulator, Order.COUPLER), closing(ModbusIo(config("modbus", port=port), clock)) as io:
+            yield Backend(
+                io,
+                clock.now_s,
+                clock.sleep,
+                lambda pressed: faults.on("estop") if pressed else faults.off("estop"),
+                lambda is_open: faults.on("interlock", "door") if is_open else faults.off("interlock", "door"),
+                lambda off: faults.on("local_enable_off") if off else faults.off("local_enable_off"),
+                lambda: emulator.coupler.thrusters,
+                lambda: faults.on("link_down"),
+            )
 
 
 BACKENDS = {"mock": _mock, "modbus": _on_the_wire}

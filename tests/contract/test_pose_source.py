@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,17 +12,17 @@ import pytest
 
 from hil.config.load import load_rig
 from hil.config.rig import VmuLine
-from hil.core.clock import SimulatedClock, WallClock
+from hil.core.clock import Order, SimulatedClock
 from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
 from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, LinkTimeout
+from tests.support.lock_step import in_lock_step, serving
 
 pytestmark = pytest.mark.wires
 
-SPEED = 2.0
 CONFIG = load_rig("emulated").value.vmu
 COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 4e-7, 5e-7, 6e-7])
 
@@ -67,19 +67,12 @@ def _mock() -> Iterator[Backend]:
 
 @contextmanager
 def _on_the_wire() -> Iterator[Backend]:
-    clock, stop = WallClock(speed=SPEED), threading.Event()
-    emulator = VmuEmulator(CONFIG, clock, _pose_at)
-    path = emulator.start()["vmu"]
-    thread = threading.Thread(target=emulator.run, args=(stop,))
-    thread.start()
-    source = Rs422Vmu(CONFIG.model_copy(update={"rs422": VmuLine(port=path)}), clock)
-    try:
-        yield Backend(source, clock.now_s, lambda s: clock.sleep_until(clock.now_s() + s), stop.set)
-    finally:
-        source.close()
-        stop.set()
-        thread.join(5.0)
-        emulator.close()
+    stop = threading.Event()
+    with in_lock_step() as clock:
+        emulator = VmuEmulator(CONFIG, clock, _pose_at)
+        wired = CONFIG.model_copy(update={"rs422": VmuLine(port=emulator.start()["vmu"])})
+        with serving(clock, emulator, Order.CAMERAS, stop), closing(Rs422Vmu(wired, clock)) as source:
+            yield Backend(source, clock.now_s, clock.sleep, stop.set)
 
 
 BACKENDS = {"mock": _mock, "rs422": _on_the_wire}

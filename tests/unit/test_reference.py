@@ -8,6 +8,7 @@ from pydantic import BaseModel
 
 from docs import generate
 from hil.cli.main import COMMANDS, GROUPS
+from hil.config import key_reference
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
@@ -23,7 +24,7 @@ MODELS = (Scenario, Rig, VmuGeometry, Scene, Protocol, VmuFrame)
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
 def test_every_key_has_a_meaning_and_every_table_a_description(model: type[BaseModel]) -> None:
-    tables = generate.tables(model)
+    tables = key_reference.tables(model)
     assert [f"{table.model.__name__}.{key.name}" for table in tables for key in table.keys if not key.meaning] == []
     assert [table.model.__name__ for table in tables if not table.model.__doc__] == []
 
@@ -35,11 +36,11 @@ def test_a_number_needs_a_unit_in_its_name() -> None:
         speed: float
 
     with pytest.raises(ValueError, match="speed: a key with a number needs a unit"):
-        generate.tables(Table)
+        key_reference.tables(Table)
 
 
 def test_a_key_shows_type_unit_range_and_default() -> None:
-    rows = {key.name: key for table in generate.tables(Rig) for key in table.keys}
+    rows = {key.name: key for table in key_reference.tables(Rig) for key in table.keys}
     assert rows["lead_s"][1:5] == ("number", "s", "from -0.2 to 0.2", "`0.0`")
     assert rows["gimbal_order"].allowed.startswith('`"zyx"`, `"zxy"`')
     assert rows["travel_m"][1:3] == ("number[2]", "m")

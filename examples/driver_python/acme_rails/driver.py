@@ -8,9 +8,10 @@ import serial
 from acme_rails import codec
 from acme_rails.codec import Response, Status
 from hil.config.rig import Rails
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import HOMED, Array, AxisFeedback
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
+from hil.drivers.serial_port import open_serial
 from hil.errors import DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
 
 RESPONSE_S = 0.05  # bench time for one response
@@ -23,7 +24,7 @@ class AcmeLink:
     has_profiles = False
     jogging = False
 
-    def __init__(self, config: Rails, clock: WallClock, name: str) -> None:
+    def __init__(self, config: Rails, clock: BenchClock, name: str) -> None:
         self._name = name
         self._settings = config.settings
         self._timeout_s = config.timeout_s
@@ -37,7 +38,9 @@ class AcmeLink:
     def open(self) -> AxisFeedback:
         """Open the port, check the model, enable the drives."""
         try:
-            self._port = serial.Serial(self._settings.port, self._settings.baud, timeout=0.0, write_timeout=0.3)
+            self._port = open_serial(
+                self._clock, self._settings.port, self._settings.baud, timeout=0.0, write_timeout=0.3
+            )
         except (OSError, ValueError) as error:
             raise LinkLost(self._name, f"cannot open {self._settings.port}: {error}") from error
         self._stopped = False
@@ -135,5 +138,5 @@ class AcmeLink:
 class AcmeRails(CyclicAxisGroup):
     """AxisGroup of the rails on the port of ``[rails.acme]``."""
 
-    def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
+    def __init__(self, config: Rails, clock: BenchClock, name: str = "rails") -> None:
         super().__init__(config, clock, AcmeLink(config, clock, name), name)

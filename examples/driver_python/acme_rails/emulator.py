@@ -8,7 +8,7 @@ import threading
 from acme_rails import codec
 from acme_rails.codec import Status
 from hil.config.rig import Rails
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.emulated_axes import STEP_S, EmulatedAxes
 from hil.drivers.fault_injection import FaultyChannel
 from hil.drivers.pty_line import PtyLine
@@ -22,7 +22,7 @@ class AcmeEmulator:
     """Controller of x, y, z. ``shared`` publishes where the axes are, for the emulated vision unit."""
 
     def __init__(
-        self, config: Rails, clock: WallClock, shared: SharedAxisState, seed: int = 0, name: str = "rails"
+        self, config: Rails, clock: BenchClock, shared: SharedAxisState, seed: int = 0, name: str = "rails"
     ) -> None:
         self._clock = clock
         self._baud = config.settings.baud

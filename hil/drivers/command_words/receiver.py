@@ -10,6 +10,7 @@ from typing import Final, Protocol
 import serial
 
 from hil.config.flight_computer import FlightComputer
+from hil.core.clock import WallClock
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can
 from hil.drivers.latest import Latest
 from hil.errors import LinkLost
@@ -64,7 +65,7 @@ class CanWords:
         from hil.drivers.turntable.cia402.can_port import CanPort  # python-can is slow to import
 
         self._identifier = config.can.identifier
-        self._port = CanPort(NAME, config.can)
+        self._port = CanPort(NAME, config.can, WallClock())
         self._refused = 0
 
     @property

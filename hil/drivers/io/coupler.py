@@ -14,7 +14,7 @@ from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from hil.config.io import Io
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Function, LineMap
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
@@ -33,7 +33,7 @@ class Coupler:
     timeout_s: bench time for a response.
     """
 
-    def __init__(self, config: Io, lines: LineMap, timeout_s: float, clock: WallClock) -> None:
+    def __init__(self, config: Io, lines: LineMap, timeout_s: float, clock: BenchClock) -> None:
         self._lines = lines
         self._identity = config.identity
         self._address = f"{config.host}:{config.port}"

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-import threading
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final
 
 from hil.config.io import Io
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, Order
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import LineMap
@@ -26,6 +25,7 @@ from hil.errors import DriveFault, LinkLost
 IDLE_PERIOD_S: Final = 0.02  # between exchanges while nothing changes
 _OFF: Final = IoOutputs(False, b"")
 _OPENING_TIME_S: Final = 0.5
+_OPENING_POLL_WALL_S: Final = 0.001
 _STOP_WAIT_WALL_S: Final = 0.08
 
 
@@ -36,7 +36,9 @@ class ModbusIo(LoopThread):
     between the first request and the last answer of an exchange.
     """
 
-    def __init__(self, config: Io, clock: WallClock) -> None:
+    _order = Order.COUPLER_DRIVER
+
+    def __init__(self, config: Io, clock: BenchClock) -> None:
         self.name = NAME
         self._config = config
         self._clock = clock
@@ -49,7 +51,7 @@ class ModbusIo(LoopThread):
         self._thrusters = b""
         self._thrusters_s = math.nan
         self._stopped = True
-        self._is_off = threading.Event()
+        self._is_off = clock.event()
 
     def open(self, now_s: float) -> None:
         """Connect, check the identity, set all outputs off, read the inputs."""
@@ -117,7 +119,7 @@ class ModbusIo(LoopThread):
             await coupler.identify()
             await self._begin(coupler)
             opened.set_result(None)
-            idle_wall_s = self._clock.wall_s(self._clock.paced_s(IDLE_PERIOD_S))
+            idle_wall_s = self._clock.idle_s(self._clock.paced_s(IDLE_PERIOD_S))
             while not self._closing:
                 with suppress(TimeoutError):  # nothing changed: exchange all the same
                     async with asyncio.timeout(idle_wall_s):
@@ -138,7 +140,7 @@ class ModbusIo(LoopThread):
             if self._clock.now_s() > deadline_s:
                 text = f"the safety chain is closed {_OPENING_TIME_S:g} s after enable went off: contacts or wiring"
                 raise DriveFault(NAME, text)
-            await asyncio.sleep(0.0)
+            await asyncio.sleep(_OPENING_POLL_WALL_S)
             await self._exchange(coupler)
 
     async def _exchange(self, coupler: Coupler) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from hil.config.io import Io
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Image, LineMap, respond
@@ -16,7 +16,7 @@ from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.drivers.shared_state import ChainState
 from hil.maths.random_streams import stream
 
-STEP_S: Final = 0.004  # between two updates of the relay, as WallClock.paced_s
+STEP_S: Final = 0.004  # between two updates of the relay, as BenchClock.paced_s
 IDENTITY: Final = ("hil", "io-coupler", "1.0")
 BUTTONS: Final = {
     "estop": InjectableFault("the emergency stop is pressed"),
@@ -96,7 +96,7 @@ class IoEmulator(ModbusTcpEmulator):
     wall time, as it does in real time: emulator and pump are programs of this computer.
     """
 
-    def __init__(self, config: Io, clock: WallClock, publish: PublishChain, seed: int = 0) -> None:
+    def __init__(self, config: Io, clock: BenchClock, publish: PublishChain, seed: int = 0) -> None:
         super().__init__(clock, clock.paced_s(STEP_S))
         self._publish = publish
         self._device_id = config.device_id

@@ -13,4 +13,5 @@ ENTRY: Final = DriverEntry(
     emulator="hil.drivers.io.emulator:IoEmulator",
     wires=[WireKey("", "tcp")],
     identity=lambda io: io.identity.model_dump(exclude_none=True),
+    keeps_bench_time=lambda table: True,
 )

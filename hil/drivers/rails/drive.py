@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterBlock, RegisterMap, State, Status
 from hil.drivers.rails.frames import READ_WRITE
 from hil.drivers.rails.modbus_bus import ModbusBus
@@ -38,7 +38,7 @@ class Drive:
     """One drive; requires a running event loop. rate_max_mps: highest rate of its axis."""
 
     def __init__(
-        self, name: str, wire: ModbusDevice, register_map: RegisterMap, rate_max_mps: float, clock: WallClock
+        self, name: str, wire: ModbusDevice, register_map: RegisterMap, rate_max_mps: float, clock: BenchClock
     ) -> None:
         self.name = name
         self.failed = False

@@ -9,7 +9,6 @@ lost or damaged response is retried; when one drive fails the others are stopped
 from __future__ import annotations
 
 import asyncio
-import threading
 from collections.abc import Awaitable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -18,7 +17,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from hil.config.rig import Rails
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
@@ -46,7 +45,7 @@ class ModbusRails(LoopThread):
     response. name: of the device, for errors.
     """
 
-    def __init__(self, config: Rails, clock: WallClock, name: str = "rails") -> None:
+    def __init__(self, config: Rails, clock: BenchClock, name: str = "rails") -> None:
         self.name = name
         self.axis_names = full_names(name, config.axis_names)
         self._config = config
@@ -65,7 +64,7 @@ class ModbusRails(LoopThread):
         self._disabled = False
         self._stop_was_called = False
         self._jogging = False
-        self._all_stopped = threading.Event()
+        self._all_stopped = clock.event()
         self._drives: list[Drive] = []
         self._limiters: list[SetpointLimiter] = []
         self._pacer = ExchangePacer(config.exchanges_max_hz)
@@ -187,7 +186,7 @@ class ModbusRails(LoopThread):
                     wire.bus.close()
 
     async def _serve(self) -> None:
-        idle_wall_s = self._clock.wall_s(IDLE_PERIOD_S)
+        idle_wall_s = self._clock.idle_s(IDLE_PERIOD_S)
         while not self._closing:
             with suppress(TimeoutError):  # no setpoint: exchange all the same
                 async with asyncio.timeout(idle_wall_s):

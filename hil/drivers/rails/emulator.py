@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import RAIL_NAMES, Rails
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.base import full_names
 from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel, FaultyWire
@@ -31,7 +31,7 @@ class EmulatedRails:
     def __init__(
         self,
         config: Rails,
-        clock: WallClock,
+        clock: BenchClock,
         shared: SharedAxisState,
         chain: ReadChain | None = None,
         seed: int = 0,
@@ -72,7 +72,7 @@ class RailsEmulator(ModbusTcpEmulator):
     are those of ``EmulatedRails``.
     """
 
-    def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
+    def __init__(self, config: Rails, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         super().__init__(clock, clock.paced_s(STEP_S))
         self._config = config
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
@@ -85,9 +85,9 @@ class RailsEmulator(ModbusTcpEmulator):
         axes = tcp_axes(self._config)
         for index, axis in enumerate(axes):
             groups.setdefault(index if axis.port is None else (axis.host, axis.port), []).append(index)
-        wire = FaultyWire(self.faults, self._rails.wire_noise)
-        for group in groups.values():
+        for group, noise in zip(groups.values(), self._rails.wire_noise.spawn(len(groups)), strict=True):
             server = self._rails.server({index: axes[index].device_id for index in group}, tcp=True)
+            wire = FaultyWire(self.faults, noise)
             self._ports.append(ModbusTcpPort(server.feed, wire, self._clock))
         self._listen()
         ports = {index: port for port, group in zip(self._ports, groups.values(), strict=True) for index in group}
@@ -103,7 +103,7 @@ class RailsEmulator(ModbusTcpEmulator):
 class RtuRailsEmulator:
     """Three drives on one serial line, a pseudo terminal with the timing of the real line."""
 
-    def __init__(self, config: Rails, clock: WallClock, shared: SharedAxisState, **kwargs: Any) -> None:
+    def __init__(self, config: Rails, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         self._clock = clock
         self._rtu = config.rtu or ModbusRtu()
         self._rails = EmulatedRails(config, clock, shared, **kwargs)

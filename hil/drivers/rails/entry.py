@@ -65,6 +65,7 @@ TCP: Final = DriverEntry(
     wires=[WireKey(f"modbus.{name}", "tcp", name) for name in RAIL_NAMES],
     check=_check_tcp,
     identity=_identity,
+    keeps_bench_time=lambda table: True,
 )
 RTU: Final = DriverEntry(
     "rails",
@@ -76,4 +77,5 @@ RTU: Final = DriverEntry(
     check=_check_rtu,
     identity=_identity,
     setpoints_hz=_rtu_setpoints_hz,
+    keeps_bench_time=lambda table: True,
 )

@@ -19,8 +19,9 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
 
 from hil.config.rail_wires import ModbusRtu
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.rails.frames import READ, READ_WRITE, WRITE_ONE, Counters, Expected, ModbusFrame, ResponseMatcher
+from hil.drivers.serial_port import url_of
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PARITY: Final = {"none": "N", "even": "E", "odd": "O"}
@@ -82,7 +83,7 @@ class ModbusBus:
     """
 
     def __init__(
-        self, label: str, tcp: bool, counters: Counters, clock: WallClock, exchange_s: float = 0.0, gap_s: float = 0.0
+        self, label: str, tcp: bool, counters: Counters, clock: BenchClock, exchange_s: float = 0.0, gap_s: float = 0.0
     ) -> None:
         self.label = label
         self.tcp = tcp
@@ -99,7 +100,7 @@ class ModbusBus:
         self._connecting: asyncio.Task[bool] | None = None
 
     @classmethod
-    def to_host(cls, host: str, port: int, counters: Counters, clock: WallClock) -> ModbusBus:
+    def to_host(cls, host: str, port: int, counters: Counters, clock: BenchClock) -> ModbusBus:
         """Return a bus over TCP."""
         line = cls(f"{host}:{port}", True, counters, clock)
         line._client = AsyncModbusTcpClient(
@@ -115,12 +116,12 @@ class ModbusBus:
 
     @classmethod
     def on_port(
-        cls, port: str, config: ModbusRtu, exchange_s: float, counters: Counters, clock: WallClock
+        cls, port: str, config: ModbusRtu, exchange_s: float, counters: Counters, clock: BenchClock
     ) -> ModbusBus:
         """Return a bus on a serial port."""
         line = cls(port, False, counters, clock, exchange_s, config.gap_s)
         line._client = AsyncModbusSerialClient(
-            port,
+            url_of(clock, port),
             baudrate=config.baud,
             parity=_PARITY[config.parity],
             stopbits=config.stopbits,

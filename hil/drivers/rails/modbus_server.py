@@ -15,7 +15,7 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.simulator import DataType, SimData, SimDevice
 from pymodbus.simulator.simcore import SimCore
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S, EmulatedAxes
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, State, Status
@@ -122,7 +122,7 @@ class EmulatedRailDrive:
 class DriveAccess:
     """Access of the Modbus registers to one drive."""
 
-    def __init__(self, drive: EmulatedRailDrive, register_map: RegisterMap, clock: WallClock) -> None:
+    def __init__(self, drive: EmulatedRailDrive, register_map: RegisterMap, clock: BenchClock) -> None:
         self.map = register_map
         self._drive = drive
         self._clock = clock

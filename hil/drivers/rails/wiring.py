@@ -6,7 +6,7 @@ from typing import Final
 
 from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import Modbus, ModbusAxis, Rails
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.rails.drive import ATTEMPTS, ModbusDevice
 from hil.drivers.rails.frames import Counters
 from hil.drivers.rails.modbus_bus import ModbusBus
@@ -15,7 +15,7 @@ from hil.drivers.rails.modbus_bus import ModbusBus
 ATTEMPT_MAX_S: Final = 0.2
 
 
-def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: WallClock) -> list[ModbusDevice]:
+def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: BenchClock) -> list[ModbusDevice]:
     """Return the wires of x, y, z, not connected yet. Requires a running event loop.
 
     timeout_s: within which a dead wire is reported.

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.config.io import Io
 from hil.config.rig import Rails, Turntable, Vmu
-from hil.core.clock import Clock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
@@ -33,7 +33,7 @@ class IoLink:
     """
 
     def __init__(
-        self, name: str, memory: IoSharedMemory, requests: IoRequests, clock: Clock, exit_status: Callable[[], str]
+        self, name: str, memory: IoSharedMemory, requests: IoRequests, clock: BenchClock, exit_status: Callable[[], str]
     ) -> None:
         self.memory = memory
         self.requests = requests
@@ -69,7 +69,7 @@ class IoLink:
 
     def wake(self) -> None:
         """Let the process start its next period at once."""
-        self.memory.wake(self._name)
+        self.clock.wake(self._name, self.memory.wakes[self._name])
 
 
 class _RemoteDevice:
@@ -186,8 +186,9 @@ class RemoteAxes(_RemoteDevice):
 
     def read(self, now_s: float) -> AxisFeedback:
         """Return the newest feedback. Raises LinkTimeout when it is older than ``timeout_s``."""
+        if self._is_open:  # also while the device reports a failure: the loop is alive
+            self._link.beat(now_s, watched=not self._disabled)
         self._check(now_s)
-        self._link.beat(now_s, watched=not self._disabled)
         box = self._block[f"{self.name}.feedback"]
         if box.written > self._received:
             self._received, _ = box.read(self._feedback)

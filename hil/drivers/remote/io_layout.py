@@ -101,10 +101,6 @@ class IoSharedMemory:
     def descriptors(self) -> tuple[int, int, int, int]:
         return self.block.descriptor, self.frames.descriptor, self.wakes[IO], self.wakes[WATCHDOG]
 
-    def wake(self, name: str) -> None:
-        """Let IO or WATCHDOG start its next period at once; never waits."""
-        os.eventfd_write(self.wakes[name], 1)
-
     def close(self) -> None:
         """Release the memory; idempotent."""
         while self.wakes:

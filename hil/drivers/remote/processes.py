@@ -7,41 +7,41 @@ from typing import Final, Self
 
 from hil.config.rig import Rig
 from hil.core.child_process import ChildProcess
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, Order
 from hil.drivers.base import DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import IO, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
 
 _READY_WALL_S: Final = 60.0
+_ORDERS: Final = {IO: Order.IO, WATCHDOG: Order.WATCHDOG}
 _MODULES: Final = {IO: "hil.processes.io_server", WATCHDOG: "hil.processes.watchdog"}
 
 
 class _ChildLink:
     """One of the processes, its requests and its link."""
 
-    def __init__(self, name: str, rig: Rig, clock: WallClock, memory: IoSharedMemory) -> None:
+    def __init__(self, name: str, rig: Rig, clock: BenchClock, memory: IoSharedMemory) -> None:
         here, there = socket.socketpair()
         configuration = {
             "rig": rig.model_dump(mode="json"),
-            "epoch_ns": clock.epoch_ns,
-            "speed": clock.speed,
+            "clock": clock.configuration(_ORDERS[name], name),
             "descriptors": memory.descriptors,
             "requests": there.fileno(),
         }
-        descriptors = (*memory.descriptors, there.fileno())
+        descriptors = (*memory.descriptors, *clock.descriptors, there.fileno())
         try:
             self.child = ChildProcess(f"{name} process", _MODULES[name], configuration, descriptors)
         finally:
             there.close()
-        self.requests = IoRequests(here, name)
+        self.requests = IoRequests(here, name, clock)
         self.link = IoLink(name, memory, self.requests, clock, self.child.exit_status)
 
 
 class IoProcesses:
     """Starts the processes that ``rig`` needs; ``close`` ends them, and they stop the bench first."""
 
-    def __init__(self, rig: Rig, clock: WallClock) -> None:
+    def __init__(self, rig: Rig, clock: BenchClock) -> None:
         self._rig = rig
         self._clock = clock
         self._memory = IoSharedMemory.create()

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import os
-import select
 import socket
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock, Order, WallClock
 from hil.core.host_pauses import HostPauses, pause_text
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
+from hil.drivers.remote.requests import RequestLine
 from hil.errors import BenchError
 
 LOOP_SILENCE_MAX_S: Final = 0.05
@@ -30,8 +27,13 @@ _COUNTERS_EVERY: Final = 50  # periods
 _BEAT_WALL_S: Final = 0.004  # least time between two heartbeats: a setpoint may start a period at any time
 
 
-def raise_priority() -> None:
-    """Schedule this thread, and those it starts, before everything but the loop, if the system allows it."""
+def raise_priority(clock: BenchClock) -> None:
+    """Schedule this thread, and those it starts, before everything but the loop, if the system allows it.
+
+    Without effect in lock-step, which has no deadlines.
+    """
+    if not isinstance(clock, WallClock):
+        return
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     take_fifo(FIFO_PRIORITY)
 
@@ -60,16 +62,16 @@ class DeviceServer:
         devices: Mapping[str, Device],
         memory: IoSharedMemory,
         requests: socket.socket,
-        clock: WallClock,
+        clock: BenchClock,
         name: str,
         period_wall_s: float = 0.001,
     ) -> None:
         self.memory = memory
         self.clock = clock
         self.served: set[str] = set()
-        self._period_wall_s = period_wall_s
+        self._period_wall_s = clock.poll_s(period_wall_s)
         self._devices = devices
-        self._requests = requests
+        self._requests = RequestLine(requests, clock, name, 0)
         self._beat = memory.block[name]
         self._wake = memory.wakes[name]
         self._heartbeat = np.zeros(1, io_layout.HEARTBEAT)
@@ -82,33 +84,32 @@ class DeviceServer:
     def start(self) -> dict[str, str]:
         """Accept requests; no device is opened before the loop requests it."""
         self._beat.write(self._heartbeat, self.clock.now_s())
-        threading.Thread(target=self._handle_requests, name="requests", daemon=True).start()
+        self.clock.start_thread(self._handle_requests, "requests", Order.REQUESTS)
         return {}
 
     def run(self, stop: threading.Event) -> None:
         """Serve until ``stop`` is set."""
         periods = 0
-        stepped_s = beat_s = time.monotonic()
+        stepped_s = beat_s = self.clock.host_s()
         while not stop.is_set():
-            ready, _, _ = select.select([self._wake], [], [], self._period_wall_s)
-            if ready:
-                with contextlib.suppress(BlockingIOError):
-                    os.eventfd_read(self._wake)
-            wall_s = time.monotonic()
+            self.clock.wait_wake(self._wake, self._period_wall_s)
+            wall_s = self.clock.host_s()
             self._pauses.note(wall_s - stepped_s - self._period_wall_s, wall_s)
             now_s = self.clock.now_s()
             if wall_s - beat_s >= _BEAT_WALL_S:
                 beat_s = wall_s
                 self._beat.write(self._heartbeat, now_s)
             self.step(now_s)
-            stepped_s = time.monotonic()
+            stepped_s = self.clock.host_s()
             periods += 1
             if periods % _COUNTERS_EVERY == 0:
                 for name in tuple(self.served):
                     self._write_counters(name, now_s)
 
     def close(self) -> None:
-        """Close all devices."""
+        """Stop and close all devices."""
+        self.clock.release()
+        self.stop_all(self.clock.now_s())
         for device in self._devices.values():
             device.close()
 
@@ -116,12 +117,15 @@ class DeviceServer:
         """Do the work of one period."""
         raise NotImplementedError
 
+    def stop_all(self, now_s: float) -> None:
+        """Stop what the devices move or switch."""
+
     def on_opened(self, name: str) -> None:
         """Act on the opening of a device, before the request is answered."""
 
     def own_pause(self) -> str:
         """Return the recent pause of this process, as an addition to the text of an alarm; "" without one."""
-        return pause_text("this process", self._pauses.recent_s(time.monotonic()))
+        return pause_text("this process", self._pauses.recent_s(self.clock.host_s()))
 
     def silence_s(self, sender: str, now_s: float) -> float:
         """Return the time, s of wall time, since the last heartbeat of ``sender``; 0 while none is due."""
@@ -138,7 +142,7 @@ class DeviceServer:
 
     def stop_in_thread(self, stop: Stop, now_s: float) -> None:
         """Call ``stop`` in a thread: it may take longer than a period, and the heartbeat must continue."""
-        threading.Thread(target=stop, args=(now_s,), name="stop", daemon=True).start()
+        self.clock.start_thread(lambda: stop(now_s), "stop", Order.REQUESTS)
 
     def fail(self, name: str, error: BenchError, now_s: float) -> None:
         """Report the failure to the loop; the device is not served any more until it is opened again."""
@@ -152,13 +156,10 @@ class DeviceServer:
 
     def _handle_requests(self) -> None:
         """Answer requests one after the other, until the loop closes its end of the socket."""
-        with self._requests, self._requests.makefile("rwb") as lines:
-            for line in lines:
-                request = json.loads(line)
-                answer = self._handle(request["do"], request["device"])
-                with contextlib.suppress(OSError):
-                    lines.write(json.dumps(answer).encode() + b"\n")
-                    lines.flush()
+        with contextlib.suppress(OSError, ValueError):  # the loop has ended
+            while (request := self._requests.receive()) is not None:
+                self._requests.send(self._handle(request["do"], request["device"]))
+        self._requests.close()
 
     def _handle(self, do: str, name: str) -> dict[str, Any]:
         device, now_s = self._devices[name], self.clock.now_s()

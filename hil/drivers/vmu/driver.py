@@ -11,9 +11,10 @@ from typing import Final
 import serial
 
 from hil.config.rig import Vmu, VmuLine
-from hil.core.clock import Clock
+from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
 from hil.drivers.latest import Latest
+from hil.drivers.serial_port import open_serial
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded
 from hil.drivers.vmu.frame_codec import frame_codec
@@ -42,7 +43,7 @@ class Rs422Vmu:
     fastest frames: the smallest recent difference of reception and time stamp, less line time and ``processing_s``.
     """
 
-    def __init__(self, config: Vmu, clock: Clock) -> None:
+    def __init__(self, config: Vmu, clock: BenchClock) -> None:
         self.name = NAME
         self._timeout_s = config.timeout_s
         self._line = config.rs422 or VmuLine()
@@ -78,16 +79,18 @@ class Rs422Vmu:
         if self._line.port is None:
             raise LinkLost(self.name, "rs422.port is not set")
         try:
-            self._port = serial.Serial(self._line.port, self._line.baud, timeout=_READ_WALL_S, exclusive=True)
-            self._port.reset_input_buffer()  # pending bytes have an unknown time of reception
+            # pending bytes, which it discards, have an unknown time of reception
+            self._port = open_serial(
+                self._clock, self._line.port, self._line.baud, timeout=_READ_WALL_S, exclusive=True
+            )
         except Exception as cause:  # pyserial: OSError, ValueError (baud), termios.error
             self.close()
             raise LinkLost(self.name, f"cannot open {self._line.port}: {cause}") from cause
         with contextlib.suppress(ValueError):  # not supported by all UART drivers; FTDI chips add 16 ms otherwise
             self._port.set_low_latency_mode(True)
         self._received.put(True, now_s)
-        self._reader = threading.Thread(target=self._read, args=(self._port,), name="vmu-reader", daemon=True)
-        self._reader.start()
+        port = self._port
+        self._reader = self._clock.start_thread(lambda: self._read(port), "vmu-reader")
         try:
             self._check_identity(now_s)
         except DeviceError:
@@ -103,7 +106,7 @@ class Rs422Vmu:
             self._received.check()
             if self._clock.now_s() - now_s > _IDENTITY_WAIT_S:
                 raise LinkTimeout(self.name, f"no identity frame within {_IDENTITY_WAIT_S:g} s{self._hint()}")
-            self._ending.wait(_LOOK_WALL_S)
+            self._clock.sleep(_LOOK_WALL_S)
         for name, text in wanted.items():
             if getattr(found, name) != text:
                 raise ProtocolError(self.name, f"wrong unit: {name} {getattr(found, name)!r}, expected {text!r}")
@@ -145,7 +148,7 @@ class Rs422Vmu:
         with contextlib.suppress(Exception):  # the port may be gone already; that is what is wanted
             port.cancel_read()
         if reader is not None:
-            reader.join(_READ_WALL_S)
+            self._clock.join(reader, _READ_WALL_S)
         with contextlib.suppress(Exception):
             port.close()
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from hil.config.rig import Vmu, VmuLine
 from hil.config.vmu_frame import BUILT_IN
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.pty_line import PtyLine
@@ -39,7 +39,7 @@ class VmuEmulator:
     def __init__(
         self,
         config: Vmu,
-        clock: WallClock,
+        clock: BenchClock,
         pose_at: Callable[[float], PoseFrame | None],
         transport: Transport | None = None,
         seed: int = 0,
@@ -123,5 +123,6 @@ class VmuEmulator:
         return self._frame
 
     def _wait(self, t_s: float, stop: threading.Event) -> bool:
-        """Wait until bench time ``t_s``; return True at once when ``stop`` is set."""
-        return stop.wait(max(0.0, self._clock.wall_s(t_s - self._clock.now_s())))
+        """Wait until bench time ``t_s``; return whether ``stop`` is set."""
+        self._clock.sleep_until(t_s)
+        return stop.is_set()

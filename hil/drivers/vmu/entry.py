@@ -40,6 +40,7 @@ ENTRY: Final = DriverEntry(
     check_files=_check_files,
     identity=lambda vmu: vmu.identity.model_dump(exclude_none=True),
     setpoints_hz=_frames_hz,
+    keeps_bench_time=lambda table: True,
 )
 
 CAMERAS: Final = DriverEntry(

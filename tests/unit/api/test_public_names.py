@@ -109,7 +109,8 @@ def test_rig_objects_take_overrides_of_the_rig_only() -> None:
         (lambda: hil.run("scheme-1", duration_s="3"), "duration_s: '3': must be a number above 0"),
         (
             lambda: hil.run("scheme-1", overrides={"gnc.control.deadband": 1}),
-            "overrides: gnc.control.deadband: unknown key: the unit is part of the name, here it is deadband_deg",
+            "overrides: gnc.control.deadband: unknown key: the unit is part of the name, here it is deadband_deg or "
+            "deadband_m",
         ),
         (lambda: hil.run("scheme-1", overrides={"duration_s": object()}), "overrides: duration_s: <object"),
         (lambda: hil.run("scheme-1", overrides={"duration_s": [object()]}), "overrides: duration_s: <object"),

@@ -114,7 +114,7 @@ def test_unknown_key_that_resembles_nothing_is_refused_with_the_known_ones(write
 )
 def test_wrong_unit_is_refused_with_the_right_one(write: Write, table: str, wrong: str, right: str) -> None:
     found = scenario_problems(write(f"[{table}]\n{wrong} = 200.0"))
-    assert f"here it is {right}" in found[f"{table}.{wrong}"].message
+    assert f"did you mean {right} = " in found[f"{table}.{wrong}"].message
 
 
 def test_missing_key_is_named_with_its_unit(write: Write) -> None:

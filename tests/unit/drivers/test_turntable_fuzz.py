@@ -14,6 +14,7 @@ import pytest
 
 from hil.config.load import load_protocol, load_rig
 from hil.config.rig import Cia402
+from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
@@ -203,7 +204,7 @@ def test_mutated_sdo_replies(count, monkeypatch):
     dice = random.Random(17)
     port = SpoiltPort(dice)
     port.drive.status = lambda now_s: []
-    setup = DriveSetup(port, PortNetwork(port), 1, "turntable.roll", Eds(SHIPPED), lambda *_: None)
+    setup = DriveSetup(port, PortNetwork(port), 1, "turntable.roll", Eds(SHIPPED), lambda *_: None, WallClock())
     for _ in range(count // 10):  # ten mutated bytes a transfer
         index = dice.choice([codec.DEVICE_TYPE, codec.MODE_DISPLAY, codec.HEARTBEAT_PRODUCER, codec.FIRMWARE])
         error = raised_by(setup._text if index == codec.FIRMWARE else lambda i: setup.get(i, 1), index)

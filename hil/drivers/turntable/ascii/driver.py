@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from hil.config.load import load_protocol
 from hil.config.protocol import Protocol
 from hil.config.rig import GIMBAL_NAMES, AsciiTurntableLine, Turntable
-from hil.core.clock import Clock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import full_names
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
@@ -34,7 +33,7 @@ class AsciiLink:
     has_profiles = False
     jogging = False
 
-    def __init__(self, device: str, config: Turntable, line: AsciiTurntableLine, clock: Clock) -> None:
+    def __init__(self, device: str, config: Turntable, line: AsciiTurntableLine, clock: BenchClock) -> None:
         self.device = device
         self.axis_names = full_names(device, GIMBAL_NAMES)
         loaded = load_protocol(line.protocol)
@@ -71,12 +70,12 @@ class AsciiLink:
     def _set_up(self) -> AxisFeedback:
         if self._protocol.requests.identify:
             self._check_identity(self._insist("identify")[1])
-        end_s = time.monotonic() + _SET_UP_WALL_S
+        end_s = self._clock.host_s() + _SET_UP_WALL_S
         self._insist("quick_stop")
         while self._is_moving(self._insist("status")[1]):
-            if time.monotonic() > end_s:
+            if self._clock.host_s() > end_s:
                 raise LinkTimeout(self.device, f"axes do not come to a stand within {_SET_UP_WALL_S:g} s")
-            time.sleep(_POLL_WALL_S)
+            self._clock.sleep(_POLL_WALL_S)
         if self._protocol.requests.clear_faults:
             self._insist("clear_faults")
         refused = self._try_to_enable()
@@ -259,7 +258,7 @@ class AsciiLink:
 class AsciiTurntable(CyclicAxisGroup):
     """Turntable on a serial port; ``config.ascii`` names port, baud rate and protocol file. Raises BadInput."""
 
-    def __init__(self, config: Turntable, clock: Clock, name: str = "turntable") -> None:
+    def __init__(self, config: Turntable, clock: BenchClock, name: str = "turntable") -> None:
         if config.ascii is None or config.ascii.port is None:
             raise BadInput.single("rig", "turntable.ascii.port", "is missing: the wire to the device")
         super().__init__(config, clock, AsciiLink(name, config, config.ascii, clock), name)

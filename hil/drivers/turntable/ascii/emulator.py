@@ -8,7 +8,7 @@ from typing import Final
 
 from hil.config.load import load_protocol
 from hil.config.rig import GIMBAL_NAMES, Turntable
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel
@@ -31,7 +31,7 @@ class AsciiTurntableEmulator:
     def __init__(
         self,
         config: Turntable,
-        clock: WallClock,
+        clock: BenchClock,
         shared: SharedAxisState,
         chain: ReadChain | None = None,
         seed: int = 0,

@@ -36,4 +36,5 @@ ENTRY: Final = DriverEntry(
     check_files=_check_files,
     identity=_identity,
     setpoints_hz=_setpoints_hz,
+    keeps_bench_time=lambda table: True,
 )

@@ -8,7 +8,8 @@ from typing import Final
 
 import serial
 
-from hil.core.clock import Clock
+from hil.core.clock import BenchClock
+from hil.drivers.serial_port import open_serial
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import AsciiCommand, AsciiProtocol, Key, Value
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
@@ -31,7 +32,7 @@ class AsciiTransport:
     """
 
     def __init__(
-        self, device: str, port: str, baud: int, timeout_s: float, protocol: AsciiProtocol, clock: Clock
+        self, device: str, port: str, baud: int, timeout_s: float, protocol: AsciiProtocol, clock: BenchClock
     ) -> None:
         self.device = device
         self.protocol = protocol
@@ -64,10 +65,9 @@ class AsciiTransport:
         """Open the port. Raises LinkLost."""
         wall_s = 0.5 * REPLY_S / self._clock.speed
         try:
-            self._port = serial.Serial(
-                self._path, self._baud, timeout=wall_s, write_timeout=_WRITE_WALL_S, exclusive=True
+            self._port = open_serial(
+                self._clock, self._path, self._baud, timeout=wall_s, write_timeout=_WRITE_WALL_S, exclusive=True
             )
-            self._port.reset_input_buffer()
         except (OSError, ValueError) as error:
             raise LinkLost(self.device, f"cannot open {self._path}: {error}") from error
         self.reset()

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import can
 
+from hil.core.clock import BenchClock
 from hil.drivers.turntable.cia402.serial_can import Frame, SerialCan
 from hil.errors import LinkLost, ProtocolError
 
@@ -34,14 +35,14 @@ class CanPort:
     the bus is gone, ProtocolError for an error of the interface; both name ``device``.
     """
 
-    def __init__(self, device: str, config: CanLine) -> None:
+    def __init__(self, device: str, config: CanLine, clock: BenchClock) -> None:
         self.device = device
         self._serial: SerialCan | None = None
         self._bus: can.BusABC | None = None
         self._descriptor = -1
         try:
             if config.interface == "serial":
-                self._serial = SerialCan(str(config.channel), config.baud)
+                self._serial = SerialCan(str(config.channel), config.baud, clock)
             else:
                 self._bus = can.Bus(channel=config.channel, interface=config.interface, bitrate=config.bitrate)
         except (can.CanError, OSError, TypeError, ValueError) as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import GIMBAL_NAMES, Cia402, Turntable
-from hil.core.clock import Clock
+from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import full_names
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
@@ -36,7 +35,7 @@ class Cia402Link:
     the drives' EDS lacks objects that the driver needs.
     """
 
-    def __init__(self, device: str, config: Turntable, wire: Cia402, clock: Clock) -> None:
+    def __init__(self, device: str, config: Turntable, wire: Cia402, clock: BenchClock) -> None:
         self.device = device
         self.axis_names = full_names(device, GIMBAL_NAMES)
         self._wire = wire
@@ -71,7 +70,7 @@ class Cia402Link:
 
     def open(self) -> AxisFeedback:
         """Set all drives up and enable them; return their positions."""
-        self._port = CanPort(self.device, self._wire)
+        self._port = CanPort(self.device, self._wire, self._clock)
         self._exchanges = self._lost = 0
         self._passive = self._stopped = self._receiving = False
         self._slow_steps.clear()
@@ -87,13 +86,13 @@ class Cia402Link:
         network = PortNetwork(port)
         port.send((codec.NMT_ID, bytes((codec.NMT_PRE_OPERATIONAL, 0))))
         for node in self._nodes:
-            setup = DriveSetup(port, network, node.node_id, node.name, self._eds, self._on_other)
+            setup = DriveSetup(port, network, node.node_id, node.name, self._eds, self._on_other, self._clock)
             node.set_up(setup, self._timeout_s, _WATCHDOG_S)
             node.protocol_errors = node.surplus = 0
         port.send((codec.NMT_ID, bytes((codec.NMT_START, 0))))
         counts = [node.enable() for node in self._nodes]
-        end_s = time.monotonic() + _OLD_FRAMES_WALL_S
-        while (left_s := end_s - time.monotonic()) > 0.0:  # statuswords from before all were enabled
+        end_s = self._clock.host_s() + _OLD_FRAMES_WALL_S
+        while (left_s := end_s - self._clock.host_s()) > 0.0:  # statuswords from before all were enabled
             port.receive(left_s)
         for node, position in zip(self._nodes, counts, strict=True):
             node.reset(position)
@@ -247,7 +246,7 @@ class Cia402Link:
 class Cia402Turntable(CyclicAxisGroup):
     """Turntable on CAN; ``config.cia402`` names interface, channel, nodes, counts per turn and EDS. Raises BadInput."""
 
-    def __init__(self, config: Turntable, clock: Clock, name: str = "turntable") -> None:
+    def __init__(self, config: Turntable, clock: BenchClock, name: str = "turntable") -> None:
         if config.cia402 is None or config.cia402.channel is None:
             raise BadInput.single("rig", "turntable.cia402.channel", "is missing: the wire to the device")
         super().__init__(config, clock, Cia402Link(name, config, config.cia402, clock), name)

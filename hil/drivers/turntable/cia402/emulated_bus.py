@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from hil.config.rig import Cia402
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.drivers.fault_injection import Faults, FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.turntable.ascii.frames import crc16_ccitt
@@ -39,7 +39,7 @@ class Station(Protocol):
 class SerialStation:
     """A node on a pty with ``bytes_per_s`` of bench time, in both directions."""
 
-    def __init__(self, bytes_per_s: float, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
+    def __init__(self, bytes_per_s: float, clock: BenchClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
         self._channel = FaultyChannel(faults, generator)
         self._line = PtyLine(round(10.0 * bytes_per_s), clock)
@@ -71,10 +71,10 @@ class SerialStation:
 class BusStation:
     """A node on any bus of python-can."""
 
-    def __init__(self, config: Cia402, clock: WallClock, faults: Faults, generator: np.random.Generator) -> None:
+    def __init__(self, config: Cia402, clock: BenchClock, faults: Faults, generator: np.random.Generator) -> None:
         self._faults = faults
         self._channel = FaultyChannel(faults, generator)
-        self._port = CanPort("turntable", config)
+        self._port = CanPort("turntable", config, clock)
         self.address = str(config.channel)
         self._clock = clock
 

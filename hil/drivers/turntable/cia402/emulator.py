@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 from hil.config.rig import GIMBAL_NAMES, Turntable
-from hil.core.clock import WallClock
+from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes, ReadChain
 from hil.drivers.shared_state import SharedAxisState
@@ -23,7 +23,7 @@ BUS_BYTES_PER_S = 150e3
 class _Axis:
     """One gimbal as its drive sees it: counts."""
 
-    def __init__(self, gimbals: EmulatedAxes, axis: int, counts_per_turn: int, clock: WallClock) -> None:
+    def __init__(self, gimbals: EmulatedAxes, axis: int, counts_per_turn: int, clock: BenchClock) -> None:
         self._gimbals = gimbals
         self._axis = axis
         self._scale = counts_per_turn
@@ -83,7 +83,7 @@ class Cia402Emulator:
     def __init__(
         self,
         config: Turntable,
-        clock: WallClock,
+        clock: BenchClock,
         shared: SharedAxisState,
         chain: ReadChain | None = None,
         seed: int = 0,

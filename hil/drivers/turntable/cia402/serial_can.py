@@ -6,11 +6,11 @@ A frame (little-endian): 0xAA, time stamp u32, length u8, identifier u32 (flags 
 
 from __future__ import annotations
 
-import select
 import struct
 from collections import deque
 
-import serial
+from hil.core.clock import BenchClock
+from hil.drivers.serial_port import open_serial, wait_readable
 
 Frame = tuple[int, bytes]
 
@@ -64,9 +64,8 @@ class SerialFrames:
 class SerialCan:
     """A CAN adapter on a serial port. Raises OSError (pyserial's errors are such) when the port is gone."""
 
-    def __init__(self, path: str, baud: int) -> None:
-        self._port = serial.Serial(path, baud, timeout=0.0, write_timeout=_WRITE_WALL_S, exclusive=True)
-        self._port.reset_input_buffer()
+    def __init__(self, path: str, baud: int, clock: BenchClock) -> None:
+        self._port = open_serial(clock, path, baud, timeout=0.0, write_timeout=_WRITE_WALL_S, exclusive=True)
         self._cutter = SerialFrames()
         self._frames: deque[Frame] = deque()
 
@@ -80,7 +79,7 @@ class SerialCan:
 
     def receive(self, wall_s: float) -> Frame | None:
         """Return the next frame, None if no bytes complete one within ``wall_s``."""
-        if not self._frames and select.select([self._port.fileno()], [], [], wall_s)[0]:
+        if not self._frames and wait_readable(self._port, wall_s):
             self._frames.extend(self._cutter.feed(self._port.read(max(1, self._port.in_waiting))))
         return self._frames.popleft() if self._frames else None
 

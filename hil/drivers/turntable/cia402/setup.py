@@ -7,7 +7,6 @@ thread, so an error of the bus is raised here. Blocks; each reply is waited for 
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 
 import canopen
@@ -16,6 +15,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from hil.config.rig import Cia402
+from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import CanPort
@@ -54,16 +54,19 @@ class _PumpedClient(SdoClient):
 
     RESPONSE_TIMEOUT = 0.0
 
-    def __init__(self, port: CanPort, network: canopen.Network, node_id: int, others: Handler) -> None:
+    def __init__(
+        self, port: CanPort, network: canopen.Network, node_id: int, others: Handler, clock: BenchClock
+    ) -> None:
         super().__init__(codec.SDO_REQUEST_ID + node_id, codec.SDO_REPLY_ID + node_id, ObjectDictionary())
         self.network = network
         self._port = port
         self._others = others
+        self._clock = clock
         network.subscribe(self.tx_cobid, self.on_response)
 
     def read_response(self) -> bytes:
-        end_s = time.monotonic() + REPLY_WALL_S
-        while self.responses.empty() and (left_s := end_s - time.monotonic()) > 0.0:
+        end_s = self._clock.host_s() + REPLY_WALL_S
+        while self.responses.empty() and (left_s := end_s - self._clock.host_s()) > 0.0:
             frame = self._port.receive(left_s)
             if frame is not None and frame[0] == self.tx_cobid and len(frame[1]) == _SDO_BYTES:
                 self.on_response(frame[0], bytearray(frame[1]), 0.0)
@@ -75,16 +78,24 @@ class _PumpedClient(SdoClient):
 class DriveSetup:
     """One drive on the bus, spoken to by SDO. Errors name ``axis``: LinkTimeout, ProtocolError, DriveFault.
 
-    others: handler of received frames that are not SDO responses of this drive.
+    others: handler of received frames that are not SDO responses of this drive. clock: of the time-outs.
     """
 
     def __init__(
-        self, port: CanPort, network: canopen.Network, node_id: int, axis: str, eds: Eds, others: Handler
+        self,
+        port: CanPort,
+        network: canopen.Network,
+        node_id: int,
+        axis: str,
+        eds: Eds,
+        others: Handler,
+        clock: BenchClock,
     ) -> None:
         self.axis = axis
         self.node_id = node_id
         self._eds = eds
-        self._sdo = _PumpedClient(port, network, node_id, others)
+        self._clock = clock
+        self._sdo = _PumpedClient(port, network, node_id, others, clock)
         self._has_offset = False
 
     def identify(self, config: Cia402) -> None:
@@ -172,12 +183,12 @@ class DriveSetup:
 
         A drive found enabled or in quick stop is stopped first: below ``standstill``, counts/s.
         """
-        end_s = time.monotonic() + _ENABLE_WALL_S
+        end_s = self._clock.host_s() + _ENABLE_WALL_S
         state = self._state()
         if state is DriveState.ENABLED:
             self.put(codec.CONTROLWORD, codec.QUICK_STOP, 2)
         while (state := self._state()) is not DriveState.ENABLED:
-            if time.monotonic() > end_s:
+            if self._clock.host_s() > end_s:
                 title = state.title if state else "an undefined state"
                 raise LinkTimeout(self.axis, f"not enabled within {_ENABLE_WALL_S:g} s, is in {title}")
             if state is DriveState.FAULT:  # from before, or the torque was restored only now
@@ -188,7 +199,7 @@ class DriveSetup:
                 self._hold()
             if state in codec.TOWARDS_ENABLED and not moving:
                 self.put(codec.CONTROLWORD, codec.TOWARDS_ENABLED[state], 2)
-            time.sleep(_POLL_WALL_S)
+            self._clock.sleep(_POLL_WALL_S)
         return self.get(codec.TARGET_POSITION, 4)
 
     def _state(self) -> DriveState | None:
@@ -199,11 +210,11 @@ class DriveSetup:
         code = self.fault_code()
         self.put(codec.CONTROLWORD, codec.DISABLE_VOLTAGE, 2)  # the reset acts on a rising bit
         self.put(codec.CONTROLWORD, codec.FAULT_RESET, 2)
-        end_s = time.monotonic() + _RESET_WALL_S
+        end_s = self._clock.host_s() + _RESET_WALL_S
         while self._state() is DriveState.FAULT:
-            if time.monotonic() > end_s:
+            if self._clock.host_s() > end_s:
                 raise DriveFault(self.axis, f"{codec.fault_text(code)} stays after a reset", codec.fault_kind(code))
-            time.sleep(_POLL_WALL_S)
+            self._clock.sleep(_POLL_WALL_S)
 
     def fault_code(self) -> int:
         """Return the drive's newest error code (0x603F)."""

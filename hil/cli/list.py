@@ -1,0 +1,81 @@
+"""``hil list``: what a command takes by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from typing import Final
+
+from hil.cli.options import Output, refuse
+from hil.cli.output import check_json_path, print_columns, write_json
+from hil.errors import BadInput
+
+_FILES: Final = ("scenarios", "rigs", "dispersions", "targets", "bodies", "frames", "protocols")
+
+
+def list(kind: str | None = None, /, *, json: Output = None) -> int:
+    """List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends of the GNC.
+
+    Parameters
+    ----------
+    kind
+        One of the kinds: scenarios, rigs, dispersions, targets, bodies, frames, protocols, drivers, backends; by
+        default all.
+    json
+        File for the entries, - for standard output.
+    """
+    refuse(check_json_path("--json", json))
+    kinds: dict[str, Callable[[], dict[str, str]]] = {each: _of_files(each) for each in _FILES}
+    kinds |= {"drivers": _drivers, "backends": _backends}
+    if kind is not None and kind not in kinds:
+        close = difflib.get_close_matches(kind, kinds, n=1)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise BadInput.single("hil list", "", f"{kind}: {hint}give one of {', '.join(kinds)}")
+    found = {name: entries() for name, entries in kinds.items() if kind in (None, name)}
+    if json is not None:
+        write_json(dict(found), json)
+    if json != "-":
+        rows = [(name, each, text) for name, entries in found.items() for each, text in entries.items()]
+        print_columns(("kind", "name", ""), rows, left=range(3))
+    return 0
+
+
+def _of_files(kind: str) -> Callable[[], dict[str, str]]:
+    """Return what lists the shipped files of ``kind`` with the first sentence of each."""
+
+    def entries() -> dict[str, str]:
+        from hil.config.load import configs_folder, shipped
+
+        return {name: _first_sentence((configs_folder() / kind / f"{name}.toml").read_text()) for name in shipped(kind)}
+
+    return entries
+
+
+def _first_sentence(text: str) -> str:
+    """Return the first sentence of the comment with which a file begins."""
+    words = ""
+    for line in text.splitlines():
+        if not line.startswith("#") or not line.strip("# "):
+            break
+        words += f" {line.lstrip('# ')}"
+    return words.strip().partition(". ")[0].rstrip(".:")
+
+
+def _drivers() -> dict[str, str]:
+    from hil.config.driver_registry import registered_drivers
+
+    return registered_drivers()
+
+
+def _backends() -> dict[str, str]:
+    """Return the backends of the GNC by the key that selects each, and the package that has it."""
+    from importlib.metadata import entry_points
+
+    from hil.config.scenario import BUILT_IN
+
+    found = {f"gnc.{part}.backend={name}": "hil" for part, names in BUILT_IN.items() for name in names}
+    for part in BUILT_IN:
+        for point in entry_points(group=f"hil.{part}"):
+            package = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
+            found[f"gnc.{part}.backend={point.module}:{point.name}"] = package
+    return found

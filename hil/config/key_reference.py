@@ -1,0 +1,246 @@
+"""Reference of the keys of configuration files, from the models that validate them.
+
+The meaning of a key is the docstring under its field.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import fnmatch
+import inspect
+import json
+import re
+import textwrap
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, Final, NamedTuple, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import BadInput
+
+UNITS: Final = {
+    "db": "dB",
+    "m": "m",
+    "mm": "mm",
+    "m2": "m²",
+    "mps": "m/s",
+    "mps2": "m/s²",
+    "mps3": "m/s³",
+    "deg": "deg",
+    "degps": "deg/s",
+    "degps2": "deg/s²",
+    "degps3": "deg/s³",
+    "rad": "rad",
+    "s": "s",
+    "us": "us",
+    "hz": "Hz",
+    "kg": "kg",
+    "kg_m2": "kg m²",
+    "kgpm2": "kg/m²",
+    "kgpm3": "kg/m³",
+    "km": "km",
+    "km3ps2": "km³/s²",
+    "au": "au",
+    "d": "d",
+    "n": "N",
+    "n_per_mps": "N s/m",
+    "nm": "Nm",
+    "nm_per_degps": "Nm s/deg",
+    "px": "px",
+    "levels": "grey levels",
+    "per_s": "1/s",
+    "per_level": "1/grey level",
+    "cycles": "cycles",
+    "bytes": "bytes",
+}
+"""Last words of a key -> unit."""
+NO_UNIT: Final = re.compile(
+    r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
+    r"|direction|pole|zonal|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk|exponent)$"
+)
+"""Numbers without unit. New keys need a unit in their name, or one of these words."""
+NOTATION: Final = dict.fromkeys(("fx", "fy", "cx", "cy", "f", "width", "height"), "px") | {
+    "fps": "1/s",
+    "level": "grey levels",
+    "sky": "grey levels",
+    "read": "grey levels",
+    "at_most": "of the column",
+    "at_least": "of the column",
+}
+"""Keys of cameras, scenes and requirements in the notation of their field -> unit."""
+
+
+class KeyRow(NamedTuple):
+    """One key of a configuration table, as its row in the reference shows it."""
+
+    name: str
+    type: str
+    unit: str
+    allowed: str
+    default: str
+    meaning: str
+
+
+class KeyTable(NamedTuple):
+    """One table of a configuration file: the places at which it occurs, its model, and its own keys."""
+
+    places: list[str]
+    model: type[BaseModel]
+    inherits: str
+    keys: list[KeyRow]
+
+
+def tables(root: type[BaseModel]) -> list[KeyTable]:
+    """Return the tables of a file in the order of its model; a model that occurs at several places is one table."""
+    found: dict[type[BaseModel], KeyTable] = {}
+    _visit(root, "", found)
+    return list(found.values())
+
+
+def _visit(model: type[BaseModel], place: str, found: dict[type[BaseModel], KeyTable]) -> None:
+    base = next((base for base in model.__mro__[1:] if base in found), None)
+    inherited = set(base.model_fields) if base else set()
+    if model in found:
+        found[model].places.append(place)
+    else:
+        keys = [key for key in own_keys(model) if key.name not in inherited]
+        found[model] = KeyTable([place], model, f"`[{found[base].places[0]}]`" if base else "", keys)
+    for name, field in model.model_fields.items():
+        if name not in inherited:
+            for inner, suffix in _inner_models(field.annotation):
+                _visit(inner, f"{place}.{name}{suffix}".lstrip("."), found)
+
+
+def _inner_models(annotation: Any, suffix: str = "") -> Iterator[tuple[type[BaseModel], str]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation, suffix
+        return
+    origin = get_origin(annotation)
+    for argument in get_args(annotation):
+        yield from _inner_models(argument, ".NAME" if origin is dict else "[]" if origin is tuple else suffix)
+
+
+def own_keys(model: type[BaseModel]) -> list[KeyRow]:
+    schema = model.model_json_schema()
+    return [
+        _key(model, name, field, schema["properties"][name])
+        for name, field in model.model_fields.items()
+        if name in meanings(model) or not list(_inner_models(field.annotation))
+    ]
+
+
+def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, Any]) -> KeyRow:
+    default = "required" if field.is_required() else _shown(schema.get("default"))
+    if list(_inner_models(field.annotation)):
+        return KeyRow(name, "table", "", "", default, meanings(model)[name])
+    options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
+    option = options[0]
+    kind = " or ".join(dict.fromkeys(_type(each) for each in options))
+    return KeyRow(name, kind, unit_of(name, kind), _allowed(option), default, meanings(model).get(name, ""))
+
+
+def unit_of(name: str, kind: str) -> str:
+    """Return the unit of a key, "" for a number without one or another type; ValueError for a number without either."""
+    if name in NOTATION:
+        return NOTATION[name]
+    if "number" not in kind:
+        return ""
+    words = name.split("_")
+    for start in range(len(words)):
+        if start > 0 and (unit := UNITS.get("_".join(words[start:]))):
+            return unit
+    if NO_UNIT.search(name):
+        return ""
+    raise ValueError(f"{name}: a key with a number needs a unit at the end of its name")
+
+
+def _type(schema: dict[str, Any]) -> str:
+    if "prefixItems" in schema:
+        return f"{_type(schema['prefixItems'][0])}[{len(schema['prefixItems'])}]"
+    if schema.get("type") == "array":
+        return f"{_type(schema.get('items', {}))}[]"
+    if schema.get("type") == "object":
+        return "table"
+    names = {"number": "number", "integer": "integer", "string": "text", "boolean": "boolean"}
+    return names.get(str(schema.get("type")), "text" if "enum" in schema else "integer" if "const" in schema else "any")
+
+
+def _allowed(schema: dict[str, Any]) -> str:
+    if "enum" in schema:
+        return ", ".join(_shown(value) for value in schema["enum"])
+    inner = schema.get("prefixItems", [schema.get("items", {})])[0] if schema.get("type") == "array" else schema
+    if inner is not schema:
+        return _allowed(inner)
+    low = _bound("above", schema.get("exclusiveMinimum")) or _bound("from", schema.get("minimum"))
+    high = _bound("below", schema.get("exclusiveMaximum")) or _bound("to", schema.get("maximum"))
+    return f"{low} {high}".strip()
+
+
+def _bound(word: str, value: float | None) -> str:
+    return "" if value is None else f"{word} {value if isinstance(value, int) else f'{value:g}'}"
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "not set"
+    text = json.dumps(value, ensure_ascii=False)
+    return f"`{text}`" if len(text) <= 60 else "see `configs/`"
+
+
+@cache
+def meanings(model: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings under the fields of a model, inherited ones included, as one line each."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not (issubclass(base, BaseModel) and base.__module__.startswith("hil.")):
+            continue
+        (node,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(node, ast.ClassDef)
+        for field, text in zip(node.body, node.body[1:], strict=False):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+                assert isinstance(text.value, ast.Constant)
+                found[field.target.id] = " ".join(str(text.value.value).split())
+    return found
+
+
+class KeyMatch(NamedTuple):
+    """A key of scenario or rig files as ``--set`` takes it, and its row in the reference."""
+
+    name: str
+    file: str
+    row: KeyRow
+
+
+def all_keys() -> list[KeyMatch]:
+    """Return each key of scenario and rig files at each of its places; those of a rig begin with ``rig.``."""
+    found = []
+    for file, root, prefix in (("scenario", Scenario, ""), ("rig", Rig, "rig.")):
+        for table in tables(root):
+            for place in table.places:
+                start = f"{prefix}{place}." if place else prefix
+                found += [KeyMatch(f"{start}{row.name}", file, row) for row in _rows_of(table)]
+    return found
+
+
+def _rows_of(table: KeyTable) -> list[KeyRow]:
+    return own_keys(table.model) if table.inherits else table.keys
+
+
+def matching_keys(pattern: str) -> list[KeyMatch]:
+    """Return the keys whose name contains ``pattern``, or matches it if it has wildcards; case does not matter.
+
+    Raises BadInput if there are none.
+    """
+    keys = all_keys()
+    wanted = pattern.lower() if set(pattern) & set("*?[") else f"*{pattern.lower()}*"
+    if found := [key for key in keys if fnmatch.fnmatchcase(key.name.lower(), wanted)]:
+        return found
+    last = {key.row.name: None for key in keys}
+    close = difflib.get_close_matches(pattern.rpartition(".")[2], last, n=3, cutoff=0.5)
+    hint = f"; similar: {', '.join(close)}" if close else ""
+    raise BadInput.single("hil keys", "", f"{pattern}: no key of scenario or rig has this in its name{hint}")
