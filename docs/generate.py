@@ -19,8 +19,8 @@ from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
 from hil.config.faults import RESPONSES, TERMS, ErrorTerm
-from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.key_reference import KeyTable, own_keys, tables
+from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario

@@ -34,10 +34,6 @@ LIVE_TUNABLE: Final = {
     "gnc.akf.gyro_drift_noise_degps2": (0.0, 0.1),
     "gnc.pkf.accelerometer_noise_mps2": (1e-8, 0.1),
     "gnc.pkf.accelerometer_bias_noise_mps3": (0.0, 0.01),
-    "gnc.vision_only.position_lag_s": (0.0, 10.0),
-    "gnc.vision_only.velocity_lag_s": (0.0, 10.0),
-    "gnc.vision_only.attitude_lag_s": (0.0, 10.0),
-    "gnc.vision_only.rate_lag_s": (0.0, 10.0),
 }
 """Key -> range during a run: neither gate nor supervision can be switched off by a number.
 

@@ -63,6 +63,9 @@ RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
 }
 """Model of a file -> earlier key -> present key. ``*``: any name. A more specific key stands before its table."""
 
+REMOVED: Final[Mapping[str, tuple[str, ...]]] = {"Scenario": ("gnc.vision_only",)}
+"""Model of a file -> tables and keys that nothing reads any more; they are dropped with a warning."""
+
 RENAMED_VALUES: Final[Mapping[str, Mapping[str, Mapping[str, str]]]] = {
     "Scenario": {
         "monitor.target": {"reserve": "backup"},
@@ -126,7 +129,10 @@ def with_present_names(model: str, table: Table, source: str, named_at_most: int
     leaves = list(_leaves(table))
     given = {path for path, _ in leaves}
     renamed: list[tuple[Path, Any]] = []
+    removed = dict.fromkeys(key for path, _ in leaves for key in REMOVED.get(model, ()) if _is_in(path, key))
     for path, value in leaves:
+        if any(_is_in(path, key) for key in removed):
+            continue
         new, length = _renamed(path, RENAMED.get(model, {}))
         if length:
             old_key, new_key = (_PREFIX.get(model, "") + ".".join(each[:length]) for each in (path, new))
@@ -136,12 +142,20 @@ def with_present_names(model: str, table: Table, source: str, named_at_most: int
         renamed.append((new, _present_value(model, new, value, found)))
     if problems:
         raise BadInput(list(dict.fromkeys(problems)))
-    if not found:
+    if not found and not removed:
         return table
-    shown = [f"{old} is now {new}" for old, new in found.items()][:named_at_most]
-    more = f" ({len(found) - len(shown)} more)" if len(found) > len(shown) else ""
+    texts = [f"{old} is now {new}" for old, new in found.items()] + [f"{key} is no longer used" for key in removed]
+    shown = texts[:named_at_most]
+    more = f" ({len(texts) - len(shown)} more)" if len(texts) > len(shown) else ""
     warnings.warn(f"{source}: {', '.join(shown)}{more}", RenamedKey, stacklevel=2)
     return _table_of(renamed)
+
+
+def _is_in(path: Path, key: str) -> bool:
+    """Return whether ``path``, in dispersions as well, is the dotted ``key`` or in its table."""
+    names = tuple(key.split("."))
+    own = path[1:] if path[:1] and path[0] in _PREFIXES else path
+    return own[: len(names)] == names
 
 
 def first_names_json(model: BaseModel) -> str:

@@ -265,19 +265,6 @@ class PositionFilter(ConfigModel):
     """Standard deviation of the initial velocity."""
 
 
-class VisionOnly(ConfigModel):
-    """Time constants of the low-passes of vision-only navigation."""
-
-    position_lag_s: NotNegative
-    """Of the position."""
-    velocity_lag_s: NotNegative
-    """Of the velocity."""
-    attitude_lag_s: NotNegative
-    """Of the attitude."""
-    rate_lag_s: NotNegative
-    """Of the rate."""
-
-
 class Shadow(ConfigModel):
     """filterpy's filters in parallel with the compiled ones; an alarm when they diverge."""
 
@@ -559,7 +546,6 @@ class GncConfig(ConfigModel):
     target: KnownTarget = KnownTarget()
     akf: AttitudeFilter
     pkf: PositionFilter
-    vision_only: VisionOnly
     shadow: Shadow
     guidance: Guidance
     corridor: Corridor

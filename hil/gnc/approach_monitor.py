@@ -27,6 +27,7 @@ NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES = 10, 11, 12
+_FAR = 0.6  # of the corridor's radius, from the plan at the start
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
 
@@ -278,6 +279,22 @@ def _is_go(params, estimate, go):
 
 
 @kernel
+def _enter(params, estimate, reference, reactions, found):
+    """Take note, once the filters have converged, whether the approach begins inside the corridor and near its plan.
+
+    Otherwise it is ``outside``: the approach stops and is planned anew from there.
+    """
+    square, distance = 0.0, 0.0
+    for i in range(3):
+        square += (estimate.r_CT_H[i] - reference.r_CT_H[i]) ** 2
+        distance += estimate.r_CT_H[i] ** 2
+    far = math.sqrt(square) > _FAR * corridor_radius(params, math.sqrt(distance))
+    reactions.entered = 1
+    if far or found.corridor_margin_m < 0.0:
+        reactions.outside = 1
+
+
+@kernel
 def check(params, t_s, estimate, reference, ordered, reactions, go, found):
     """Check the estimate (NAVIGATION); write ``found`` (SUPERVISION). Return whether an abort has to begin now.
 
@@ -303,14 +320,10 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
     off_mps = params.confidence * _largest(estimate.sigma_v_mps)
     if reactions.converged == 0:
         off, off_mps = -params.confidence * _largest(estimate.sigma_r_m), -off_mps
-    reactions.outside = 0
-    if found.corridor_margin_m >= 0.0:
-        reactions.entered = 1
-    if found.corridor_margin_m < off:
-        if reactions.entered != 0:
-            cause = CORRIDOR
-        elif reactions.converged != 0:
-            reactions.outside = 1
+    elif reactions.entered == 0:
+        _enter(params, estimate, reference, reactions, found)
+    if found.corridor_margin_m < off and reactions.entered != 0 and reactions.outside == 0:
+        cause = CORRIDOR
     elif found.closing_margin_mps < off_mps:
         cause = CLOSING_RATE
     found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0

@@ -46,8 +46,8 @@ REACTION_STATE = np.dtype(
         ("held_since_s", "f8"),
         ("held_phase", "i8"),  # in which it began
         ("before_s", "f8"),  # when the one before began
-        ("entered", "i8"),  # 1: the corridor was entered
-        ("outside", "i8"),  # 1: it was not, and the estimate is outside
+        ("entered", "i8"),  # 1: the approach has begun: the filters have converged
+        ("outside", "i8"),  # 1: the approach begins outside or far from its plan, and has not stopped yet
         ("share", "f8"),  # largest protection level over its alert limit
     ],
     align=True,
@@ -147,6 +147,7 @@ def react(params, guidance_params, state, guidance_state, t_s, estimate, referen
     if wanted == ABORT:
         _abort(guidance_params, guidance_state, t_s, estimate, cause[0], found)
     elif wanted >= HOLD and wanted > state.held:
+        state.outside = 0
         if state.held == 0:
             state.before_s = state.held_since_s if state.held_since_s > 0.0 else -np.inf
             state.held_since_s, state.held_phase = t_s, phase

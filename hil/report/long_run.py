@@ -195,15 +195,17 @@ class LongRun:
             kept["abort"] = later_abort(kept["abort"], joined, self._scenario)
             kept["nearest_m"] = min(kept["nearest_m"], float(np.linalg.norm(joined["truth"]["r_CT_H"], axis=1).min()))
             return
-        found = judge_security(joined, self._scenario)
+        entered = bool(kept) and kept["corridor_margin_m"] >= 0.0
+        found = judge_security(joined, self._scenario, entered)
         if not kept:
             self._security = found
             return
         for value, at in (("corridor_margin_m", "corridor_margin_at_s"), ("closing_margin_mps", "closing_margin_at_s")):
-            if found[value] < kept[value]:
+            begins = value == "corridor_margin_m" and not entered and found[value] >= 0.0
+            if found[value] < kept[value] or begins:
                 kept[value], kept[at] = found[value], found[at]
         kept["nearest_m"] = min(kept["nearest_m"], found["nearest_m"])
-        kept["passed"], kept["abort"] = kept["passed"] and found["passed"], found["abort"]
+        kept["passed"], kept["abort"] = _is_secure(kept), found["abort"]
 
     def _add_view(self, rows: np.ndarray) -> None:
         found, kept = judge_field_of_view(rows, self._rig, self._scenario.step_s), self._view
@@ -385,3 +387,8 @@ def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], tuple[dict[str, 
         return run.numbers()
 
     return end
+
+
+def _is_secure(part: dict[str, Any]) -> bool:
+    """Return whether no margin of the security part is negative."""
+    return bool(part["corridor_margin_m"] >= 0.0 and part["closing_margin_mps"] >= 0.0)

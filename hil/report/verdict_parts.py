@@ -70,8 +70,11 @@ def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
     }
 
 
-def judge_security(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
-    """Return ``passed``, the least margins on the truth up to an abort, and the course of the abort."""
+def judge_security(history: np.ndarray, scenario: Scenario, entered: bool = False) -> dict[str, Any]:
+    """Return ``passed``, the least margins on the truth up to an abort, and the course of the abort.
+
+    The corridor counts from the first cycle inside it; entered: whether that was before ``history``.
+    """
     aborted = np.flatnonzero(history["supervision"]["aborted"])
     approach = history[: aborted[0] + 1] if len(aborted) else history
     if not len(approach):
@@ -89,7 +92,8 @@ def judge_security(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
         corridor,
         closing,
     )
-    tightest, fastest = int(np.argmin(corridor)), int(np.argmin(closing))
+    first = 0 if entered else int(np.argmax(corridor >= 0.0))
+    tightest, fastest = first + int(np.argmin(corridor[first:])), int(np.argmin(closing))
     return {
         "passed": bool(corridor[tightest] >= 0.0 and closing[fastest] >= 0.0),
         "corridor_margin_m": float(corridor[tightest]),

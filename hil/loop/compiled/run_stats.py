@@ -25,6 +25,7 @@ RUN_STATS = np.dtype(
         ("integrity", INTEGRITY_STATE),
         ("aborted", "i8"),  # cause, 0 for none
         ("aborted_at_s", "f8"),
+        ("entered", "i8"),  # 1: the truth has been inside the corridor
         ("corridor_margin", "f8"),  # m, least on the truth, up to an abort
         ("closing_margin", "f8"),  # m/s, the same
         ("view_margin", "f8"),  # px, least at an exposure
@@ -69,6 +70,8 @@ def _count_security(params, now, stats):
         copy_into(stats.to_H, reference.to_H)
     corridor = approach_monitor.corridor_margin(params.verdict, stats.from_H, stats.to_H, truth.r_CT_H)
     closing = approach_monitor.closing_margin(params.verdict, truth.r_CT_H, truth.v_CT_H)
+    if corridor >= 0.0 and stats.entered == 0:  # the corridor counts from the first cycle inside it
+        stats.entered, stats.corridor_margin = 1, corridor
     stats.corridor_margin = min(stats.corridor_margin, corridor)
     stats.closing_margin = min(stats.closing_margin, closing)
 
