@@ -464,7 +464,7 @@ class Reactions(ConfigModel):
     vision_lost: PhaseReactions = _HOLD
     """No usable pose for `gnc.integrity.lost_after_s`, and a protection level beyond `coast_fraction` of its limit."""
     coast_fraction: Annotated[float, Field(ge=0.0, le=1.0)] = 0.7
-    """Of an alert limit, up to which a protection level lets the approach go on without vision."""
+    """Of an alert limit, up to which a protection level permits the approach without vision."""
     vision_suspect: PhaseReactions = _HOLD
     """Poses are rejected, or their innovations are not those of their covariance."""
     imu_suspect: PhaseReactions = _CONTINUE

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import select
 import threading
@@ -12,7 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    import asyncio
 
 
 class Order(IntEnum):
@@ -195,6 +197,8 @@ class WallClock:
         return PlainWire()
 
     def new_event_loop(self) -> asyncio.AbstractEventLoop:
+        import asyncio  # takes 20 ms, and only drivers on wires need it
+
         return asyncio.new_event_loop()
 
     def start_thread(self, target: Callable[[], object], name: str, order: Order = Order.DRIVERS) -> threading.Thread:

@@ -282,7 +282,7 @@ def _is_go(params, estimate, go):
 def _enter(params, estimate, reference, reactions, found):
     """Take note, once the filters have converged, whether the approach begins inside the corridor and near its plan.
 
-    Otherwise it is ``outside``: the approach stops and is planned anew from there.
+    Otherwise it is ``outside``: the approach stops and is planned again from there.
     """
     square, distance = 0.0, 0.0
     for i in range(3):

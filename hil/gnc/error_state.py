@@ -53,7 +53,7 @@ PARAMETER_BLOCKS: Final = (
     _block("bias", 3, "m", BlockMotion.CONSTANT, False),  # of a pose, in c
     _block("scale", 1, "1", BlockMotion.CONSTANT, False),  # of the distance
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
-    _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force beside the thrust, in c
+    _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force apart from the thrust, in c
     _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
     _block("gyro_misalignment", 3, "rad", BlockMotion.CONSTANT, False),
     _block("gyro_instability", 3, "rad/s", BlockMotion.MARKOV, True),

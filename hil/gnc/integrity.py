@@ -35,7 +35,7 @@ _JUMP_S = 60.0  # in which a change of the dynamics is estimated
 _SPREADS = 6.0  # standard deviations of the corrections of the velocity
 _GAP_INTERVALS = 3.0  # between poses, from which on there is a gap
 _DOUBTS_MAX = 3
-_DOUBT_RADPS = 1e-5  # 1 sigma, of a rate that is estimated anew
+_DOUBT_RADPS = 1e-5  # 1 sigma, of a rate that is estimated again
 _CAP_S = 5.0  # after it
 _CONFIRMED_FRACTION = 4  # of the accepted poses: the longest time over which a bias can have grown while they agree
 
@@ -69,7 +69,7 @@ INTEGRITY_STATE = np.dtype(
         ("monitored", "i8"),  # accepted poses so far
         ("high", "f8", SUMS),  # CUSUM of each innovation, position then attitude, and of pairs of position, upwards
         ("low", "f8", SUMS),  # and downwards
-        ("doubted", "i8"),  # how often the rate was estimated anew
+        ("doubted", "i8"),  # how often the rate was estimated again
         ("biased", "i8"),  # 1: a CUSUM has passed its limit; it stays so, as the filters follow a bias
         ("mean_nis", "f8", 2),  # position, attitude
         ("followed", "f8"),  # standard deviations of an innovation: error of the largest fault that is not found yet
@@ -170,7 +170,7 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
 
 @kernel
 def doubt_drift(params, state, filters):
-    """Let the filters estimate the rate anew when the attitude's innovations have a mean, before a sensor is accused.
+    """Let the filters estimate the rate again when the attitude's innovations have a mean, before a sensor is accused.
 
     Such a mean is that of a wrong rate of H (the ephemeris), or of gyros whose drift has changed.
     """
