@@ -417,7 +417,7 @@ class NavigationIntegrity(ConfigModel):
     """The same for its attitude."""
     lost_after_s: Positive = 2.0
     """Vision is lost if the last accepted pose is older."""
-    suspect_after: Annotated[int, Field(ge=1)] = 6
+    suspect_after: Annotated[int, Field(ge=1)] = 4
     """Vision is suspect after so many consecutive rejections."""
     close_after: Annotated[int, Field(ge=1)] = 8
     """The gate is closed after so many consecutive rejections."""

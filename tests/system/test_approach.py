@@ -35,17 +35,21 @@ def test_retreat_is_never_nearer_than_the_trigger_minus_five_centimetres(scenari
     trigger = int(np.argmax(outcome.history["supervision"]["aborted"] != 0))
     assert outcome.history["t_s"][trigger] == pytest.approx(at_s)
     assert distance[trigger:].min() >= distance[trigger] - 0.05
-    assert distance[-1] >= distance[trigger] - 0.02
+    assert distance[-1] >= distance[trigger] - 0.04  # the retreat ends where the estimate was
 
 
 @pytest.mark.parametrize(
     ("velocity", "words"),
-    [("[0.0, 0.12, 0.0]", "the corridor was left"), ("[-0.12, 0.0, 0.0]", "the closing rate was too high")],
+    [
+        ("[0.0, 0.12, 0.0]", "reaction hold: the corridor was left"),  # before it was entered
+        ("[-0.12, 0.0, 0.0]", "abort: the closing rate was too high"),
+    ],
 )
-def test_violated_limit_aborts_the_approach(velocity: str, words: str) -> None:
+def test_violated_limit_stops_the_approach(velocity: str, words: str) -> None:
     outcome = _run("scheme-1", 0, 40.0, f"initial.velocity_mps={velocity}", "gnc.control.correction_rate_mps=0.001")
-    assert any(text.startswith(f"abort: {words}") for text in _texts(outcome)), _texts(outcome)
-    assert outcome.history["reference"]["phase"][-1] >= 2
+    assert any(text.startswith(words) for text in _texts(outcome)), _texts(outcome)
+    if words.startswith("abort"):
+        assert outcome.history["reference"]["phase"][-1] >= 2
 
 
 def test_aborted_run_is_complete_but_not_passed_and_says_why(tmp_path: Path) -> None:
@@ -72,6 +76,7 @@ SHORT = (
     "gnc.guidance.phases.pause.kind=hold",
     "gnc.guidance.phases.pause.duration_s=4.0",
     "gnc.guidance.phases.ready.kind=wait",
+    "gnc.navigation.budget.vision_correlated_fraction=0.0",  # so near that the filters have not converged with it
     "gnc.guidance.phases.dock.kind=final",
     "gnc.guidance.phases.dock.speed_mps=0.01",
     "requirements.axial_distance_m=0.5",

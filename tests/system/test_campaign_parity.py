@@ -92,11 +92,10 @@ def test_dispersed_case_has_the_bits_of_the_cycle() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        ("vmu.loss_probability=0.9",),
         ("rig.rails.following_error_max_m=0.00002",),
         ('faults=[{device = "vmu", kind = "offset", at_s = 5.0, value = [0.3, 0.0, 0.0]}]',),
     ],
-    ids=["silent vision unit", "following error", "pose beside the encoders"],
+    ids=["following error", "pose beside the encoders"],
 )
 def test_fault_ends_both_at_the_same_cycle_with_the_same_words(settings: tuple[str, ...]) -> None:
     outcome, _, history, stats, stop = both("scheme-1", settings, 20.0)
