@@ -254,7 +254,7 @@ def bring_to_run(page: BrowserPage, rig: str) -> None:
     mode = "document.getElementById('mode').dataset.mode"
     if page.evaluate("window.hil.now.mode") == "hold":
         assert ask(page, do="order", order="resume", confirmed=True)["ok"]
-    if page.evaluate("window.hil.now.mode") != "running":
+    elif page.evaluate("window.hil.now.mode") != "running":
         until(page, "!window.hil.now.open", 300.0)  # the first one compiles what judges a run
         ask(page, do="acknowledge")
         assert ask(page, do="open", scenario="scheme-1", rig=rig, confirmed=True)["ok"]
