@@ -16,8 +16,8 @@ from hil.config.load import load_scenario
 from hil.core.messages import POSE, new
 from hil.gnc import joint_filter, pose_model, step_memory
 from hil.gnc.fusion import FUSION_STATE
-from hil.gnc.target_orbit import HILL_STEP
 from hil.params import gnc as gnc_params
+from tests.support.plain_filters import PLAIN
 
 REPEATS, CALLS = 9, 2000
 _VISION = (
@@ -64,12 +64,13 @@ def filterpy_costs() -> dict[str, float]:
 
 
 @njit(nogil=True)
-def many(params, state, memory, pose, zero, hill, what, n):
+def many(params, state, memory, pose, what, n):
     """Run one of the steps ``n`` times, without Python in between."""
     errors, filters, noise = params.errors, state.filters, state.noise
+    step = step_memory.step_at(params, memory, 0)
     for _ in range(n):
         if what == 0:
-            joint_filter.predict(errors, params.akf, params.pkf, filters, zero, zero, hill)
+            joint_filter.predict(params, filters, step)
         elif what == 1:
             pose_model.innovate_position(
                 errors, filters, noise, pose.z_TC_C, pose.covariance_position, 0.0, state.found_position
@@ -85,18 +86,16 @@ def many(params, state, memory, pose, zero, hill, what, n):
 
 
 def own_costs(settings: tuple[str, ...] = ()) -> dict[str, float]:
-    """Return the cost of the steps by name, us, for scheme 1 with ``settings``."""
-    params = gnc_params.navigation(load_scenario("scheme-1", settings).value).fusion
+    """Return the cost of the steps by name, us, for the plain filters of scheme 1 with ``settings``."""
+    params = gnc_params.navigation(load_scenario("scheme-1", (*PLAIN, *settings)).value).fusion
     state, memory, pose = new(FUSION_STATE), step_memory.new_memory(params), new(POSE)
     pose.q_CH[3] = 1.0
     pose.z_TC_C[0] = -5.0
     pose.covariance_position, pose.covariance_attitude = 2.5e-5 * np.eye(3), 3.3e-7 * np.eye(3)
     pose_model.start(params, pose, state.noise, state.filters)
-    zero, hill = np.zeros(3), new(HILL_STEP)
     block = 100
     return {
-        name: cost_us(lambda what=what: many(params, state, memory, pose, zero, hill, what, block), CALLS // block)
-        / block
+        name: cost_us(lambda what=what: many(params, state, memory, pose, what, block), CALLS // block) / block
         for what, name in enumerate(("predict", "position", "attitude", "keep"))
     }
 

@@ -431,7 +431,7 @@ class NavigationIntegrity(ConfigModel):
     """Poses in the mean NIS."""
     thruster_open_s: Positive = 0.3
     """Time after which a thruster that was not commanded counts as stuck open."""
-    acquisition_s: NotNegative = 20.0
+    acquisition_s: NotNegative = 45.0
     """Time after the first pose in which the filters may converge."""
 
 
@@ -566,10 +566,11 @@ class GncConfig(ConfigModel):
 
     @model_validator(mode="after")
     def _filters_can_have_the_budget(self) -> Self:
-        if self.navigation.budget.is_empty:
-            return self
-        if self.shadow.enabled:
-            raise ValueError("shadow.enabled = true: the shadow filter has no error budget; allowed with one is false")
+        if self.shadow.enabled and not (self.navigation.budget.is_empty and not self.navigation.thrust.enabled):
+            raise ValueError(
+                "shadow.enabled = true: the shadow filter has neither error budget nor commanded thrust; allowed with "
+                "gnc.navigation.thrust.enabled = false and without gnc.navigation.budget, or with sizes of 0 in it"
+            )
         return self
 
     @model_validator(mode="after")

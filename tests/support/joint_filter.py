@@ -7,6 +7,7 @@ import numpy as np
 from hil.core.messages import new
 from hil.gnc import joint_filter, pose_model
 from hil.gnc.error_state import FILTERS, INNOVATION, NOISE_FACTOR
+from hil.gnc.step_memory import STEP
 
 NO_FORCE = np.zeros(3)
 
@@ -38,8 +39,9 @@ class JointFilter:
 
     def predict(self, rate: np.ndarray, force: np.ndarray, hill: np.record) -> None:
         """Make a step with samples of gyro and accelerometer."""
-        params = self.params
-        joint_filter.predict(params.errors, params.akf, params.pkf, self.filters, rate, force, hill)
+        step = new(STEP)
+        step.rate_C, step.force_C, step.hill = rate, force, hill
+        joint_filter.predict(self.params, self.filters, step)
 
     def innovate_attitude(self, q: np.ndarray, covariance: np.ndarray) -> float:
         """Return the NIS of a measured attitude; ``found`` has its innovation."""

@@ -30,6 +30,7 @@ from hil.session import build
 from hil.session.build import Job
 from hil.setup.compiled import python_only
 from tests.support.external_gnc import c_example
+from tests.support.plain_filters import PLAIN
 from tests.support.rows import assert_same_bits
 from tests.support.run_settings import ALL_ERRORS, make_job
 
@@ -365,7 +366,7 @@ def test_ctrl_c_stops_a_compiled_run_between_two_blocks(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [
-        (("gnc.shadow.enabled=true",), "shadow filter"),
+        ((*PLAIN, "gnc.shadow.enabled=true"), "shadow filter"),
         (("vmu.source=rendered",), "rendered images"),
         (("rig.safety.command_age_max_s=0.03",), "setpoints that expire within two cycles"),
         ((), ""),

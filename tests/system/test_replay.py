@@ -19,6 +19,7 @@ from hil.recording.replay import replay
 from hil.recording.session import recording
 from hil.report.summary import summarise
 from hil.session import build
+from tests.support.plain_filters import PLAIN
 from tests.support.run_settings import make_job
 
 
@@ -57,7 +58,7 @@ def test_late_double_and_lost_poses_are_replayed_as_they_came(recorded_run: Path
 
 
 def test_orders_are_given_again_in_their_cycles(tmp_path: Path) -> None:
-    recorded = record(tmp_path, "scheme-1", 6.0, "gnc.abort.at_s=2.0", "gnc.shadow.enabled=true")
+    recorded = record(tmp_path, "scheme-1", 6.0, "gnc.abort.at_s=2.0", *PLAIN, "gnc.shadow.enabled=true")
     assert any("abort" in note["message"] for note in recorded.log)
     assert replay(recorded, recorded.scenario).identical
 

@@ -7,6 +7,7 @@ import pytest
 from hil.cli.main import execute
 from hil.errors import DeviceError, LinkTimeout
 from hil.session import build
+from tests.support.plain_filters import PLAIN
 from tests.support.run_settings import make_job
 from tests.support.split_bench import gnc_thread, split_bench
 from tests.support.udp_relay import Relay
@@ -74,7 +75,7 @@ def test_answer_from_before_an_abort_is_not_taken_for_the_one_after_it() -> None
 
 
 def test_shadow_filter_that_parts_is_told_where_the_gnc_runs() -> None:
-    settings = ("gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
+    settings = (*PLAIN, "gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
     with split_bench("scheme-1", 4.0) as bench, gnc_thread("scheme-1", bench.link.address, settings) as gnc:
         assert bench.fly().faults == []
     told = [text for text in gnc.stats.as_json(gnc.link)["filters"] if "shadow: diverges from the filters" in text]

@@ -135,7 +135,7 @@ def test_unknown_set_is_answered_with_the_names_of_all() -> None:
         ("vmu.errors.bias_m=[0.1, 0.2]", ("vmu.errors.bias_m",)),
         ("vmu.errors.outlier_probability=1.5", ("vmu.errors.outlier_probability", "1.5")),
         ("vmu.errors.correlation_time_s=0.0", ("vmu.errors.correlation_time_s", "greater than 0")),
-        ("vmu.errors.bias_mm=[0.0, 0.0, 1.0]", ("vmu.errors.bias_mm", "here it is bias_m")),
+        ("vmu.errors.bias_mm=[0.0, 0.0, 1.0]", ("vmu.errors.bias_mm", "did you mean bias_m?")),
         ("imu.errors.gyro_scale_error=[0.6, 0.0, 0.0]", ("imu.errors.gyro_scale_error[0]", "0.6")),
         ("imu.errors.gyro_quantum_degps=-1.0", ("imu.errors.gyro_quantum_degps", "-1")),
         ("chaser.thrusters.errors.delay_s=-0.1", ("chaser.thrusters.errors.delay_s", "-0.1")),

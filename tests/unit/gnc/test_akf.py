@@ -24,9 +24,9 @@ ORBIT_RATE = 8.2e-4  # rad/s
 
 
 @pytest.fixture
-def params(scheme_1: Scenario) -> np.record:
+def params(plain_filters_1: Scenario) -> np.record:
     """Return the shipped parameters, for a frame H whose rate is known."""
-    fusion: np.record = gnc_params.navigation(scheme_1).fusion
+    fusion: np.record = gnc_params.navigation(plain_filters_1).fusion
     fusion.akf.rate_sigma = fusion.akf.rate_noise = 0.0
     return fusion
 

@@ -25,9 +25,9 @@ ORBIT_RATE = 8.2e-4  # rad/s
 
 
 @pytest.fixture
-def params(scheme_1: Scenario) -> np.record:
+def params(plain_filters_1: Scenario) -> np.record:
     """Return the shipped parameters, for a frame H whose rate is known."""
-    own: np.record = gnc_params.navigation(scheme_1).fusion.akf
+    own: np.record = gnc_params.navigation(plain_filters_1).fusion.akf
     own.rate_sigma = own.rate_noise = 0.0
     return own
 
@@ -264,12 +264,14 @@ class Both:
         return np.array(found)
 
 
-def test_both_forms_estimate_the_same_and_are_equally_honest(scheme_2: Scenario, rng: np.random.Generator) -> None:
+def test_both_forms_estimate_the_same_and_are_equally_honest(
+    plain_filters_2: Scenario, rng: np.random.Generator
+) -> None:
     """In an approach the multiplicative form wins nothing measurable: 0.3 % of a sigma, 0.01 % of a variance."""
     runs, marks = 30, (8, 120, 400)
     total, apart = {mark: np.zeros(2) for mark in marks}, np.zeros(6)
     for _ in range(runs):
-        both = Both(scheme_2, 3.0, rng)
+        both = Both(plain_filters_2, 3.0, rng)
         for k in range(1, max(marks) + 1):
             both.step()
             apart = np.maximum(apart, both.apart())
@@ -283,10 +285,10 @@ def test_both_forms_estimate_the_same_and_are_equally_honest(scheme_2: Scenario,
         assert total[mark][0] == pytest.approx(total[mark][1], rel=1e-3)
 
 
-def test_only_the_additive_form_suffers_where_pitch_is_near_a_right_angle(scheme_2: Scenario) -> None:
+def test_only_the_additive_form_suffers_where_pitch_is_near_a_right_angle(plain_filters_2: Scenario) -> None:
     worst = 0.0
     for seed in range(5):
-        level, steep = (Both(scheme_2, pitch, np.random.default_rng(seed)) for pitch in (3.0, 89.95))
+        level, steep = (Both(plain_filters_2, pitch, np.random.default_rng(seed)) for pitch in (3.0, 89.95))
         for _ in range(200):
             level.step()
             steep.step()
@@ -296,9 +298,9 @@ def test_only_the_additive_form_suffers_where_pitch_is_near_a_right_angle(scheme
 
 
 def test_additive_covariance_has_a_direction_along_q_that_means_nothing(
-    scheme_2: Scenario, rng: np.random.Generator
+    plain_filters_2: Scenario, rng: np.random.Generator
 ) -> None:
-    both = Both(scheme_2, 3.0, rng)
+    both = Both(plain_filters_2, 3.0, rng)
     for k in range(401):
         if k > 0:
             both.step()

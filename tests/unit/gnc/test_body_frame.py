@@ -15,8 +15,9 @@ from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
 from hil.models.rotating_frame import frame_acceleration, tumble_rate
 from hil.params import gnc as gnc_params
 from hil.params.target import known_tumble
+from tests.support.plain_filters import PLAIN
 
-SCENARIO = load_scenario("tumbling-5").value
+SCENARIO = load_scenario("tumbling-5", PLAIN).value
 DT = SCENARIO.step_s
 
 

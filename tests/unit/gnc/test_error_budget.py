@@ -18,10 +18,12 @@ from hil.errors import BadInput
 from hil.gnc import fusion
 from hil.gnc.error_state import FILTER_ERRORS
 from hil.gnc.step_memory import STEP, memory_steps
+from hil.gnc.thrust_model import MEASURED, QUIET
 from hil.maths import quat
 from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
+from tests.support.plain_filters import PLAIN, THRUST_OFF, WITHOUT_BUDGET
 from tests.support.run_settings import make_job
 
 KEY = "gnc.navigation.budget"
@@ -56,8 +58,9 @@ ESTIMATED = ("misalignment", *MOVING)
 
 
 def fusion_params(*settings: str) -> np.record:
-    """Return FUSION_PARAMS of scheme 1 with a budget."""
-    return gnc_params.navigation(load_scenario("scheme-1", [f"{KEY}.{text}" for text in settings]).value).fusion
+    """Return FUSION_PARAMS of scheme 1 with a budget, without commanded thrust."""
+    given = (*PLAIN, *(f"{KEY}.{text}" for text in settings))
+    return gnc_params.navigation(load_scenario("scheme-1", given).value).fusion
 
 
 def rotation(q: Array) -> Rotation:
@@ -354,14 +357,18 @@ def test_memory_has_room_for_the_errors_that_are_used_and_no_more() -> None:
     assert sizes == [STEP.itemsize + 8 * (16 + 64 * 3), STEP.itemsize + 8 * (48 + 64 * 21)]
 
 
-def test_memory_keeps_the_thrusters_that_were_commanded_in_each_step() -> None:
-    flight = Flight(fusion_params())
-    for cycle in range(3):
-        flight.state.commanded[:] = 0
-        flight.state.commanded[cycle] = 1
+def test_memory_keeps_kind_thrust_and_torque_of_each_step_s_commands() -> None:
+    flight = Flight(gnc_params.navigation(load_scenario("scheme-1").value).fusion)
+    flight.params.thrust.minimum_on_s, flight.params.thrust.settle = 0.0, 1
+    for command in ([1, 0], [0, 1], [1, 1], [0, 0], [0, 0], [0, 0]):
+        flight.state.commanded[:2] = command
         flight.step()
-    steps = memory_steps(flight.params, flight.memory)
-    np.testing.assert_array_equal(steps["commanded"][:3, :4], np.eye(3, 4))
+    steps, given = memory_steps(flight.params, flight.memory)[:6], flight.params.thrust
+    for name, of in (("thrust_C", given.force), ("torque_C", given.torque)):
+        expected = [of[0], of[1], of[0] + of[1], np.zeros(3), np.zeros(3), np.zeros(3)]
+        np.testing.assert_allclose(steps[name], expected, atol=1e-15)
+        assert np.linalg.norm(of[:2], axis=1).min() > 0.0
+    assert steps["kind"].tolist() == [MEASURED] * 4 + [QUIET] * 2
 
 
 def test_parameters_without_a_spread_are_left_out() -> None:
@@ -374,7 +381,7 @@ def test_parameters_without_a_spread_are_left_out() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (("gnc.shadow.enabled=true",), "shadow"),
+        (("gnc.shadow.enabled=true",), r"neither error budget nor .* gnc\.navigation\.thrust\.enabled = false"),
         ((f"{KEY}.vision_correlated_fraction=1.0",), "vision_correlated_fraction"),
         ((f"{KEY}.gyro_scale_sigma=-0.1",), "gyro_scale_sigma"),
         ((f"{KEY}.vision_bias_sigma_m=[0.1, 0.1]",), "vision_bias_sigma_m"),
@@ -383,7 +390,17 @@ def test_parameters_without_a_spread_are_left_out() -> None:
 )
 def test_budget_that_the_filters_cannot_have_is_rejected(settings: tuple[str, ...], words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        load_scenario("scheme-1", (f"{KEY}.vision_scale_sigma=0.01", *settings))
+        load_scenario("scheme-1", (*PLAIN, f"{KEY}.vision_scale_sigma=0.01", *settings))
+
+
+def test_shadow_filter_goes_with_the_plain_filters_alone() -> None:
+    shadow = "gnc.shadow.enabled=true"
+    plain = load_scenario("scheme-1", (*PLAIN, shadow)).value.gnc
+    assert (plain.shadow.enabled, plain.navigation.budget.is_empty, plain.navigation.thrust.enabled) == (1, 1, 0)
+    for settings in ((), WITHOUT_BUDGET, (THRUST_OFF,)):
+        with pytest.raises(BadInput, match=r"neither error budget nor commanded thrust") as caught:
+            load_scenario("scheme-1", (*settings, shadow))
+        assert len(str(caught.value).splitlines()) == 1
 
 
 def test_budget_for_another_camera_than_the_rig_s_is_rejected() -> None:

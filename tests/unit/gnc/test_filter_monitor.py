@@ -15,6 +15,7 @@ from hil.params import gnc as gnc_params
 from hil.safety.alarms import LOW, AlarmLog
 from hil.safety.condition_alarms import HealthAlarms
 from hil.session import build
+from tests.support.plain_filters import PLAIN
 from tests.support.run_settings import make_job
 
 
@@ -56,7 +57,7 @@ def test_end_of_an_alarm_is_told(rng: np.random.Generator) -> None:
 
 
 def test_check_of_the_innovations_is_a_condition_that_ends(rng: np.random.Generator) -> None:
-    scenario = load_scenario("scheme-1").value
+    scenario = load_scenario("scheme-1", PLAIN).value
     watch = FilterMonitor(gnc_params.gnc(scenario).navigation, None)
     book = AlarmLog()
     alarms = HealthAlarms(book, scenario)
@@ -76,8 +77,9 @@ def test_check_of_the_innovations_is_a_condition_that_ends(rng: np.random.Genera
     assert (fast.latched, sensitive.latched) == (False, True)  # one was acknowledged
 
 
-def test_honest_run_has_no_alarm() -> None:
-    assert events_of() == []
+@pytest.mark.parametrize("settings", [(), PLAIN])
+def test_honest_run_has_no_alarm(settings: tuple[str, ...]) -> None:
+    assert events_of(*settings) == []
 
 
 @pytest.mark.parametrize(
@@ -89,18 +91,19 @@ def test_honest_run_has_no_alarm() -> None:
     ],
 )
 def test_wrong_r_or_q_is_seen_and_told(setting: str, source: str, words: str) -> None:
-    told = [event.text for event in events_of(setting) if event.source == source]
+    told = [event.text for event in events_of(*PLAIN, setting) if event.source == source]
     assert any(words in text for text in told)
 
 
 def test_wrong_q_of_the_accelerometer_is_seen() -> None:
     settings = ("gnc.pkf.accelerometer_noise_mps2=1e-6", "gnc.pkf.accelerometer_bias_noise_mps3=1e-8")
-    assert any("too small" in event.text for event in events_of(*settings, duration_s=250.0))
+    assert any("too small" in event.text for event in events_of(*PLAIN, *settings, duration_s=250.0))
 
 
 def test_shadow_agrees_with_the_compiled_filters_also_on_late_poses() -> None:
-    settings = ("gnc.shadow.enabled=true", "vmu.latency_jitter_s=0.3")
-    job = build.Job(load_scenario("scheme-1", settings), load_rig("mock", ("rig.vmu.timeout_s=1.0",)), 0, 20.0, 1.0)
+    settings = (*PLAIN, "gnc.shadow.enabled=true", "vmu.latency_jitter_s=0.3")
+    rig = load_rig("mock", ("rig.vmu.timeout_s=1.0",))
+    job = build.Job(load_scenario("scheme-1", settings), rig, 0, 20.0, 1.0)
     with build.runner(job) as runner:
         runner.run()
         watch = runner.loop.gnc.filter_monitor
@@ -111,7 +114,7 @@ def test_shadow_agrees_with_the_compiled_filters_also_on_late_poses() -> None:
 
 
 def test_shadow_tells_when_the_filters_part() -> None:
-    settings = ("gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
+    settings = (*PLAIN, "gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
     told = events_of(*settings, duration_s=6.0)
     assert [event.source for event in told].count("shadow") >= 1
     assert "allowed 1e-05 m" in next(event.text for event in told if event.source == "shadow")

@@ -20,9 +20,9 @@ FRAME = 8  # steps from one exposure to the next
 
 
 @pytest.fixture
-def params(scheme_2: Scenario) -> np.record:
+def params(plain_filters_2: Scenario) -> np.record:
     """Return the shipped parameters."""
-    return gnc_params.navigation(scheme_2).fusion
+    return gnc_params.navigation(plain_filters_2).fusion
 
 
 class Flight:
@@ -195,7 +195,7 @@ def test_pose_of_before_the_start_changes_nothing_and_is_counted(params: np.reco
 
 @pytest.mark.parametrize("part", [-0.5, -0.25, 0.25, 0.5])
 def test_exposure_between_two_steps_is_fused_at_its_own_time(
-    params: np.record, scheme_2: Scenario, part: float
+    params: np.record, plain_filters_2: Scenario, part: float
 ) -> None:
     """As by the same filters with steps a quarter as long, to 1 % of what taking it for the step's own would cost."""
     fine, w0, quarter = params.copy(), params.orbit.mean_motion, params.pkf.dt_s / 4

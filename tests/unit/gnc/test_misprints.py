@@ -45,11 +45,11 @@ def test_first_two_lines_of_eq_9_belong_to_the_mended_third_one(rng: np.random.G
         np.testing.assert_allclose(quat.to_matrix(rebuilt), quat.to_matrix(q), atol=1e-9)
 
 
-def test_sensitivity_of_the_position_measurement_is_minus_R_CH_untransposed(scheme_1: Scenario) -> None:
+def test_sensitivity_of_the_position_measurement_is_minus_R_CH_untransposed(plain_filters_1: Scenario) -> None:
     q = Rotation.from_euler("ZYX", [0.5, -0.4, 0.3]).as_quat()
     pose, r_CT_H = new(POSE), np.array([5.0, -0.3, 0.3])
     pose.q_CH, pose.z_TC_C, pose.covariance_position = q, quat.to_matrix(q) @ -r_CT_H, 1e-4 * np.eye(3)
-    state = JointFilter(gnc_params.navigation(scheme_1).fusion, pose)
+    state = JointFilter(gnc_params.navigation(plain_filters_1).fusion, pose)
     np.testing.assert_allclose(state.pkf.x[:3], r_CT_H, atol=1e-14)
     x, p = state.pkf.x.copy(), state.p_pkf.copy()
     innovation = np.array([0.01, -0.02, 0.03])

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from hil.config.load import load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
@@ -21,6 +22,7 @@ from hil.maths import quat
 from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
+from tests.support.plain_filters import WITHOUT_BUDGET
 
 SIGMA_M, SIGMA_RAD = 0.005, math.radians(0.033)
 
@@ -32,7 +34,7 @@ class Navigator:
         self.params, self.out = params, new(NAVIGATION)
         self.state, self._memory = new(navigation.NAVIGATION_STATE), fusion.new_memory(params.fusion)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
-        self._rng, self._scale = rng, scale
+        self._rng, self._scale, self.wrong = rng, scale, 0.0
         self.r, self.q = np.array([10.0, -0.5, 0.5]), Rotation.from_euler("ZYX", [-5, 5, 5], degrees=True).as_quat()
 
     def pose(self, t_s: float, off_m: float = 0.0, off_rad: float = 0.0) -> np.record:
@@ -56,14 +58,15 @@ class Navigator:
         imu.rate_C += own.akf.sigma_gyro * self._rng.standard_normal(3)
         imu.force_C = quat.transform(self.q, still) + own.pkf.initial_bias
         imu.force_C += own.pkf.sigma_accelerometer * self._rng.standard_normal(3)
+        imu.rate_C, imu.force_C = imu.rate_C + self.wrong, imu.force_C + self.wrong
         navigation.navigate(self.params, self.state, self._memory, samples, self._poses, len(poses), self.out)
         return self.out
 
 
 @pytest.fixture
-def params(scheme_2: Scenario) -> np.record:
+def params(plain_filters_2: Scenario) -> np.record:
     """Return the shipped parameters of navigation by vision and IMU."""
-    return gnc_params.navigation(scheme_2)
+    return gnc_params.navigation(plain_filters_2)
 
 
 def test_nothing_is_known_until_a_pose_comes_and_one_too_old_does_not_start(
@@ -148,12 +151,12 @@ def test_wrong_measurement_covariance_shows_as_a_mean_nis_off_three(
 
 
 def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
-    scheme_2: Scenario, mock_rig: Rig, rng: np.random.Generator
+    plain_filters_2: Scenario, mock_rig: Rig, rng: np.random.Generator
 ) -> None:
     """The attitude is estimated: its error, which lasts from frame to frame, is 10 m long."""
     runs, marks = 40, (0, 80, 400)
-    params, mounting = gnc_params.navigation(scheme_2), vision_params.mounting(mock_rig)
-    vision, akf, pkf = vision_params.vision(scheme_2), params.fusion.akf, params.fusion.pkf
+    params, mounting = gnc_params.navigation(plain_filters_2), vision_params.mounting(mock_rig)
+    vision, akf, pkf = vision_params.vision(plain_filters_2), params.fusion.akf, params.fusion.pkf
     vision.reference_range = 1e3  # noise as in Table I at every range
     hill_rate, samples = np.array([0.0, -params.fusion.orbit.mean_motion, 0.0]), np.zeros(1, IMU).view(np.recarray)
     truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)
@@ -211,20 +214,25 @@ def test_normalised_errors_are_those_of_nine_and_six_states(params: np.record, r
     np.testing.assert_allclose(found, [error @ np.linalg.solve(parts[0], error), six @ np.linalg.solve(parts[1], six)])
 
 
-def test_vision_alone_shows_its_low_passed_poses_without_sigmas(params: np.record, rng: np.random.Generator) -> None:
-    params.sensors = VISION_ALONE
-    navigator = Navigator(params, rng)
-    assert navigator.step().valid == 0
-    first = navigator.pose(0.02)
-    out = navigator.step(first)
-    assert out.valid == 1
-    np.testing.assert_allclose(out.r_CT_H, -quat.to_matrix(first.q_CH).T @ first.z_TC_C, atol=1e-14)
-    np.testing.assert_array_equal(out.q_CH, first.q_CH)
-    for k in range(2, 400):
-        out = navigator.step(*([navigator.pose(0.02 * k)] if k % 8 == 0 else []))
-        held = navigator.state.vision_only
-        np.testing.assert_array_equal([*out.r_CT_H, *out.v_CT_H], [*held.r_CT_H, *held.v_CT_H])
-    assert np.abs(out.r_CT_H - navigator.r).max() < 0.01
-    assert np.isnan([*out.sigma_r_m, *out.sigma_v_mps, *out.sigma_attitude_rad]).all()
-    assert np.isnan([out.nis_position, out.nis_attitude]).all()
-    assert navigator.state.fusion.started == 0
+def test_vision_alone_estimates_with_the_commands_whatever_the_imu_reads() -> None:
+    scenario = load_scenario("scheme-2", (*WITHOUT_BUDGET, "gnc.navigation.backend=vision_alone")).value
+    navigators = [Navigator(gnc_params.navigation(scenario), np.random.default_rng(5)) for _ in range(2)]
+    navigators[1].wrong = math.nan
+    assert navigators[0].params.sensors == VISION_ALONE
+    for navigator in navigators:
+        assert navigator.step().valid == 0
+    for k in range(1, 1200):
+        shown = [each.step(*([each.pose(0.02 * k)] if k % 8 == 0 else [])).copy() for each in navigators]
+        assert shown[0].tobytes() == shown[1].tobytes()
+        assert shown[0].valid == (k >= 8)
+        assert math.isfinite(shown[0].nis_position) == math.isfinite(shown[0].nis_attitude) == (k % 8 == 0 and k > 8)
+    out, sound = navigators[0].out, navigators[0]
+    assert sound.state.fusion.accepted == 148
+    for error, sigma in (
+        (out.r_CT_H - sound.r, out.sigma_r_m),
+        (out.v_CT_H, out.sigma_v_mps),
+        (out.w_CH_C, np.full(3, 1e-4)),
+    ):
+        assert np.abs(error / sigma).max() < 4.0
+    assert out.sigma_r_m.max() < SIGMA_M
+    assert 0.0 < out.sigma_v_mps.max() < 5e-4

@@ -26,9 +26,9 @@ STILL = on_circle(0.0, 0.02)  # of a frame that is at rest
 
 
 @pytest.fixture
-def params(scheme_1: Scenario) -> np.record:
+def params(plain_filters_1: Scenario) -> np.record:
     """Return the shipped parameters."""
-    return gnc_params.navigation(scheme_1).fusion
+    return gnc_params.navigation(plain_filters_1).fusion
 
 
 def known_attitude(params: np.record) -> None:
@@ -75,13 +75,13 @@ def middle(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def test_transition_is_the_matrix_exponential_of_the_process(
-    params: np.record, scheme_1: Scenario, rng: np.random.Generator
+    params: np.record, plain_filters_1: Scenario, rng: np.random.Generator
 ) -> None:
     """Of the covariance, from the errors one at a time."""
     known_attitude(params)
     params.pkf.sigma_accelerometer = params.pkf.sigma_bias = 0.0
     for q in Rotation.random(5, rng=rng).as_quat():
-        exact, _ = discrete(scheme_1, q)
+        exact, _ = discrete(plain_filters_1, q)
         for i in range(9):
             state = JointFilter(params)
             state.akf.x[:4], state.p[i, i] = q, 1.0
@@ -134,14 +134,14 @@ def test_step_carries_state_and_joint_covariance_by_its_own_derivative(
 
 
 def test_measured_force_moves_the_state_as_thrust_does(
-    params: np.record, scheme_1: Scenario, rng: np.random.Generator
+    params: np.record, plain_filters_1: Scenario, rng: np.random.Generator
 ) -> None:
     q, force = Rotation.random(rng=rng).as_quat(), np.array([0.01, -0.02, 0.03])
     known_attitude(params)
     state = JointFilter(params)
     state.pkf.x[6:], state.akf.x[:4] = [1e-3, 2e-3, 3e-3], q
     state.predict(np.zeros(3), force + state.pkf.x[6:], STILL)
-    np.testing.assert_allclose(state.pkf.x[:6], discrete(scheme_1, q)[1][:6] @ force, atol=1e-10)
+    np.testing.assert_allclose(state.pkf.x[:6], discrete(plain_filters_1, q)[1][:6] @ force, atol=1e-10)
 
 
 @pytest.mark.parametrize("delta_s", [0.0, 0.01, -0.3])
@@ -187,7 +187,7 @@ def test_innovation_alone_changes_nothing(params: np.record, rng: np.random.Gene
 
 
 def test_filter_with_a_known_attitude_stays_equal_to_filterpy_on_the_same_data(
-    params: np.record, scheme_1: Scenario, rng: np.random.Generator
+    params: np.record, plain_filters_1: Scenario, rng: np.random.Generator
 ) -> None:
     known_attitude(params)
     r, rate = np.diag([1.0, 2.0, 3.0]) * 0.005**2, np.array([0.02, -0.03, 0.01])
@@ -198,7 +198,7 @@ def test_filter_with_a_known_attitude_stays_equal_to_filterpy_on_the_same_data(
     for k in range(400):
         before, force = state.akf.x[:4].copy(), 5e-3 * rng.standard_normal(3)
         state.predict(rate, force, HILL)
-        phi, psi = discrete(scheme_1, middle(before, state.akf.x[:4]))
+        phi, psi = discrete(plain_filters_1, middle(before, state.akf.x[:4]))
         reference.predict(u=force, B=psi, F=phi, Q=process_noise(params.pkf, psi))
         if k % 8 == 7:
             z = np.array([-5.0, 0.3, -0.3]) + 0.005 * rng.standard_normal(3)
@@ -214,7 +214,7 @@ def test_filter_with_a_known_attitude_stays_equal_to_filterpy_on_the_same_data(
 
 
 def test_filter_stays_equal_to_a_joint_filter_that_does_not_correct_the_attitude(
-    params: np.record, scheme_1: Scenario, rng: np.random.Generator
+    params: np.record, plain_filters_1: Scenario, rng: np.random.Generator
 ) -> None:
     """Fifteen states in numpy, the attitude's corrected by measured attitudes alone (Schmidt 1966)."""
     own = params.akf
@@ -232,7 +232,7 @@ def test_filter_stays_equal_to_a_joint_filter_that_does_not_correct_the_attitude
         force = np.array([0.02, -0.05, 0.03]) * math.sin(0.05 * k)
         state.predict(rate, force, HILL)
         akf.transition(0.02 * (rate - drift), 0.02, rotation)
-        phi, psi = discrete(scheme_1, middle(before, state.akf.x[:4]))
+        phi, psi = discrete(plain_filters_1, middle(before, state.akf.x[:4]))
         f = block_diag(phi, np.vstack([rotation, np.eye(3, 6, 3)]))
         for i in range(3):
             # A(turned q) = A - [turn]x A: the force in H gains A.T (turn x force)
@@ -292,12 +292,12 @@ def test_sigma_is_the_root_of_the_diagonal(params: np.record, rng: np.random.Gen
 
 
 def test_errors_with_a_known_attitude_are_as_large_as_the_covariance_says(
-    params: np.record, scheme_1: Scenario, rng: np.random.Generator
+    params: np.record, plain_filters_1: Scenario, rng: np.random.Generator
 ) -> None:
     known_attitude(params)
     own, runs, marks = params.pkf, 30, (8, 400, 1504)
     q, r, root = np.array([0.0, 0.0, 0.0, 1.0]), 0.005**2 * np.diag([1.0, 4.0, 9.0]), 0.005 * np.arange(1.0, 4.0)
-    (phi, psi), total = discrete(scheme_1, q), dict.fromkeys(marks, 0.0)
+    (phi, psi), total = discrete(plain_filters_1, q), dict.fromkeys(marks, 0.0)
     for _ in range(runs):
         truth = np.zeros(9)
         truth[:3] = [5.0, -0.3, 0.3]

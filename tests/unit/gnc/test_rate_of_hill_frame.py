@@ -11,6 +11,7 @@ from hil.monte_carlo import akf_additive
 from hil.params.gnc import navigation
 from tests.support.hill_steps import on_circle
 from tests.support.joint_filter import NO_FORCE, JointFilter
+from tests.support.plain_filters import PLAIN
 
 SIGMAS = [0.0, 1e-6, 9e-6]
 
@@ -33,7 +34,7 @@ def test_its_variance_grows_as_over_the_orbit_at_any_rate_of_the_filter(rate_hz:
 
 
 def test_it_adds_to_the_covariance_of_the_drift_in_the_axes_of_the_chaser(rng: np.random.Generator) -> None:
-    fusion, pose = navigation(load_scenario("scheme-1").value).fusion, new(POSE)
+    fusion, pose = navigation(load_scenario("scheme-1", PLAIN).value).fusion, new(POSE)
     params, turn = fusion.akf, Rotation.from_rotvec([0.3, -0.8, 0.5])
     pose.q_CH, pose.covariance_attitude, pose.covariance_position = turn.as_quat(), 1e-9 * np.eye(3), np.eye(3)
     to_c = turn.as_matrix().T

@@ -26,6 +26,7 @@ from hil.recording.sinks import EventRecorder
 from hil.report.summary import summarise
 from hil.session import build
 from hil.setup.live_tuning import packed, unpacked, with_setting
+from tests.support.plain_filters import PLAIN
 
 NOISE = "gnc.pkf.accelerometer_noise_mps2"
 DEADBAND = "gnc.control.deadband_m"
@@ -72,20 +73,17 @@ def first_difference(a: np.ndarray, b: np.ndarray, group: str) -> int:
     return next(k for k in range(len(a)) if bits[0][k * size : (k + 1) * size] != bits[1][k * size : (k + 1) * size])
 
 
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    return fly(tmp_path_factory.mktemp("plain"), scheme(), {})
-
-
-@pytest.mark.parametrize("filters", ["compiled", "with their shadow"])
+@pytest.mark.parametrize(
+    ("filters", "others"), [((), ()), (PLAIN, ("gnc.shadow.enabled=true",))], ids=["compiled", "with their shadow"]
+)
 def test_change_in_flight_acts_from_its_cycle_on_and_the_replay_makes_it_again(
-    filters: str, plain: Recorded, tmp_path: Path
+    filters: tuple[str, ...], others: tuple[str, ...], tmp_path: Path
 ) -> None:
-    job = scheme() if filters == "compiled" else scheme("gnc.shadow.enabled=true")
+    unchanged, job = fly(tmp_path / "unchanged", scheme(*filters), {}), scheme(*filters, *others)
     changes = {119: f"{NOISE}=0.0004", 150: f"{DEADBAND}=0.002", 169: f"{NOISE}=0.0002"}
-    changed = fly(tmp_path, job, changes)
-    assert first_difference(plain.cycles, changed.cycles, "navigation") == 120
-    np.testing.assert_array_equal(plain.cycles[:120]["command"], changed.cycles[:120]["command"])
+    changed = fly(tmp_path / "changed", job, changes)
+    assert first_difference(unchanged.cycles, changed.cycles, "navigation") == 120
+    np.testing.assert_array_equal(unchanged.cycles[:120]["command"], changed.cycles[:120]["command"])
     assert [(n["cycle"], n["name"], n["message"]) for n in changed.log if n["kind"] == "setting"] == [
         (cycle + 1, "ann", text) for cycle, text in changes.items()
     ]
@@ -105,8 +103,7 @@ def test_replay_leaves_out_changes_of_what_it_has_otherwise(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("key", LIVE_TUNABLE)
 def test_each_setting_that_is_sound_in_flight_acts_on_the_parameters_and_has_a_range(key: str) -> None:
-    name = "scheme-3" if "vision_only" in key else "scheme-1"
-    scenario = load_scenario(name).value
+    scenario = load_scenario("scheme-1").value
     before = value_of(scenario, key)
     limits = range_of(Scenario, key)
     assert 0.0 <= limits["low"] <= before <= limits["high"]
