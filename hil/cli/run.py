@@ -5,6 +5,7 @@ from __future__ import annotations
 import faulthandler
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -131,10 +132,11 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     def announce(text: str) -> None:
         console.print(text, style="dim", highlight=False, soft_wrap=True)
 
-    if json not in (None, "-"):  # stays if this process is killed
-        job = request.job
+    if json is not None and json != "-" and (Path(json).is_file() or not Path(json).exists()):
+        job = request.job  # what stays if this process is killed
         begun = {"scenario": job.scenario.value.name, "rig": request.rig_name, "seed": job.seed}
-        write_json({**begun, "passed": False, "accepted": False, "stop": UNFINISHED, "faults": [UNFINISHED]}, str(json))
+        with suppress(BadInput):  # a full disk is reported with the numbers
+            write_json({**begun, "passed": False, "accepted": False, "stop": UNFINISHED, "faults": [UNFINISHED]}, json)
     with ProgressBar(console, "opening the devices") as bar:
         found = run_job(replace(request, announce=announce, on_progress=_mode_shown_on(bar)))
     summary = found.summary

@@ -171,7 +171,9 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "imu.stuck": _navigation("IMU suspect: ten readings that repeat", "commanded thrust replaces the IMU, no go"),
     "thruster.stuck_open": _navigation("thruster fault, by the IMU", "abort"),
     "thruster.stuck_closed": _navigation("thruster fault, by the IMU, once it was commanded a few times", "abort"),
-    "thruster.leak": _navigation("thruster fault, by the IMU, from about a third of the thrust on; below, a disturbance", "abort"),
+    "thruster.leak": _navigation(
+        "thruster fault, by the IMU, from about a third of the thrust on; below, a disturbance", "abort"
+    ),
     "thruster.force_scale": _within("thruster fault, by the IMU, from about half of the thrust on"),
     "thruster.delay": _within("none: control allows for it"),
     "thruster.minimum_on": _navigation("thruster fault, by the IMU, from about 0.5 s on", "abort"),

@@ -221,7 +221,7 @@ def _largest_missed(params, fusion, n, limit, kind, most):
     it is found when its normalised innovations have passed the gate or summed up to the limit.
     """
     gain, gain_speed = fusion.gain_position, fusion.gain_velocity * fusion.interval_s
-    r, v, total, missed, largest = 0.0, 0.0, 0.0, most, 0.0
+    r, v, total, missed, largest = 0.0, 0.0, 0.0, np.inf, 0.0
     for j in range(1, int(n) + 1):
         fault = 1.0 if kind == 0 else float(j)
         r += v
@@ -232,9 +232,10 @@ def _largest_missed(params, fusion, n, limit, kind, most):
         size = (params.mean_shift * j + limit) / total if total > 0.0 else np.inf
         if innovation > 0.0:
             size = min(size, params.gate / innovation)
-        missed = min(missed, size)
-        largest = max(largest, missed * abs(r))
-    return largest, missed
+        if size < missed or most < missed:  # one that was found before has ended
+            missed = min(missed, size)
+            largest = max(largest, min(size, most) * abs(r))
+    return largest, min(missed, most)
 
 
 @kernel

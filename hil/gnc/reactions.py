@@ -23,6 +23,7 @@ CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 7
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # of phases
+_CONVERGED_SHARE = 0.85  # of an alert limit
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
 
 REACTION_PARAMS = np.dtype(
@@ -32,7 +33,7 @@ REACTION_PARAMS = np.dtype(
         ("acquisition_s", "f8"),  # from the first pose, in which the navigation may converge
         ("converged_mps", "f8"),  # allowance of the closing rate from which on it has
         ("hold_max_s", "f8"),  # longest hold or retreat
-        ("coast_share", "f8"),  # of an alert limit, up to which the approach goes on without vision
+        ("coast_share", "f8"),  # of an alert limit, up to which the approach continues without vision
     ],
     align=True,
 )
@@ -59,7 +60,7 @@ def acquire(params, monitor, state, t_s, estimate):
     """Take note whether the navigation has converged, and since when it is not protected."""
     state.share = approach_monitor.level_share(monitor, estimate)
     if not estimate.protection_level_m[0] >= 0.0:
-        state.share = np.inf  # one without a level cannot go on without vision
+        state.share = np.inf  # one without a level does not continue without vision
     is_within = approach_monitor.is_protected(monitor, estimate)
     if state.valid_since_s == 0.0:
         state.valid_since_s = t_s + 1e-9
@@ -68,7 +69,9 @@ def acquire(params, monitor, state, t_s, estimate):
         for i in range(3):
             if estimate.sigma_v_mps[i] > largest:
                 largest = estimate.sigma_v_mps[i]
-        if is_within and monitor.confidence * largest <= params.converged_mps:
+        # the level rises a little while the filters have few poses
+        is_clear = is_within and (state.share <= _CONVERGED_SHARE or state.share == np.inf)
+        if is_clear and monitor.confidence * largest <= params.converged_mps:
             state.converged = 1
     waits = state.converged == 0 and t_s - state.valid_since_s <= params.acquisition_s
     if is_within or waits:

@@ -42,7 +42,14 @@ LARGEST_RATIO = 1.05
 TABLE_II_SD = ((0.0037, 0.0039, 0.0039), (0.0304, 0.0315, 0.0312))  # m, deg
 TABLE_II_MAX = ((0.0141, 0.0142, 0.0132), (0.1078, 0.1045, 0.1146))
 
-_OF_THE_PAPER = ("gnc.ephemeris.rate_sigma_degps=[0,0,0]", "gnc.navigation.thrust.enabled=false")
+_OF_THE_PAPER = (
+    "gnc.ephemeris.rate_sigma_degps=[0,0,0]",
+    "gnc.navigation.thrust.enabled=false",
+    "gnc.navigation.budget.vision_bias_sigma_m=[0,0,0]",
+    "gnc.navigation.budget.vision_misalignment_sigma_deg=0",
+    "gnc.navigation.budget.vision_scale_sigma=0",
+    "gnc.navigation.budget.vision_noise_scale_sigma=0",
+)
 """The motion of the study is Hill's, the filters' only inputs are the IMU and poses."""
 _ROTATION_TIME_S = 10.0  # the paper's attitude converges in about 10 s
 _BAND = 0.999

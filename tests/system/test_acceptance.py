@@ -20,7 +20,9 @@ from hil.report.summary import summary_of
 pytestmark = pytest.mark.xdist_group("campaign")
 
 LEFT_OUT = "(not required: energy fail)"
-ALL_PARTS = 'requirements.required_parts=["control_precision","security","energy","field_of_view","integrity"]'
+PARTS = ["control_precision", "security", "field_of_view", "integrity", "decision"]
+WITHOUT_ENERGY = ("--set", f"requirements.required_parts={json.dumps(PARTS)}")
+STRICT = ("--set", "requirements.propellant_factor=1.0")  # no run passes energy
 
 
 class RecordedCommand(NamedTuple):
@@ -33,17 +35,17 @@ class RecordedCommand(NamedTuple):
 
 
 def recorded_command(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> RecordedCommand:
-    """Run scheme 3, seed 1, which fails energy alone."""
+    """Run scheme 3, seed 1, with a limit of the propellant that it fails."""
     path = folder / "run.json"
-    code = execute(["run", "scheme-3", "--seed", "1", "--record", str(folder), "--json", str(path), *more])
+    code = execute(["run", "scheme-3", "--seed", "1", "--record", str(folder), "--json", str(path), *STRICT, *more])
     (file,) = folder.glob("*.mcap")
     return RecordedCommand(code, capsys.readouterr().out.splitlines(), json.loads(path.read_text()), file)
 
 
 @pytest.mark.parametrize(
     ("more", "accepted", "beside", "listed"),
-    [((), True, LEFT_OUT, "pass"), (("--set", ALL_PARTS), False, "(failed: energy)", "fail")],
-    ids=["as shipped", "all parts required"],
+    [(WITHOUT_ENERGY, True, LEFT_OUT, "pass"), ((), False, "(failed: energy)", "fail")],
+    ids=["energy not required", "all parts required"],
 )
 def test_every_output_of_a_run_gives_the_same_verdict(
     tmp_path: Path,
@@ -75,7 +77,7 @@ def test_every_output_of_a_run_gives_the_same_verdict(
 def test_recording_of_an_earlier_version_is_judged_by_the_requirements_of_its_scenario(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recorded = load(recorded_command(tmp_path, capsys).file)
+    recorded = load(recorded_command(tmp_path, capsys, *WITHOUT_ENERGY).file)
     assert recorded.summary is not None
     earlier = {k: v for k, v in recorded.summary.items() if k not in ("accepted", "required_parts")}
     assert summary_of(replace(recorded, summary=earlier))["accepted"]
@@ -92,20 +94,42 @@ def test_run_that_misses_several_parts_names_them(capsys: pytest.CaptureFixture[
 
 
 def test_campaign_counts_accepted_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert execute(["campaign", "scheme-3", "--runs", "4", "--workers", "1", "--out", str(tmp_path / "c")]) == 0
+    assert (
+        execute(
+            [
+                "campaign",
+                "scheme-3",
+                "--runs",
+                "4",
+                "--workers",
+                "1",
+                "--out",
+                str(tmp_path / "c"),
+                *STRICT,
+                *WITHOUT_ENERGY,
+            ]
+        )
+        == 0
+    )
     out = capsys.readouterr().out
     summary = json.loads((tmp_path / "c" / "summary.json").read_text())
     rates = summary["pass_rate"]
     assert next(iter(rates)) == "accepted"
     assert rates["accepted"] == rates["passed"] != rates["passed_all_parts"]  # each case fails energy
     assert rates["accepted"]["low"] < rates["accepted"]["rate"] <= rates["accepted"]["high"]
-    assert summary["required_parts"] == ["control_precision", "security", "field_of_view", "integrity"]
+    assert summary["required_parts"] == PARTS
     (line,) = [line for line in out.splitlines() if line.startswith("accepted ")]
     assert line.endswith("Wilson 95%; not required: energy")
-    campaign = hil.campaign("scheme-3", runs=4, out=tmp_path / "c", workers=1)
+    campaign = hil.campaign(
+        "scheme-3",
+        runs=4,
+        out=tmp_path / "c",
+        workers=1,
+        overrides={"requirements.propellant_factor": 1.0, "requirements.required_parts": PARTS},
+    )
     assert campaign.accepted_rate == rates["accepted"]
     assert campaign.column("accepted").sum() == rates["accepted"]["passed"]
-    every = ["--out", str(tmp_path / "all"), "--set", ALL_PARTS]
+    every = ["--out", str(tmp_path / "all"), *STRICT]
     assert execute(["campaign", "scheme-3", "--runs", "4", "--workers", "1", *every]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("accepted ")]
     assert line.split()[1:4] == ["0", "of", "4,"]

@@ -10,18 +10,23 @@ import pytest
 from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import NAVIGATION, REFERENCE, SUPERVISION, new
+from hil.gnc import approach_monitor
 from hil.gnc.approach_monitor import (
     CLOSING_RATE,
     CORRIDOR,
+    ENCODERS,
+    GO,
+    GO_CHECK,
+    LEVEL,
     NOT_ABORTED,
     ORDERED,
     alert_limits,
-    check,
     closing_limit,
     closing_margin,
     corridor_margin,
     is_protected,
 )
+from hil.gnc.reactions import REACTION_STATE
 from hil.params import gnc as gnc_params
 
 FAR, READY = np.array([5.0, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
@@ -43,6 +48,23 @@ def seen(r: tuple[float, float, float], v: tuple[float, float, float] = (0.0, 0.
     navigation = new(NAVIGATION)
     navigation.valid, navigation.r_CT_H, navigation.v_CT_H, navigation.q_CH = 1, r, v, [0.0, 0.0, 0.0, 1.0]
     return navigation
+
+
+def check(
+    params: np.record,
+    t_s: float,
+    navigation: np.record,
+    reference: np.record,
+    ordered: int,
+    converged: int,
+    found: np.record,
+    go: np.record | None = None,
+) -> bool:
+    """Check an approach that has begun inside its corridor, if the filters have converged."""
+    reactions = new(REACTION_STATE)
+    reactions.converged = reactions.entered = converged
+    certain = new(GO_CHECK) if go is None else go
+    return bool(approach_monitor.check(params, t_s, navigation, reference, ordered, reactions, certain, found))
 
 
 def test_corridor_is_a_cone_with_a_least_radius(params: np.record) -> None:
@@ -189,3 +211,31 @@ def test_ready_since_is_the_begin_of_the_unbroken_stay(params: np.record) -> Non
         check(params, float(k), seen((x, 0.0, 0.0)), line(), 0, 1, watch)
         since.append(float(watch.ready_since_s))
     np.testing.assert_array_equal(since, [np.nan, 1.0, 1.0, np.nan, 4.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("level_m", "off_m", "lacks", "axis"),
+    [(0.012, 0.0, GO, 0), (0.021, 0.0, LEVEL, 1), (0.012, 0.017, ENCODERS, 1), (0.012, -0.017, ENCODERS, 1)],
+)
+def test_go_requires_a_level_within_table_iii_and_the_encoders(
+    params: np.record, level_m: float, off_m: float, lacks: int, axis: int
+) -> None:
+    watch, navigation, go = new(SUPERVISION), seen((0.4, 0.0, 0.0)), new(GO_CHECK)
+    go.level_m, go.known, go.off[1] = (0.005, level_m, 0.005), 1, off_m
+    check(params, 1.0, navigation, line(), 0, 1, watch, go)
+    assert math.isnan(watch.ready_since_s) == (lacks != GO)
+    assert (go.lacks, go.axis if lacks else 0) == (lacks, axis)
+    if lacks != GO:
+        assert go.value == pytest.approx(max(level_m if lacks == LEVEL else abs(off_m), 0.017))
+        assert go.value > go.limit > 0.0
+
+
+@pytest.mark.parametrize(("r", "outside"), [((5.0, 0.1, 0.0), 0), ((5.8, 0.0, 0.0), 1), ((5.0, 0.5, 0.0), 1)])
+def test_approach_that_begins_far_from_its_plan_is_outside_and_not_aborted(
+    params: np.record, r: tuple[float, float, float], outside: int
+) -> None:
+    watch, reactions, reference = new(SUPERVISION), new(REACTION_STATE), line()
+    reactions.converged, reference.r_CT_H = 1, FAR
+    for k in range(100):
+        assert not approach_monitor.check(params, 0.02 * k, seen(r), reference, 0, reactions, new(GO_CHECK), watch)
+    assert reactions.outside == outside

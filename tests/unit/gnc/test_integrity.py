@@ -121,11 +121,11 @@ def test_noise_beyond_the_reported_one_is_suspect_until_it_ends(params: np.recor
 
 def test_rejections_in_a_row_are_suspect_and_age_is_loss(params: np.record) -> None:
     state = new(INTEGRITY_STATE)
-    assert health(params, state, rejected=2) == 0
-    assert health(params, state, rejected=3) == GncHealth.VISION_SUSPECT
+    assert health(params, state, rejected=3) == 0
+    assert health(params, state, rejected=4) == GncHealth.VISION_SUSPECT
     assert health(params, state, age_s=params.lost_after_s) == 0
     assert health(params, state, age_s=params.lost_after_s + 0.1) == GncHealth.VISION_LOST
-    state.refused_in_a_row = 3
+    state.refused_in_a_row = 4
     assert health(params, state) == GncHealth.VISION_SUSPECT
 
 
@@ -149,19 +149,29 @@ def test_protection_level_without_a_bias_is_that_of_the_integrity_risk(params: n
     assert out.protection_level_rad == pytest.approx(params.sigmas * 1e-4)
 
 
-def test_protection_level_grows_by_the_bias_that_the_monitors_miss_and_with_the_age_of_vision(
-    params: np.record,
-) -> None:
-    plain = levels(params, new(INTEGRITY_STATE), 10.0).protection_level_m
-    n, shift = params.cusum_limit / params.mean_shift, 2.0 * params.mean_shift
-    through_position = levels(params, new(INTEGRITY_STATE), 10.0, gain_position=0.03).protection_level_m
-    np.testing.assert_allclose(through_position - plain, shift * 0.005 * n * 0.03)
-    velocity = shift * 0.005 * n * 0.002
-    for age_s in (0.0, 7.0):
-        found = levels(params, new(INTEGRITY_STATE), 10.0 + age_s, gain_velocity=0.002).protection_level_m
-        np.testing.assert_allclose(found - plain, velocity * (0.5 * n * 0.16 + age_s))
-    young = integrity.missed_shift(params, 8)
-    assert young == (params.gate, 2.0)
+def test_fault_of_the_poses_that_is_found_soon_is_missed_for_few_poses(params: np.record) -> None:
+    assert integrity.missed_shift(params, 8) == (params.gate, 2.0)
+
+
+def test_ramp_is_no_larger_than_the_dynamics_permit(params: np.record) -> None:
+    state, fused = new(INTEGRITY_STATE), new(FUSION_STATE)
+    fused.accepted, fused.gain_position, fused.gain_velocity, fused.interval_s = 10_001, 0.03, 0.003, 0.16
+    fused.noise_m, state.spread_mps = 0.005, 1e-5
+    integrity.follow(params, state, fused, 0.02)
+    assert state.followed_speed * 0.005 == pytest.approx(6e-5)  # six standard deviations, m/s
+    bounded = state.followed
+    state.spread_mps = 1.0
+    integrity.follow(params, state, fused, 0.02)
+    assert state.followed > bounded
+
+
+def test_level_is_not_larger_when_poses_return_after_a_gap(params: np.record) -> None:
+    state = new(INTEGRITY_STATE)
+    state.followed, state.followed_speed = 1.0, 0.1
+    before = levels(params, state, 15.0).protection_level_m.copy()
+    state.followed = 5.0  # with the gains after a gap
+    after = levels(params, state, 15.02, last_accepted_s=15.0, updated=1).protection_level_m
+    assert np.all(after <= before + 0.1 * 0.005 * 0.02 + 1e-12)
 
 
 def test_bias_that_was_found_has_no_bound(params: np.record) -> None:
@@ -169,21 +179,6 @@ def test_bias_that_was_found_has_no_bound(params: np.record) -> None:
     state.biased = 1
     out = levels(params, state, 10.0)
     assert np.isinf([*out.protection_level_m, out.protection_level_rad]).all()
-
-
-def test_constant_innovation_bias_leads_to_less_error_than_the_protection_level(
-    params: np.record, scheme_1: Scenario
-) -> None:
-    """One axis of a filter with constant gains, whose innovations have the bias that the CUSUM just misses."""
-    gain, gain_v, dt, sigma = 0.03, 0.0028, 0.16, 0.005
-    shift, n = integrity.missed_shift(params, 10_000)
-    position = velocity = 0.0
-    for _ in range(int(n)):
-        position += dt * velocity + gain * shift * sigma
-        velocity += gain_v * shift * sigma
-    out = levels(params, new(INTEGRITY_STATE), 10.0, gain_position=gain, gain_velocity=gain_v)
-    assert position <= out.protection_level_m[0] - params.sigmas * 0.001
-    assert position == pytest.approx(out.protection_level_m[0] - params.sigmas * 0.001, rel=0.02)
 
 
 def worst_error(params: np.record, gain: float, gain_v: float, dt_s: float, kind: str) -> float:
@@ -204,13 +199,10 @@ def worst_error(params: np.record, gain: float, gain_v: float, dt_s: float, kind
 
 
 @pytest.mark.parametrize(("gain", "gain_v"), [(0.03, 0.0028), (0.1, 0.03), (0.3, 0.3)])
-def test_level_under_a_budget_is_the_error_of_the_fault_that_is_found_last(
-    params: np.record, gain: float, gain_v: float
-) -> None:
-    params.follows = 1
+def test_level_is_the_error_of_the_fault_that_is_found_last(params: np.record, gain: float, gain_v: float) -> None:
     state, fused = new(INTEGRITY_STATE), new(FUSION_STATE)
-    fused.accepted, fused.gain_position, fused.gain_velocity, fused.interval_s = 10_000, gain, gain_v, 0.16
-    integrity.follow(params, state, fused)
+    fused.accepted, fused.gain_position, fused.gain_velocity, fused.interval_s = 10_001, gain, gain_v, 0.16
+    integrity.follow(params, state, fused, 0.02)
     expected = max(worst_error(params, gain, gain_v, 0.16, kind) for kind in ("step", "ramp"))
     assert state.followed == pytest.approx(expected, rel=0.05)
     plain = levels(params, state, 10.0).protection_level_m  # gains of zero: only what is in ``state``
@@ -220,7 +212,8 @@ def test_level_under_a_budget_is_the_error_of_the_fault_that_is_found_last(
 
 
 def test_second_sensor_bounds_the_error_until_it_is_old_or_the_filters_start_again(params: np.record) -> None:
-    state, gains = new(INTEGRITY_STATE), {"gain_position": 0.1, "gain_velocity": 0.01}
+    state, gains = new(INTEGRITY_STATE), {"gain_position": 0.1}
+    state.followed = 10.0
     alone = levels(params, state, 10.0, **gains).protection_level_m[0]
     integrity.set_second(state, 0.02, 10.0)
     assert levels(params, state, 10.0, **gains).protection_level_m[0] == 0.02 < alone
@@ -230,11 +223,11 @@ def test_second_sensor_bounds_the_error_until_it_is_old_or_the_filters_start_aga
     assert levels(params, state, 10.0, **gains).protection_level_m[0] == pytest.approx(without)
     integrity.set_second(state, 0.02, 9.0)
     older = levels(params, state, 10.0, **gains).protection_level_m[0]
-    assert 0.02 + params.gate * 0.005 * 0.1 / 0.16 < older < alone
+    assert 0.02 + params.gate * 0.005 * 0.1 / 0.16 <= older < alone
     integrity.set_second(state, 0.02, 0.0)
     assert levels(params, state, 10.0, **gains).protection_level_m[0] == alone
     integrity.set_second(state, 0.02, 10.0)
     state.restarted_s = 10.5
-    assert levels(params, state, 11.0, **gains).protection_level_m[0] > alone
+    assert levels(params, state, 11.0, **gains).protection_level_m[0] >= alone
     state.restarted_s, state.biased = 0.0, 1
     assert np.isinf(levels(params, state, 11.0, **gains).protection_level_m).all()

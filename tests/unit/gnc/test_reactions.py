@@ -65,19 +65,36 @@ def table(approach: WatchedApproach, condition: int, reaction: int) -> None:
     approach.params.reactions.table[condition] = reaction
 
 
-def test_shipped_table_holds_for_suspect_vision_and_aborts_for_lost_vision(approach: WatchedApproach) -> None:
-    assert approach.run(0.02, SUSPECT).supervision.reaction == HOLD
+def test_shipped_table_holds_for_suspect_vision_and_coasts_without_vision(approach: WatchedApproach) -> None:
+    assert approach.run(5.0, LOST).supervision.reaction == CONTINUE
+    approach.estimate.protection_level_m = 0.12  # beyond 0.7 of the limit across the axis
+    assert approach.run(0.02, LOST).supervision.reaction == HOLD
     assert approach.supervision.aborted == NOT_ABORTED
-    assert approach.run(0.02, SUSPECT | LOST).supervision.reaction == ABORT
-    assert approach.supervision.aborted == FIRST_HEALTH_CAUSE
+    approach.params.monitor.alert_angle = 0.0
+    approach.estimate.protection_level_rad = 0.1
+    approach.run(1.1, LOST)
+    assert approach.supervision.aborted == UNPROTECTED
     approach.run(1.0)  # an abort is final
     assert approach.supervision.reaction == ABORT
+
+
+def test_no_more_than_two_holds_begin_in_a_minute(approach: WatchedApproach) -> None:
+    begun = []
+    for _ in range(300):
+        before = approach.supervision.reaction
+        approach.run(0.2, SUSPECT)
+        if before != HOLD and approach.supervision.reaction == HOLD:
+            begun.append(approach.t_s)
+        approach.run(1.0)
+    assert len(begun) > 2
+    assert np.min(np.array(begun[2:]) - np.array(begun[:-2])) >= 60.0
 
 
 @pytest.mark.parametrize("bit", range(6))
 def test_each_bit_of_health_has_its_row_and_its_cause(approach: WatchedApproach, bit: int) -> None:
     approach.params.reactions.table[:] = CONTINUE
     table(approach, bit, ABORT)
+    approach.params.reactions.coast_share = 0.0
     approach.run(0.02, 63 & ~(1 << bit))
     assert approach.supervision.aborted == NOT_ABORTED
     approach.run(0.02, 1 << bit)
@@ -155,9 +172,10 @@ def test_filters_may_converge_for_a_limited_time(scheme_1: Scenario) -> None:
 
 def test_converged_navigation_is_not_permitted_what_it_does_not_know(approach: WatchedApproach) -> None:
     assert approach.state.reactions.converged == 1
-    approach.estimate.protection_level_m = 0.3  # within the alert limit along the axis, beyond the corridor
-    approach.estimate.protection_level_m[1:] = 0.0
-    approach.params.monitor.minimum_radius = approach.params.monitor.cone = 0.05
+    approach.estimate.protection_level_m = 0.0
+    approach.estimate.protection_level_m[1] = 0.15  # beyond the corridor, within an alert limit that is no part of it
+    approach.params.monitor.minimum_radius = approach.params.monitor.cone = 0.03
+    approach.params.monitor.alert_corridor = 2.0
     approach.run(0.2)
     assert approach.supervision.aborted == CORRIDOR
 

@@ -47,7 +47,8 @@ class MonitoredChaser:
 
     def watch(self) -> None:
         out = new(NAVIGATION)
-        thruster_monitor.watch(self.params, self.state, self.samples, self._on, np.zeros(3), self.bias_sigma, out)
+        bias = np.concatenate([np.zeros(3), self.bias_sigma])
+        thruster_monitor.watch(self.params, self.state, self.samples, self._on, bias, False, out)
         self.health = int(out.health)
 
 

@@ -19,7 +19,7 @@ from hil.report.table import PART_TEXTS
 ROOT = Path(__file__).resolve().parents[3]
 ALL = ", ".join(PART_COLUMNS)
 ALL_PASSED = dict.fromkeys(PART_COLUMNS, True)
-WITHOUT_ENERGY = ("control_precision", "security", "field_of_view", "integrity")
+WITHOUT_ENERGY = ("control_precision", "security", "field_of_view", "integrity", "decision")
 
 
 def with_parts(scheme_1: Scenario, *names: str) -> Any:
@@ -65,18 +65,18 @@ def test_omitted_parts_are_named_with_their_outcomes(scheme_1: Scenario) -> None
     assert not_required_text(summary) == "(not required: energy fail)"
     summary |= acceptance(summary, with_parts(scheme_1, "security", "control_precision"))
     assert summary["required_parts"] == ["control_precision", "security"]  # in the order of the table
-    assert not_required_text(summary) == "(not required: energy fail, field of view ok, integrity ok)"
+    assert not_required_text(summary) == "(not required: energy fail, field of view ok, integrity ok, decision ok)"
     summary |= acceptance(summary, with_parts(scheme_1))
     assert (summary["accepted"], not_required_text(summary)) == (False, "")
 
 
-def test_shipped_scenarios_require_all_parts_but_energy_of_scheme_3() -> None:
+def test_shipped_scenarios_require_all_parts() -> None:
     left_out = {
         name: set(PART_COLUMNS) - set(required_parts(chosen, PART_COLUMNS))
         for name in shipped("scenarios")
         if (chosen := load_scenario(name).value.requirements.required_parts) is not None
     }
-    assert left_out == {"scheme-3": {"energy"}}
+    assert left_out == {}
 
 
 @pytest.mark.parametrize(
