@@ -308,17 +308,22 @@ def _correct_for_arm(params, state, measured):
 
 @kernel
 def _learn_arm(params, state, measured, residual):
-    """Estimate the arm from the forces of ``residual`` (6,) that angular accelerations in ``measured`` come with."""
-    a, scale = stack.vector(3), params.torque_unit / params.force_unit
+    """Estimate the arm from the forces of ``residual`` (6,) that angular accelerations in ``measured`` come with.
+
+    What the mean factor of the forces explains comes with them too, but is none of an arm.
+    """
+    a, force, scale = stack.vector(3), stack.vector(3), params.torque_unit / params.force_unit
+    change = state.scale - 1.0 if state.scale > 0.0 else 0.0
     square = 0.0
     for i in range(3):
         a[i] = measured[3 + i] * scale
         square += a[i] ** 2
+        force[i] = residual[i] - change * (measured[i] - residual[i])
     if square < 0.1 * scale * scale:
         return
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        arm = state.arm[i] + _ARM_WEIGHT * (residual[j] * a[k] - residual[k] * a[j]) / square
+        arm = state.arm[i] + _ARM_WEIGHT * (force[j] * a[k] - force[k] * a[j]) / square
         state.arm[i] = min(_ARM_MAX, max(-_ARM_MAX, arm))
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hil.bench import bench_guard
-from hil.bench.bench_guard import BENCH_GUARD_MEMORY, check_bench, compare_pose
+from hil.bench.bench_guard import BENCH_GUARD_MEMORY, check_bench, compare_estimate, compare_pose
 from hil.bench.guard import BREACH, NOTHING
 from hil.bench.kinematics import axes_of_pose
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import BENCH_AXES
-from hil.core.messages import AXES, POSE, TRUTH, new
+from hil.core.messages import AXES, NAVIGATION, POSE, TRUTH, new
 from hil.maths import quat
 from hil.params import bench as bench_params
 from hil.safety.guard_alarms import guard_alarm
@@ -86,6 +86,29 @@ class Motion:
 
     def compare(self, pose: np.record) -> None:
         compare_pose(self.params, self.bench, self.memory, pose)
+
+    def estimate(self, off_m: float, sigma_m: float, level_m: float = math.nan, turned_rad: float = 0.0) -> np.record:
+        """Return an estimate whose y and yaw are off, with a standard deviation of the position."""
+        made = new(NAVIGATION)
+        made.valid, made.sigma_r_m, made.protection_level_m = 1, sigma_m, level_m
+        made.sigma_attitude_rad = made.protection_level_rad = math.nan
+        made.r_CT_H = self.truth.r_CT_H + np.array([0.0, off_m, 0.0])
+        made.q_CH = quat.multiply(quat.from_rotation_vector(np.array([0.0, 0.0, turned_rad])), self.truth.q_CH)
+        return made
+
+    def disagrees(
+        self, cycles: int, off_m: float, sigma_m: float, level_m: float = math.nan, turned_rad: float = 0.0
+    ) -> list[bool]:
+        """Return for each of the next cycles whether the encoders disagree with an estimate that is off."""
+        found: list[bool] = []
+        for _ in range(cycles):
+            assert self.check() == NOTHING
+            before = found[-1] if found else False
+            estimate = self.estimate(off_m, sigma_m, level_m, turned_rad)
+            t_s = self.cycle * STEP_S
+            found.append(bool(compare_estimate(self.params, self.bench, self.memory, t_s, estimate, before)))
+            self.move()
+        return found
 
 
 def test_uniform_motion_has_no_finding() -> None:
@@ -286,3 +309,64 @@ def test_cycle_that_is_checked_again_counts_once() -> None:
         assert motion.check() == NOTHING
         assert before is None or motion.memory.tobytes() == before
         before = motion.memory.tobytes()
+
+
+def approach() -> Motion:
+    """Return an approach whose estimate has been right for 20 s."""
+    motion = Motion((3.0, 0.1, -0.1), (-0.03, 0.0, 0.0))
+    assert not any(motion.disagrees(1000, 0.0, 0.002))
+    return motion
+
+
+def test_estimate_that_is_off_is_found_within_a_second() -> None:
+    motion = approach()
+    found = motion.disagrees(50, 0.035, math.nan)
+    assert not found[0]
+    assert found[-1]
+    assert motion.memory.estimate.axis == 1
+    assert motion.memory.estimate.value > motion.memory.estimate.high
+    assert not motion.disagrees(100, 0.0, 0.002)[-1]  # until it is right again
+
+
+def test_estimate_that_is_off_from_its_start_is_found_within_a_second() -> None:
+    assert Motion((3.0, 0.1, -0.1), (0.0, 0.0, 0.0)).disagrees(50, 0.035, math.nan)[-1]
+
+
+def test_attitude_that_is_off_is_found_within_a_second() -> None:
+    motion = approach()
+    assert motion.disagrees(50, 0.0, 0.002, turned_rad=math.radians(1.0))[-1]
+    assert motion.memory.estimate.axis == 5
+
+
+def test_estimate_that_is_off_by_less_than_it_may_be_is_not_found() -> None:
+    motion = approach()
+    allowed = motion.params.estimate_position + motion.params.calibration_position
+    assert not any(motion.disagrees(500, 0.98 * allowed, math.nan))  # it reports no standard deviation
+    assert motion.disagrees(100, 1.02 * allowed, math.nan)[-1]
+    assert not any(approach().disagrees(500, 0.98 * (allowed + 3.0 * 0.005), 0.005))
+    assert approach().disagrees(200, 1.02 * (allowed + 3.0 * 0.005), 0.005)[-1]
+
+
+def test_estimate_that_is_off_by_its_own_level_is_found() -> None:
+    motion = approach()
+    assert not any(motion.disagrees(500, 0.010, 0.002, 0.012))
+    assert motion.disagrees(100, 0.011, 0.002, 0.012)[-1]
+    assert motion.memory.estimate.high == pytest.approx(0.9 * 0.012)
+
+
+def test_estimate_that_is_not_finite_is_found() -> None:
+    assert approach().disagrees(5, math.nan, 0.002)[-1]
+
+
+def test_estimate_that_is_invalid_is_compared_anew() -> None:
+    motion = approach()
+    estimate = new(NAVIGATION)
+    assert not compare_estimate(motion.params, motion.bench, motion.memory, motion.cycle * STEP_S, estimate, True)
+    found = motion.disagrees(50, 0.035, math.nan)
+    assert 0.3 <= found.index(True) * STEP_S <= 0.5
+
+
+def test_mean_of_the_errors_is_that_of_the_estimate() -> None:
+    motion = approach()
+    motion.disagrees(3000, 0.005, 0.002, turned_rad=0.001)
+    assert motion.memory.off == pytest.approx([0.0, 0.005, 0.0, 0.0, 0.0, 0.001], abs=2e-5)

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[3]
 LAYOUTS = {
     "AXES": (96, "864c723aaef4"),
     "COMMAND": (392, "90f73bd811ca"),
-    "CYCLE": (2208, "b2c8564971a7"),
+    "CYCLE": (2256, "54ba9e06c2ec"),
     "IMU": (96, "958bd7519946"),
     "NAVIGATION": (240, "eb659804b67c"),
     "POSE": (296, "b04be1be7562"),

@@ -21,6 +21,8 @@ class MonitoredChaser:
 
     def __init__(self, params: np.record, rng: np.random.Generator) -> None:
         self.params, self.state, self.health = params, new(THRUSTER_MONITOR_STATE), 0
+        self.mass, self.inertia, self.delay, self.arm = 1.0, 1.0, 0, np.zeros(3)  # delay: cycles, arm: m
+        self._given: list[np.ndarray] = []
         self.bias_sigma = np.full(3, 1e-5)
         self._rng = rng
         self._unit = np.repeat([params.force_unit, params.torque_unit], 3)
@@ -34,12 +36,15 @@ class MonitoredChaser:
         if wanted is not None:
             self._on[:] = 0
             self._on[wanted] = self.state.withheld_cycles == 0 or self.state.withheld != wanted
-        thrust = self._on[:N] * self._scale
+        self._given.append(self._on[:N] * self._scale)
+        thrust = self._given[max(0, len(self._given) - 1 - self.delay)].copy()
         for j, value in forced.items():
             thrust[j] = value
         acceleration = (thrust @ self.params.signature[:N]) * self._unit
+        acceleration /= np.repeat([self.mass, self.inertia], 3)
         self._rate += STEP_S * acceleration[3:]
-        self.samples[0].force_C = acceleration[:3] + 2e-4 * self._rng.standard_normal(3)
+        force = acceleration[:3] + np.cross(acceleration[3:], self.arm)
+        self.samples[0].force_C = force + 2e-4 * self._rng.standard_normal(3)
         self.samples[0].rate_C = self._rate - 0.5 * STEP_S * acceleration[3:] + 1e-8 * self._rng.standard_normal(3)
         self.watch()
         if wanted is None and self._rng.uniform() < 0.2:
@@ -140,3 +145,100 @@ def test_acceleration_that_no_thruster_explains_is_suspect_after_a_second(
         chaser.watch()
     assert chaser.health == GncHealth.IMU_SUSPECT
     assert chaser.state.fault == NO_FAULT
+
+
+def changed(chaser: MonitoredChaser, **fields: object) -> MonitoredChaser:
+    """Return the healthy ``chaser`` with these properties, as of a run's start."""
+    chaser.state = new(THRUSTER_MONITOR_STATE)
+    for name, value in fields.items():
+        setattr(chaser, name, value)
+    return chaser
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"mass": 1.2, "inertia": 1.2},
+        {"mass": 1.0 / 0.7, "inertia": 1.0 / 0.7},  # thrust x 0.7
+        {"mass": 1.0 / 1.3, "inertia": 1.0 / 1.3},  # thrust x 1.3
+        {"inertia": 1.5},
+        {"delay": 6},
+        {"arm": np.array([0.3, 0.0, 0.0])},
+        {"arm": np.array([0.0, -0.3, 0.0])},
+        {"arm": np.array([0.0, 0.0, 0.3])},
+    ],
+    ids=["mass", "less thrust", "more thrust", "inertia", "late valves", "arm x", "arm y", "arm z"],
+)
+def test_parameter_that_is_wrong_accuses_nothing(chaser: MonitoredChaser, fields: dict[str, object]) -> None:
+    changed(chaser, **fields)
+    for _ in range(3000):
+        chaser.cycle({})
+        assert chaser.health == 0
+
+
+def test_lever_arm_of_the_accelerometers_is_estimated(chaser: MonitoredChaser) -> None:
+    changed(chaser, arm=np.array([0.2, -0.15, 0.1]))
+    for _ in range(1500):
+        chaser.cycle({})
+    np.testing.assert_allclose(chaser.state.arm, [0.2, -0.15, 0.1], atol=0.05)
+
+
+@pytest.mark.parametrize(("value", "fault"), [(0.0, DEAD), (1.0, STUCK_OPEN)])
+def test_failed_thruster_is_found_although_the_valves_are_late(
+    chaser: MonitoredChaser, value: float, fault: int
+) -> None:
+    changed(chaser, delay=3)
+    for _ in range(500):
+        chaser.cycle({})
+    assert (chaser.health, chaser.state.delay) == (0, 3)
+    for _ in range(400):
+        chaser.cycle({7: value})
+        if chaser.health:
+            break
+    assert chaser.health == GncHealth.THRUSTER_FAULT
+    assert (chaser.state.fault, chaser.state.thruster) == (fault, 7)
+
+
+def test_imu_that_repeats_for_a_moment_is_accused_and_acquitted_after_a_second(chaser: MonitoredChaser) -> None:
+    last = chaser.samples[0].copy()
+    for _ in range(15):
+        chaser.samples[0] = last
+        chaser.watch()
+    assert chaser.health == GncHealth.IMU_SUSPECT
+    cycles = 0
+    while chaser.health and cycles < 200:
+        chaser.cycle({})
+        cycles += 1
+    assert 0.8 <= cycles * STEP_S <= 1.6
+    assert chaser.state.imu_revoked == 1
+    for _ in range(500):
+        chaser.cycle({})
+        assert chaser.health == 0
+
+
+def test_thruster_that_is_accused_without_a_fault_is_acquitted(chaser: MonitoredChaser) -> None:
+    chaser.state.fault, chaser.state.thruster = STUCK_OPEN, 7
+    cycles = 0
+    while chaser.state.fault != NO_FAULT and cycles < 200:
+        chaser.cycle({})
+        cycles += 1
+    assert cycles < 200
+    assert chaser.state.thruster_revoked == 1
+    for _ in range(500):
+        chaser.cycle({})
+        assert chaser.health == 0
+
+
+def test_thruster_that_is_accused_for_another_is_acquitted_and_the_other_one_found(chaser: MonitoredChaser) -> None:
+    chaser.state.fault, chaser.state.thruster = DEAD, 7
+    for _ in range(400):
+        chaser.cycle({2: 1.0})
+    assert (chaser.state.fault, chaser.state.thruster, chaser.state.thruster_revoked) == (STUCK_OPEN, 2, 1)
+
+
+@pytest.mark.parametrize(("value", "fault"), [(0.0, DEAD), (1.0, STUCK_OPEN)])
+def test_thruster_that_has_failed_stays_accused(chaser: MonitoredChaser, value: float, fault: int) -> None:
+    chaser.state.fault, chaser.state.thruster = fault, 7
+    for _ in range(1500):
+        chaser.cycle({7: value})
+    assert (chaser.state.fault, chaser.state.thruster, chaser.state.thruster_revoked) == (fault, 7, 0)
