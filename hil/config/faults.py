@@ -179,7 +179,7 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "thruster.minimum_on": _navigation("thruster fault, by the IMU, from about 0.5 s on", "abort"),
     "vmu.frozen": _both("pose against encoders, once the chaser has moved by five sigmas and for five poses more"),
     "vmu.offset": _both("pose against encoders, five poses if beyond five sigmas"),
-    "vmu.drift": _guard("pose against encoders, once beyond five sigmas; estimate against encoders; health"),
+    "vmu.drift": _both("pose against encoders, once beyond five sigmas; below that encoders against the estimate"),
     "vmu.outlier": _both("pose against encoders, if five in a row are beyond five sigmas"),
     "vmu.noise_scale": _both("pose against encoders, if five in a row are beyond five reported sigmas"),
     "vmu.misidentified": _both("pose against encoders, five poses"),

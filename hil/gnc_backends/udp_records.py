@@ -8,7 +8,7 @@ from hil.core.gnc_records import GncState
 from hil.core.jit import kernel
 from hil.gnc import joint_filter
 from hil.gnc.error_state import ROTATION, R
-from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.arrays import copy_into, copy_matrix, fill_matrix
 from hil.maths.record_view import copy_record
 
 _WORKING = GncState.WORKING.value
@@ -52,11 +52,14 @@ def read_filters(sent, filters):
 
 
 @kernel
-def write_filters(cycle, filters, sent):
-    """Write GNC_FILTERS from ``filters`` (FILTERS)."""
+def write_filters(cycle, fusion, sent):
+    """Write GNC_FILTERS from FUSION_STATE ``fusion``; without an IMU the attitude filter has no drift to compare."""
+    filters = fusion.filters
     sent.cycle = cycle
     copy_into(sent.attitude_x, filters.akf.x)
     joint_filter.copy_block(filters, ROTATION, sent.attitude_p)
+    if fusion.thrust.without_imu != 0:
+        fill_matrix(sent.attitude_p, np.nan)
     copy_into(sent.position_x, filters.pkf.x)
     joint_filter.copy_block(filters, R, sent.position_p)
 

@@ -326,7 +326,7 @@ class GncServer:
 
     def _send(self) -> None:
         if self._gnc.fused_now:
-            udp_records.write_filters(self._last, self._gnc.state.navigation.fusion.filters, self._sent_filters)
+            udp_records.write_filters(self._last, self._gnc.state.navigation.fusion, self._sent_filters)
             self.link.send("gnc.filters", self._filters)
         self.link.send("gnc.flight", self._replies)
 
@@ -336,6 +336,6 @@ class GncServer:
         self._navigate(self._out.command)
         self._navigate(None)
         self._actuate(0)
-        udp_records.write_filters(0, self._gnc.state.navigation.fusion.filters, self._sent_filters)
+        udp_records.write_filters(0, self._gnc.state.navigation.fusion, self._sent_filters)
         copy_into(self._imu.rate_C, np.zeros(3))
         self._restart()

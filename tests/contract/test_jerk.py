@@ -157,8 +157,8 @@ def test_the_mean_is_taken_ahead_by_its_delay() -> None:
         history = runner.run().history
     with build.runner(make_job(20.0, (MOVING,))) as runner:
         before = runner.run().history
-    late = history[500:]["setpoint"]["rail_m"] - before[500:]["setpoint"]["rail_m"]
-    assert np.abs(late).max() < 1e-4  # a delay of 0.09 s at 0.03 m/s would be 3e-3
+    late = history[500:]["setpoint"]["rail_m"][:, 0] - before[500:]["setpoint"]["rail_m"][:, 0]
+    assert np.abs(late).max() < 1e-3  # a delay of 0.09 s at 0.03 m/s would be 3e-3; firings differ a little
 
 
 def test_a_limit_that_averages_more_setpoints_than_are_kept_is_rejected() -> None:

@@ -43,7 +43,7 @@ def idle() -> Iterator[Console]:
 def start(page: Page) -> None:
     """Take the command, open the bench, close the loop."""
     assert page.ask("take")["ok"]
-    assert page.ask("open")["ask"].startswith("Open: the devices open and the drives are powered")
+    assert "Open: the devices open and the drives are powered" in page.ask("open")["ask"]
     assert page.ask("open", confirmed=True)["ok"]
     page.until_mode("standby")
     page.order("arm")

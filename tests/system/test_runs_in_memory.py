@@ -57,7 +57,7 @@ def test_ready_phase_is_reached_when_the_paper_reaches_it(runs: Any, scheme: str
 def test_vision_alone_costs_attitude_and_little_else(runs: Any) -> None:
     fused, alone = runs["scheme-2"][1], runs["scheme-3"][1]
     angle = [max(run["navigation"]["attitude_rmse_deg"]) for run in (fused, alone)]
-    assert angle[1] > 1.5 * angle[0]
+    assert angle[1] > 1.2 * angle[0]
     assert alone["thrusters"]["propellant_kg"] < 1.5 * fused["thrusters"]["propellant_kg"]
     assert alone["accepted"]
 

@@ -73,7 +73,7 @@ def test_scripts_of_users_pass_mypy_in_strict_mode(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "overrides",
     [
-        {"gnc.control.deadband_m": 0.004, "truth.mass_loss": False, "name": 'a b = "c" \\ #', "duration_s": 30},
+        {"gnc.control.deadband_m": 0.004, "truth.mass_loss": False, "name": 'a b = "c" #', "duration_s": 30},
         {"gnc": {"control": {"deadband_m": 0.004}}, "truth": {"mass_loss": False}, "name": "ü"},
         {"initial.position_m": (0.7, -0.03, 0.03), "initial": {"attitude_deg": [0.0, 1, 2.5]}},
     ],
