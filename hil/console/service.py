@@ -194,9 +194,9 @@ class ConsoleService(SessionManager):
                 raise RequestRejected(f"bench: cannot {word} while it is being opened")
             self.session.interrupt()
             return {"ok": True, "text": ""}
+        self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
         if word in WITHOUT_COMMAND:
             return await self._halt(client, word, self.session)
-        self.report_operator(self.session, self.wall_s())  # the session then has the present holder of the lease
         terms = {key: command[key] for key in ("confirmed", "mode") if key in command}
         answer = await self.session.request(order=word, by=client.name, second=second, **terms)
         if "ask" in answer:
