@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from tests.support.pauses import Pauses
+from tests.support.plain_filters import PLAIN as PLAIN_FILTERS
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
@@ -104,9 +106,12 @@ LATE = ("vmu.latency_s=0.1", "vmu.latency_jitter_s=0.25", "vmu.duplicate_probabi
 
 @pytest.fixture(scope="session")
 def recorded_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the recording of 8 s of scheme-1 on the mock rig whose poses come as in LATE; do not change it."""
-    settings = dict(setting.split("=") for setting in LATE)
-    overrides = {key: float(value) for key, value in settings.items()}
+    """Return the recording of 8 s of scheme-1 on the mock rig whose poses come as in LATE; do not change it.
+
+    Its filters are those of the bench paper.
+    """
+    settings = dict(setting.split("=") for setting in (*LATE, *PLAIN_FILTERS))
+    overrides = {key: tomllib.loads(f"value={value}")["value"] for key, value in settings.items()}
     folder = tmp_path_factory.mktemp("recorded")
     found = hil.run("scheme-1", seed=3, duration_s=8.0, overrides=overrides, record=folder)
     return Path(found.summary["recording"]["file"])

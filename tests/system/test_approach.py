@@ -12,6 +12,7 @@ import pytest
 from hil.cli.main import execute
 from hil.loop.runner import Outcome
 from hil.session import build
+from tests.support.plain_filters import PLAIN
 from tests.support.run_settings import make_job
 
 
@@ -30,12 +31,12 @@ def _texts(outcome: Outcome) -> list[str]:
     [("scheme-1", 3.0, 0), ("scheme-1", 20.0, 1), ("scheme-2", 5.0, 2), ("scheme-2", 40.0, 3), ("scheme-1", 10.0, 4)],
 )
 def test_retreat_is_never_nearer_than_the_trigger_minus_five_centimetres(scenario: str, at_s: float, seed: int) -> None:
-    outcome = _run(scenario, seed, at_s + 25.0, f"gnc.abort.at_s={at_s}")
+    outcome = _run(scenario, seed, at_s + 25.0, *PLAIN, f"gnc.abort.at_s={at_s}")
     distance = np.linalg.norm(outcome.history["truth"]["r_CT_H"], axis=1)
     trigger = int(np.argmax(outcome.history["supervision"]["aborted"] != 0))
     assert outcome.history["t_s"][trigger] == pytest.approx(at_s)
     assert distance[trigger:].min() >= distance[trigger] - 0.05
-    assert distance[-1] >= distance[trigger] - 0.04  # the retreat ends where the estimate was
+    assert distance[-1] >= distance[trigger] - 0.02
 
 
 @pytest.mark.parametrize(
@@ -76,7 +77,6 @@ SHORT = (
     "gnc.guidance.phases.pause.kind=hold",
     "gnc.guidance.phases.pause.duration_s=4.0",
     "gnc.guidance.phases.ready.kind=wait",
-    "gnc.navigation.budget.vision_correlated_fraction=0.0",  # so near that the filters have not converged with it
     "gnc.guidance.phases.dock.kind=final",
     "gnc.guidance.phases.dock.speed_mps=0.01",
     "requirements.axial_distance_m=0.5",

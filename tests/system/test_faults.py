@@ -16,6 +16,7 @@ from hil.maths import quat
 from hil.monte_carlo.case_runner import COMPLETED, CaseRunner
 from hil.monte_carlo.outcome import row_of
 from hil.session import build
+from tests.support.plain_filters import PLAIN
 from tests.support.rows import assert_same_bits
 from tests.support.run_settings import make_job
 
@@ -152,14 +153,15 @@ def test_fault_is_detected_as_the_table_states(name: str) -> None:
     sizes = {"value": values[name]} if name in values else {}
     onset_s = 20.0
     injected = fault(name, at_s=onset_s, until_s=100.0, **sizes)
-    settings = (*_monitor(injected), _settings(injected))
+    # a dead thruster is found when it is needed: the filters of the bench paper need this one within 10 s
+    plain = PLAIN if name == "thruster.stuck_closed" else ()
+    settings = (*plain, *_monitor(injected), _settings(injected))
     scenario, rig = load_scenario("scheme-1", settings).value, load_rig("mock").value
     stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
     assert row["detected_by"] == RESPONSES[name].detected_by
     assert RESPONSES[name].reaction.startswith(row["reaction"])
-    # a thruster is found when it is needed
-    assert onset_s <= row["detected_s"] <= onset_s + (30.0 if name.startswith("thruster") else 10.0)
+    assert onset_s <= row["detected_s"] <= onset_s + 10.0
 
 
 def during(rows: np.ndarray) -> np.ndarray:
