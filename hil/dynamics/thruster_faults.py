@@ -15,11 +15,11 @@ from hil.dynamics.thruster_errors import (
     record_valves,
     thrust_of_valve,
 )
-from hil.dynamics.thrusters import step_valves
 from hil.maths import stack
 from hil.maths.arrays import copy_into
 from hil.maths.limits import to_integer
 from hil.models.faults import KIND, NUMBER, VALUE, is_active
+from hil.models.valves import step_valves
 
 STUCK_OPEN, STUCK_CLOSED, LEAK, FORCE_SCALE, DELAY, MINIMUM_ON = range(6)
 

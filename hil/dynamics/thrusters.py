@@ -1,4 +1,4 @@
-"""On/off thrusters: valves with a minimum on-time, their force, torque and propellant flow, and their errors."""
+"""On/off thrusters: their force, torque and propellant flow, and their errors."""
 
 from __future__ import annotations
 
@@ -9,28 +9,6 @@ from hil.core.messages import Array
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 DRAWS_PER_THRUSTER = 3  # standard normals: two tilts, one force
-
-
-@kernel
-def step_valves(on, open_s, minimum_on_s, dt_s, fraction):
-    """Write the open fraction (0..1) of this step for each of the n thrusters; update ``open_s``.
-
-    on: commands 0 or 1. open_s: state, time for which each valve has been open, 0 for a closed one.
-    A valve that opened stays open for at least ``minimum_on_s``, also when its command is
-    withdrawn; it then closes within the step in which that time ends.
-    """
-    for j in range(on.shape[0]):
-        if on[j] != 0:
-            fraction[j] = 1.0
-            open_s[j] += dt_s
-        elif 0.0 < open_s[j] < minimum_on_s:
-            fraction[j] = min(1.0, (minimum_on_s - open_s[j]) / dt_s)
-            open_s[j] += dt_s
-            if open_s[j] >= minimum_on_s:
-                open_s[j] = 0.0
-        else:
-            fraction[j] = 0.0
-            open_s[j] = 0.0
 
 
 @kernel

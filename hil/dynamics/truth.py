@@ -42,10 +42,11 @@ from hil.dynamics.target_attitude import ALIGNED, TARGET_ATTITUDE, move_target_a
 from hil.dynamics.target_faults import TARGET_MEMORY, move_target, pushed_radius
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
 from hil.dynamics.thruster_faults import THRUST_MEMORY, step_real_valves
-from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
+from hil.dynamics.thrusters import propellant_flow, wrench
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.models.faults import FAULTS
+from hil.models.valves import step_valves
 
 HILL, NONLINEAR = 0, 1
 

@@ -22,7 +22,9 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc.error_state import BIAS, DRIFT, V
+from hil.maths import stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
+from hil.models.valves import step_valves
 
 MEASURED, QUIET, COMMANDED = range(3)
 """Source of a step's specific force."""
@@ -69,24 +71,17 @@ THRUST_STATE = np.dtype(
 @kernel
 def _expect(params, state, commanded, step):
     """Write the thrust that ``commanded`` (n,) gives in ``step`` (STEP); count the steps without any."""
+    fraction = stack.vector(MAX_THRUSTERS)
+    step_valves(commanded[: params.n], state.open_s, params.minimum_on_s, params.dt_s, fraction)
     fill(step.thrust_C, 0.0)
     fill(step.torque_C, 0.0)
     state.since += 1
     for j in range(params.n):
-        part = 0.0
-        if commanded[j] > 0:
-            part = 1.0
-            state.open_s[j] += params.dt_s
-        elif 0.0 < state.open_s[j] < params.minimum_on_s:
-            part = min(1.0, (params.minimum_on_s - state.open_s[j]) / params.dt_s)
-            state.open_s[j] += params.dt_s
-        else:
-            state.open_s[j] = 0.0
-        if part > 0.0:
+        if fraction[j] > 0.0:
             state.since = 0
             for i in range(3):
-                step.thrust_C[i] += part * params.force[j, i]
-                step.torque_C[i] += part * params.torque[j, i]
+                step.thrust_C[i] += fraction[j] * params.force[j, i]
+                step.torque_C[i] += fraction[j] * params.torque[j, i]
 
 
 @kernel

@@ -25,6 +25,7 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
+from hil.models.valves import step_valves
 
 IMU_SUSPECT, THRUSTER_FAULT = GncHealth.IMU_SUSPECT.value, GncHealth.THRUSTER_FAULT.value
 NO_FAULT, STUCK_OPEN, DEAD = range(3)
@@ -99,23 +100,6 @@ THRUSTER_MONITOR_STATE = np.dtype(
     ],
     align=True,
 )
-
-
-@kernel
-def _expected_thrust(params, state, on, thrust):
-    """Write the open fraction (n,) of the cycle that has ended with the commands ``on`` (n,)."""
-    for j in range(params.n):
-        thrust[j] = 0.0
-        if on[j] > 0:
-            thrust[j] = 1.0
-            state.open_s[j] += params.dt_s
-        elif 0.0 < state.open_s[j] < params.minimum_on_s:
-            thrust[j] = min(1.0, (params.minimum_on_s - state.open_s[j]) / params.dt_s)
-            state.open_s[j] += params.dt_s
-            if state.open_s[j] >= params.minimum_on_s:
-                state.open_s[j] = 0.0
-        else:
-            state.open_s[j] = 0.0
 
 
 @kernel
@@ -382,7 +366,7 @@ def watch(params, state, samples, on, bias, isolated, estimate):
         for k in range(samples.shape[0]):
             rate[i] += weight * samples[k].rate_C[i]
             force[i] += weight * samples[k].force_C[i]
-    _expected_thrust(params, state, on, thrust)
+    step_valves(on[: params.n], state.open_s, params.minimum_on_s, params.dt_s, thrust)
     if state.withheld_cycles > 0:
         state.withheld_cycles -= 1
     if state.calls >= 2:

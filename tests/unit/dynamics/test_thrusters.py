@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.thrusters import propellant_flow, step_valves, wrench
+from hil.dynamics.thrusters import propellant_flow, wrench
 from hil.dynamics.truth import TRUTH_MEMORY
+from hil.models.valves import step_valves
 from hil.params import dynamics as dynamics_params
 
 NO_FIELD = np.zeros((1, 1, 6))  # the linear model reads no gravity field
