@@ -58,10 +58,10 @@ REACTION_STATE = np.dtype(
 @kernel
 def acquire(params, monitor, state, t_s, estimate):
     """Take note whether the navigation has converged, and since when it is not protected."""
-    state.share = approach_monitor.level_share(monitor, estimate)
-    if not estimate.protection_level_m[0] >= 0.0:
-        state.share = np.inf  # one without a level does not continue without vision
-    is_within = approach_monitor.is_protected(monitor, estimate)
+    share = approach_monitor.level_share(monitor, estimate)
+    is_within = share <= 1.0
+    # one without a level does not continue without vision
+    state.share = share if estimate.protection_level_m[0] >= 0.0 else np.inf
     if state.valid_since_s == 0.0:
         state.valid_since_s = t_s + 1e-9
     if state.converged == 0:
