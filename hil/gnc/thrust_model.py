@@ -150,6 +150,14 @@ def regain(state, filters):
 
 
 @kernel
+def _force_variance(params, of_pkf, kind, square):
+    """Return the variance, (m/s^2)^2, of a specific force of ``kind`` whose square is ``square``."""
+    if kind != MEASURED:
+        return params.variance + params.fraction**2 * square
+    return of_pkf.sigma_accelerometer**2 + params.measured_fraction**2 * square
+
+
+@kernel
 def count_spread(params, of_pkf, state, step):
     """Take ``step`` (STEP) into what the velocity may have changed by that its prediction does not contain."""
     forgotten, square = params.dt_s / MEMORY_S, 0.0
@@ -161,12 +169,8 @@ def count_spread(params, of_pkf, state, step):
             force = step.thrust_C[i]
         state.gained_C[i] += force * params.dt_s - forgotten * state.gained_C[i]
         square += force * force
-    variance = params.variance
-    if step.kind == MEASURED:
-        variance = of_pkf.sigma_accelerometer**2 + params.measured_fraction**2 * square
-    elif step.kind == COMMANDED:
-        variance += params.fraction**2 * square
     if state.spread > 0.0:
+        variance = _force_variance(params, of_pkf, step.kind, square)
         state.spread += variance * params.dt_s**2 - 2.0 * forgotten * state.spread
 
 
@@ -193,17 +197,12 @@ def write_input(params, of_pkf, errors, filters, step):
         moved.rate[i] = step.rate_C[i] - filters.akf.x[4 + i]
         if step.kind == MEASURED:
             moved.force[i] = step.force_C[i] - filters.pkf.x[6 + i]
-            square += moved.force[i] ** 2
+            square += moved.force[i] ** 2 if params.enabled != 0 else 0.0
         else:
             thrust = step.thrust_C[i] if step.kind == COMMANDED else 0.0
             moved.force[i] = thrust + filters.parameters[d + i]
             square += thrust * thrust
-    if step.kind == MEASURED:
-        moved.variance = of_pkf.sigma_accelerometer * of_pkf.sigma_accelerometer
-        if params.enabled != 0:
-            moved.variance += params.measured_fraction**2 * square
-    else:
-        moved.variance = params.variance + params.fraction**2 * square
+    moved.variance = _force_variance(params, of_pkf, step.kind, square)
 
 
 @kernel
