@@ -103,14 +103,21 @@ THRUSTER_MONITOR_STATE = np.dtype(
 
 
 @kernel
+def _square_of(residual):
+    """Return the square of the length of ``residual`` (6,)."""
+    square = 0.0
+    for i in range(6):
+        square += residual[i] ** 2
+    return square
+
+
+@kernel
 def _explain(params, residual, thrust, explained):
     """Write the thrust of each thruster that explains ``residual`` (6,) alone to ``explained`` (n,), 0 if none does.
 
     thrust: expected (n,). A thruster that is closed can only open, one that is fully open only fail.
     """
-    square, most = 0.0, 0.0
-    for i in range(6):
-        square += residual[i] ** 2
+    square, most = _square_of(residual), 0.0
     for turn in range(2):  # the largest square that one explains, then those that explain as much
         for j in range(params.n):
             along, size = 0.0, 0.0
@@ -135,13 +142,11 @@ def _judge(params, state, residual, thrust):
     being dead; one is dead only when all others are acquitted of being open. A command that lasts would acquit none: it
     is withheld for a moment from a thruster that looks dead.
     """
-    square = 0.0
     for i in range(6):
-        square += residual[i] ** 2
         state.mean_residual[i] += _MEAN_WEIGHT * (residual[i] - state.mean_residual[i])
         if abs(residual[i]) > _IMPOSSIBLE * params.most[i]:
             _accuse_imu(state, 2)
-    is_quiet = square < _RESIDUAL_MIN**2 or _is_of_scale(params, state, residual, thrust)
+    is_quiet = _square_of(residual) < _RESIDUAL_MIN**2 or _is_of_scale(params, state, residual, thrust)
     if is_quiet and state.counts == 0:
         state.unexplained = 0
         return
@@ -154,10 +159,9 @@ def _judge(params, state, residual, thrust):
         _explain(params, residual, thrust, explained)
     for j in range(params.n):
         opens, fails = opens or explained[j] > 0.0, fails or explained[j] < 0.0
-    lasts = 0.0  # thrust that is late, or rises and falls slowly, leaves nothing in the mean
-    for i in range(6):
-        lasts += state.mean_residual[i] ** 2
-    is_odd = not (is_quiet or opens or fails) and lasts > _RESIDUAL_MIN**2
+    # thrust that is late, or rises and falls slowly, leaves nothing in the mean
+    lasts = _square_of(state.mean_residual) > _RESIDUAL_MIN**2
+    is_odd = lasts and not (is_quiet or opens or fails)
     state.unexplained = state.unexplained + 1 if is_odd else max(0, state.unexplained - 1)
     for j in range(params.n):
         if explained[j] > 0.0:
@@ -265,10 +269,7 @@ def _find_delay(params, state, measured, thrust, residual):
         for delay in range(DELAYS - 1):
             _mean_thrust(params, state, delay, thrust)
             _subtract(params, measured, thrust, residual)
-            square = 0.0
-            for i in range(6):
-                square += residual[i] ** 2
-            state.square[delay] = _DELAY_MEMORY * state.square[delay] + min(square, 4.0)
+            state.square[delay] = _DELAY_MEMORY * state.square[delay] + min(_square_of(residual), 4.0)
             total = state.square[delay] + _DELAY_PRIOR * delay
             if total < best:
                 best, state.delay = total, delay
@@ -278,10 +279,7 @@ def _find_delay(params, state, measured, thrust, residual):
 
 @kernel
 def _correct_for_arm(params, state, measured):
-    """Take what an arm of the accelerometers explains out of the force in ``measured`` (6,), and estimate the arm.
-
-    An angular acceleration alpha gives alpha x arm, by normalised least mean squares of what thrusters do not explain.
-    """
+    """Take what the arm of the accelerometers explains out of ``measured`` (6,): with alpha comes alpha x arm."""
     a, scale = stack.vector(3), params.torque_unit / params.force_unit
     for i in range(3):
         a[i] = measured[3 + i] * scale
@@ -294,7 +292,8 @@ def _correct_for_arm(params, state, measured):
 def _learn_arm(params, state, measured, residual):
     """Estimate the arm from the forces of ``residual`` (6,) that angular accelerations in ``measured`` come with.
 
-    What the mean factor of the forces explains comes with them too, but is none of an arm.
+    By normalised least mean squares of what thrusters do not explain. What the mean factor of the forces explains comes
+    with them too, but is none of an arm.
     """
     a, force, scale = stack.vector(3), stack.vector(3), params.torque_unit / params.force_unit
     change = state.scale - 1.0 if state.scale > 0.0 else 0.0
@@ -314,10 +313,8 @@ def _learn_arm(params, state, measured, residual):
 @kernel
 def _test_imu(params, state, residual, thrust, repeats):
     """Revoke the accusation of the IMU once its readings have agreed with the commands for long enough."""
-    square = 0.0
-    for i in range(6):
-        square += residual[i] ** 2
-    agrees = not repeats and (square < _RESIDUAL_MIN**2 or _is_of_scale(params, state, residual, thrust))
+    is_small = _square_of(residual) < _RESIDUAL_MIN**2
+    agrees = not repeats and (is_small or _is_of_scale(params, state, residual, thrust))
     state.sound = state.sound + 1 if agrees else 0
     if state.sound >= params.sound_cycles and state.imu_revoked < _REVOKED_MAX:
         state.imu_suspect = state.sound = state.unexplained = 0
@@ -337,10 +334,7 @@ def _test_thruster(params, state, measured, isolated):
     if state.fault == STUCK_OPEN and not isolated:
         thrust[state.thruster] = 1.0
     _subtract(params, measured, thrust, residual)
-    square = 0.0
-    for i in range(6):
-        square += residual[i] ** 2
-    is_quiet = square < (2.0 * _RESIDUAL_MIN) ** 2 or _is_of_scale(params, state, residual, thrust)
+    is_quiet = _square_of(residual) < (2.0 * _RESIDUAL_MIN) ** 2 or _is_of_scale(params, state, residual, thrust)
     state.contradicted = max(0, state.contradicted + (-1 if is_quiet else 1))
     if state.contradicted >= params.sound_cycles and state.thruster_revoked < _REVOKED_MAX:
         state.fault, state.contradicted = NO_FAULT, 0
