@@ -61,15 +61,9 @@ def start_decision(state):
 @kernel
 def _is_outside(params, truth):
     """Return whether ``truth`` (TRUTH) is outside the requirement."""
-    deviation, rate = stack.vector(12), stack.vector(3)
-    quat.transform_into(truth.q_CH, truth.w_HI_H, rate)
-    for i in range(3):
-        rate[i] = truth.w_CI_C[i] - rate[i]
-    ready_phase.deviations(params, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, deviation)
-    outside = False
-    for i in range(12):
-        outside = outside or not abs(deviation[i]) <= params.tolerance[i]
-    return outside
+    deviation = stack.vector(12)
+    ready_phase.deviations_of(params, truth.r_CT_H, truth.v_CT_H, truth.q_CH, truth.w_CI_C, truth.w_HI_H, deviation)
+    return not ready_phase.is_within(params, deviation)
 
 
 @kernel

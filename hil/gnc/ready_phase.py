@@ -71,6 +71,26 @@ def deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out):
 
 
 @kernel
+def is_within(params, deviation):
+    """Return whether each of the ``deviation`` (12,) is within its tolerance."""
+    within = True
+    for i in range(DEVIATIONS):
+        if not abs(deviation[i]) <= params.tolerance[i]:
+            within = False
+    return within
+
+
+@kernel
+def deviations_of(params, r_CT_H, v_CT_H, q_CH, w_CI_C, w_HI_H, out):
+    """``deviations`` of a chaser whose rate is known against inertial space. w_CI_C, w_HI_H: rad/s, of c and H."""
+    w_CH_C = stack.vector(3)
+    quat.transform_into(q_CH, w_HI_H, w_CH_C)
+    for i in range(3):
+        w_CH_C[i] = w_CI_C[i] - w_CH_C[i]
+    deviations(params, r_CT_H, v_CT_H, q_CH, w_CH_C, out)
+
+
+@kernel
 def update_from(params, state, t_s, r_CT_H, v_CT_H, q_CH, w_CH_C):
     """``update`` with the ``deviations`` at ``t_s``; the angles are computed only where they decide."""
     deviation = stack.vector(12)
@@ -86,10 +106,7 @@ def update_from(params, state, t_s, r_CT_H, v_CT_H, q_CH, w_CH_C):
 def update(params, state, t_s, deviation):
     """Update the state with the ``deviation`` (12,) at ``t_s``. state: READY_STATE, zeroed at the start of a run."""
     state.last_s = t_s
-    within = True
-    for i in range(DEVIATIONS):
-        if not abs(deviation[i]) <= params.tolerance[i]:
-            within = False
+    within = is_within(params, deviation)
     if state.is_ready == 0:
         if not within:
             state.holding = 0
@@ -115,13 +132,6 @@ def update_all(params, state, t_s, deviation):
 
 @kernel
 def all_deviations(params, r_CT_H, v_CT_H, q_CH, w_CI_C, w_HI_H, out):
-    """``deviations`` of each row of the arrays (n, 3), q_CH (n, 4), into those of ``out`` (n, 12).
-
-    w_CI_C, w_HI_H: rad/s, of c and H against inertial space.
-    """
-    w_CH_C = stack.vector(3)
+    """``deviations_of`` each row of the arrays (n, 3), q_CH (n, 4), into those of ``out`` (n, 12)."""
     for k in range(out.shape[0]):
-        quat.transform_into(q_CH[k], w_HI_H[k], w_CH_C)
-        for i in range(3):
-            w_CH_C[i] = w_CI_C[k, i] - w_CH_C[i]
-        deviations(params, r_CT_H[k], v_CT_H[k], q_CH[k], w_CH_C, out[k])
+        deviations_of(params, r_CT_H[k], v_CT_H[k], q_CH[k], w_CI_C[k], w_HI_H[k], out[k])
