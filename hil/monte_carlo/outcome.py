@@ -18,7 +18,7 @@ from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import is_accepted
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
 from hil.report.verdict import verdict_of
-from hil.report.verdict_parts import energy_part
+from hil.report.verdict_parts import energy_part, is_secure
 from hil.safety.guard_alarms import is_of_guard
 
 _AXES: Final = ("x", "y", "z")
@@ -64,7 +64,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
     parts = {
         "control_precision": passed,
-        "security": bool(flown and stats.corridor_margin >= 0.0 and stats.closing_margin >= 0.0),
+        "security": flown and is_secure(stats.corridor_margin, stats.closing_margin),
         "energy": bool(flown and energy["passed"]),
         "field_of_view": bool(flown and stats.view_margin >= 0.0),
         "integrity": bool(flown and integrity["passed"]),

@@ -35,6 +35,7 @@ from hil.report.verdict_parts import (
     energy_part,
     frame_delta_v,
     impulsive_delta_v,
+    is_secure,
     judge_field_of_view,
     judge_security,
     later_abort,
@@ -205,7 +206,7 @@ class LongRun:
             if found[value] < kept[value] or begins:
                 kept[value], kept[at] = found[value], found[at]
         kept["nearest_m"] = min(kept["nearest_m"], found["nearest_m"])
-        kept["passed"], kept["abort"] = _is_secure(kept), found["abort"]
+        kept["passed"], kept["abort"] = is_secure(kept["corridor_margin_m"], kept["closing_margin_mps"]), found["abort"]
 
     def _add_view(self, rows: np.ndarray) -> None:
         found, kept = judge_field_of_view(rows, self._rig, self._scenario.step_s), self._view
@@ -387,8 +388,3 @@ def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], tuple[dict[str, 
         return run.numbers()
 
     return end
-
-
-def _is_secure(part: dict[str, Any]) -> bool:
-    """Return whether no margin of the security part is negative."""
-    return bool(part["corridor_margin_m"] >= 0.0 and part["closing_margin_mps"] >= 0.0)

@@ -70,6 +70,11 @@ def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
     }
 
 
+def is_secure(corridor_margin_m: float, closing_margin_mps: float) -> bool:
+    """Return whether neither margin of the security part is negative."""
+    return bool(corridor_margin_m >= 0.0 and closing_margin_mps >= 0.0)
+
+
 def judge_security(history: np.ndarray, scenario: Scenario, entered: bool = False) -> dict[str, Any]:
     """Return ``passed``, the least margins on the truth up to an abort, and the course of the abort.
 
@@ -95,7 +100,7 @@ def judge_security(history: np.ndarray, scenario: Scenario, entered: bool = Fals
     first = 0 if entered else int(np.argmax(corridor >= 0.0))
     tightest, fastest = first + int(np.argmin(corridor[first:])), int(np.argmin(closing))
     return {
-        "passed": bool(corridor[tightest] >= 0.0 and closing[fastest] >= 0.0),
+        "passed": is_secure(corridor[tightest], closing[fastest]),
         "corridor_margin_m": float(corridor[tightest]),
         "corridor_margin_at_s": float(approach["t_s"][tightest]),
         "closing_margin_mps": float(closing[fastest]),
