@@ -111,15 +111,22 @@ class FirefoxPage:
 
 
 @contextmanager
-def chromium() -> Iterator[ChromiumPage]:
-    """Give a page of a headless Chromium; skip the test without one."""
+def chromium_browser() -> Iterator[Any]:
+    """Give a headless Chromium; skip the test without one."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
         pytest.skip("no Chromium on this computer: apt-get install chromium")
     with playwright.sync_playwright() as p:
         browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield ChromiumPage(browser)
+        yield browser
         browser.close()
+
+
+@contextmanager
+def chromium() -> Iterator[ChromiumPage]:
+    """Give a page of a headless Chromium; skip the test without one."""
+    with chromium_browser() as browser:
+        yield ChromiumPage(browser)
 
 
 @contextmanager

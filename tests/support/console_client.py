@@ -127,6 +127,15 @@ class Page:
     def until_mode(self, mode: str) -> None:
         self.until(lambda: self.now["mode"] == mode, mode)
 
+    def start_run(self) -> None:
+        """Open the bench, arm it and close the loop, with the command taken before."""
+        assert self.ask("open", confirmed=True)["ok"]
+        self.until_mode("standby")
+        self.order("arm")
+        self.until_mode("armed")
+        self.order("start")
+        self.until(lambda: self.now["mode"] == "running" and self.now["run_s"] > 0.5, "a run")
+
     def column(self, name: str) -> np.ndarray:
         """Return all values of one column."""
         values: np.ndarray = self.rows[:, INDEX[name]]

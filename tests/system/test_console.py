@@ -44,12 +44,8 @@ def start(page: Page) -> None:
     """Take the command, open the bench, close the loop."""
     assert page.ask("take")["ok"]
     assert "Open: the devices open and the drives are powered" in page.ask("open")["ask"]
-    assert page.ask("open", confirmed=True)["ok"]
-    page.until_mode("standby")
-    page.order("arm")
-    page.until_mode("armed")
-    page.order("start")
-    page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5 and len(page.rows) > 20, "a run")
+    page.start_run()
+    page.until(lambda: len(page.rows) > 20, "rows of the run")
 
 
 def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recorded(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from tests.support.console_client import Console, Page, console
+from tests.support.console_client import Page, console
 from tests.support.run_settings import NEAR, typed
 from tests.support.stub_console import stub_console
 
@@ -104,17 +104,6 @@ def test_operator_stops_a_stub_in_a_crowd(crowd: Crowd, number: int) -> None:
         assert "stop" in stub.orders
 
 
-def run_to(c: Console, page: Page) -> None:
-    """Take the command and close the loop."""
-    assert page.ask("take_over", confirmed=True)["ok"]
-    assert page.ask("open", confirmed=True)["ok"]
-    page.until_mode("standby")
-    page.order("arm")
-    page.until_mode("armed")
-    page.order("start")
-    page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5, "a run")
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("crowd", "number"), [(sockets, 500), (idle, 32), (guesses, 1000), (flood, 20)])
 def test_operator_s_page_opens_within_1_s_and_stops_within_half_a_second(
@@ -126,7 +115,8 @@ def test_operator_s_page_opens_within_1_s_and_stops_within_half_a_second(
     options = ("--rig", "mock", "--token-file", str(token), *typed(*NEAR, "rig.console.lease_s=60"))
     with console(*options) as c:
         page = c.page("bob", TOKEN)
-        run_to(c, page)
+        assert page.ask("take_over", confirmed=True)["ok"]
+        page.start_run()
         page.socket.close()
         with ExitStack() as stack:
             crowd(c.address, number, stack)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -14,12 +13,11 @@ import pytest
 
 from hil.recording.read import load
 from hil.recording.replay import replay
+from tests.support.browsers import chromium_browser
 from tests.support.console_client import PATIENT, Console, console
 from tests.support.run_settings import NEAR, typed
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow, pytest.mark.timeout(600)]
-
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 class Screen:
@@ -78,13 +76,8 @@ def pictures(tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Return a headless Chromium."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this computer: apt-get install chromium")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        yield browser
-        browser.close()
+    with chromium_browser() as found:
+        yield found
 
 
 def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:

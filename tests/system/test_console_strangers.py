@@ -43,12 +43,7 @@ def token_file(tmp_path: Path) -> str:
 def start(page: Page) -> None:
     """Take the command, open the bench, close the loop."""
     assert page.ask("take")["ok"]
-    assert page.ask("open", confirmed=True)["ok"]
-    page.until_mode("standby")
-    page.order("arm")
-    page.until_mode("armed")
-    page.order("start")
-    page.until(lambda: page.now["mode"] == "running" and page.now["run_s"] > 0.5, "a run")
+    page.start_run()
 
 
 def test_page_and_websocket_over_tls_with_a_certificate_of_the_labs_own(tmp_path: Path, token_file: str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -155,6 +157,19 @@ def changed(chaser: MonitoredChaser, **fields: object) -> MonitoredChaser:
     return chaser
 
 
+def cycles_until(chaser: MonitoredChaser, acquitted: Callable[[], bool]) -> int:
+    """Return after how many healthy cycles the ``chaser`` is ``acquitted``, which it then stays for 10 s."""
+    cycles = 0
+    while not acquitted() and cycles < 200:
+        chaser.cycle({})
+        cycles += 1
+    assert cycles < 200
+    for _ in range(500):
+        chaser.cycle({})
+        assert chaser.health == 0
+    return cycles
+
+
 @pytest.mark.parametrize(
     "fields",
     [
@@ -205,28 +220,14 @@ def test_imu_that_repeats_for_a_moment_is_accused_and_acquitted_after_a_second(c
         chaser.samples[0] = last
         chaser.watch()
     assert chaser.health == GncHealth.IMU_SUSPECT
-    cycles = 0
-    while chaser.health and cycles < 200:
-        chaser.cycle({})
-        cycles += 1
-    assert 0.8 <= cycles * STEP_S <= 1.6
+    assert 0.8 <= cycles_until(chaser, lambda: chaser.health == 0) * STEP_S <= 1.6
     assert chaser.state.imu_revoked == 1
-    for _ in range(500):
-        chaser.cycle({})
-        assert chaser.health == 0
 
 
 def test_thruster_that_is_accused_without_a_fault_is_acquitted(chaser: MonitoredChaser) -> None:
     chaser.state.fault, chaser.state.thruster = STUCK_OPEN, 7
-    cycles = 0
-    while chaser.state.fault != NO_FAULT and cycles < 200:
-        chaser.cycle({})
-        cycles += 1
-    assert cycles < 200
+    cycles_until(chaser, lambda: chaser.state.fault == NO_FAULT)
     assert chaser.state.thruster_revoked == 1
-    for _ in range(500):
-        chaser.cycle({})
-        assert chaser.health == 0
 
 
 def test_thruster_that_is_accused_for_another_is_acquitted_and_the_other_one_found(chaser: MonitoredChaser) -> None:
