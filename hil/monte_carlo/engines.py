@@ -40,6 +40,7 @@ ENGINES: Final = ("cpu", "cuda")
 _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
 _TRIES: Final = 3  # of a batch whose worker dies
+_DEAD_MAX: Final = 3  # cases in a row whose workers died: it is not the cases
 _CONNECT_S: Final = 10.0
 _ASK_EVERY_S: Final = 5.0  # a scheduler whose computer has lost power does not close the connection
 _SILENT_S: Final = 20.0
@@ -171,6 +172,7 @@ class _Isolated:
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
         self._pool: ProcessPoolExecutor | None = None
+        self._dead = 0
 
     def __enter__(self) -> Self:
         return self
@@ -180,17 +182,26 @@ class _Isolated:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
     def run(self, first: int, count: int) -> Rows:
-        """Return the rows of a batch; a case that kills its worker each time has that as its reason."""
-        for _ in range(_TRIES):
+        """Return the rows of a batch; a case that kills its worker each time has that as its reason.
+
+        Raises CampaignStopped after ``_DEAD_MAX`` of them in a row.
+        """
+        for _ in range(_TRIES if count == 1 else 1):
             if self._pool is None:
                 self._pool = _pool(1)
             try:
-                return self._pool.submit(run_batch, self._spec, first, count).result()
+                rows = self._pool.submit(run_batch, self._spec, first, count).result()
+                self._dead = 0
+                return rows
             except BrokenProcessPool:
                 self._pool.shutdown()
                 self._pool = None
         if count > 1:
             return [row for case in range(first, first + count) for row in self.run(case, 1)]
+        self._dead += 1
+        if self._dead >= _DEAD_MAX:
+            text = f"the worker processes of {_DEAD_MAX} cases in a row, the last of them {first}, ended {_TRIES} times"
+            raise CampaignStopped(f"{text}: completed cases are kept")
         return [died_row(self._spec, first)]
 
 

@@ -19,6 +19,7 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
+from hil.errors import CampaignStopped
 from hil.monte_carlo import batch, engines
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import LocalEngine
@@ -111,6 +112,23 @@ def test_case_that_kills_its_worker_is_recorded_and_the_rest_flown(
 
 def _deadly_batch(spec: batch.Spec, first: int, count: int) -> batch.Rows:
     if first <= 2 < first + count:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return batch.run_batch(spec, first, count)
+
+
+@pytest.mark.slow
+def test_campaign_whose_workers_all_die_stops_with_the_last_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines, "run_batch", _deadly_from_two_on)
+    spec = batch.Spec.of(load_scenario("scheme-1").value, load_rig("mock").value, 0, 0.1)
+    run = LocalEngine(2).run(spec, [(0, 2), (2, 1), (3, 1), (4, 1), (5, 40)])
+    found = [next(run)[0]]
+    with pytest.raises(CampaignStopped, match="3 cases in a row, the last of them 4, ended 3 times"):
+        list(run)
+    assert found == [0]
+
+
+def _deadly_from_two_on(spec: batch.Spec, first: int, count: int) -> batch.Rows:
+    if first >= 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return batch.run_batch(spec, first, count)
 
