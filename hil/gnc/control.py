@@ -109,10 +109,11 @@ FEED_FORWARD = np.dtype(
         ("rate_C", "f8", 3),  # rad/s, of the reference against H
         ("q_CH", "f8", 4),  # the reference's attitude of the cycle before
         ("turned", "i8"),  # 1: rate or angular acceleration were not zero
+        ("transit_C", "f8", 6),  # m/s, rad/s: what has been fired and is not felt yet, as valves are late
     ],
     align=True,
 )
-"""What a reference that turns, or axes of H that rotate, ask of control; zero without either."""
+"""What a reference that turns, axes of H that rotate, and late valves ask of control; zero without any of them."""
 
 
 @kernel
@@ -137,6 +138,7 @@ def control(params, navigation, reference, feed, command):
     quat.transform_into(navigation.q_CH, error_c, error_c)
     quat.transform_into(navigation.q_CH, rate_c, rate_c)
     for i in range(3):
+        rate_c[i] += feed.transit_C[i]
         acceleration_c[i] = reference.a_CT_H[i] + feed.acceleration[i]
     quat.transform_into(navigation.q_CH, acceleration_c, acceleration_c)
     quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
@@ -150,7 +152,7 @@ def control(params, navigation, reference, feed, command):
             params,
             3 + i,
             rotation[i],
-            navigation.w_CH_C[i] - feed.rate_C[i],
+            navigation.w_CH_C[i] - feed.rate_C[i] + feed.transit_C[3 + i],
             navigation.sigma_attitude_rad[i],
             feed.acceleration[3 + i],
             params.acceleration[3 + i],

@@ -22,16 +22,17 @@ from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import body_frame, joint_filter, pose_model, thrust_model
 from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
-from hil.gnc.error_state import ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
+from hil.gnc.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
 from hil.gnc.integrity import pose_sigmas
 from hil.gnc.pkf import PKF_PARAMS
-from hil.gnc.step_memory import POSES_PER_STEP, copy_pose, keep_predicted, return_to, step_at
+from hil.gnc.step_memory import DOUBTS, POSES_PER_STEP, copy_pose, keep_predicted, return_to, step_at
 from hil.gnc.step_memory import new_memory as new_memory
 from hil.gnc.target_orbit import TARGET_ORBIT, move_hill_frame
 from hil.gnc.thrust_model import QUIET, THRUST_PARAMS, THRUST_STATE
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import to_integer
+from hil.maths.record_view import copy_record
 
 NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 
@@ -84,6 +85,7 @@ FUSION_STATE = np.dtype(
         ("gain_attitude", "f8"),
         ("corrected", "f8", 3),  # m/s, by which poses have corrected the velocity, forgotten as ``thrust.spread``
         ("interval_s", "f8"),  # between the last two accepted poses
+        ("doubts", DOUBTS),  # for the next step
         ("noise", NOISE_FACTOR),
         ("found_attitude", INNOVATION),
         ("found_position", INNOVATION),
@@ -99,12 +101,37 @@ _JUMP_WINDOWS = 4  # in which they are averaged
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
+@kernel
+def _admit(doubts, errors, filters):
+    """Add what is estimated again to the covariance."""
+    for i in range(3):
+        for j in range(3):
+            filters.p[V + i, V + j] += doubts.velocity[i] * doubts.velocity[j]
+        filters.p[V + i, V + i] += doubts.across**2
+        if errors.disturbance != 0:
+            filters.p[errors.disturbance + i, errors.disturbance + i] += doubts.disturbance**2
+        filters.p[DRIFT + i, DRIFT + i] += doubts.drift**2
+
+
+@kernel
+def _take_doubts(state, step):
+    """Move the monitors' doubts to ``step`` (STEP), so that they are admitted each time it is carried over."""
+    step.doubts.acts = 0
+    if state.doubts.acts != 0:
+        copy_record(state.doubts, step.doubts)
+        fill(state.doubts.velocity, 0.0)
+        state.doubts.acts = 0
+        state.doubts.across = state.doubts.disturbance = state.doubts.drift = 0.0
+
+
 @entry
 def _predict(params, state, step):
     """Carry the filters over ``step`` (STEP), in the axes of a target that tumbles as well."""
     filters, axes, errors = state.filters, state.axes, params.errors
     if step.regains != 0:
         thrust_model.regain(state.thrust, filters)
+    if step.doubts.acts != 0:
+        _admit(step.doubts, errors, filters)
     if step.hill.rotates != 0:
         body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
         body_frame.enter_middle(axes, filters, errors.n)
@@ -356,8 +383,9 @@ def begin_step(params, state, memory, imu):
     step = step_at(params, memory, state.cycle)
     copy_into(step.rate_C, imu.rate_C)
     copy_into(step.force_C, imu.force_C)
+    _take_doubts(state, step)
     thrust_model.begin(params, state, state.started != 0, state.commanded, step)
-    thrust_model.count_spread(params.thrust, params.pkf, state.thrust, step)
+    thrust_model.count_spread(params.thrust, params.pkf, state.thrust, state.filters.pkf.x[6:9], step)
     for i in range(3):
         state.corrected[i] *= 1.0 - params.pkf.dt_s / thrust_model.MEMORY_S
     move_hill_frame(params.orbit, (state.cycle - 1) * params.pkf.dt_s, params.pkf.dt_s, step.hill)

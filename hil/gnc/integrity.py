@@ -16,7 +16,7 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
 from hil.gnc import thrust_model
-from hil.gnc.error_state import DRIFT, V
+from hil.gnc.error_state import V
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import is_covariance_3
 
@@ -34,8 +34,6 @@ _CONVERGES = 4.0  # times the variance of the velocity: what it was
 _JUMP_S = 60.0  # in which a change of the dynamics is estimated
 _SPREADS = 6.0  # standard deviations of the corrections of the velocity
 _GAP_INTERVALS = 3.0  # between poses, from which on there is a gap
-_DOUBTS_MAX = 3
-_DOUBT_RADPS = 1e-5  # 1 sigma, of a rate that is estimated again
 _CAP_S = 5.0  # after it
 _CONFIRMED_FRACTION = 4  # of the accepted poses: the longest time over which a bias can have grown while they agree
 
@@ -166,23 +164,6 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
     weight = max(params.nis_weight, 1.0 / state.monitored)
     state.mean_nis[0] += weight * (nis_position - state.mean_nis[0])
     state.mean_nis[1] += weight * (nis_attitude - state.mean_nis[1])
-
-
-@kernel
-def doubt_drift(params, state, filters):
-    """Let the filters estimate the rate again when the attitude's innovations have a mean, before a sensor is accused.
-
-    Such a mean is that of a wrong rate of H (the ephemeris), or of gyros whose drift has changed.
-    """
-    if state.doubted >= _DOUBTS_MAX:
-        return
-    for i in range(3, 6):
-        if max(state.high[i], state.low[i]) > 0.5 * params.cusum_limit:
-            state.doubted += 1
-            for j in range(3):
-                filters.p[DRIFT + j, DRIFT + j] += _DOUBT_RADPS**2
-                state.high[3 + j] = state.low[3 + j] = 0.0
-            return
 
 
 @kernel

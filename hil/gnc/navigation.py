@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.gnc import akf, fusion, integrity, joint_filter, thrust_model
+from hil.gnc import akf, fusion, integrity, joint_filter, parameter_doubts, thrust_model
 from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
@@ -104,8 +104,9 @@ def _watch_update(params, state, accepted):
     fused = state.fusion
     if fused.updated != 0:
         integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
-        integrity.doubt_drift(params.integrity, state.integrity, fused.filters)
+        parameter_doubts.doubt_drift(params.integrity, state.integrity, fused.doubts)
         integrity.watch_velocity(params.fusion.thrust, params.fusion.errors, state.integrity, fused)
+        parameter_doubts.doubt_velocity(params.integrity, state.integrity, params.fusion.errors, fused)
         integrity.follow(params.integrity, state.integrity, fused, params.fusion.pkf.dt_s)
     elif fused.accepted != accepted:  # the filters were started again
         state.integrity.restarted_s = state.t_s

@@ -139,6 +139,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     if approach.abort_began != 0:
         backends.orders |= _ABORT
     _feed_forward(params, state, reference)
+    thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, state.feed.transit_C)
     if backends.control.step == 0:
         control.control(params.control, estimate, reference, state.feed, command)
     elif not backend_step.control_elsewhere(params, state, t_s, estimate, reference, supervision, command):
@@ -270,6 +271,7 @@ def _feed_forward(params, state, reference):
 def actuate(params, state, estimate, reference, command):
     """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE."""
     _feed_forward(params, state, reference)
+    thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, state.feed.transit_C)
     control.control(params.control, estimate, reference, state.feed, command)
     _select_thrusters(params, state, command)
 

@@ -19,6 +19,18 @@ from hil.maths.record_view import copy_eight, record_at
 
 POSES_PER_STEP = 2
 
+DOUBTS = np.dtype(
+    [
+        ("acts", "i8"),  # 1: there are some
+        ("velocity", "f8", 3),  # m/s, in H: by which the estimate may be off, 1 sigma
+        ("across", "f8"),  # m/s, the same along each axis
+        ("disturbance", "f8"),  # m/s^2, the same
+        ("drift", "f8"),  # rad/s, the same about each axis
+    ],
+    align=True,
+)
+"""What is estimated again: added to the covariance in the step after the monitors have asked for it."""
+
 STEP = np.dtype(
     [
         ("rate_C", "f8", 3),  # the IMU's sample of the step that ended here
@@ -27,6 +39,7 @@ STEP = np.dtype(
         ("thrust_C", "f8", 3),  # m/s^2, of the commands
         ("torque_C", "f8", 3),  # rad/s^2
         ("regains", "i8"),  # 1: the gyros are used again from this step on
+        ("doubts", DOUBTS),  # of before this step
         ("rate_variance", "f8"),  # (rad/s)^2 that the drift gains in that step beyond its random walk
         ("hill", HILL_STEP),
         ("akf", AKF_STATE),  # before the poses of this moment

@@ -63,6 +63,7 @@ THRUST_STATE = np.dtype(
         ("jumped", "i8"),  # step at which quiet readings did not agree with bias and disturbance, 0 for none
         ("spread", "f8"),  # (m/s)^2, what white noise adds to the velocity, forgotten over ``MEMORY_S``
         ("gained_C", "f8", 3),  # m/s, velocity by thrust, the same
+        ("excess_C", "f8", 3),  # m/s, of it: what the accelerometer reads beyond the commands, the same
     ],
     align=True,
 )
@@ -158,8 +159,11 @@ def _force_variance(params, of_pkf, kind, square):
 
 
 @kernel
-def count_spread(params, of_pkf, state, step):
-    """Take ``step`` (STEP) into what the velocity may have changed by that its prediction does not contain."""
+def count_spread(params, of_pkf, state, bias, step):
+    """Take ``step`` (STEP) into what the velocity may have changed by that its prediction does not contain.
+
+    bias: of the accelerometer, (3,), m/s^2, as estimated.
+    """
     forgotten, square = params.dt_s / MEMORY_S, 0.0
     for i in range(3):
         force = 0.0
@@ -167,7 +171,9 @@ def count_spread(params, of_pkf, state, step):
             force = step.force_C[i] - of_pkf.initial_bias[i]
         elif step.kind == COMMANDED:
             force = step.thrust_C[i]
+        excess = step.force_C[i] - bias[i] - step.thrust_C[i] if step.kind == MEASURED else 0.0
         state.gained_C[i] += force * params.dt_s - forgotten * state.gained_C[i]
+        state.excess_C[i] += excess * params.dt_s - forgotten * state.excess_C[i]
         square += force * force
     if state.spread > 0.0:
         variance = _force_variance(params, of_pkf, step.kind, square)

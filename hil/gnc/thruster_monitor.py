@@ -34,7 +34,6 @@ _RESIDUAL_MIN = 0.3  # of a thruster's force or torque: below it all is well
 _UNEXPLAINED_MAX = 0.3  # fraction of the residual's square that the thruster may leave
 _THRUST_MIN = 0.3  # fraction of the thrust that an open one has, or a dead one lacks
 _TIE = 0.95  # of the largest square explained: as good an explanation
-_IMPOSSIBLE = 2.0  # times what all thrusters together can do
 _BIAS_SIGMAS = 4.0
 _CLEAR = 3  # of so many cycles one has to be clear
 _REPEATS_MAX = 10  # cycles
@@ -44,6 +43,7 @@ DELAYS: Final = 8
 _DELAY_MEMORY = 0.995  # of the squares of a cycle in the next one
 _DELAY_PRIOR = 1.0  # square that a longer delay has to explain
 _SCALE_MIN, _SCALE_MAX = 0.4, 2.4  # factors of all forces, or torques, that mass, thrust and inertia can have
+_IMPOSSIBLE = _SCALE_MAX + 1.0  # times what all thrusters together can do, against their commands
 _SCALE_WEIGHT = 0.02  # of a cycle in the mean factor of the forces
 _MEAN_WEIGHT = 0.04  # of a cycle in the mean residual
 _ARM_MAX = 0.5  # m, of the accelerometers
@@ -245,6 +245,19 @@ def _mean_thrust(params, state, delay, out):
     before = (last - 1 + DELAYS) % DELAYS
     for j in range(params.n):
         out[j] = 0.5 * (state.past[last, j] + state.past[before, j])
+
+
+@kernel
+def in_transit(params, state, out):
+    """Write the change of velocity, m/s, and rate, rad/s, in c, that valves which are late have yet to give, (6,)."""
+    fill(out, 0.0)
+    for k in range(state.delay):
+        row = (state.row - k + DELAYS) % DELAYS
+        for j in range(params.n):
+            if state.past[row, j] > 0.0:
+                for i in range(3):
+                    out[i] += state.past[row, j] * params.signature[j, i] * params.force_unit * params.dt_s
+                    out[3 + i] += state.past[row, j] * params.signature[j, 3 + i] * params.torque_unit * params.dt_s
 
 
 @kernel

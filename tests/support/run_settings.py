@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from typing import Any
 
 from hil.config.load import load_rig, load_scenario
 from hil.session.build import Job
@@ -82,3 +84,9 @@ ALL_ERRORS = (
     "chaser.solar_array.further_modes.second.translation_coupling=[2.0, -1.0, 0.0]",
 )
 """Settings with all terms of the error models, and of the truth those that no shipped scenario has."""
+
+
+def faults_setting(*faults: dict[str, Any]) -> str:
+    """Return the setting of a scenario's ``faults``, tables of ``[[faults]]``."""
+    tables = [", ".join(f"{key} = {json.dumps(value)}" for key, value in table.items()) for table in faults]
+    return f"faults=[{', '.join(f'{{{table}}}' for table in tables)}]"

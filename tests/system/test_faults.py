@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +17,7 @@ from hil.monte_carlo.outcome import row_of
 from hil.session import build
 from tests.support.plain_filters import PLAIN
 from tests.support.rows import assert_same_bits
-from tests.support.run_settings import make_job
+from tests.support.run_settings import faults_setting, make_job
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -80,7 +79,7 @@ def fault(name: str, **keys: Any) -> dict[str, Any]:
 
 def fly(*faults: dict[str, Any], duration_s: float = END_S, settings: Sequence[str] = ()) -> np.ndarray:
     """Return the rows of a run of scheme-1 with these faults."""
-    settings = (*WITHOUT_GUARD, *_monitor(*faults), *settings, _settings(*faults))
+    settings = (*WITHOUT_GUARD, *_monitor(*faults), *settings, faults_setting(*faults))
     with build.runner(make_job(duration_s, settings)) as runner:
         return runner.run().history
 
@@ -98,11 +97,6 @@ def healthy() -> np.ndarray:
     return fly()
 
 
-def _settings(*faults: dict[str, Any]) -> str:
-    tables = [", ".join(f"{key} = {json.dumps(value)}" for key, value in table.items()) for table in faults]
-    return f"faults=[{', '.join(f'{{{table}}}' for table in tables)}]"
-
-
 def _monitor(*faults: dict[str, Any]) -> tuple[str, ...]:
     """Return the settings of a docking monitor, if one of ``faults`` is its own."""
     return ("monitor.source=model",) if any(fault["device"] == "monitor" for fault in faults) else ()
@@ -110,7 +104,7 @@ def _monitor(*faults: dict[str, Any]) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name: str) -> None:
-    settings = (*DISTURBED, *WITHOUT_GUARD, *_monitor(fault(name)), _settings(fault(name)))
+    settings = (*DISTURBED, *WITHOUT_GUARD, *_monitor(fault(name)), faults_setting(fault(name)))
     job = make_job(END_S, settings, seed=3)
     rows = []
     for compiled in (True, False):
@@ -138,7 +132,7 @@ def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.nda
 @pytest.mark.parametrize("onset_s", [20.0, 150.0])
 def test_fault_that_is_not_detected_for_sure_stays_within_the_limits(name: str, onset_s: float) -> None:
     injected = fault(name, at_s=onset_s, until_s=1000.0)
-    scenario = load_scenario("scheme-1", (*_monitor(injected), _settings(injected))).value
+    scenario = load_scenario("scheme-1", (*_monitor(injected), faults_setting(injected))).value
     stats, stop = CaseRunner(scenario, load_rig("mock", WITHOUT_GUARD).value, scenario.duration_s).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
     assert stop == COMPLETED
@@ -155,7 +149,7 @@ def test_fault_is_detected_as_the_table_states(name: str) -> None:
     injected = fault(name, at_s=onset_s, until_s=100.0, **sizes)
     # a dead thruster is found when it is needed: the filters of the bench paper need this one within 10 s
     plain = PLAIN if name == "thruster.stuck_closed" else ()
-    settings = (*plain, *_monitor(injected), _settings(injected))
+    settings = (*plain, *_monitor(injected), faults_setting(injected))
     scenario, rig = load_scenario("scheme-1", settings).value, load_rig("mock").value
     stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
@@ -242,7 +236,7 @@ def test_dimmed_leds_are_noisier_and_reported_so_until_they_are_lost(healthy: np
 
 def test_lights_that_go_out_are_vision_lost() -> None:
     dark = fault("vmu.dimmed", at_s=20.0, until_s=100.0, value=1.0)
-    scenario, rig = load_scenario("scheme-1", (_settings(dark),)).value, load_rig("mock").value
+    scenario, rig = load_scenario("scheme-1", (faults_setting(dark),)).value, load_rig("mock").value
     stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
     assert row["detected_by"] == "navigation"  # it coasts: the protection level is within its limit to the end
