@@ -19,7 +19,7 @@ from hil.core.text_files import write_text
 from hil.errors import BadInput
 from hil.loop.runner import Outcome
 from hil.monitor.results import PORTION, portion_row
-from hil.report.verdict import Verdict, deviations, judge
+from hil.report.verdict import Verdict, judge_rows
 from hil.safety.alarms import Alarm
 from hil.setup.assembly import Job
 
@@ -116,7 +116,7 @@ class Run:
     def verdict(self) -> Verdict:
         """Ready phase and largest deviations of the truth in it, (3,) per row of Table III: m, m/s, deg, deg/s."""
         wanted = self.scenario.requirements
-        return judge(deviations(self.history, wanted), wanted)
+        return judge_rows(self.history, wanted)
 
     @property
     def stop(self) -> str:

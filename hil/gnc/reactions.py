@@ -11,10 +11,14 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.gnc import approach_monitor, guidance
 from hil.gnc.approach_monitor import (
+    ALONG,
+    ATTITUDE,
     BENCH_DISAGREES,
+    BREAK,
     CORRIDOR,
     FIRST_HEALTH_CAUSE,
     HELD_TOO_LONG,
+    LEVEL_TERMS,
     NOT_ABORTED,
     UNPROTECTED,
 )
@@ -50,6 +54,10 @@ REACTION_STATE = np.dtype(
         ("entered", "i8"),  # 1: the approach has begun: the filters have converged
         ("outside", "i8"),  # 1: the approach begins outside or far from its plan, and has not stopped yet
         ("share", "f8"),  # largest protection level over its alert limit
+        ("level", "f8", 3),  # protection levels along the docking axis, across it, m, of the attitude, rad ...
+        ("limit", "f8", 3),  # ... with their alert limits
+        ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of the levels of x, y, z, 0 if the navigation does not give them
+        ("broken", BREAK),  # of corridor or closing rate, m, m/s
     ],
     align=True,
 )
@@ -58,7 +66,7 @@ REACTION_STATE = np.dtype(
 @kernel
 def acquire(params, monitor, state, t_s, estimate):
     """Take note whether the navigation has converged, and since when it is not protected."""
-    share = approach_monitor.level_share(monitor, estimate)
+    share = approach_monitor.level_share_into(monitor, estimate, state.level, state.limit)
     is_within = share <= 1.0
     # one without a level does not continue without vision
     state.share = share if estimate.protection_level_m[0] >= 0.0 else np.inf
@@ -78,6 +86,38 @@ def acquire(params, monitor, state, t_s, estimate):
         state.unprotected_since_s = 0.0
     elif state.unprotected_since_s == 0.0:
         state.unprotected_since_s = t_s + 1e-9
+
+
+@kernel
+def write_level(monitor, state, estimate, found):
+    """Write levels, alert limits and the largest term of the level that is nearest its limit into ``found``.
+
+    found: SUPERVISION. The term is that of the component with the largest part in the level.
+    """
+    worst, largest = 0, 0.0
+    for i in range(3):
+        found.level[i], found.alert_limit[i] = state.level[i], state.limit[i]
+        if state.level[i] > largest * state.limit[i]:
+            worst, largest = i, state.level[i] / state.limit[i] if state.limit[i] > 0.0 else np.inf
+    found.level_term, found.level_term_m = 0, np.nan
+    if not largest > 0.0:
+        return
+    axis, part = 0, 0.0
+    for i in range(3):
+        share = abs(monitor.axis[i]) if worst == ALONG else 1.0 - monitor.axis[i] ** 2
+        size = estimate.sigma_attitude_rad[i] if worst == ATTITUDE else share * estimate.protection_level_m[i]
+        if size > part:
+            axis, part = i, size
+    if worst == ATTITUDE:
+        noise = monitor.level_sigmas * part
+        is_noise = noise >= 0.5 * state.level[ATTITUDE]
+        found.level_term, found.level_term_m = (1, noise) if is_noise else (2, state.level[ATTITUDE] - noise)
+        return
+    term = 0.0
+    for k in range(LEVEL_TERMS):
+        if state.terms[k, axis] > term:
+            term = state.terms[k, axis]
+            found.level_term, found.level_term_m = k + 1, term
 
 
 @kernel
