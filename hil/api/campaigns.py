@@ -101,7 +101,7 @@ def campaign(
 class Campaign:
     """Results of a campaign.
 
-    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, sensitivities.
+    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, causes.
     cases: pyarrow table with one row per case: number, seed, sampled dispersions, verdict and outcomes, SI
     (``cases.to_pandas()`` if pandas is installed). job: the nominal run.
     """
@@ -135,6 +135,16 @@ class Campaign:
             known = ", ".join(self.cases.column_names)
             raise BadInput.single("campaign", name, f"no such column: give one of {known}")
         return self.cases.column(name).to_numpy()
+
+    def why(self, case: int | None = None) -> dict[str, Any]:
+        """Return why cases fail, by the keys of ``hil explain --json``: ``causes``, ``drivers``, ``score`` and others.
+
+        case: number of a case; the result then has its margins and the nearest case that passes. Raises BadInput.
+        """
+        from hil.monte_carlo.explain import case_of, explain  # slow import
+
+        names = Design(self.job.scenario, self.job.seed).names
+        return explain(self.column, names) if case is None else case_of(self.cases, case, self.job.scenario.value.name)
 
     def run_case(self, case: int) -> Run:
         """Return case number ``case``, run again in full detail. Raises BadInput for a number that has no case."""

@@ -19,6 +19,8 @@ from hil.core.text_files import write_text
 from hil.errors import BadInput
 from hil.loop.runner import Outcome
 from hil.monitor.results import PORTION, portion_row
+from hil.report.limits import why_of
+from hil.report.summary import judge_integrity, limits_of
 from hil.report.verdict import Verdict, judge_rows
 from hil.safety.alarms import Alarm
 from hil.setup.assembly import Job
@@ -117,6 +119,15 @@ class Run:
         """Ready phase and largest deviations of the truth in it, (3,) per row of Table III: m, m/s, deg, deg/s."""
         wanted = self.scenario.requirements
         return judge_rows(self.history, wanted)
+
+    def why(self) -> dict[str, Any]:
+        """Return the first violated limit as ``text``, ``alarms_before`` it, and all ``limits`` by their margins."""
+        found = self.summary
+        if "limits" not in found:  # a recording of an earlier version
+            outcome = Outcome(self.history, self.stop, alarms=self.alarms)
+            state = judge_integrity(self.history, self.scenario, self.rig)
+            found = found | limits_of(outcome, state, self.verdict, found, self.scenario)
+        return why_of(found)
 
     @property
     def stop(self) -> str:

@@ -27,6 +27,7 @@ NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES = 10, 11, 12
+_CONVERGED_SHARE = 0.85  # of an alert limit
 _FAR = 0.6  # of the corridor's radius, from the plan at the start
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
@@ -245,10 +246,17 @@ def _lack(go, what, axis, value, limit):
 
 
 @kernel
-def _is_ready(params, estimate, go):
+def has_converged(params, estimate, share, converged_mps):
+    """Return whether the filters have converged: level over limit ``share``, allowance of the closing rate, m/s."""
+    # the level rises a little while the filters have few poses
+    return share <= _CONVERGED_SHARE and params.confidence * _largest(estimate.sigma_v_mps) <= converged_mps
+
+
+@kernel
+def _is_ready(params, estimate, beyond, go):
     """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go`` as of ``_is_go``.
 
-    Angles are those of a rotation vector.
+    beyond: 1 if a protection level exceeds its alert limit. Angles are those of a rotation vector.
     """
     for i in range(3):
         deviation = abs(estimate.r_CT_H[i] - params.ready_point[i])
@@ -265,17 +273,17 @@ def _is_ready(params, estimate, go):
             return _lack(go, DEVIATION, 3 + i, abs(rotation[i]), params.ready_angle)
     if estimate.health != 0:
         return _lack(go, HEALTH, 0, 0.0, 0.0)
-    return True if is_protected(params, estimate) else _lack(go, UNBOUNDED, 0, 0.0, 0.0)
+    return True if beyond == 0 else _lack(go, UNBOUNDED, 0, 0.0, 0.0)
 
 
 @kernel
-def _is_go(params, estimate, go):
+def _is_go(params, estimate, beyond, go):
     """Return whether the ready state is certain enough for a go; ``go`` (GO_CHECK) then has what is missing.
 
     The level of the certificate's risk and the deviation have to be within Table III together, and the encoders'
     pose, the estimate less its mean error, within a part of it, which leaves room for the control error.
     """
-    if not _is_ready(params, estimate, go):
+    if not _is_ready(params, estimate, beyond, go):
         return False
     rotation = stack.vector(3)
     quat.to_rotation_vector_into(estimate.q_CH, rotation)
@@ -325,7 +333,7 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
         return False
     found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
     found.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
-    if not _is_go(params, estimate, go):
+    if not _is_go(params, estimate, reactions.beyond, go):
         found.ready_since_s = np.nan
     elif not found.ready_since_s <= t_s:
         found.ready_since_s = t_s

@@ -28,7 +28,8 @@ HEALTH_BITS: Final = 7
 
 LIMITS_PARAMS = np.dtype(
     [
-        ("acquisition_s", "f8"),  # from the first estimate, in which a level may exceed its limit
+        ("acquisition_s", "f8"),  # from the first estimate, in which the filters may converge
+        ("converged_mps", "f8"),  # allowance of the closing rate from which on they have
         ("time_to_alert_s", "f8"),
         ("lost_after_s", "f8"),  # age of the last pose
         ("tracks", "i8"),  # 1: the axes are compared with their setpoints
@@ -55,7 +56,7 @@ LIMITS_STATE = np.dtype(
         ("entered", "i8"),  # 1: the truth has been inside the corridor
         ("start_margin", "f8"),  # m, of the corridor in the first cycle
         ("valid_s", "f8"),  # time of the first estimate, nan before
-        ("protected", "i8"),  # 1: all levels have been within their limits
+        ("converged", "i8"),  # 1: the filters have converged, as in the reactions
         ("since_s", "f8", 3),  # since when a level exceeds its limit, nan: it does not
         ("pose_s", "f8"),  # cycle of the last pose
         ("phase", "i8"),
@@ -183,15 +184,19 @@ def update_motion(params, approach, state, now, from_H, to_H):
 
 
 @kernel
-def _update_levels(params, state, now):
-    """Update the margins of the protection levels, and those of the checks that add them to the estimate."""
-    found, t_s, inside = now.supervision, now.t_s, True
-    for i in range(3):
-        inside = inside and not found.level[i] > found.alert_limit[i]
-    if inside:
-        state.protected = 1
-    elif state.protected == 0 and t_s - state.valid_s <= params.acquisition_s:
-        return False
+def _update_levels(params, approach, state, now):
+    """Update the margins of the protection levels; return whether the filters have converged."""
+    found, t_s = now.supervision, now.t_s
+    if state.converged == 0:
+        share = 0.0
+        for i in range(3):
+            if found.level[i] > share * found.alert_limit[i]:
+                share = found.level[i] / found.alert_limit[i] if found.alert_limit[i] > 0.0 else np.inf
+        if not approach_monitor.has_converged(approach, now.navigation, share, params.converged_mps):
+            if t_s - state.valid_s <= params.acquisition_s:
+                return False
+        else:
+            state.converged = 1
     for i in range(3):
         margin = found.alert_limit[i] - found.level[i]
         if margin < state.margin[LEVEL + i]:
@@ -248,7 +253,7 @@ def update_estimate(params, approach, state, now, errors, limits):
         margin = limits[i] - errors[i]
         if margin < state.margin[ERROR + i]:
             _take(state, ERROR + i, t_s, margin, limits[i], NO_TERM)
-    if state.aborted == NOT_ABORTED and _update_levels(params, state, now):
+    if state.aborted == NOT_ABORTED and _update_levels(params, approach, state, now):
         _update_checks(approach, state, now)
 
 

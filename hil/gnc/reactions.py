@@ -27,7 +27,6 @@ CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 7
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # of phases
-_CONVERGED_SHARE = 0.85  # of an alert limit
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
 
 REACTION_PARAMS = np.dtype(
@@ -54,6 +53,7 @@ REACTION_STATE = np.dtype(
         ("entered", "i8"),  # 1: the approach has begun: the filters have converged
         ("outside", "i8"),  # 1: the approach begins outside or far from its plan, and has not stopped yet
         ("share", "f8"),  # largest protection level over its alert limit
+        ("beyond", "i8"),  # 1: it exceeds the limit
         ("level", "f8", 3),  # protection levels along the docking axis, across it, m, of the attitude, rad ...
         ("limit", "f8", 3),  # ... with their alert limits
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of the levels of x, y, z, 0 if the navigation does not give them
@@ -72,15 +72,9 @@ def acquire(params, monitor, state, t_s, estimate):
     state.share = share if estimate.protection_level_m[0] >= 0.0 else np.inf
     if state.valid_since_s == 0.0:
         state.valid_since_s = t_s + 1e-9
-    if state.converged == 0:
-        largest = 0.0
-        for i in range(3):
-            if estimate.sigma_v_mps[i] > largest:
-                largest = estimate.sigma_v_mps[i]
-        # the level rises a little while the filters have few poses
-        is_clear = is_within and (state.share <= _CONVERGED_SHARE or state.share == np.inf)
-        if is_clear and monitor.confidence * largest <= params.converged_mps:
-            state.converged = 1
+    state.beyond = 0 if is_within else 1
+    if state.converged == 0 and approach_monitor.has_converged(monitor, estimate, share, params.converged_mps):
+        state.converged = 1
     waits = state.converged == 0 and t_s - state.valid_since_s <= params.acquisition_s
     if is_within or waits:
         state.unprotected_since_s = 0.0

@@ -1,4 +1,4 @@
-"""Statistics of a finished campaign: pass rates with intervals, worst cases, sensitivities."""
+"""Statistics of a finished campaign: pass rates with intervals, worst cases, margins."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import binomtest, rankdata, t
+from scipy.stats import binomtest, t
 
 from hil.core.messages import Array
 from hil.loop.runner import COMPLETED
@@ -20,10 +20,6 @@ PERCENTILES: Final = (5.0, 50.0, 95.0, 99.0)
 SPREAD_OF: Final = (
     "ready_time_s", "control_margin", "propellant_kg", "firings", "corridor_margin_m", "closing_margin_mps",
     "nearest_m", "view_margin_px",
-)  # fmt: skip
-SENSITIVE: Final = (
-    "passed", "passed_all_parts", "control_margin", "propellant_kg", "ready_time_s", "corridor_margin_m",
-    "closing_margin_mps",
 )  # fmt: skip
 _REASONS: Final = 20
 
@@ -51,8 +47,8 @@ def mean_interval(values: Array) -> dict[str, float | int | None]:
     return {"n": n, "mean": mean, "low": mean - half, "high": mean + half}
 
 
-def summarise(store: Store, scenario: str, names: list[str]) -> dict[str, Any]:
-    """Return the numbers of a finished campaign; names: of its dispersions."""
+def summarise(store: Store, scenario: str) -> dict[str, Any]:
+    """Return the numbers of a finished campaign."""
     case = store.column("case")
     runs = len(case)
     return {
@@ -64,7 +60,6 @@ def summarise(store: Store, scenario: str, names: list[str]) -> dict[str, Any]:
         "worst": _worst(store, scenario, case),
         "percentiles": {name: _percentiles(store.column(name)) for name in SPREAD_OF},
         "least_margin_cases": _least(store, case),
-        "sensitivity": {name: _ranking(store, name, names) for name in SENSITIVE} if names else {},
     }
 
 
@@ -122,26 +117,6 @@ def _least(store: Store, case: Array) -> list[dict[str, Any]]:
     return [
         {"case": int(case[i]), "control_margin": float(margin[i]) if math.isfinite(margin[i]) else None} for i in order
     ]
-
-
-def _ranking(store: Store, outcome: str, names: list[str]) -> list[dict[str, Any]]:
-    """Return Spearman's rank correlation of each dispersion with ``outcome``, the strongest first.
-
-    ``significant``: above the 95 % quantile of uncorrelated samples.
-    """
-    values = np.asarray(store.column(outcome), dtype=float)
-    known = np.isfinite(values)
-    n = int(known.sum())
-    rows = []
-    for name in names:
-        drawn = store.column(name)[known]
-        rho = 0.0
-        if n > 2 and np.ptp(drawn) > 0.0 and np.ptp(values[known]) > 0.0:
-            rho = float(np.corrcoef(rankdata(drawn), rankdata(values[known]))[0, 1])
-        rows.append({"dispersion": name, "rank_correlation": rho})
-    threshold = min(1.0, 1.96 / math.sqrt(n - 1)) if n > 2 else 1.0
-    rows.sort(key=lambda row: -abs(row["rank_correlation"]))  # type: ignore[arg-type]
-    return [row | {"significant": bool(abs(row["rank_correlation"]) > threshold)} for row in rows]  # type: ignore[arg-type]
 
 
 COMPARED: Final = (

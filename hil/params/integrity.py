@@ -27,6 +27,7 @@ def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
     set_faults(params, scenario.faults)
     limits = params.limits
     limits.acquisition_s = scenario.gnc.integrity.acquisition_s
+    limits.converged_mps = gnc_params.converged_mps(scenario)
     limits.time_to_alert_s, limits.lost_after_s = (
         scenario.integrity.time_to_alert_s,
         scenario.gnc.integrity.lost_after_s,

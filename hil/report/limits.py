@@ -52,7 +52,8 @@ _WORDS: Final = {
     "corridor": "distance from the line of the approach", "closing_rate": "closing rate",
     "corridor_of_estimate": "estimated distance from the line with its protection level",
     "closing_rate_of_estimate": "estimated closing rate with its uncertainty",
-    "pose_age": "age of the last pose", "keep_out": "distance to the target", "propellant": "propellant",
+    "start_corridor": "distance of the start from the corridor", "pose_age": "age of the last pose",
+    "keep_out": "distance to the target", "propellant": "propellant",
     "field_of_view": "margin of the LEDs to the image's edge", "hold_time": "duration of a hold",
     "decision": "deviation after docking: go", "error_beyond_level": "navigation error",
     "nees_position": "NEES of the position filter", "nees_attitude": "NEES of the attitude filter",
@@ -68,7 +69,8 @@ def words_of(name: str) -> str:
         return _WORDS[name]
     what, _, axis = name.rpartition("_")
     if what in _ROW_WORDS:
-        where = "along the docking axis" if axis == "x" else f"across the docking axis ({axis})"
+        beside = "" if axis == "across" else f" ({axis})"
+        where = "along the docking axis" if axis == "x" else f"across the docking axis{beside}"
         return f"{_ROW_WORDS[what]} {where if what in ('deviation', 'velocity') else f'about {axis}'}"
     if what == "level":
         return f"protection level {'of the attitude' if axis == 'attitude' else f'{axis} the docking axis'}"
@@ -86,13 +88,13 @@ def unit_of(name: str) -> str:
         return "s"
     if what == "closing_rate" or name.startswith("closing_rate"):
         return "m/s"
-    if what in ("attitude", "rate", "velocity", "deviation") and name in _OF_READY:
+    if what in _ROW_WORDS and axis in ("x", "y", "z", "across"):
         return {"deviation": "m", "velocity": "m/s", "attitude": "deg", "rate": "deg/s"}[what]
     if name in ("propellant", "field_of_view"):
         return {"propellant": "kg", "field_of_view": "px"}[name]
     if axis in ("attitude", *_SHORT_AXES[3:]):
         return "rad"
-    known = name in LIMITS or name.startswith(("travel_", "error_beyond"))
+    known = name in (*LIMITS, "start_corridor") or name.startswith(("travel_", "error_beyond"))
     return "m" if known else ""
 
 
@@ -270,11 +272,13 @@ def first_violated(run: RunNumbers, scenario: Scenario, margins: Sequence[Margin
 
 def _first(run: RunNumbers, scenario: Scenario, margins: Sequence[Margin]) -> Margin | None:
     """Return the cause; of limits that were broken at the same time the one that comes first in LIMITS."""
-    start = float(run.integrity.limits.start_margin)
-    if start < 0.0 and run.integrity.limits.counted:
-        return Margin("start_corridor", start, 0.0, None, None, "", 0.0, -start, 0.0)
     required = required_parts(scenario.requirements.required_parts, run.parts)
     missed = {part for part in required if not run.parts.get(part, False)}
+    state = run.integrity.limits
+    ended = bool(state.aborted) or run.stop is not None or not state.entered or "security" in missed
+    if state.counted and state.start_margin < 0.0 and ended:
+        start = float(state.start_margin)
+        return Margin("start_corridor", start, 0.0, None, None, "", 0.0, -start, 0.0)
     broken = [
         each
         for each in (*margins, *_ended(run))
@@ -316,6 +320,34 @@ def sentence(found: Mapping[str, Any]) -> str:
     if found["first_violated_phase"]:
         text += f" in phase {found['first_violated_phase']}"
     return f"{text}, most of it {found['first_violated_term']}" if found["first_violated_term"] else text
+
+
+def why_of(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the cause of a run with its margins, those that are least relative to their limit first.
+
+    summary: numbers of the run, by the keys of its JSON.
+    """
+    rows = [
+        {"limit": name, "margin": each["margin"], "value": each["value"], "allowed": each["limit"],
+         **{key: each[key] for key in ("at_s", "term", "unit")}}
+        for name, each in summary["limits"].items()
+    ]  # fmt: skip
+    return {
+        "accepted": bool(summary["accepted"]),
+        "text": sentence(summary) or "accepted: no limit was broken",
+        "first_violated": {name.removeprefix("first_violated"): summary[name] for name in _FIRST},
+        "alarms_before": summary["alarms_before"],
+        "stop": summary["stop"],
+        "limits": sorted(rows, key=relative_margin),
+    }
+
+
+def relative_margin(row: Mapping[str, Any]) -> float:
+    """Return the margin of ``row`` over its limit, -inf if it is unknown."""
+    if row["margin"] is None:
+        return -math.inf
+    margin, limit = float(row["margin"]), row["allowed"]
+    return margin / abs(limit) if limit else margin
 
 
 def _shown(value: float, unit: str) -> str:
