@@ -43,7 +43,7 @@ _BENCH_CAUSE: Final = 12
 _PARTS: Final = (
     dict.fromkeys(("corridor", "closing_rate"), "security")
     | dict.fromkeys((*(f"error_{d}" for d in _DIRECTIONS), "keep_out"), "integrity")
-    | dict.fromkeys(_OF_READY, "control_precision")
+    | dict.fromkeys((*_OF_READY, "ready_time"), "control_precision")
     | {"field_of_view": "field_of_view", "propellant": "energy"}
     | dict.fromkeys(("decision", "error_beyond_level", "nees_position", "nees_attitude"), "decision")
 )
@@ -54,7 +54,7 @@ _WORDS: Final = {
     "closing_rate_of_estimate": "estimated closing rate with its uncertainty",
     "start_corridor": "distance of the start from the corridor", "pose_age": "age of the last pose",
     "keep_out": "distance to the target", "propellant": "propellant",
-    "field_of_view": "margin of the LEDs to the image's edge", "hold_time": "duration of a hold",
+    "field_of_view": "margin of the LEDs to the image's edge", "hold_time": "duration of a hold", "ready_time": "duration of the ready phase",
     "decision": "deviation after docking: go", "error_beyond_level": "navigation error",
     "nees_position": "NEES of the position filter", "nees_attitude": "NEES of the attitude filter",
 }  # fmt: skip
@@ -84,7 +84,7 @@ def words_of(name: str) -> str:
 def unit_of(name: str) -> str:
     """Return the SI unit of the limit ``name``, "" for a number without one."""
     what, _, axis = name.rpartition("_")
-    if name in ("pose_age", "hold_time"):
+    if name in ("pose_age", "hold_time", "ready_time"):
         return "s"
     if what == "closing_rate" or name.startswith("closing_rate"):
         return "m/s"
@@ -184,7 +184,8 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     """Return the margins to Table III: in the ready phase, or of what has kept it from beginning."""
     ready, found = run.ready, []
     allowed = np.concatenate([tolerances(scenario.requirements)[row] for row in ROW_NAMES])
-    blocking = _blocking(ready) if not ready.is_ready else -1
+    late = bool(ready.is_ready) and not ready.left and not run.parts.get("control_precision", False)
+    blocking = -1 if ready.is_ready and not (late and ready.breaks.any()) else _blocking(ready)
     for i in range(DEVIATIONS):
         limit = float(allowed[i])
         broken: tuple[float, float, float] | None = None
@@ -197,13 +198,17 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
         else:
             continue
         if i == blocking:
-            broken = (at_s, value, limit)
+            at = float(ready.break_s[i]) if ready.breaks[i] else at_s
+            broken = (at, float(ready.break_value[i]) if ready.breaks[i] else value, limit)
         found.append(Margin(_OF_READY[i], limit - value, at_s, _number(value), limit, "", *(broken or ())))
     if not ready.is_ready and blocking >= 0 and not ready.breaks[blocking]:
         found.append(
             Margin(_OF_READY[blocking], math.nan, None, None, float(allowed[blocking]), "", run.end_s, None,
                    float(allowed[blocking]))
         )  # fmt: skip
+    if late and not ready.breaks.any():
+        lasted, wanted = float(ready.last_s - ready.ready_s), scenario.requirements.required_ready_s
+        found.append(Margin("ready_time", lasted - wanted, run.end_s, lasted, wanted, "", run.end_s, lasted, wanted))
     return found
 
 
