@@ -36,6 +36,8 @@ READY_STATE = np.dtype(
         ("break_s", "f8", DEVIATIONS),  # when first
         ("break_value", "f8", DEVIATIONS),  # largest value of these
         ("out", "i8", DEVIATIONS),  # cycles in which each was out, near the ready point without a dwell
+        ("out_s", "f8", DEVIATIONS),  # when first
+        ("out_value", "f8", DEVIATIONS),  # the last value of these
     ],
     align=True,
 )
@@ -123,7 +125,10 @@ def _note_out(params, state, t_s, deviation):
         if value <= params.tolerance[i]:
             continue
         if state.holding == 0:
+            if state.out[i] == 0:
+                state.out_s[i] = t_s
             state.out[i] += 1
+            state.out_value[i] = value
             continue
         if state.breaks[i] == 0:
             state.break_s[i] = t_s

@@ -243,7 +243,7 @@ def _auc_sigma(area: float, n1: float, n0: float) -> float:
 def threshold(term: Term, values: Array, failed: np.ndarray) -> dict[str, Any]:
     """Return the cut of ``term`` that separates ``failed`` (n,) best, with the cases and passes on both sides.
 
-    values: (n, d). The cut is where no case beyond it passes, if most failures are there, else the best separation.
+    values: (n, d). No case beyond the cut passes, if most failures are there; otherwise it is the best separation.
     """
     x = term.of(values)
     order = np.argsort(x, kind="stable")

@@ -1,6 +1,6 @@
 """Explanation of a campaign: why its cases fail, from the first violated limits and the dispersed numbers.
 
-Failing cases form a cluster for each limit that was broken first, in each phase. Of each: its share with interval, a
+Failing cases form a cluster for each limit that was broken first, in each phase. Of each: its fraction with interval, a
 typical case, the nearest case that passes, the drivers (``hil.monte_carlo.drivers``) with the threshold of the first.
 """
 

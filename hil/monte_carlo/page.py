@@ -119,7 +119,7 @@ def _causes(cases: Cases, why: Mapping[str, Any]) -> Iterator[str]:
         yield html.heading(3, words_of(cause["limit"]).capitalize())
         share = {"rate": cause["share"], "low": cause["low"], "high": cause["high"]}
         yield html.paragraph(f"{cause['text']}.")
-        rows = [("share of the failures", _percent(share)), ("a typical case", _command(cases, cause["case"]))]
+        rows = [("fraction of the failures", _percent(share)), ("a typical case", _command(cases, cause["case"]))]
         if cause["nearest"] is not None:
             near = cause["nearest"]
             rows.append(("the nearest case that passes", _command(cases, near["case"])))

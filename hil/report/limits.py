@@ -54,7 +54,8 @@ _WORDS: Final = {
     "closing_rate_of_estimate": "estimated closing rate with its uncertainty",
     "start_corridor": "distance of the start from the corridor", "pose_age": "age of the last pose",
     "keep_out": "distance to the target", "propellant": "propellant",
-    "field_of_view": "margin of the LEDs to the image's edge", "hold_time": "duration of a hold", "ready_time": "duration of the ready phase",
+    "field_of_view": "margin of the LEDs to the image's edge", "hold_time": "duration of a hold",
+    "ready_time": "duration of the ready phase",
     "decision": "deviation after docking: go", "error_beyond_level": "navigation error",
     "nees_position": "NEES of the position filter", "nees_attitude": "NEES of the attitude filter",
 }  # fmt: skip
@@ -201,11 +202,15 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
             at = float(ready.break_s[i]) if ready.breaks[i] else at_s
             broken = (at, float(ready.break_value[i]) if ready.breaks[i] else value, limit)
         found.append(Margin(_OF_READY[i], limit - value, at_s, _number(value), limit, "", *(broken or ())))
-    if not ready.is_ready and blocking >= 0 and not ready.breaks[blocking]:
+    if not ready.is_ready and not ready.breaks[blocking]:
+        limit = float(allowed[blocking])
+        known = bool(ready.out[blocking])
+        value, at_s = (
+            (float(ready.out_value[blocking]), float(ready.out_s[blocking])) if known else (math.nan, run.end_s)
+        )
         found.append(
-            Margin(_OF_READY[blocking], math.nan, None, None, float(allowed[blocking]), "", run.end_s, None,
-                   float(allowed[blocking]))
-        )  # fmt: skip
+            Margin(_OF_READY[blocking], limit - value, at_s, _number(value), limit, "", at_s, _number(value), limit)
+        )
     if late and not ready.breaks.any():
         lasted, wanted = float(ready.last_s - ready.ready_s), scenario.requirements.required_ready_s
         found.append(Margin("ready_time", lasted - wanted, run.end_s, lasted, wanted, "", run.end_s, lasted, wanted))
