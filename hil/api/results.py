@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from hil.api import frames
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.clock import utc_ns
@@ -119,6 +120,18 @@ class Run:
         """Ready phase and largest deviations of the truth in it, (3,) per row of Table III: m, m/s, deg, deg/s."""
         wanted = self.scenario.requirements
         return judge_rows(self.history, wanted)
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame of all records, one row per cycle, indexed by time, s. Raises BadInput without pandas."""
+        return frames.to_pandas(self.history, self.t_s)
+
+    def to_polars(self) -> Any:
+        """Return a polars DataFrame of all records, one row per cycle. Raises BadInput without polars."""
+        return frames.to_polars(self.history, self.t_s)
+
+    def to_xarray(self) -> Any:
+        """Return a Dataset of all records: time as index, axes by name, units. Raises BadInput without xarray."""
+        return frames.to_xarray(self.history, self.t_s)
 
     def why(self) -> dict[str, Any]:
         """Return the first violated limit as ``text``, ``alarms_before`` it, and all ``limits`` by their margins."""

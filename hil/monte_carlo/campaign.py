@@ -31,7 +31,7 @@ from hil.monte_carlo.dispersions import Design
 from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.evidence import check_requirements, judge_requirements, tolerance_bounds
 from hil.monte_carlo.explain import explain
-from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
+from hil.monte_carlo.statistics import HasColumns, compare, mean_interval, summarise, wilson
 from hil.monte_carlo.store import Store, atomic_write
 from hil.report.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.session import build
@@ -267,7 +267,7 @@ def _campaigns(
     ]  # fmt: skip
 
 
-def sweep_summary(sweep: Sweep, stores: Sequence[Store]) -> dict[str, Any]:
+def sweep_summary(sweep: Sweep, stores: Sequence[HasColumns]) -> dict[str, Any]:
     """Return rates and means for each value of the sweep."""
     points = []
     for value, store in zip(sweep.values, stores, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from scipy.stats import binomtest, t
@@ -22,6 +22,13 @@ SPREAD_OF: Final = (
     "nearest_m", "view_margin_px",
 )  # fmt: skip
 _REASONS: Final = 20
+
+
+class HasColumns(Protocol):
+    """Cases of a finished campaign."""
+
+    def column(self, name: str) -> Any:
+        """Return one column, (n,); missing numbers are nan."""
 
 
 def wilson(passed: int, runs: int) -> dict[str, float | int]:
@@ -125,7 +132,7 @@ COMPARED: Final = (
 )  # fmt: skip
 
 
-def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, Any]:
+def compare(first: HasColumns, second: HasColumns, names: tuple[str, str]) -> dict[str, Any]:
     """Return second minus first, case by case with the same seeds, with intervals of the mean difference.
 
     Cases in which one of both has no value are omitted.
@@ -147,7 +154,7 @@ def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, An
     return found
 
 
-def _paired_rates(first: Store, second: Store, flag: str) -> dict[str, Any]:
+def _paired_rates(first: HasColumns, second: HasColumns, flag: str) -> dict[str, Any]:
     """Return the rates of ``flag`` in both campaigns, and the number of cases that have it in one alone."""
     a, b = (np.asarray(store.column(flag), dtype=bool) for store in (first, second))
     return {
