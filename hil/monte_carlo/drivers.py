@@ -6,8 +6,9 @@ candidates reaches when the failures are exchanged at random (max-statistic perm
 with ``FALSE_ALARM`` probability one is taken without a cause, however many numbers are dispersed. The next one has to
 explain what is left. The score is the area under the ROC curve for cases that were not used to choose the terms.
 
-A random forest (scikit-learn, 300 trees) was tried on the same made campaigns of 200 cases and the numbers of the stress
-set: thresholds and two-sided effects come first in 10 of 10, the numbers of a product in 3 of 10; with these terms in 9.
+A random forest (scikit-learn, 300 trees) was tried on the same campaigns of 200 cases with the numbers of the stress
+set: thresholds and two-sided effects come first in 10 of 10, the numbers of a product in 3 of 10, with these terms in
+9 of 10.
 """
 
 from __future__ import annotations
