@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hil import errors
     from hil.api.bench import Bench
     from hil.api.campaigns import Campaign, campaign
+    from hil.api.comparisons import Comparison, SweepResults, compare, sweep
     from hil.api.jobs import load_rig, load_scenario
     from hil.api.margins import margins
     from hil.api.recordings import Recording, Replay
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Bench",
     "Campaign",
+    "Comparison",
     "DockingMonitor",
     "RecordGroup",
     "Recording",
@@ -48,9 +50,11 @@ __all__ = [
     "Scenario",
     "Setting",
     "StudyResults",
+    "SweepResults",
     "VisionUnit",
     "__version__",
     "campaign",
+    "compare",
     "errors",
     "kernel_backend",
     "load_rig",
@@ -60,11 +64,13 @@ __all__ = [
     "rare_event",
     "run",
     "sobol_indices",
+    "sweep",
 ]
 
 _MODULES = {
     "Bench": "hil.api.bench",
     "Campaign": "hil.api.campaigns",
+    "Comparison": "hil.api.comparisons",
     "DockingMonitor": "hil.monitor.monitor",
     "RecordGroup": "hil.api.results",
     "Recording": "hil.api.recordings",
@@ -75,9 +81,11 @@ _MODULES = {
     "Scenario": "hil.config.scenario",
     "Setting": "hil.gnc_backends.backend",
     "StudyResults": "hil.api.studies",
+    "SweepResults": "hil.api.comparisons",
     "VisionUnit": "hil.vmu.unit",
     "__version__": "hil.core.build_info:VERSION",
     "campaign": "hil.api.campaigns",
+    "compare": "hil.api.comparisons",
     "kernel_backend": "hil.gnc_backends.kernel_backend",
     "load_rig": "hil.api.jobs",
     "load_scenario": "hil.api.jobs",
@@ -86,6 +94,7 @@ _MODULES = {
     "rare_event": "hil.api.studies",
     "run": "hil.api.runs",
     "sobol_indices": "hil.api.studies",
+    "sweep": "hil.api.comparisons",
 }
 """Name -> module, and the name there if it is another one."""
 

@@ -6,8 +6,9 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Final, Unpack, overload
 
+from hil.api.frames import library
 from hil.api.jobs import (
     BackendArguments,
     Overrides,
@@ -20,10 +21,11 @@ from hil.api.runs import RunRequest, log, run_or_raise
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
+from hil.gnc_backends.backend import PARTS
 from hil.maths.random_streams import MixedSeed
-from hil.monte_carlo.campaign import RIG, CampaignJob, campaign_digest
+from hil.monte_carlo.campaign import RIG, CampaignJob, Sweep, campaign_digest, write_summary
 from hil.monte_carlo.dispersions import Design, case_seed
-from hil.monte_carlo.engines import ENGINES, engine_identity, engine_of
+from hil.monte_carlo.engines import ENGINES, DaskEngine, engine_identity, engine_of
 from hil.monte_carlo.sobol_indices import sobol_point
 from hil.monte_carlo.stored_campaign import StoredCampaign
 from hil.session.warm_up import compile_kernels
@@ -34,6 +36,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+class CampaignArguments(BackendArguments, total=False):
+    """Further arguments of ``hil.campaign``. scheduler: address of a Dask scheduler. dispersions: set or file."""
+
+    scheduler: str | None
+    dispersions: str | Path | None
+
+
+class StudyArguments(CampaignArguments, total=False):
+    """Arguments with which ``hil.campaign`` does what the command does with the option of that name."""
+
+    against: str | Path | Scenario | None
+    sweep: str | None
+    rare: str | None
+    method: str
+    sobol: int | None
+
+
+_STUDIES: Final = ("against", "sweep", "rare", "sobol")
+
+
+@overload
 def campaign(
     scenario: str | Path | Scenario,
     runs: int,
@@ -43,8 +66,35 @@ def campaign(
     overrides: Overrides | None = None,
     workers: int = 0,
     engine: str = "cpu",
-    **backends: Unpack[BackendArguments],
-) -> Campaign:
+    **options: Unpack[CampaignArguments],
+) -> Campaign: ...
+
+
+@overload
+def campaign(
+    scenario: str | Path | Scenario,
+    runs: int | None = None,
+    out: str | Path | None = None,
+    seed: int = 0,
+    duration_s: float | None = None,
+    overrides: Overrides | None = None,
+    workers: int = 0,
+    engine: str = "cpu",
+    **options: Unpack[StudyArguments],
+) -> Any: ...
+
+
+def campaign(
+    scenario: str | Path | Scenario,
+    runs: int | None = None,
+    out: str | Path | None = None,
+    seed: int = 0,
+    duration_s: float | None = None,
+    overrides: Overrides | None = None,
+    workers: int = 0,
+    engine: str = "cpu",
+    **options: Unpack[StudyArguments],
+) -> Any:
     """Run many cases of a scenario with its dispersions on the mock rig, in the compiled loop.
 
     Parameters
@@ -66,10 +116,13 @@ def campaign(
         Number of processes, of threads that draw the noise for a GPU; 0: one per core.
     engine
         ``cpu``, or ``cuda``: a GPU of NVIDIA. Cases of both are not mixed in a folder.
-    backends
+    options
         ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
         object of a class, and a copy of an object. A case whose object raises has failed;
-        ``summary["first_error"]`` has the first traceback.
+        ``summary["first_error"]`` has the first traceback. ``scheduler=``: address of a Dask scheduler, whose workers
+        are used. ``dispersions=``: a set or a file, instead of the scenario's. ``against=``: a second scenario, which
+        returns a Comparison; ``sweep="key=low:high:n"`` returns SweepResults; ``rare="column > number"`` with
+        ``method=``, and ``sobol=rows`` return StudyResults.
 
     Raises
     ------
@@ -78,7 +131,23 @@ def campaign(
     CampaignStopped
         The disk is full, or cases of a GPU differ from those of the CPU: completed cases are kept.
     """
+    study = [name for name in _STUDIES if options.get(name) is not None]
+    if study:
+        given = {name: value for name, value in options.items() if value is not None}
+        shared = {"out": out, "seed": seed, "duration_s": duration_s, "overrides": overrides, "workers": workers}
+        return _study_of(study, scenario, runs, shared | {"engine": engine} | given)
+    scheduler, dispersions = options.get("scheduler"), options.get("dispersions")
+    backends: BackendArguments = {}
+    for part in PARTS:
+        if part in options:
+            backends[part] = options[part]
+    if dispersions is not None:
+        overrides = {"dispersions": str(dispersions), **(overrides or {})}
+    if runs is None:
+        raise BadInput.single("runs", "", "must be given, unless sobol or rare is")
     check_counts(runs, workers)
+    if scheduler is not None and (workers or engine != "cpu"):
+        raise BadInput.single("scheduler", "", "not together with workers or engine")
     if engine not in ENGINES:
         raise BadInput.single("engine", "", f"{engine!r:.60}: must be one of {', '.join(ENGINES)}")
     with named_as_argument():
@@ -90,18 +159,54 @@ def campaign(
         if temporary:
             held.callback(temporary.cleanup)
         with named_as_argument("--engine", "engine"):
-            runner = engine_of(engine, workers, [checked.scenario])
+            runner = DaskEngine(scheduler) if scheduler else engine_of(engine, workers, [checked.scenario])
         held.callback(runner.close)
         store = held.enter_context(checked.store(folder, more=engine_identity(engine)))
         checked.warm_up()
         summary = checked.run(store, runs, runner, lambda _: None)
+        if out is not None:
+            from hil.monte_carlo.page import write_page  # slow import
+
+            write_page(folder)
         return Campaign(job, summary, store.table())
+
+
+def _study_of(names: list[str], scenario: str | Path | Scenario, runs: int | None, given: dict[str, Any]) -> Any:
+    """Return the results of the study that ``names`` the argument for. given: the other arguments. Raises BadInput."""
+    from hil.api import comparisons, studies
+
+    name, value = names[0], given.pop(names[0])
+    if len(names) > 1:
+        raise BadInput.single(names[1], "", f"not together with {name}")
+    method, out = given.pop("method", "subset"), given.pop("out")
+    if name in ("rare", "sobol"):
+        unused = [
+            key for key in given if key not in ("seed", "overrides", "workers") and given[key] not in (None, "cpu")
+        ]
+        if unused:
+            raise BadInput.single(unused[0], "", f"not together with {name}")
+        rest = {key: given[key] for key in ("seed", "overrides", "workers")}
+        if name == "sobol":
+            return studies.sobol_indices(scenario, value, out, **rest)
+        return studies.rare_event(scenario, value, out, method, runs, **rest)
+    if name == "sweep":
+        swept = Sweep.parse(value)
+        return comparisons.sweep(scenario, swept.key, swept.values, runs or 0, out, **given)
+    folders = (None, None) if out is None else (Path(out) / "first", Path(out) / "second")
+    both = [campaign(each, runs, folder, **given) for each, folder in zip((scenario, value), folders, strict=True)]
+    found = comparisons.compare(both[0], both[1])
+    if out is not None:
+        from hil.monte_carlo.page import write_page  # slow import
+
+        write_summary(Path(out) / "comparison.json", found.summary)
+        write_page(Path(out))
+    return found
 
 
 class Campaign:
     """Results of a campaign.
 
-    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, sensitivities.
+    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, causes.
     cases: pyarrow table with one row per case: number, seed, sampled dispersions, verdict and outcomes, SI
     (``cases.to_pandas()`` if pandas is installed). job: the nominal run.
     """
@@ -136,6 +241,16 @@ class Campaign:
             raise BadInput.single("campaign", name, f"no such column: give one of {known}")
         return self.cases.column(name).to_numpy()
 
+    def why(self, case: int | None = None) -> dict[str, Any]:
+        """Return why cases fail, by the keys of ``hil explain --json``: ``causes``, ``drivers``, ``score`` and others.
+
+        case: number of a case; the result then has its margins and the nearest case that passes. Raises BadInput.
+        """
+        from hil.monte_carlo.explain import case_of, explain  # slow import
+
+        names = Design(self.job.scenario, self.job.seed).names
+        return explain(self.column, names) if case is None else case_of(self.cases, case, self.job.scenario.value.name)
+
     def run_case(self, case: int) -> Run:
         """Return case number ``case``, run again in full detail. Raises BadInput for a number that has no case."""
         if case not in range(len(self.cases)):
@@ -143,6 +258,20 @@ class Campaign:
         job = job_of_case(self.job, case)
         compile_kernels(job, log.warning)
         return run_or_raise(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame of the cases, indexed by their number. Raises BadInput without pandas."""
+        library("pandas")
+        return self.cases.to_pandas().set_index("case")
+
+    def to_polars(self) -> Any:
+        """Return a polars DataFrame of the cases. Raises BadInput without polars."""
+        return library("polars").from_arrow(self.cases)
+
+    def to_xarray(self) -> Any:
+        """Return a Dataset of the cases, indexed by their number. Raises BadInput without xarray."""
+        library("xarray")
+        return self.to_pandas().to_xarray()
 
     def figure(self) -> Figure:
         """Return the distributions of the outcomes and the deviations against Table III."""
@@ -160,7 +289,8 @@ class Campaign:
         from hil.report import html
         from hil.report.figures import svg_address
 
-        return html.paragraph(repr(self)[1:-1]) + html.image("outcomes of the cases", svg_address(self.figure()))
+        why = "".join(html.paragraph(cause["text"]) for cause in self.summary["why"]["causes"][:3])
+        return html.paragraph(repr(self)[1:-1]) + why + html.image("outcomes of the cases", svg_address(self.figure()))
 
 
 def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None, unit: Array | None = None) -> Job:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from hil.api import frames
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.clock import utc_ns
@@ -19,7 +20,9 @@ from hil.core.text_files import write_text
 from hil.errors import BadInput
 from hil.loop.runner import Outcome
 from hil.monitor.results import PORTION, portion_row
-from hil.report.verdict import Verdict, deviations, judge
+from hil.report.limits import why_of
+from hil.report.summary import judge_integrity, limits_of
+from hil.report.verdict import Verdict, judge_rows
 from hil.safety.alarms import Alarm
 from hil.setup.assembly import Job
 
@@ -116,7 +119,28 @@ class Run:
     def verdict(self) -> Verdict:
         """Ready phase and largest deviations of the truth in it, (3,) per row of Table III: m, m/s, deg, deg/s."""
         wanted = self.scenario.requirements
-        return judge(deviations(self.history, wanted), wanted)
+        return judge_rows(self.history, wanted)
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame of all records, one row per cycle, indexed by time, s. Raises BadInput without pandas."""
+        return frames.to_pandas(self.history, self.t_s)
+
+    def to_polars(self) -> Any:
+        """Return a polars DataFrame of all records, one row per cycle. Raises BadInput without polars."""
+        return frames.to_polars(self.history, self.t_s)
+
+    def to_xarray(self) -> Any:
+        """Return a Dataset of all records: time as index, axes by name, units. Raises BadInput without xarray."""
+        return frames.to_xarray(self.history, self.t_s)
+
+    def why(self) -> dict[str, Any]:
+        """Return the first violated limit as ``text``, ``alarms_before`` it, and all ``limits`` by their margins."""
+        found = self.summary
+        if "limits" not in found:  # a recording of an earlier version
+            outcome = Outcome(self.history, self.stop, alarms=self.alarms)
+            state = judge_integrity(self.history, self.scenario, self.rig)
+            found = found | limits_of(outcome, state, self.verdict, found, self.scenario)
+        return why_of(found)
 
     @property
     def stop(self) -> str:

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
+import numpy as np
+
 from hil.api.jobs import (
     BackendArguments,
     Faults,
@@ -22,6 +24,8 @@ from hil.api.results import Run, run_of
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
+from hil.errors import BadInput
+from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.python_object import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
@@ -40,6 +44,14 @@ log = logging.getLogger("hil")
 """Logger of the API: start of processes (INFO), compilation (WARNING)."""
 
 
+class RunArguments(BackendArguments, total=False):
+    """Further arguments of ``hil.run``."""
+
+    case: int | None
+    campaign: str | Path | None
+    dispersions: str | Path | None
+
+
 def run(
     scenario: str | Path | Scenario,
     rig: str | Path | Rig = "mock",
@@ -49,7 +61,7 @@ def run(
     faults: Faults | None = None,
     gnc: PythonGnc | None = None,
     record: str | Path | None = None,
-    **backends: Unpack[BackendArguments],
+    **options: Unpack[RunArguments],
 ) -> Run:
     """Run one closed loop to its end and return its results.
 
@@ -73,10 +85,11 @@ def run(
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.
     record
         Folder for a recording of the run and its catalogue.
-    backends
-        ``navigation=``, ``control=``: backends in place of the scenario's: a class or an object with ``step(inp)``, a
-        kernel (``hil.kernel_backend``), or a name as of ``gnc.control.backend``: ``package:name``, ``file.py:name``,
-        the path of a shared library.
+    options
+        ``case=``: number of a case of the campaign of this scenario and seed, or of that in the folder ``campaign=``;
+        ``dispersions=``: a set or a file for it. ``navigation=``, ``control=``: backends in place of the scenario's: a
+        class or an object with ``step(inp)``, a kernel (``hil.kernel_backend``), or a name as of
+        ``gnc.control.backend``: ``package:name``, ``file.py:name``, the path of a shared library.
 
     Raises
     ------
@@ -91,15 +104,38 @@ def run(
         On the mock rig: what an object given as ``gnc``, ``navigation`` or ``control`` has raised.
     """
     with named_as_argument():
+        case, folder, dispersions = options.get("case"), options.get("campaign"), options.get("dispersions")
+        if dispersions is not None:
+            overrides = {"dispersions": str(dispersions), **(overrides or {})}
+        backends = {part: options[part] for part in PARTS if part in options}
         job = job_of(scenario, rig, overrides, seed, duration_s, gnc=gnc, faults=faults, **backends)
+        job, of_case = _job_of_case(job, case, folder)
     with Compilation(job) as compilation:
         with named_as_argument():
             build.check(job)
         compilation.finish(log.warning)
-    found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc), announce=log.info))
+    found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
     if STOPPED_BY_OPERATOR in found.summary["faults"]:
         raise KeyboardInterrupt(STOPPED_BY_OPERATOR)
     return found
+
+
+def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple[Job, dict[str, Any]]:
+    """Return the job of ``case`` and what the summary has of it; the job itself without one. Raises BadInput."""
+    if case is None:
+        if folder is not None:
+            raise BadInput.single("campaign", "", "needs case")
+        return job, {}
+    from hil.api.campaigns import job_of_case, job_of_stored_case  # which import this module
+
+    if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
+        raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")
+    if folder is None:
+        return job_of_case(job, int(case)), {"campaign_seed": job.seed, "case": int(case)}
+    chosen, seed, note = job_of_stored_case(job, Path(folder), int(case))
+    if note:
+        log.warning(note)
+    return chosen, {"campaign_seed": seed, "case": int(case)}
 
 
 def run_or_raise(request: RunRequest) -> Run:

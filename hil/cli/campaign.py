@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 _DONE, _NOT_SHOWN = 0, 1
 _LEAST_ROWS: Final = 10
-_CONTRIBUTORS: Final = 10  # largest rank correlations that are printed
+_CAUSES: Final = 3  # clusters of failures that are printed; ``hil explain`` prints all
 _LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of --rare by --method
 _FLAG_LABELS: Final = {"passed": "Table III", "passed_all_parts": "all parts"}
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
@@ -179,7 +179,7 @@ def campaign(
     variation: Group[VariationOptions] = _ONE_SCENARIO,
     json: Output = None,
 ) -> int:
-    """Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, sensitivities.
+    """Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases fail.
 
     Parameters
     ----------
@@ -387,6 +387,7 @@ def _run_all(
 ) -> list[dict[str, Any]]:
     """Run the campaigns one after the other; return their summaries."""
     from hil.monte_carlo.figure import draw_integrity, draw_percentiles
+    from hil.monte_carlo.page import write_page
 
     summaries = []
     with ProgressBar(console, "campaign") as bar:
@@ -399,6 +400,7 @@ def _run_all(
             summaries.append(each.run(store, runs, engine, watch))
             draw_percentiles(store, each.scenario.value, store.folder / "percentiles.png")
             draw_integrity(store, store.folder / "stanford.png")
+            write_page(store.folder)
     return summaries
 
 
@@ -407,10 +409,12 @@ def _sweep_results(
 ) -> dict[str, Any]:
     from hil.monte_carlo.campaign import sweep_summary, write_summary
     from hil.monte_carlo.figure import draw_sweep
+    from hil.monte_carlo.page import write_page
 
     found = sweep_summary(sweep, stores)
     draw_sweep(found, out / "sweep.png")
     write_summary(out / "sweep.json", found)
+    write_page(out)
     return {"scenario": summaries[0]["scenario"], "runs": runs, "seed": summaries[0]["seed"], "sweep": found}
 
 
@@ -418,9 +422,11 @@ def _comparison(
     names: tuple[str, str], stores: Sequence[Store], summaries: Sequence[dict[str, Any]], out: Path
 ) -> dict[str, Any]:
     from hil.monte_carlo.campaign import compare_stores, write_summary
+    from hil.monte_carlo.page import write_page
 
     found = compare_stores((names[0], stores[0]), (names[1], stores[1]))
     write_summary(out / "comparison.json", found)
+    write_page(out)
     return {"first": summaries[0], "second": summaries[1], "comparison": found}
 
 
@@ -486,12 +492,11 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
     for found in summary["requirements"]:
         text = f"{found['id']}: {found['verdict']}: {limit_text(found)}: {result_text(found)}"
         console.print(text, highlight=False, soft_wrap=True, markup=False)
-    for outcome, ranking in summary["sensitivity"].items():
-        strong = [row for row in ranking if row["significant"]][:_CONTRIBUTORS]
-        text = (
-            ", ".join(f"{row['dispersion']} {row['rank_correlation']:+.2f}" for row in strong) or "nothing significant"
-        )
-        console.print(f"sensitivity of {outcome}: {text}", highlight=False, soft_wrap=True, markup=False)
+    why = summary["why"]
+    for cause in why["causes"][:_CAUSES]:
+        console.print(f"why: {cause['text']}", highlight=False, soft_wrap=True, markup=False)
+    if why["failed"] and why["nothing_found"]:
+        console.print("no dispersed number predicts the failures better than chance", highlight=False)
 
 
 def _render_comparison(found: dict[str, Any], console: Console) -> None:

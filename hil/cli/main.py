@@ -35,8 +35,10 @@ _PIXELS_MAX: Final = 1 << 27
 COMMANDS: Final = {
     "run": "Run one closed loop and print its verdict.",
     "fusion": "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
-    "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, "
-    "sensitivities.",
+    "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases "
+    "fail.",
+    "explain": "Explain why cases of a campaign fail, or a recorded run: the first violated limit, its drivers and "
+    "thresholds.",
     "margins": "Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign "
     "fails.",
     "emulate": "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
@@ -57,7 +59,7 @@ COMMANDS: Final = {
     "warm-up": "Compile all kernels for this computer, and print the time that each group of them takes.",
     "list": "List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends of the GNC.",
     "keys": "List the keys of scenario and rig files that --set takes, with unit, range, default and meaning.",
-    "report": "Write a self-contained HTML report of a run, or a comparison of several.",
+    "report": "Write a self-contained HTML report of a run, of a campaign, or a comparison of several runs.",
 }
 """Command -> summary: the function of that name, with _ for -, in the module of that name."""
 GROUPS: Final = {

@@ -1,7 +1,8 @@
-"""``hil report``: self-contained HTML report of recorded runs."""
+"""``hil report``: self-contained HTML report of recorded runs, or of a campaign."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -9,24 +10,41 @@ from rich.console import Console
 
 from hil.cli.options import refuse
 from hil.cli.output import check_json_path
+from hil.errors import Problem
 
 
 def report(
     recordings: Annotated[list[str], Parameter(negative=())],
     /,
     *,
-    out: Annotated[str, Parameter(name=("--out", "-o"))],
+    out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
 ) -> int:
-    """Write a self-contained HTML report of a run, or a comparison of several.
+    """Write a self-contained HTML report of a run, of a campaign, or a comparison of several runs.
 
     Parameters
     ----------
     recordings
-        Files of hil run --record.
+        Files of hil run --record, or one folder of hil campaign, whose report.html is written again.
     out
-        File to write, *.html.
+        File to write, *.html; of a campaign, report.html in its folder unless given.
     """
-    refuse(check_json_path("--out", out))
+    folders = [name for name in recordings if Path(name).is_dir()]
+    problems = check_json_path("--out", out)
+    if folders and len(recordings) > 1:
+        problems.append(Problem("hil report", "", f"{folders[0]}: give one folder of a campaign, or recordings"))
+    elif out is None and not folders:
+        problems.append(Problem("--out", "", "must be given: the file of the report"))
+    refuse(problems)
+    if folders:
+        from hil.core.text_files import write_text
+        from hil.monte_carlo.page import page_of, write_page
+
+        path = Path(out) if out is not None else write_page(Path(folders[0]))
+        if out is not None:
+            write_text(page_of(Path(folders[0])), out)
+        Console().print(str(path), highlight=False, soft_wrap=True, markup=False)
+        return 0
+    assert out is not None
 
     from hil.api.recordings import open_recording
     from hil.api.results import write_report

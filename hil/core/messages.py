@@ -109,6 +109,20 @@ SUPERVISION_FIELDS: Final = (
     Field("aborted", "i8", (), "1", "", "cause of the abort, 0 for none"),
     Field("aborted_at_s", "f8", (), "s", "", "time of the run at which the approach was aborted"),
     Field("reaction", "i8", (), "1", "", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
+    Field(
+        "level", "f8", 3, "m, rad", "", "protection levels along the docking axis, across it, of the attitude", math.nan
+    ),
+    Field("alert_limit", "f8", 3, "m, rad", "", "alert limits of these levels, at the estimate", math.nan),
+    Field(
+        "level_term",
+        "i8",
+        (),
+        "1",
+        "",
+        "largest term of the level that is nearest its limit: 1 noise, 2 undetected fault of the poses, 3 its growth "
+        "since the last pose, 4 reopened gate, 5 second sensor; 0 unknown",
+    ),
+    Field("level_term_m", "f8", (), "m, rad", "", "that term", math.nan),
 )
 SUPERVISION = record_dtype(SUPERVISION_FIELDS)
 
@@ -188,6 +202,15 @@ CYCLE_FIELDS: Final = (
         "m, rad",
         "H, c",
         "mean of estimate minus encoders: position, then rotation; nan before they were compared",
+    ),
+    Field(
+        "bench_breach",
+        "f8",
+        3,
+        "m, rad",
+        "H, c",
+        "component of estimate minus encoders that is nearest its limit: number from 0, size over 0.4 s, limit",
+        math.nan,
     ),
 )
 CYCLE = record_dtype(CYCLE_FIELDS)

@@ -27,12 +27,18 @@ NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES = 10, 11, 12
+_CONVERGED_SHARE = 0.85  # of an alert limit
 _FAR = 0.6  # of the corridor's radius, from the plan at the start
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
 
-GO, DEVIATION, HEALTH, LEVEL, ENCODERS = range(5)
-"""What an estimate lacks for a go, GO if nothing."""
+GO, DEVIATION, HEALTH, LEVEL, ENCODERS, UNBOUNDED = range(6)
+"""What an estimate lacks for a go, GO if nothing; UNBOUNDED: a protection level exceeds its alert limit."""
+LEVEL_TERMS = 5
+"""Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
+bound of the second sensor."""
+BREAK = np.dtype([("value", "f8"), ("limit", "f8")], align=True)
+"""Value of a quantity that has broken its limit, and the limit."""
 
 GO_CHECK = np.dtype(
     [
@@ -40,8 +46,8 @@ GO_CHECK = np.dtype(
         ("known", "i8"),  # 1: the estimate has been compared with the encoders
         ("off", "f8", 6),  # mean of estimate minus encoders: position in H, m, rotation in c, rad
         ("lacks", "i8"),
-        ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations
-        ("value", "f8"),  # m, rad
+        ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations; of DEVIATION: those, then the rates of both
+        ("value", "f8"),  # m, rad, m/s, rad/s
         ("limit", "f8"),
     ],
     align=True,
@@ -140,6 +146,11 @@ def margins(params, from_H, to_H, r_CT_H, v_CT_H, corridor, closing):
 
 
 @kernel
+def _range(r_CT_H):
+    return math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)
+
+
+@kernel
 def _largest(sigma):
     """Return the largest of ``sigma`` (3,), 0 if they are unknown (nan)."""
     largest = 0.0
@@ -210,7 +221,12 @@ def is_protected(params, estimate):
 @kernel
 def level_share(params, estimate):
     """Return the largest of the protection levels of ``estimate`` over its alert limit, 0 if it reports none."""
-    limits, levels = stack.vector(3), stack.vector(3)
+    return level_share_into(params, estimate, stack.vector(3), stack.vector(3))
+
+
+@kernel
+def level_share_into(params, estimate, levels, limits):
+    """``level_share``, with the levels and their limits (3,)."""
     alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, estimate.q_CH, limits)
     protection_levels(params, estimate, levels)
     share = 0.0
@@ -223,27 +239,6 @@ def level_share(params, estimate):
 
 
 @kernel
-def _is_ready(params, estimate):
-    """Return whether the estimate is healthy, protected and within Table III, each axis alone.
-
-    Angles are those of a rotation vector.
-    """
-    for i in range(3):
-        if not (
-            abs(estimate.r_CT_H[i] - params.ready_point[i]) <= params.ready_distance[i]
-            and abs(estimate.v_CT_H[i]) <= params.ready_rate[i]
-            and abs(estimate.w_CH_C[i]) <= params.ready_angular_rate
-        ):
-            return False
-    rotation = stack.vector(3)
-    quat.to_rotation_vector_into(estimate.q_CH, rotation)
-    for i in range(3):
-        if not abs(rotation[i]) <= params.ready_angle:
-            return False
-    return estimate.health == 0 and is_protected(params, estimate)
-
-
-@kernel
 def _lack(go, what, axis, value, limit):
     """Write what is missing for a go."""
     go.lacks, go.axis, go.value, go.limit = what, axis, value, limit
@@ -251,14 +246,45 @@ def _lack(go, what, axis, value, limit):
 
 
 @kernel
-def _is_go(params, estimate, go):
+def has_converged(params, estimate, share, converged_mps):
+    """Return whether the filters have converged: level over limit ``share``, allowance of the closing rate, m/s."""
+    # the level rises a little while the filters have few poses
+    return share <= _CONVERGED_SHARE and params.confidence * _largest(estimate.sigma_v_mps) <= converged_mps
+
+
+@kernel
+def _is_ready(params, estimate, beyond, go):
+    """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go`` as of ``_is_go``.
+
+    beyond: 1 if a protection level exceeds its alert limit. Angles are those of a rotation vector.
+    """
+    for i in range(3):
+        deviation = abs(estimate.r_CT_H[i] - params.ready_point[i])
+        if not deviation <= params.ready_distance[i]:
+            return _lack(go, DEVIATION, i, deviation, params.ready_distance[i])
+        if not abs(estimate.v_CT_H[i]) <= params.ready_rate[i]:
+            return _lack(go, DEVIATION, 6 + i, abs(estimate.v_CT_H[i]), params.ready_rate[i])
+        if not abs(estimate.w_CH_C[i]) <= params.ready_angular_rate:
+            return _lack(go, DEVIATION, 9 + i, abs(estimate.w_CH_C[i]), params.ready_angular_rate)
+    rotation = stack.vector(3)
+    quat.to_rotation_vector_into(estimate.q_CH, rotation)
+    for i in range(3):
+        if not abs(rotation[i]) <= params.ready_angle:
+            return _lack(go, DEVIATION, 3 + i, abs(rotation[i]), params.ready_angle)
+    if estimate.health != 0:
+        return _lack(go, HEALTH, 0, 0.0, 0.0)
+    return True if beyond == 0 else _lack(go, UNBOUNDED, 0, 0.0, 0.0)
+
+
+@kernel
+def _is_go(params, estimate, beyond, go):
     """Return whether the ready state is certain enough for a go; ``go`` (GO_CHECK) then has what is missing.
 
     The level of the certificate's risk and the deviation have to be within Table III together, and the encoders'
     pose, the estimate less its mean error, within a part of it, which leaves room for the control error.
     """
-    if not _is_ready(params, estimate):
-        return _lack(go, HEALTH if estimate.health != 0 else DEVIATION, 0, 0.0, 0.0)
+    if not _is_ready(params, estimate, beyond, go):
+        return False
     rotation = stack.vector(3)
     quat.to_rotation_vector_into(estimate.q_CH, rotation)
     for i in range(3):
@@ -307,7 +333,7 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
         return False
     found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
     found.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
-    if not _is_go(params, estimate, go):
+    if not _is_go(params, estimate, reactions.beyond, go):
         found.ready_since_s = np.nan
     elif not found.ready_since_s <= t_s:
         found.ready_since_s = t_s
@@ -324,8 +350,12 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
         _enter(params, estimate, reference, reactions, found)
     if found.corridor_margin_m < off and reactions.entered != 0 and reactions.outside == 0:
         cause = CORRIDOR
+        reactions.broken.limit = corridor_radius(params, _range(estimate.r_CT_H))
+        reactions.broken.value = reactions.broken.limit - found.corridor_margin_m + off
     elif found.closing_margin_mps < off_mps:
         cause = CLOSING_RATE
+        reactions.broken.limit = closing_limit(params, _range(estimate.r_CT_H))
+        reactions.broken.value = reactions.broken.limit - found.closing_margin_mps + off_mps
     found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
     if ordered != 0 or t_s >= params.abort_at_s:
         cause = ORDERED

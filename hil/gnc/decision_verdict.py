@@ -38,6 +38,10 @@ DECISION_STATE = np.dtype(
     [
         ("go_s", "f8"),  # first time at which docking was a go, nan for never
         ("error", "i8"),  # 1: a decision error
+        ("error_s", "f8"),  # its time, with the number and the value of a deviation that was outside
+        ("error_by", "i8"),
+        ("error_value", "f8"),
+        ("beyond_s", "f8"),  # when an error was first beyond the level without an alarm
         ("beyond", "i8"),  # cycles with an error beyond the level without an alarm
         ("pending", "i8"),  # cycles beyond it that an alarm may still follow
         ("pending_s", "f8"),  # time of the first of them, nan for none
@@ -59,11 +63,16 @@ def start_decision(state):
 
 
 @kernel
-def _is_outside(params, truth):
-    """Return whether ``truth`` (TRUTH) is outside the requirement."""
+def _is_outside(params, truth, state):
+    """Return whether ``truth`` (TRUTH) is outside the requirement; ``state`` then has a deviation that is."""
     deviation = stack.vector(12)
     ready_phase.deviations_of(params, truth.r_CT_H, truth.v_CT_H, truth.q_CH, truth.w_CI_C, truth.w_HI_H, deviation)
-    return not ready_phase.is_within(params, deviation)
+    if ready_phase.is_within(params, deviation):
+        return False
+    for i in range(ready_phase.DEVIATIONS):
+        if not abs(deviation[i]) <= params.tolerance[i]:
+            state.error_by, state.error_value = i, abs(deviation[i])
+    return True
 
 
 @kernel
@@ -113,8 +122,8 @@ def update_decision(params, state, now):
     if is_go and math.isnan(state.go_s):
         state.go_s = t_s
     relied_on = is_go or (t_s - state.go_s <= params.required_s and not alarm and found.aborted == NOT_ABORTED)
-    if relied_on and state.error == 0 and _is_outside(params.ready, now.truth):
-        state.error = 1
+    if relied_on and state.error == 0 and _is_outside(params.ready, now.truth, state):
+        state.error, state.error_s = 1, t_s
     if alarm:
         state.pending, state.pending_s = 0, np.nan
         return
@@ -123,5 +132,7 @@ def update_decision(params, state, now):
         if math.isnan(state.pending_s):
             state.pending_s = t_s
     if t_s - state.pending_s > QUIET_S:
+        if state.beyond == 0:
+            state.beyond_s = state.pending_s
         state.beyond += state.pending
         state.pending, state.pending_s = 0, np.nan

@@ -16,6 +16,7 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
 from hil.gnc import thrust_model
+from hil.gnc.approach_monitor import LEVEL_TERMS
 from hil.gnc.error_state import V
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import is_covariance_3
@@ -77,6 +78,7 @@ INTEGRITY_STATE = np.dtype(
         ("followed_go", "f8"),  # as followed, of a fault that a sum of ``cusum_go`` does not show
         ("go_m", "f8", 3),  # level that a go needs, inf while a CUSUM is beyond ``cusum_go``
         ("level", "f8", 3),  # m, protection level of the cycle before
+        ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of which it consists, see ``approach_monitor.LEVEL_TERMS``
         ("cap", "f8", 3),  # m, the level when poses returned after a gap: with them less is possible, not more
         ("cap_s", "f8"),
         ("age_s", "f8"),  # of the last accepted pose, in the cycle before
@@ -286,6 +288,15 @@ def _second_bound(params, state, fusion, t_s, sigma_v, velocity):
     return state.second_m + drift * max(0.0, t_s - state.second_s)
 
 
+@kernel
+def _write_terms(state, i, noise, bias, grown, jump, other):
+    """Write the terms of the level of component ``i``. other: level with the second sensor, which may be less."""
+    terms, is_alone = state.terms, noise + bias + jump <= other
+    terms[0, i], terms[3, i] = noise, jump
+    terms[1, i], terms[2, i] = (bias - grown if bias < np.inf else np.inf, grown) if is_alone else (0.0, 0.0)
+    terms[4, i] = 0.0 if is_alone else state.second_m
+
+
 @entry
 def protect(params, state, fusion, t_s, out):
     """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
@@ -317,6 +328,7 @@ def protect(params, state, fusion, t_s, out):
         level = min(noise + bias + fusion.jump_m[i], other)
         if state.cap_s > 0.0 and t_s - state.cap_s < _CAP_S and state.biased == 0:
             level = min(level, state.cap[i] + velocity * (t_s - state.cap_s) + fusion.jump_m[i])
+        _write_terms(state, i, noise, bias, velocity * age_s, fusion.jump_m[i], other)
         out.protection_level_m[i] = state.level[i] = level
         state.go_m[i] = params.sigmas_go * out.sigma_r_m[i] + min(doubt, second) + fusion.jump_m[i]
         largest = max(largest, out.sigma_attitude_rad[i])

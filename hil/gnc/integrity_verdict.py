@@ -28,6 +28,17 @@ from hil.gnc.approach_monitor import (
     protection_levels,
 )
 from hil.gnc.decision_verdict import DECISION_PARAMS, DECISION_STATE, start_decision, update_decision
+from hil.gnc.limits import (
+    ERROR,
+    LIMITS_PARAMS,
+    LIMITS_STATE,
+    NO_TERM,
+    end_cycle,
+    note_broken,
+    start_limits,
+    update_estimate,
+    update_motion,
+)
 from hil.gnc.reactions import ABORT, HOLD
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
@@ -40,6 +51,7 @@ INTEGRITY_PARAMS = np.dtype(
         ("approach", APPROACH_MONITOR_PARAMS),  # with the alert limits
         ("time_to_alert_s", "f8"),
         ("decision", DECISION_PARAMS),
+        ("limits", LIMITS_PARAMS),
         ("faults", "i8"),
         ("fault_at_s", "f8", FAULTS_MAX),
     ],
@@ -49,6 +61,7 @@ INTEGRITY_PARAMS = np.dtype(
 INTEGRITY_STATE = np.dtype(
     [
         ("decision", DECISION_STATE),
+        ("limits", LIMITS_STATE),
         ("judged", "i8"),  # cycles with an estimate, without fault and abort
         ("available", "i8"),  # of them those with all protection levels below their alert limits
         ("reported", "i8"),  # 1: a protection level was reported
@@ -65,6 +78,7 @@ INTEGRITY_STATE = np.dtype(
         ("worst_bound", "f8"),  # m, protection level of the same direction as that error
         ("false_alerts", "i8"),
         ("nearest", "f8"),  # m
+        ("nearest_s", "f8"),
         ("ended", "i8"),  # 1: the last cycle was one of a hold, retreat or abort
         ("from_H", "f8", 3),  # line of the cycle before
         ("to_H", "f8", 3),
@@ -83,6 +97,7 @@ INTEGRITY_STATE = np.dtype(
 def start_integrity(state):
     """Initialise the zeroed ``state`` for a run."""
     start_decision(state.decision)
+    start_limits(state.limits)
     state.misleading_s = state.misleading_by_line1_s = state.unnoticed_s = np.nan
     state.nearest = np.inf
     fill(state.worst_level, np.nan)
@@ -156,16 +171,22 @@ def update_integrity(params, state, now):
     square = 0.0
     for i in range(3):
         square += now.truth.r_CT_H[i] ** 2
-    state.nearest = min(state.nearest, math.sqrt(square))
+    distance = math.sqrt(square)
+    if distance < state.nearest:
+        state.nearest, state.nearest_s = distance, now.t_s
     _detect(params, state, now)
     update_decision(params.decision, state.decision, now)
+    update_motion(params.limits, params.approach, state.limits, now, state.from_H, state.to_H)
     if now.navigation.valid == 0:
+        end_cycle(state.limits, now)
         copy_into(state.from_H, now.reference.from_H)
         copy_into(state.to_H, now.reference.to_H)
         return
     alert_limits(params.approach, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, limits)
     protection_levels(params.approach, now.navigation, levels)
     _errors(params.approach, now.truth, now.navigation, errors)
+    update_estimate(params.limits, params.approach, state.limits, now, errors, limits)
+    end_cycle(state.limits, now)
     beyond, misled, available = False, False, True
     for i in range(3):
         is_beyond, is_below = not errors[i] <= limits[i], levels[i] < limits[i]
@@ -182,6 +203,9 @@ def update_integrity(params, state, now):
     state.unnoticed_s = _longer(state.unnoticed_s, now.t_s, beyond and not noticed)
     if now.t_s - state.misleading_s > params.time_to_alert_s:
         state.hmi_cycles += 1
+        for i in range(3):
+            if not errors[i] <= limits[i]:
+                note_broken(state.limits, ERROR + i, now.t_s, errors[i], limits[i], NO_TERM)
     if now.t_s - state.misleading_by_line1_s > params.time_to_alert_s:
         state.hmi_by_line1_only += 1
     if now.t_s - state.unnoticed_s > state.longest_unnoticed_s:

@@ -11,10 +11,14 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.gnc import approach_monitor, guidance
 from hil.gnc.approach_monitor import (
+    ALONG,
+    ATTITUDE,
     BENCH_DISAGREES,
+    BREAK,
     CORRIDOR,
     FIRST_HEALTH_CAUSE,
     HELD_TOO_LONG,
+    LEVEL_TERMS,
     NOT_ABORTED,
     UNPROTECTED,
 )
@@ -23,7 +27,6 @@ CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 7
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # of phases
-_CONVERGED_SHARE = 0.85  # of an alert limit
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
 
 REACTION_PARAMS = np.dtype(
@@ -50,6 +53,11 @@ REACTION_STATE = np.dtype(
         ("entered", "i8"),  # 1: the approach has begun: the filters have converged
         ("outside", "i8"),  # 1: the approach begins outside or far from its plan, and has not stopped yet
         ("share", "f8"),  # largest protection level over its alert limit
+        ("beyond", "i8"),  # 1: it exceeds the limit
+        ("level", "f8", 3),  # protection levels along the docking axis, across it, m, of the attitude, rad ...
+        ("limit", "f8", 3),  # ... with their alert limits
+        ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of the levels of x, y, z, 0 if the navigation does not give them
+        ("broken", BREAK),  # of corridor or closing rate, m, m/s
     ],
     align=True,
 )
@@ -58,26 +66,52 @@ REACTION_STATE = np.dtype(
 @kernel
 def acquire(params, monitor, state, t_s, estimate):
     """Take note whether the navigation has converged, and since when it is not protected."""
-    share = approach_monitor.level_share(monitor, estimate)
+    share = approach_monitor.level_share_into(monitor, estimate, state.level, state.limit)
     is_within = share <= 1.0
     # one without a level does not continue without vision
     state.share = share if estimate.protection_level_m[0] >= 0.0 else np.inf
     if state.valid_since_s == 0.0:
         state.valid_since_s = t_s + 1e-9
-    if state.converged == 0:
-        largest = 0.0
-        for i in range(3):
-            if estimate.sigma_v_mps[i] > largest:
-                largest = estimate.sigma_v_mps[i]
-        # the level rises a little while the filters have few poses
-        is_clear = is_within and (state.share <= _CONVERGED_SHARE or state.share == np.inf)
-        if is_clear and monitor.confidence * largest <= params.converged_mps:
-            state.converged = 1
+    state.beyond = 0 if is_within else 1
+    if state.converged == 0 and approach_monitor.has_converged(monitor, estimate, share, params.converged_mps):
+        state.converged = 1
     waits = state.converged == 0 and t_s - state.valid_since_s <= params.acquisition_s
     if is_within or waits:
         state.unprotected_since_s = 0.0
     elif state.unprotected_since_s == 0.0:
         state.unprotected_since_s = t_s + 1e-9
+
+
+@kernel
+def write_level(monitor, state, estimate, found):
+    """Write levels, alert limits and the largest term of the level that is nearest its limit into ``found``.
+
+    found: SUPERVISION. The term is that of the component with the largest part in the level.
+    """
+    worst, largest = 0, 0.0
+    for i in range(3):
+        found.level[i], found.alert_limit[i] = state.level[i], state.limit[i]
+        if state.level[i] > largest * state.limit[i]:
+            worst, largest = i, state.level[i] / state.limit[i] if state.limit[i] > 0.0 else np.inf
+    found.level_term, found.level_term_m = 0, np.nan
+    if not largest > 0.0:
+        return
+    axis, part = 0, 0.0
+    for i in range(3):
+        share = abs(monitor.axis[i]) if worst == ALONG else 1.0 - monitor.axis[i] ** 2
+        size = estimate.sigma_attitude_rad[i] if worst == ATTITUDE else share * estimate.protection_level_m[i]
+        if size > part:
+            axis, part = i, size
+    if worst == ATTITUDE:
+        noise = monitor.level_sigmas * part
+        is_noise = noise >= 0.5 * state.level[ATTITUDE]
+        found.level_term, found.level_term_m = (1, noise) if is_noise else (2, state.level[ATTITUDE] - noise)
+        return
+    term = 0.0
+    for k in range(LEVEL_TERMS):
+        if state.terms[k, axis] > term:
+            term = state.terms[k, axis]
+            found.level_term, found.level_term_m = k + 1, term
 
 
 @kernel

@@ -28,6 +28,16 @@ READY_STATE = np.dtype(
         ("ready_s", "f8"),
         ("last_s", "f8"),  # time of the last cycle
         ("worst", "f8", DEVIATIONS),  # largest absolute deviations of the ready phase
+        ("worst_s", "f8", DEVIATIONS),  # their times
+        ("left_s", "f8"),  # when the first tolerance was broken in it ...
+        ("left_by", "i8"),  # ... by this deviation
+        ("left_value", "f8"),
+        ("breaks", "i8", DEVIATIONS),  # how often each has ended a dwell before it
+        ("break_s", "f8", DEVIATIONS),  # when first
+        ("break_value", "f8", DEVIATIONS),  # largest value of these
+        ("out", "i8", DEVIATIONS),  # cycles in which each was out, near the ready point without a dwell
+        ("out_s", "f8", DEVIATIONS),  # when first
+        ("out_value", "f8", DEVIATIONS),  # the last value of these
     ],
     align=True,
 )
@@ -99,7 +109,31 @@ def update_from(params, state, t_s, r_CT_H, v_CT_H, q_CH, w_CH_C):
         update(params, state, t_s, deviation)
     else:
         state.last_s = t_s
+        for i in range(3):
+            deviation[_ANGLES + i] = 0.0
+        _note_out(params, state, t_s, deviation)
         state.holding = 0
+
+
+@kernel
+def _note_out(params, state, t_s, deviation):
+    """Count which of ``deviation`` (12,) ends a dwell, or keeps one from beginning at the ready point."""
+    if state.holding == 0 and not abs(deviation[0]) <= params.tolerance[0]:
+        return
+    for i in range(DEVIATIONS):
+        value = abs(deviation[i])
+        if value <= params.tolerance[i]:
+            continue
+        if state.holding == 0:
+            if state.out[i] == 0:
+                state.out_s[i] = t_s
+            state.out[i] += 1
+            state.out_value[i] = value
+            continue
+        if state.breaks[i] == 0:
+            state.break_s[i] = t_s
+        state.breaks[i] += 1
+        state.break_value[i] = max(state.break_value[i], value)
 
 
 @kernel
@@ -109,6 +143,7 @@ def update(params, state, t_s, deviation):
     within = is_within(params, deviation)
     if state.is_ready == 0:
         if not within:
+            _note_out(params, state, t_s, deviation)
             state.holding = 0
             return
         if state.holding == 0:
@@ -116,11 +151,12 @@ def update(params, state, t_s, deviation):
         if not has_held(state.since_s, t_s, params.dwell_s):
             return
         state.is_ready, state.ready_s = 1, t_s
-    if not within:
-        state.left = 1
     for i in range(DEVIATIONS):
-        if not (abs(deviation[i]) <= state.worst[i] or math.isnan(state.worst[i])):  # nan stays
-            state.worst[i] = abs(deviation[i])
+        value = abs(deviation[i])
+        if not (value <= state.worst[i] or math.isnan(state.worst[i])):  # nan stays
+            state.worst[i], state.worst_s[i] = value, t_s
+        if not within and state.left == 0 and not value <= params.tolerance[i]:
+            state.left, state.left_s, state.left_by, state.left_value = 1, t_s, i, value
 
 
 @kernel

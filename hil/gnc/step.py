@@ -93,6 +93,7 @@ APPROACH_STATE = np.dtype(
         ("abort_began", "i8"),  # 1: in this cycle
         ("monitor_disagrees", "i8"),  # 1: the docking monitor's interlock is set
         ("bench_disagrees", "i8"),  # 1: the encoders contradict the estimate
+        ("bench_breach", "f8", 3),  # component of their difference nearest its limit: number, size, limit, m or rad
         ("go", GO_CHECK),
         ("progress", APPROACH_PROGRESS),
     ],
@@ -132,6 +133,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     watch_thrusters(params, state, memory, samples, command, estimate)
     if backends.navigation.step == 0:
         copy_into(approach.go.level_m, state.navigation.integrity.go_m)
+        approach.reactions.terms[:] = state.navigation.integrity.terms
     ordered = approach.progress.go
     guide(params.approach, approach, t_s, supervision, reference)
     watch_approach(params.approach, approach, t_s, estimate, reference, supervision, False)
@@ -223,6 +225,7 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
         )
     if estimate.valid != 0:
         reactions.acquire(params.reactions, params.monitor, state.reactions, t_s, estimate)
+        reactions.write_level(params.monitor, state.reactions, estimate, supervision)
     approach_monitor.update(
         params.monitor, params.guidance, state.guidance, t_s, estimate, reference, ordered, state.reactions, state.go,
         supervision,

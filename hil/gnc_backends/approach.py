@@ -80,9 +80,13 @@ class Approach:
         """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
         self.approach_state["monitor_disagrees"] = disagrees
 
-    def set_bench_check(self, off: np.ndarray, disagrees: bool) -> None:
-        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree."""
+    def set_bench_check(self, off: np.ndarray, breach: np.ndarray, disagrees: bool) -> None:
+        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree.
+
+        breach: (3,), the component that is nearest its limit: number, size, limit.
+        """
         self.approach_state["bench_disagrees"] = disagrees
+        self.approach_state["bench_breach"] = breach
         self.approach_state["go"]["known"] = off[0] == off[0]
         self.approach_state["go"]["off"] = off
 
@@ -120,7 +124,8 @@ class Approach:
         """
         now: Any = self._progress if after is None else np.asarray(after)
         if now.tobytes() != before:
-            self.event_log.update(t_s, np.frombuffer(before, APPROACH_PROGRESS)[0], now[()], supervision)
+            was = np.frombuffer(before, APPROACH_PROGRESS)[0]
+            self.event_log.update(t_s, was, now[()], supervision, self.approach_state)
 
     def events(self) -> list[Event]:
         """Return all events so far in the order of time."""
@@ -128,4 +133,4 @@ class Approach:
 
     def finish(self, t_s: float, supervision: np.record) -> None:
         """Log the docking decision at the end of the run unless one was logged before."""
-        self.event_log.finish(t_s, self.approach_state["progress"], supervision)
+        self.event_log.finish(t_s, self.approach_state, supervision)

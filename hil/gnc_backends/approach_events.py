@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,20 @@ import numpy as np
 from hil.config.scenario import REACTION_NAMES
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
+from hil.gnc.approach_monitor import (
+    ATTITUDE,
+    BENCH_DISAGREES,
+    CLOSING_RATE,
+    CORRIDOR,
+    DEVIATION,
+    ENCODERS,
+    FIRST_HEALTH_CAUSE,
+    HEALTH,
+    HELD_TOO_LONG,
+    LEVEL,
+    UNBOUNDED,
+    UNPROTECTED,
+)
 from hil.gnc.reactions import ABORT
 
 ABORT_CAUSES = (
@@ -30,6 +45,65 @@ _ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"
 
 
+_DIRECTIONS = ("along the docking axis", "across the docking axis", "of the attitude")
+_AXES = ("x", "y", "z", "angle x", "angle y", "angle z", "velocity x", "velocity y", "velocity z",
+         "rate x", "rate y", "rate z")  # fmt: skip
+
+
+def limit_text(cause: int, state: np.record | None) -> str:
+    """Return the limit behind ``cause`` of an abort or a reaction, with its value: ": ..."; "" if it is unknown.
+
+    state: APPROACH_STATE.
+    """
+    if state is None:
+        return ""
+    found = state["reactions"]
+    if cause in (CORRIDOR, CLOSING_RATE):
+        value, limit = float(found["broken"]["value"]), float(found["broken"]["limit"])
+        if limit == 0.0:
+            return ""
+        if cause == CORRIDOR:
+            return f": {value:.3f} m from the line with the protection level, allowed {limit:.3f} m"
+        return f": {value:.4f} m/s with its uncertainty, allowed {limit:.4f} m/s"
+    if cause == BENCH_DISAGREES:
+        axis, value, limit = (float(number) for number in state["bench_breach"])
+        return f": {_AXES[int(axis)]} {_shown(int(axis), value)} off, allowed {_shown(int(axis), limit)}"
+    if cause in (UNPROTECTED, FIRST_HEALTH_CAUSE, HELD_TOO_LONG):
+        return _level_text(found)
+    return ""
+
+
+def _level_text(reactions: np.record) -> str:
+    """Return the protection level that is nearest its alert limit."""
+    levels, limits = np.asarray(reactions["level"]), np.asarray(reactions["limit"])
+    if not (levels > 0.0).any():
+        return ""
+    worst = int(np.argmax(levels * limits.max() / np.maximum(limits, 1e-12)))
+    kind = 3 if worst == ATTITUDE else 0
+    return f": level {_DIRECTIONS[worst]} {_shown(kind, levels[worst])}, alert limit {_shown(kind, limits[worst])}"
+
+
+def go_limit_text(state: np.record | None) -> str:
+    """Return what is missing for a go, ": ..."; "" if it is unknown. state: APPROACH_STATE."""
+    if state is None:
+        return ""
+    go = state["go"]
+    lacks, axis, value, limit = int(go["lacks"]), int(go["axis"]), float(go["value"]), float(go["limit"])
+    numbers = f"{_AXES[axis]} {_shown(axis, value)}, allowed {_shown(axis, limit)}"
+    if lacks == UNBOUNDED:
+        return _level_text(state["reactions"])
+    words = {DEVIATION: "", LEVEL: "level of ", ENCODERS: "encoders show "}
+    if lacks in words and limit > 0.0:
+        return f": {words[lacks]}{numbers}"
+    return ": the navigation is not healthy" if lacks == HEALTH else ""
+
+
+def _shown(axis: int, value: float) -> str:
+    """Return the value of a component with its unit; axis: 0 to 2 m, 3 to 5 rad, then m/s, rad/s."""
+    unit = ("m", "deg", "m/s", "deg/s")[axis // 3]
+    return f"{math.degrees(value) if unit.startswith('deg') else value:.4f} {unit}"
+
+
 class ApproachEventLog:
     """Writes an event for each difference between the progress of the approach before and after a step.
 
@@ -45,49 +119,55 @@ class ApproachEventLog:
         self.events: ObservableList[Event] = ObservableList()
         self._log_phase(0.0, 0, 0)
 
-    def update(self, t_s: float, before: np.void, after: np.void, supervision: np.record) -> None:
-        """Log what has changed. before, after: APPROACH_PROGRESS."""
+    def update(
+        self, t_s: float, before: np.void, after: np.void, supervision: np.record, state: np.record | None = None
+    ) -> None:
+        """Log what has changed, with the limit that was broken.
+
+        before, after: APPROACH_PROGRESS. state: APPROACH_STATE with the numbers of the limits; None: they are unknown.
+        """
         if before["go"] and not after["go"]:
-            self._decide(t_s, bool(after["docking_go"]), float(after["ready_since_s"]), bool(before["aborted"]))
+            since_s = float(after["ready_since_s"])
+            self._decide(t_s, bool(after["docking_go"]), since_s, bool(before["aborted"]), state)
         moved = before["phase"] != after["phase"]
         if moved and not (after["phase"] == self._brake and after["aborted"]):  # logged with the abort, a cycle earlier
             self._log_phase(t_s, int(after["phase"]), int(after["reaction"]))
         if before["reaction"] != after["reaction"] and not after["aborted"]:
-            self._log_reaction(t_s, int(after["reaction"]), int(after["cause"]))
+            self._log_reaction(t_s, int(after["reaction"]), int(after["cause"]), state)
         aborted = before["aborted"] != after["aborted"]
         if aborted:
-            self._log_abort(t_s, supervision)
+            self._log_abort(t_s, supervision, state)
         if after["ready"] != (0 if moved or aborted else before["ready"]):
             held = f"ready: within Table III for {self._dwell_s:g} s on the estimate"
-            self._log(t_s, "supervision", held if after["ready"] else "no longer ready")
+            self._log(t_s, "supervision", held if after["ready"] else f"no longer ready{go_limit_text(state)}")
 
-    def finish(self, t_s: float, progress: np.void, supervision: np.record) -> None:
-        """Log the docking decision at the end of a run unless one was logged before."""
+    def finish(self, t_s: float, state: np.record, supervision: np.record) -> None:
+        """Log the docking decision at the end of a run unless one was logged before. state: APPROACH_STATE."""
         if not self._has_decision:
-            since_s = float(supervision["ready_since_s"])
-            self._decide(t_s, bool(progress["ready"]), since_s, bool(progress["aborted"]))
+            progress, since_s = state["progress"], float(supervision["ready_since_s"])
+            self._decide(t_s, bool(progress["ready"]), since_s, bool(progress["aborted"]), state)
 
-    def _decide(self, t_s: float, go: bool, ready_since_s: float, aborted: bool) -> None:
+    def _decide(self, t_s: float, go: bool, ready_since_s: float, aborted: bool, state: np.record | None) -> None:
         self._has_decision = True
         if go:
             text = f"{DOCKING_GO}, ready since {ready_since_s:.2f} s"
         elif aborted:
             text = "docking: no-go, the approach was aborted"
         else:
-            text = "docking: no-go, the ready state does not hold"
+            text = f"docking: no-go, the ready state does not hold{go_limit_text(state)}"
         self._log(t_s, "supervision", text)
 
-    def _log_abort(self, t_s: float, supervision: np.record) -> None:
+    def _log_abort(self, t_s: float, supervision: np.record, state: np.record | None) -> None:
         self._log(
             t_s,
             "supervision",
             f"abort: {ABORT_CAUSES[supervision.aborted]} (corridor margin {supervision.corridor_margin_m:.3f} m, "
-            f"closing margin {supervision.closing_margin_mps:.4f} m/s)",
+            f"closing margin {supervision.closing_margin_mps:.4f} m/s){limit_text(supervision.aborted, state)}",
         )
         self._log_phase(t_s, self._brake, ABORT)
 
-    def _log_reaction(self, t_s: float, reaction: int, cause: int) -> None:
-        why = f": {ABORT_CAUSES[cause]}" if reaction else ""
+    def _log_reaction(self, t_s: float, reaction: int, cause: int, state: np.record | None) -> None:
+        why = f": {ABORT_CAUSES[cause]}{limit_text(cause, state)}" if reaction else ""
         self._log(t_s, "supervision", f"reaction {REACTION_NAMES[reaction]}{why}")
 
     def _log_phase(self, t_s: float, phase: int, reaction: int) -> None:

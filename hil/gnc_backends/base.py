@@ -35,6 +35,7 @@ class Records(Protocol):
     monitor_bound_m: np.ndarray
     monitor_bound_s: np.ndarray
     bench_off: np.ndarray
+    bench_breach: np.ndarray
 
 
 class GncBackend(Protocol):
@@ -88,8 +89,11 @@ class GncBackend(Protocol):
     def set_monitor_disagrees(self, disagrees: bool) -> None:
         """Report whether the docking monitor measures another pose than the navigation's, before ``step``."""
 
-    def set_bench_check(self, off: np.ndarray, disagrees: bool) -> None:
-        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree."""
+    def set_bench_check(self, off: np.ndarray, breach: np.ndarray, disagrees: bool) -> None:
+        """Report the mean (6,) of estimate minus encoders, nan if unknown, and whether they disagree.
+
+        breach: (3,), the component that is nearest its limit: number, size, limit.
+        """
 
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Report the bound on the position error by the docking monitor, 0 for none, before ``step``."""

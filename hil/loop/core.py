@@ -24,7 +24,6 @@ from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
 from hil.gnc import integrity, navigation
-from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
@@ -56,7 +55,6 @@ LOOP_PARAMS = np.dtype(
         ("guard", GUARD),
         ("bench_guard", BENCH_GUARD_PARAMS),
         ("gnc", GNC_PARAMS),
-        ("verdict", APPROACH_MONITOR_PARAMS),  # margins of the verdict, whatever the GNC's own are
         ("ready", READY_PARAMS),
         ("integrity", INTEGRITY_PARAMS),
         ("monitor", MONITOR_PARAMS),
@@ -121,6 +119,9 @@ def _compare_estimate(params, state):
     approach.go.known = 1 if memory.compared_s >= _COMPARED_S else 0
     copy_into(approach.go.off, memory.off)
     copy_into(now.bench_off, memory.off)
+    breach = memory.estimate
+    now.bench_breach[0], now.bench_breach[1], now.bench_breach[2] = breach.axis, breach.value, breach.high
+    copy_into(approach.bench_breach, now.bench_breach)
     if approach.go.known == 0:
         fill(now.bench_off, np.nan)
 

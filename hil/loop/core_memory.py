@@ -50,6 +50,7 @@ class CycleData:
     monitor_bound_m: np.ndarray
     monitor_bound_s: np.ndarray
     bench_off: np.ndarray
+    bench_breach: np.ndarray
 
     truth: np.record
     imu: np.record

@@ -112,7 +112,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.target.check(bench_s)  #    target at its commanded place
     loop.target.relate(now.feedback)  #    axes of the chaser relative to those of the target
     loop.bench.guard(bench_s, run_zero_s)  #    bench guard
-    loop.gnc.set_bench_check(now.bench_off[0], bool(state.gnc.approach.bench_disagrees))
+    loop.gnc.set_bench_check(now.bench_off[0], now.bench_breach[0], bool(state.gnc.approach.bench_disagrees))
     loop.vision.receive(bench_s, run_zero_s)  # 3  poses from the vision unit
     if loop.monitor is not None:
         loop.monitor.check(t_s, loop.gnc)  #    docking monitor against navigation

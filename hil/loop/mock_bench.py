@@ -95,7 +95,11 @@ def expose(params, state, until_s, first, vision_noise, travel_draws, leds, fram
             mock.vision_memory, frames[mock.transit.in_transit],
         )  # fmt: skip
         if params.counts != 0:
-            stats.view_margin = min(stats.view_margin, mock.vision_memory.view_margin)
+            margin = mock.vision_memory.view_margin
+            if margin < 0.0 and not stats.view_margin < 0.0:
+                stats.view_lost_s = t_s - state.zero_s
+            if margin < stats.view_margin:
+                stats.view_margin, stats.view_margin_s = margin, t_s - state.zero_s
         copies = delays(params.mock.travel, travel_draws[row], late)
         put_exposure(mock.transit, frames, t_s, late, copies)
 

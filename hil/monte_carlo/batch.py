@@ -119,7 +119,7 @@ class Case:
 
     def outcome(self, drawn: DrawnCase, stats: np.record, stop: str) -> dict[str, Any]:
         """Return the outcome of a case from its RUN_STATS and why it ended."""
-        return row_of(stats, stop, drawn.gnc, drawn.truth)
+        return row_of(stats, stop, drawn.gnc, drawn.truth, self.runner.alarm)
 
     def complete(self, case: int, outcome: dict[str, Any]) -> dict[str, Any]:
         """Return the row of ``case``: its seed, its dispersions and ``outcome``."""

@@ -30,7 +30,8 @@ from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
 from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.evidence import check_requirements, judge_requirements, tolerance_bounds
-from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
+from hil.monte_carlo.explain import explain
+from hil.monte_carlo.statistics import HasColumns, compare, mean_interval, summarise, wilson
 from hil.monte_carlo.store import Store, atomic_write
 from hil.report.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.session import build
@@ -156,7 +157,9 @@ class CampaignJob:
             "dispersions": value.dispersions.name,
             "required_parts": required_parts(value.requirements.required_parts, PART_COLUMNS),
         }
-        summary = summarise(store, self.scenario.value.name, self.design.names) | more | engine.summary()
+        summary = summarise(store, self.scenario.value.name) | more | engine.summary()
+        table = store.table()
+        summary["why"] = explain(lambda name: table.column(name).to_numpy(), self.design.names)
         requirements = judge_requirements(store, self.scenario.value)
         summary |= {"tolerance": tolerance_bounds(store), "requirements": requirements}
         if failures:
@@ -264,7 +267,7 @@ def _campaigns(
     ]  # fmt: skip
 
 
-def sweep_summary(sweep: Sweep, stores: Sequence[Store]) -> dict[str, Any]:
+def sweep_summary(sweep: Sweep, stores: Sequence[HasColumns]) -> dict[str, Any]:
     """Return rates and means for each value of the sweep."""
     points = []
     for value, store in zip(sweep.values, stores, strict=True):

@@ -43,6 +43,7 @@ from hil.params import integrity as integrity_params
 from hil.params import vision as vision_params
 from hil.params.ready import ready_params
 from hil.report.summary import SETTLED_S
+from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
@@ -65,6 +66,8 @@ class CaseRunner:
         scenario = self._named(scenario)
         self.scenario = scenario
         self.rig = rig
+        self.alarm: Alarm | None = None
+        """Of the axes or the bench guard, that ended the last case."""
         self.cycles = round(duration_s / scenario.step_s) + 1
         exposures = math.floor(duration_s * rig.vmu.rate_hz) + 2
         self._core = CoreMemory(
@@ -106,9 +109,8 @@ class CaseRunner:
         params = loop_params(scenario, rig, gnc_params.gnc(scenario), bench, self._limits.guard)
         params.counts = 1
         params.steady_state_after_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
-        params.verdict = params.gnc.approach.monitor
         params.ready = ready_params(scenario.requirements)
-        params.integrity = integrity_params.integrity(scenario)
+        params.integrity = integrity_params.integrity(scenario, rig)
         return params
 
     def set_gnc_scenario(self, scenario: Scenario) -> None:
@@ -141,12 +143,13 @@ class CaseRunner:
     def load(self, truth: Scenario, seed: int) -> str:
         """Set the records of a case before its first cycle; return why the bench could not be armed, "" if it could."""
         self._clear()
+        self.alarm = None
         self._set_truth(truth, seed)
         return self._interlock()
 
     def outcome(self, code: int, stats: np.record, state: np.record) -> tuple[np.record, str]:
         """Return what ``run`` returns for a case that ended with ``code`` of ``run_cycles`` in other memory."""
-        np.asarray(self._stats)[...], np.asarray(self._state)[...] = stats, state
+        np.asarray(self._stats)[...], np.asarray(self._state)[...], self.alarm = stats, state, None
         self._stats.ended = code
         return self._stats, self._reason(code)
 
@@ -241,7 +244,10 @@ class CaseRunner:
         rest = np.zeros(3)
         write_axes(state.mock.rails.position, rest, state.mock.turntable.position, rest, standing)
         breach = guards.first_beyond_travel(self._limits.guard, standing, self._limits.slack, state.breach)
-        return "" if breach == guards.NOTHING else str(breach_alarm(0.0, BENCH_AXES, breach, state.breach).trip())
+        if breach == guards.NOTHING:
+            return ""
+        self.alarm = breach_alarm(0.0, BENCH_AXES, breach, state.breach)
+        return str(self.alarm.trip())
 
     def _reason(self, code: int) -> str:
         """Return why a run ended, with the text of ``hil run``."""
@@ -262,8 +268,8 @@ class CaseRunner:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
             return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
-        alarm = guard_alarm if is_of_guard(code) else breach_alarm
-        return str(alarm(0.0, BENCH_AXES, code, state.breach).trip())
+        self.alarm = (guard_alarm if is_of_guard(code) else breach_alarm)(0.0, BENCH_AXES, code, state.breach)
+        return str(self.alarm.trip())
 
     def _gnc_fault(self) -> BenchError:
         if self._library is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.config.scenario import Scenario
+from hil.monte_carlo.statistics import wilson
 from hil.monte_carlo.store import Store, atomic_write
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.figures import RunFigure, draw_stanford
+from hil.report.limits import LIMITS
 from hil.report.verdict import TABLE_V
 
 _MOST_POINTS = 2000  # of a curve
@@ -115,7 +117,13 @@ def _curve(place: Any, values: Any, label: str) -> None:
 
 
 def draw_sweep(found: dict[str, Any], path: Path) -> None:
-    """Draw rate of accepted cases and propellant along the sweep, with their intervals, into ``path``."""
+    """Draw ``sweep_figure`` into ``path``."""
+    with atomic_write(path) as partial:
+        sweep_figure(found).savefig(partial, dpi=110, format="png")
+
+
+def sweep_figure(found: Mapping[str, Any]) -> Figure:
+    """Return rate of accepted cases and propellant along the sweep, with their intervals."""
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     points = found["points"]
@@ -129,8 +137,54 @@ def draw_sweep(found: dict[str, Any], path: Path) -> None:
     below.plot(x, spent[:, 1], marker="o")
     below.set_ylabel("propellant, kg")
     below.set_xlabel(found["key"])
-    with atomic_write(path) as partial:
-        figure.savefig(partial, dpi=110, format="png")
+    return figure
+
+
+def margins_figure(column: Column) -> Figure:
+    """Return the least margins of the cases relative to their limits: least, 5 to 95 %, median."""
+    rows = []
+    for name in LIMITS:
+        margin, limit = (np.asarray(column(f"margin_{name}{part}"), dtype=float) for part in ("", "_limit"))
+        known = np.isfinite(margin) & (np.abs(limit) > 0.0)
+        if known.any():
+            share = margin[known] / np.abs(limit[known])
+            rows.append((name, float(share.min()), *np.percentile(share, (5.0, 50.0, 95.0))))
+    rows.sort(key=lambda row: row[2])
+    figure = RunFigure(figsize=(8.0, 1.0 + 0.24 * len(rows)), layout="constrained")
+    plot = figure.subplots()
+    for y, (_, least, low, median, high) in enumerate(rows):
+        colour = "C3" if low < 0.0 else "C0"
+        plot.plot([max(-1.0, low), high], [y, y], color=colour, linewidth=5, alpha=0.4, solid_capstyle="butt")
+        plot.plot([median], [y], "|", color=colour, markersize=9)
+        plot.plot([max(-1.0, least)], [y], "x", color=colour, markersize=4)
+    plot.axvline(0.0, color="0.3", linewidth=0.8)
+    plot.set_xlim(-1.05, 1.55)
+    plot.set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=8)
+    plot.invert_yaxis()
+    plot.set_xlabel("margin / limit: 5 to 95 % of the cases, median |, least x (not below -1)")
+    return figure
+
+
+_BINS = 12
+
+
+def dependence_figure(name: str, values: Any, accepted: Any) -> Figure:
+    """Return the fraction of ``accepted`` cases (n,) in bins of ``values`` (n,) of equal number, with intervals."""
+    known = np.isfinite(values)
+    order = np.argsort(values[known], kind="stable")
+    x, good = values[known][order], accepted[known][order]
+    figure = RunFigure(figsize=(6.0, 3.0), layout="constrained")
+    plot = figure.subplots()
+    parts = [part for part in np.array_split(np.arange(len(x)), _BINS) if len(part)]
+    centre = [float(np.median(x[part])) for part in parts]
+    rates = [wilson(int(good[part].sum()), len(part)) for part in parts]
+    low, rate, high = (100.0 * np.array([each[key] for each in rates]) for key in ("low", "rate", "high"))
+    plot.fill_between(centre, low, high, alpha=0.3)
+    plot.plot(centre, rate, marker="o")
+    plot.set_xlabel(name)
+    plot.set_ylabel("accepted, %")
+    plot.set_ylim(-3.0, 103.0)
+    return figure
 
 
 def draw_indices(summary: dict[str, Any], path: Path) -> None:

@@ -11,14 +11,25 @@ from hil.config.required_parts import PART_COLUMNS
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
+from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
 from hil.loop.runner import COMPLETED
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import is_accepted
-from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
+from hil.report.integrity import SafeStop, decision_part, detection, integrity_part, mean_nees
+from hil.report.limits import (
+    LIMITS,
+    RunNumbers,
+    Stop,
+    alarms_before,
+    first_violated,
+    margins_of,
+    stop_of_alarm,
+)
 from hil.report.verdict import verdict_of
 from hil.report.verdict_parts import energy_part, is_secure
+from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import is_of_guard
 
 _AXES: Final = ("x", "y", "z")
@@ -29,7 +40,7 @@ _SINGLE: Final = (
     "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
     "aborted_at_s", "hmi_cycles", "worst_error_m", "alert_limit_m", "protection_level_m", "availability",
     "time_to_alert_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf",
-    "nees_akf", "go_s", "propellant_limit_kg",
+    "nees_akf", "go_s", "propellant_limit_kg", "first_violated_s", "first_violated_value", "first_violated_limit",
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
@@ -42,21 +53,32 @@ COUNTS: Final = (
     "firings", "limited_cycles", "cycles", "false_alerts", "beyond_level_cycles",
     *(f"false_alarm_{name}" for name in _ACCUSED),
 )  # fmt: skip
-TEXTS: Final = ("stop", "abort", *_TEXTS_OF_FAULT)
+_TERM_COLUMNS: Final = tuple(f"margin_{name}_term" for name in LIMITS)
+TEXTS: Final = (
+    "stop", "abort", *_TEXTS_OF_FAULT, "first_violated", "first_violated_term", "first_violated_phase", "alarms_before",
+    *_TERM_COLUMNS,
+)  # fmt: skip
 NUMBERS: Final = (*_SINGLE, *_OF_FAULT, *(f"{name}_{axis}" for name in _TRIPLES for axis in _AXES))
 """Columns with floats; null where a run did not get far enough."""
+MARGINS: Final = tuple(f"margin_{name}{what}" for name in LIMITS for what in ("", "_s", "_value", "_limit"))
+"""Columns with the least margin to each limit, its time, value and limit there; null where a limit does not act."""
 NUMERIC: Final = (*NUMBERS, *COUNTS, *FLAGS)
 """Columns that can be compared with a limit."""
 
 
-def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> dict[str, Any]:
-    """Return the outcome of a run by the names of FLAGS, COUNTS, TEXTS and NUMBERS.
+def row_of(
+    stats: np.record, stop: str, scenario: Scenario, truth: Scenario, alarm: Alarm | None = None
+) -> dict[str, Any]:
+    """Return the outcome of a run by the names of FLAGS, COUNTS, TEXTS, NUMBERS and MARGINS.
 
-    scenario: as the GNC has it, with the requirements; truth: as it was flown.
+    scenario: as the GNC has it, with the requirements; truth: as it was flown. alarm: that ended the run, if it has
+    numbers.
     """
+    ended = None if stop == COMPLETED else stop_of_alarm(alarm, stop, int(stats.cycles) * scenario.step_s)
     verdict = verdict_of(stats.ready, scenario.requirements)
     integrity, decision = integrity_part(stats.integrity, scenario), decision_part(stats.integrity)
-    aborted = int(stats.aborted)
+    limits = stats.integrity.limits
+    aborted = int(limits.aborted)
     firings = int(np.sum(stats.thruster_firings))
     propellant_kg = _propellant_kg(stats, truth)
     energy = energy_part(float(stats.reference_delta_v), scenario, propellant_kg, firings)
@@ -64,7 +86,7 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
     parts = {
         "control_precision": passed,
-        "security": flown and is_secure(stats.corridor_margin, stats.closing_margin),
+        "security": flown and is_secure(limits.margin[CORRIDOR], limits.margin[CLOSING]),
         "energy": bool(flown and energy["passed"]),
         "field_of_view": bool(flown and stats.view_margin >= 0.0),
         "integrity": bool(flown and integrity["passed"]),
@@ -96,17 +118,17 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         "abort": ABORT_CAUSES[aborted],
         "ready_time_s": verdict.ready_time_s,
         "held_since_s": verdict.held_since_s,
-        "aborted_at_s": float(stats.aborted_at_s) if aborted else None,
+        "aborted_at_s": float(limits.aborted_at_s) if aborted else None,
         "propellant_kg": propellant_kg,
         "propellant_share": propellant_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
         "thruster_on_time_s": scenario.step_s * float(np.sum(stats.thruster_open)),
         "control_margin": None,
         **{
-            name: _number(stats[field]) if flown else None
-            for name, field in (
-                ("corridor_margin_m", "corridor_margin"),
-                ("closing_margin_mps", "closing_margin"),
-                ("view_margin_px", "view_margin"),
+            name: _number(value) if flown else None
+            for name, value in (
+                ("corridor_margin_m", limits.margin[CORRIDOR]),
+                ("closing_margin_mps", limits.margin[CLOSING]),
+                ("view_margin_px", stats.view_margin),
             )
         },
         "nearest_m": _number(stats.integrity.nearest) if flown else None,
@@ -119,12 +141,34 @@ def row_of(stats: np.record, stop: str, scenario: Scenario, truth: Scenario) -> 
         row["control_margin"] = min(float((1.0 - verdict.worst[n] / allowed[n]).min()) for n in ROW_NAMES)
     for name in ROW_NAMES:
         row |= _three(name, np.full(3, np.nan) if verdict.worst is None else verdict.worst[name])
-    return row
+    return row | _limits(row, stats, parts, ended, scenario)
+
+
+def _limits(
+    row: dict[str, Any], stats: np.record, parts: dict[str, bool], ended: Stop | None, scenario: Scenario
+) -> dict[str, Any]:
+    """Return the first violated limit, the alarms before it and the margins to all limits."""
+    view = tuple(_number(value) for value in (stats.view_margin, stats.view_margin_s, stats.view_lost_s))
+    run = RunNumbers(
+        stats.integrity, stats.ready, parts, (view[0], view[1], view[2]),
+        (row["propellant_kg"], row["propellant_limit_kg"]), mean_nees(stats.integrity),
+        max(0, int(stats.cycles) - 1) * scenario.step_s, row["accepted"], ended,
+    )  # fmt: skip
+    margins = margins_of(run, scenario) if stats.cycles else []
+    found = first_violated(run, scenario, margins)
+    columns = found | {"alarms_before": alarms_before(stats.integrity.limits, found["first_violated_s"])}
+    columns |= dict.fromkeys(MARGINS) | dict.fromkeys(_TERM_COLUMNS, "")
+    for each in margins:
+        if each.name in LIMITS:
+            at = f"margin_{each.name}"
+            columns |= {at: _number(each.margin), f"{at}_s": each.at_s, f"{at}_value": each.value}
+            columns |= {f"{at}_limit": each.limit, f"{at}_term": each.term}
+    return columns
 
 
 def failed_row(reason: str) -> dict[str, Any]:
     """Return the outcome of a case that could not be flown at all."""
-    row: dict[str, Any] = dict.fromkeys(NUMBERS)
+    row: dict[str, Any] = dict.fromkeys((*NUMBERS, *MARGINS))
     row |= dict.fromkeys(FLAGS, False) | dict.fromkeys(COUNTS, 0)
     return row | dict.fromkeys(TEXTS, "") | {"stop": reason}
 

@@ -13,9 +13,14 @@ from hil.errors import BadInput
 from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
 from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.sobol_indices import index_rows, sobol_indices
-from hil.monte_carlo.statistics import CONFIDENCE, SENSITIVE
+from hil.monte_carlo.statistics import CONFIDENCE
 from hil.monte_carlo.store import Store
 
+OUTCOMES: Final = (
+    "passed", "passed_all_parts", "control_margin", "propellant_kg", "ready_time_s", "corridor_margin_m",
+    "closing_margin_mps",
+)  # fmt: skip
+"""Outcomes whose indices are computed."""
 NOISE: Final = "noise"
 """Name of the noise among the dispersed numbers."""
 
@@ -61,7 +66,7 @@ class SobolCampaign:
             "rows": self._rows,
             "cases": self.runs,
             "confidence": CONFIDENCE,
-            "sobol": {outcome: self._indices(store, outcome) for outcome in SENSITIVE},
+            "sobol": {outcome: self._indices(store, outcome) for outcome in OUTCOMES},
         }
         write_summary(store.folder / "summary.json", summary)
         return summary

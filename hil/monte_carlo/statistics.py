@@ -1,12 +1,12 @@
-"""Statistics of a finished campaign: pass rates with intervals, worst cases, sensitivities."""
+"""Statistics of a finished campaign: pass rates with intervals, worst cases, margins."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
-from scipy.stats import binomtest, rankdata, t
+from scipy.stats import binomtest, t
 
 from hil.core.messages import Array
 from hil.loop.runner import COMPLETED
@@ -21,11 +21,14 @@ SPREAD_OF: Final = (
     "ready_time_s", "control_margin", "propellant_kg", "firings", "corridor_margin_m", "closing_margin_mps",
     "nearest_m", "view_margin_px",
 )  # fmt: skip
-SENSITIVE: Final = (
-    "passed", "passed_all_parts", "control_margin", "propellant_kg", "ready_time_s", "corridor_margin_m",
-    "closing_margin_mps",
-)  # fmt: skip
 _REASONS: Final = 20
+
+
+class HasColumns(Protocol):
+    """Cases of a finished campaign."""
+
+    def column(self, name: str) -> Any:
+        """Return one column, (n,); missing numbers are nan."""
 
 
 def wilson(passed: int, runs: int) -> dict[str, float | int]:
@@ -51,8 +54,8 @@ def mean_interval(values: Array) -> dict[str, float | int | None]:
     return {"n": n, "mean": mean, "low": mean - half, "high": mean + half}
 
 
-def summarise(store: Store, scenario: str, names: list[str]) -> dict[str, Any]:
-    """Return the numbers of a finished campaign; names: of its dispersions."""
+def summarise(store: Store, scenario: str) -> dict[str, Any]:
+    """Return the numbers of a finished campaign."""
     case = store.column("case")
     runs = len(case)
     return {
@@ -64,7 +67,6 @@ def summarise(store: Store, scenario: str, names: list[str]) -> dict[str, Any]:
         "worst": _worst(store, scenario, case),
         "percentiles": {name: _percentiles(store.column(name)) for name in SPREAD_OF},
         "least_margin_cases": _least(store, case),
-        "sensitivity": {name: _ranking(store, name, names) for name in SENSITIVE} if names else {},
     }
 
 
@@ -124,33 +126,13 @@ def _least(store: Store, case: Array) -> list[dict[str, Any]]:
     ]
 
 
-def _ranking(store: Store, outcome: str, names: list[str]) -> list[dict[str, Any]]:
-    """Return Spearman's rank correlation of each dispersion with ``outcome``, the strongest first.
-
-    ``significant``: above the 95 % quantile of uncorrelated samples.
-    """
-    values = np.asarray(store.column(outcome), dtype=float)
-    known = np.isfinite(values)
-    n = int(known.sum())
-    rows = []
-    for name in names:
-        drawn = store.column(name)[known]
-        rho = 0.0
-        if n > 2 and np.ptp(drawn) > 0.0 and np.ptp(values[known]) > 0.0:
-            rho = float(np.corrcoef(rankdata(drawn), rankdata(values[known]))[0, 1])
-        rows.append({"dispersion": name, "rank_correlation": rho})
-    threshold = min(1.0, 1.96 / math.sqrt(n - 1)) if n > 2 else 1.0
-    rows.sort(key=lambda row: -abs(row["rank_correlation"]))  # type: ignore[arg-type]
-    return [row | {"significant": bool(abs(row["rank_correlation"]) > threshold)} for row in rows]  # type: ignore[arg-type]
-
-
 COMPARED: Final = (
     "propellant_kg", "firings", "thruster_on_time_s", "ready_time_s",
     *(f"{row}_{axis}" for row in ROW_NAMES for axis in "xyz"),
 )  # fmt: skip
 
 
-def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, Any]:
+def compare(first: HasColumns, second: HasColumns, names: tuple[str, str]) -> dict[str, Any]:
     """Return second minus first, case by case with the same seeds, with intervals of the mean difference.
 
     Cases in which one of both has no value are omitted.
@@ -172,7 +154,7 @@ def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, An
     return found
 
 
-def _paired_rates(first: Store, second: Store, flag: str) -> dict[str, Any]:
+def _paired_rates(first: HasColumns, second: HasColumns, flag: str) -> dict[str, Any]:
     """Return the rates of ``flag`` in both campaigns, and the number of cases that have it in one alone."""
     a, b = (np.asarray(store.column(flag), dtype=bool) for store in (first, second))
     return {

@@ -21,7 +21,7 @@ from typing import Any, Final, Self
 from hil.config.renamed_keys import present_key
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
 from hil.errors import BadInput, CampaignStopped, one_line
-from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
+from hil.monte_carlo.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 
 BATCH: Final = 50
 """Cases per batch: on fixed borders, so that the files do not depend on the engine."""
@@ -77,7 +77,7 @@ class Store:
                 *((name, self._pa.bool_()) for name in FLAGS),
                 *((name, self._pa.int64()) for name in COUNTS),
                 *((name, self._pa.string()) for name in TEXTS),
-                *((name, self._pa.float64()) for name in NUMBERS),
+                *((name, self._pa.float64()) for name in (*NUMBERS, *MARGINS)),
             ]
         )
         self._open(identity)

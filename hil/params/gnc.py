@@ -209,6 +209,11 @@ def largest_accelerations(chaser: Chaser) -> tuple[float, float]:
     return float(most[:3].max()), float(most[3:].max())
 
 
+def converged_mps(scenario: Scenario) -> float:
+    """Return the allowance of the closing rate, m/s, from which on the filters have converged."""
+    return _CONVERGED_FRACTION * scenario.gnc.corridor.closing_rate_mps
+
+
 def _reactions(scenario: Scenario) -> np.record:
     """Return REACTION_PARAMS."""
     params = new(REACTION_PARAMS)
@@ -217,7 +222,7 @@ def _reactions(scenario: Scenario) -> np.record:
             params.table[row, number] = REACTION_NAMES.index(getattr(condition, kind))
     params.time_to_alert_s = scenario.integrity.time_to_alert_s
     params.acquisition_s = scenario.gnc.integrity.acquisition_s
-    params.converged_mps = _CONVERGED_FRACTION * scenario.gnc.corridor.closing_rate_mps
+    params.converged_mps = converged_mps(scenario)
     params.hold_max_s = scenario.gnc.reactions.hold_max_s
     params.coast_share = scenario.gnc.reactions.coast_fraction
     return params

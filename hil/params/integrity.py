@@ -7,15 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.config.faults import TimedFault
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
+from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params.ready import ready_params, settled_s
 
 
-def integrity(scenario: Scenario) -> np.record:
-    """Return INTEGRITY_PARAMS."""
+def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
+    """Return INTEGRITY_PARAMS. rig: with the limits of the axes; None: their margins are not counted."""
     params = new(INTEGRITY_PARAMS)
     params.approach = gnc_params.approach_monitor(scenario)
     params.time_to_alert_s = scenario.integrity.time_to_alert_s
@@ -23,6 +25,16 @@ def integrity(scenario: Scenario) -> np.record:
     params.decision.required_s = scenario.requirements.required_ready_s
     params.decision.settled_s = settled_s(scenario)
     set_faults(params, scenario.faults)
+    limits = params.limits
+    limits.acquisition_s = scenario.gnc.integrity.acquisition_s
+    limits.converged_mps = gnc_params.converged_mps(scenario)
+    limits.time_to_alert_s, limits.lost_after_s = (
+        scenario.integrity.time_to_alert_s,
+        scenario.gnc.integrity.lost_after_s,
+    )
+    if rig is not None:
+        guard = bench_params.axis_guard(rig, scenario.step_s)
+        limits.tracks, limits.axis_max, limits.axis_per_speed_s = 1, guard.following_max, guard.following_per_speed
     return params
 
 

@@ -199,7 +199,7 @@ def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
     now.row["truth"], now.row["imu"] = row["truth"], row["imu"]
     gnc.set_monitor_disagrees(bool(int(row["navigation"]["health"]) & GncHealth.MONITOR_DISAGREES))
     disagrees = bool(int(row["navigation"]["health"]) & GncHealth.BENCH_DISAGREES)
-    gnc.set_bench_check(row["bench_off"], disagrees)
+    gnc.set_bench_check(row["bench_off"], row["bench_breach"], disagrees)
     gnc.set_monitor_bound(float(row["monitor_bound_m"]), float(row["monitor_bound_s"]))
     try:
         gnc.step(float(row["t_s"]), now, poses)

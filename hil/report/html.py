@@ -20,6 +20,10 @@ img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px;
 .note { background: #fff4d6; padding: .5em .8em; border-left: 5px solid #e69f00; }
 .out { color: #7c2d00; font-weight: 700; }
 .waived { background: #c00000; color: #fff; font-weight: 700; padding: .4em .8em; margin: .3em 0; }
+@media (max-width: 700px) {
+  body { padding: 0 .6em; } table { width: 100%; font-size: 13px; } th, td { padding: .2em .25em; }
+  th, td, .verdict { overflow-wrap: anywhere; } .words td:first-child { white-space: normal; } figure { margin: 1em 0; }
+}
 @media print { h2 { break-after: avoid; } img, table { break-inside: avoid; } }
 """
 
@@ -29,9 +33,9 @@ def page(title: str, body: Sequence[str]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(body)
-        + "\n</body>\n</html>\n"
+        + "\n</main>\n</body>\n</html>\n"
     )
 
 

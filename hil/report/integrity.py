@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.faults import TimedFault
+from hil.config.rig import Rig
 from hil.config.scenario import REACTION_NAMES, Scenario
 from hil.core.messages import new
 from hil.gnc.integrity_verdict import (
@@ -35,10 +36,10 @@ class SafeStop:
 
 
 class IntegrityJudge:
-    """Accumulates the rows of a run of ``scenario``."""
+    """Accumulates the rows of a run of ``scenario``. rig: with the limits of the axes; None without them."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._params = integrity_params.integrity(scenario)
+    def __init__(self, scenario: Scenario, rig: Rig | None = None) -> None:
+        self._params = integrity_params.integrity(scenario, rig)
         self.state = new(INTEGRITY_STATE)
         start_integrity(self.state)
 
@@ -77,8 +78,7 @@ def decision_part(state: np.record) -> dict[str, Any]:
     of chi-square with as many degrees of freedom as it has states.
     """
     found = state.decision
-    means = found.nees / np.maximum(found.fused, 1)
-    counted = [bool(mean <= limit) for mean, limit, n in zip(means, _NEES_MAX, found.fused, strict=True) if n]
+    counted = [mean <= limit for mean, limit in mean_nees(state)]
     nees_ok = all(counted) if counted else None
     return {
         "passed": bool(found.error == 0 and found.beyond + found.pending == 0 and nees_ok is not False),
@@ -87,6 +87,13 @@ def decision_part(state: np.record) -> dict[str, Any]:
         "nees_ok": nees_ok,
         "beyond_level_cycles": int(found.beyond + found.pending),
     }
+
+
+def mean_nees(state: np.record) -> list[tuple[float, float]]:
+    """Return mean NEES and its limit of position and attitude filter, those that have one."""
+    found = state.decision
+    means = found.nees / np.maximum(found.fused, 1)
+    return [(float(mean), limit) for mean, limit, n in zip(means, _NEES_MAX, found.fused, strict=True) if n]
 
 
 def sensor_set(scenario: Scenario) -> str:

@@ -30,7 +30,7 @@ from hil.report.device_times import NAMES, count_beyond, execution_times_s, judg
 from hil.report.integrity import IntegrityJudge
 from hil.report.latency import measured, percentiles, pose_to_command_s
 from hil.report.navigation_bound import NavigationBound
-from hil.report.verdict import Verdict, deviations, verdict_of
+from hil.report.verdict import Verdict, deviations, until_abort, verdict_of
 from hil.report.verdict_parts import (
     energy_part,
     frame_delta_v,
@@ -139,7 +139,7 @@ class LongRun:
         self._scenario, self._rig, self._pause_s = scenario, rig, pause_s
         self._ready_params = ready_params(scenario.requirements)
         self._ready = new(ready_phase.READY_STATE)
-        self._integrity = IntegrityJudge(scenario)
+        self._integrity = IntegrityJudge(scenario, rig)
         self._bound = NavigationBound(scenario, rig, summary.SETTLED_S)
         self._last: np.ndarray | None = None
         self._sums: dict[str, Any] = {}
@@ -166,7 +166,7 @@ class LongRun:
                 time.sleep(self._pause_s)
 
     def _add(self, rows: np.ndarray) -> None:
-        found = deviations(rows, self._scenario.requirements)
+        found = deviations(until_abort(rows), self._scenario.requirements)
         table = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
         ready_phase.update_all(self._ready_params, self._ready, np.ascontiguousarray(found.t_s), table)
         self._integrity.add(rows)

@@ -16,7 +16,7 @@ from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_fl
 from hil.report.figures import figures
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ROW_LABELS, verdict_lines
-from hil.report.verdict import TABLE_V, Verdict, deviations, judge
+from hil.report.verdict import TABLE_V, Verdict, judge_rows
 
 _VERSIONS: Final = (
     "hil",
@@ -50,7 +50,7 @@ class Judged:
 def judged(recorded: Recorded) -> Judged:
     """Return the run's numbers as recorded; of a run that broke off, those of its cycles."""
     scenario, history = recorded.scenario, recorded.cycles
-    verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
+    verdict = judge_rows(history, scenario.requirements)
     return Judged(recorded, summary_of(recorded), verdict)
 
 

@@ -26,10 +26,11 @@ from hil.report.acceptance import acceptance, parts_of
 from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
 from hil.report.device_times import count_beyond, execution_times_s, judge_times, with_exchanges
-from hil.report.integrity import IntegrityJudge, SafeStop, decision_part, detection, integrity_part
+from hil.report.integrity import IntegrityJudge, SafeStop, decision_part, detection, integrity_part, mean_nees
 from hil.report.latency import measure_latency
+from hil.report.limits import RunNumbers, alarms_before, first_violated, margins_of, stop_of_alarm
 from hil.report.navigation_bound import NavigationBound
-from hil.report.verdict import Verdict, deviations, judge
+from hil.report.verdict import Verdict, judge_rows
 from hil.report.verdict_parts import frame_delta_v, judge_energy, judge_field_of_view, judge_security
 from hil.safety.guard_alarms import GUARD_QUANTITIES
 
@@ -113,12 +114,44 @@ def summarise(
         "alarms": [alarm.as_json() for alarm in outcome.alarms],
     }
     summary["passed_all_parts"] = passed and all(part["passed"] for part in parts_of(summary).values())
-    return acceptance(summary, scenario.requirements) | summary, verdict
+    accepted = acceptance(summary, scenario.requirements)
+    limits = limits_of(outcome, judged["state"], verdict, summary | accepted, scenario)
+    return accepted | summary | limits, verdict
+
+
+def limits_of(
+    outcome: Outcome, state: np.record, verdict: Verdict, summary: dict[str, Any], scenario: Scenario
+) -> dict[str, Any]:
+    """Return the first violated limit, the alarms before it and the margins. state: INTEGRITY_STATE."""
+    ready, parts, view = verdict.ready, parts_of(summary), summary["verdict"]["field_of_view"]
+    energy, n = summary["verdict"]["energy"], len(outcome.history)
+    end_s, stop = float(outcome.history["t_s"][-1]) if n else 0.0, None
+    if outcome.stop != COMPLETED:
+        alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
+        stop = stop_of_alarm(alarm, outcome.stop, end_s)
+    assert ready is not None
+    run = RunNumbers(
+        state,
+        ready,
+        {name: bool(part["passed"]) for name, part in parts.items()},
+        (view["margin_px"], view["at_s"], view["at_s"]),
+        (energy["propellant_kg"], energy["factor"] * energy["least_propellant_kg"]),
+        mean_nees(state),
+        end_s,
+        bool(summary["accepted"]),
+        stop,
+    )
+    margins = margins_of(run, scenario)
+    found = first_violated(run, scenario, margins)
+    return found | {
+        "alarms_before": alarms_before(state.limits, found["first_violated_s"]),
+        "limits": {each.name: each.as_json() for each in margins},
+    }
 
 
 def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[str, Any], Verdict]:
     """Return what the rows of a run, (n,) of CYCLE, give: tables of its JSON, and the verdict."""
-    verdict = judge(deviations(history, scenario.requirements), scenario.requirements)
+    verdict = judge_rows(history, scenario.requirements)
     thrusters = thrusters_of(history, scenario)
     bound = NavigationBound(scenario, rig, SETTLED_S)
     bound.add(history)
@@ -136,7 +169,7 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
             ),
             "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
         },
-        "integrity": integrity_of(judge_integrity(history, scenario), scenario),
+        "integrity": integrity_of(judge_integrity(history, scenario, rig), scenario),
         "navigation": navigation_errors(history) | bound.as_json(),
         "thrusters": thrusters,
         "orbit": {"eclipse_s": eclipse_s(history, scenario.step_s)},
@@ -170,9 +203,9 @@ def summary_of(recorded: Recorded) -> dict[str, Any]:
     return summarise(outcome, recorded.scenario, recorded.rig, run["rig"], int(run["seed"]), 1.0 / step_s)[0]
 
 
-def judge_integrity(history: np.ndarray, scenario: Scenario) -> np.record:
+def judge_integrity(history: np.ndarray, scenario: Scenario, rig: Rig) -> np.record:
     """Return INTEGRITY_STATE of the rows (n,) of CYCLE of a run."""
-    judge = IntegrityJudge(scenario)
+    judge = IntegrityJudge(scenario, rig)
     judge.add(history)
     return judge.state
 

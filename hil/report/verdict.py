@@ -36,7 +36,7 @@ class Deviations:
 class Verdict:
     """ready_time_s, held_since_s: s, None if never. worst: row name -> largest |deviation| (3,), None if never.
 
-    ready_duration_s: from ``ready_time_s`` to the end of the run, 0 if never.
+    ready_duration_s: from ``ready_time_s`` to the end of the run or its abort, 0 if never. ready: READY_STATE.
     """
 
     ready_time_s: float | None
@@ -44,6 +44,7 @@ class Verdict:
     passed: bool
     worst: dict[str, Array] | None
     ready_duration_s: float = 0.0
+    ready: np.record | None = None
 
 
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
@@ -53,6 +54,17 @@ def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     r, v, q, w_c, w_h = (np.ascontiguousarray(truth[name]) for name in ("r_CT_H", "v_CT_H", "q_CH", "w_CI_C", "w_HI_H"))
     ready_phase.all_deviations(ready_params(requirements), r, v, q, w_c, w_h, found)
     return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
+
+
+def until_abort(history: np.ndarray) -> np.ndarray:
+    """Return the rows of CYCLE before an abort, which ends the ready phase."""
+    aborted = np.flatnonzero(history["supervision"]["aborted"])
+    return history[: aborted[0]] if len(aborted) else history
+
+
+def judge_rows(history: np.ndarray, requirements: Requirements) -> Verdict:
+    """Return the verdict on the rows (n,) of CYCLE of a run."""
+    return judge(deviations(until_abort(history), requirements), requirements)
 
 
 def judge(found: Deviations, requirements: Requirements) -> Verdict:
@@ -66,11 +78,11 @@ def judge(found: Deviations, requirements: Requirements) -> Verdict:
 def verdict_of(state: np.record, requirements: Requirements) -> Verdict:
     """Return the verdict of READY_STATE at the end of a run."""
     if not state.is_ready:
-        return Verdict(None, None, False, None)
+        return Verdict(None, None, False, None, ready=state.copy())
     worst = {name: state.worst[3 * row : 3 * row + 3].copy() for row, name in enumerate(ROW_NAMES)}
     duration_s = float(state.last_s - state.ready_s)
     passed = not state.left and duration_s >= requirements.required_ready_s - _ROUNDING_S
-    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s)
+    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s, state.copy())
 
 
 @dataclass(frozen=True)

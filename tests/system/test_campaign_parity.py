@@ -81,7 +81,7 @@ def test_compiled_loop_has_the_bits_of_the_cycle_to_the_end(scheme: str) -> None
 def test_abort_and_retreat_have_the_same_bits() -> None:
     outcome, _, history, stats, _ = both("scheme-1", ("gnc.abort.at_s=8.0",), 20.0)
     assert_same_bits(outcome.history, history, OF_DIGITAL_LINES)
-    assert stats.aborted == history["supervision"]["aborted"][-1] != 0
+    assert stats.integrity.limits.aborted == history["supervision"]["aborted"][-1] != 0
 
 
 def test_dispersed_case_has_the_bits_of_the_cycle() -> None:

@@ -9,11 +9,10 @@ import numpy as np
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics import truth as truth_kernels
-from hil.gnc import approach_monitor, ready_phase
+from hil.gnc import ready_phase
 from hil.gnc.integrity_verdict import INTEGRITY_STATE, start_integrity, update_integrity
 from hil.gnc.ready_phase import READY_STATE
 from hil.maths import stack
-from hil.maths.arrays import copy_into
 from hil.models.rotating_frame import frame_acceleration, tumble_rate
 
 RUN_STATS = np.dtype(
@@ -23,12 +22,9 @@ RUN_STATS = np.dtype(
         ("ended", "i8"),  # reason of ``run_cycles``, written by the caller
         ("ready", READY_STATE),
         ("integrity", INTEGRITY_STATE),
-        ("aborted", "i8"),  # cause, 0 for none
-        ("aborted_at_s", "f8"),
-        ("entered", "i8"),  # 1: the truth has been inside the corridor
-        ("corridor_margin", "f8"),  # m, least on the truth, up to an abort
-        ("closing_margin", "f8"),  # m/s, the same
         ("view_margin", "f8"),  # px, least at an exposure
+        ("view_margin_s", "f8"),
+        ("view_lost_s", "f8"),  # exposure at which it was first negative
         ("reference_delta_v", "f8"),  # m/s, changes of the reference's velocity, and what axes that rotate ask
         ("mass_start", "f8"),  # kg
         ("mass_end", "f8"),
@@ -42,8 +38,6 @@ RUN_STATS = np.dtype(
         ("fused", "i8"),  # updates in steady state
         ("nees_position", "f8"),  # sums over them
         ("nees_attitude", "f8"),
-        ("from_H", "f8", 3),  # line of the cycle before
-        ("to_H", "f8", 3),
         ("reference_v", "f8", 3),
     ],
     align=True,
@@ -53,27 +47,8 @@ RUN_STATS = np.dtype(
 @kernel
 def start_run_stats(stats):
     """Initialise the zeroed ``stats`` for a run."""
-    stats.corridor_margin = stats.closing_margin = stats.view_margin = np.inf
+    stats.view_margin = np.inf
     start_integrity(stats.integrity)
-
-
-@kernel
-def _count_security(params, now, stats):
-    truth, reference = now.truth, now.reference
-    if stats.aborted != 0:
-        return
-    if now.supervision.aborted != 0:
-        stats.aborted = now.supervision.aborted
-        stats.aborted_at_s = now.supervision.aborted_at_s
-    if now.supervision.aborted == 0 or stats.cycles == 0:  # otherwise that before the abort
-        copy_into(stats.from_H, reference.from_H)
-        copy_into(stats.to_H, reference.to_H)
-    corridor = approach_monitor.corridor_margin(params.verdict, stats.from_H, stats.to_H, truth.r_CT_H)
-    closing = approach_monitor.closing_margin(params.verdict, truth.r_CT_H, truth.v_CT_H)
-    if corridor >= 0.0 and stats.entered == 0:  # the corridor counts from the first cycle inside it
-        stats.entered, stats.corridor_margin = 1, corridor
-    stats.corridor_margin = min(stats.corridor_margin, corridor)
-    stats.closing_margin = min(stats.closing_margin, closing)
 
 
 @kernel
@@ -136,11 +111,11 @@ def count_cycle(params, state, stats):
     now = state.now
     rate = stack.vector(3)
     truth_kernels.rate_against_hill(now.truth, rate)
-    ready_phase.update_from(
-        params.ready, stats.ready, now.t_s, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate
-    )
+    if now.supervision.aborted == 0:  # an abort ends the ready phase
+        ready_phase.update_from(
+            params.ready, stats.ready, now.t_s, now.truth.r_CT_H, now.truth.v_CT_H, now.truth.q_CH, rate
+        )
     update_integrity(params.integrity, stats.integrity, now)
-    _count_security(params, now, stats)
     _count_thrusters(params, now, stats)
     if now.navigation.valid != 0 and now.t_s >= params.steady_state_after_s:
         _count_navigation(now, stats)

@@ -63,6 +63,7 @@ def check(
     """Check an approach that has begun inside its corridor, if the filters have converged."""
     reactions = new(REACTION_STATE)
     reactions.converged = reactions.entered = converged
+    reactions.beyond = 0 if is_protected(params, navigation) else 1  # as ``reactions.acquire`` writes it
     certain = new(GO_CHECK) if go is None else go
     return bool(approach_monitor.check(params, t_s, navigation, reference, ordered, reactions, certain, found))
 

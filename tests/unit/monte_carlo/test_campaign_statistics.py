@@ -40,9 +40,7 @@ def test_interval_of_a_mean_covers_as_often_as_it_says(rng: np.random.Generator)
     assert mean_interval(np.array([np.nan, 2.0])) == {"n": 1, "mean": 2.0, "low": None, "high": None}
 
 
-def test_summary_finds_worst_case_failures_and_what_the_outcome_hangs_on(
-    tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_summary_finds_worst_cases_and_failures(tmp_path: Path, rng: np.random.Generator) -> None:
     drawn = rng.normal(size=(120, 2))
     rows = [
         {"passed": True, "a": x, "b": y, "propellant_kg": 1.0 + 0.1 * x**3, "position_m_x": 0.001 * (k % 7)}
@@ -50,17 +48,12 @@ def test_summary_finds_worst_case_failures_and_what_the_outcome_hangs_on(
     ]
     rows[33] |= {"passed": False, "position_m_x": 0.5, "control_margin": -1.0}
     rows[70] |= failed_row("not flown: no fuel")
-    found = summarise(finished(tmp_path / "x", rows, ["a", "b"]), "scheme-1", ["a", "b"])
+    found = summarise(finished(tmp_path / "x", rows, ["a", "b"]), "scheme-1")
     assert found["pass_rate"]["passed"]["passed"] == 118
     assert found["worst"]["position_m"][0] == {"value": 0.5, "case": 33, "table_v": 0.0053}
     assert found["worst"]["rate_degps"][2]["value"] is None
     assert found["stops"] == [{"reason": "not flown: no fuel", "cases": 1, "first_case": 70}]
-    first, second = found["sensitivity"]["propellant_kg"]
-    assert (first["dispersion"], first["significant"]) == ("a", True)
-    assert first["rank_correlation"] == pytest.approx(1.0)
-    assert abs(second["rank_correlation"]) < 0.3
     assert found["percentiles"]["propellant_kg"]["n"] == 119
-    assert [len(found["sensitivity"][name]) for name in ("passed", "passed_all_parts")] == [2, 2]
 
 
 def test_comparison_is_made_case_by_case(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,7 +56,10 @@ def test_run_that_never_dwells_has_no_ready_phase(required: Requirements) -> Non
     found = flown(40.0)
     for begin_s in range(0, 40, 4):
         away(found, begin_s, begin_s + 0.1)
-    assert judge(found, required) == Verdict(None, None, False, None)
+    verdict = judge(found, required)
+    assert replace(verdict, ready=None) == Verdict(None, None, False, None)
+    assert verdict.ready is not None
+    assert (verdict.ready.breaks[0], verdict.ready.break_s[0]) == (9, 4.0)  # the deviation that ended each dwell
 
 
 def test_run_that_ends_before_the_dwell_is_over_has_no_ready_phase(required: Requirements) -> None:

@@ -1,0 +1,97 @@
+"""Tables of pandas, polars and xarray from records and campaigns; each library is imported when it is asked for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+
+from hil.core.fields import leaf_fields
+from hil.core.messages import CYCLE_FIELDS, Array
+from hil.errors import BadInput
+from hil.recording.schema import flat_dtype
+
+_AXES: Final = ("x", "y", "z")
+_QUATERNION: Final = ("q1", "q2", "q3", "q0")
+_UNITS: Final = {field.name: field for field in leaf_fields(CYCLE_FIELDS)}
+
+
+def library(name: str) -> Any:
+    """Return the module ``name``; raise BadInput if it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        text = f"is not installed: pip install {name}"
+        raise BadInput.single(f"to_{name}", name, text) from error
+
+
+def columns_of(records: np.ndarray) -> dict[str, Array]:
+    """Return each number of ``records`` (n,) by its name: ``truth.r_CT_H.x``, components of quaternions q1 q2 q3 q0."""
+    found = {}
+    for name, values in _leaves(records).items():
+        if values.ndim == 1:
+            found[name] = values
+            continue
+        flat = values.reshape(len(values), -1)
+        parts = _components(name, values.shape[1:])
+        found |= {f"{name}.{part}": np.ascontiguousarray(flat[:, i]) for i, part in enumerate(parts)}
+    return found
+
+
+def units_of(names: list[str]) -> dict[str, str]:
+    """Return the unit of each column of ``columns_of`` that has one."""
+    known = ((name, _UNITS.get(name) or _UNITS.get(name.rpartition(".")[0])) for name in names)
+    return {name: field.unit for name, field in known if field is not None and field.unit not in ("", "1")}
+
+
+def to_pandas(records: np.ndarray, t_s: Array) -> Any:
+    """Return a DataFrame of ``records`` (n,), indexed by time, s; units in ``attrs["units"]``."""
+    pandas, columns = library("pandas"), columns_of(records)
+    frame = pandas.DataFrame(columns, index=pandas.Index(t_s, name="t_s"))
+    frame.attrs["units"] = units_of(list(columns))
+    return frame
+
+
+def to_polars(records: np.ndarray, t_s: Array) -> Any:
+    """Return a polars DataFrame of ``records`` (n,) with the column ``t_s``."""
+    return library("polars").DataFrame({"t_s": t_s, **columns_of(records)})
+
+
+def to_xarray(records: np.ndarray, t_s: Array) -> Any:
+    """Return a Dataset of ``records`` (n,): time as index, axes x y z by name, units and frames in the attributes."""
+    xarray, found = library("xarray"), {}
+    coordinates: dict[str, Any] = {"t_s": ("t_s", t_s, {"units": "s"})}
+    for name, values in _leaves(records).items():
+        dimensions = ["t_s"]
+        for i, size in enumerate(values.shape[1:]):
+            dimension = _dimension(name, size, i)
+            dimensions.append(dimension)
+            if dimension in ("axis", "component"):
+                coordinates[dimension] = list(_AXES if dimension == "axis" else _QUATERNION)
+        field = _UNITS.get(name)
+        attributes = {} if field is None else {"units": field.unit, "frame": field.frame, "long_name": field.meaning}
+        found[name.replace(".", "_")] = (dimensions, values, attributes)
+    return xarray.Dataset(found, coords=coordinates)
+
+
+def _leaves(records: np.ndarray) -> dict[str, Array]:
+    """Return the plain fields of ``records`` with dotted names, without the time, which is the index."""
+    flat = np.ascontiguousarray(records).view(flat_dtype(records.dtype))
+    return {name: np.ascontiguousarray(flat[name]) for name in flat.dtype.names or () if name != "t_s"}
+
+
+def _components(name: str, shape: tuple[int, ...]) -> list[str]:
+    if shape == (3,):
+        return list(_AXES)
+    if shape == (4,) and name.rpartition(".")[2].startswith("q_"):
+        return list(_QUATERNION)
+    return [".".join(map(str, index)) for index in np.ndindex(*shape)]
+
+
+def _dimension(name: str, size: int, place: int) -> str:
+    if size == 3 and place == 0:
+        return "axis"
+    if size == 4 and name.rpartition(".")[2].startswith("q_"):
+        return "component"
+    return f"n{size}" if place == 0 else f"m{size}"

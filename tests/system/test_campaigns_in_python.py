@@ -1,0 +1,87 @@
+"""Comparisons, sweeps and tables of other libraries, in scripts as a user writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from hil.errors import BadInput
+
+pytestmark = pytest.mark.xdist_group("campaign")
+SHORT: dict[str, Any] = {"duration_s": 2.0, "workers": 1}
+
+
+def test_two_campaigns_are_compared_case_by_case(tmp_path: Path) -> None:
+    found = hil.campaign("scheme-1", 6, tmp_path / "c", against="scheme-2", **SHORT)
+    again = hil.compare(found.first, found.second)
+    assert again.summary == found.summary
+    difference = found.second.column("propellant_kg") - found.first.column("propellant_kg")
+    assert found.difference["propellant_kg"]["mean"] == pytest.approx(np.mean(difference))
+    assert "Paired differences" in (tmp_path / "c" / "report.html").read_text()
+
+
+def test_campaigns_of_other_cases_are_not_compared() -> None:
+    few, many = (hil.campaign("scheme-1", runs, **SHORT) for runs in (2, 3))
+    with pytest.raises(BadInput, match="same seed and number of cases"):
+        hil.compare(few, many)
+
+
+def test_sweep_has_a_campaign_for_each_value(tmp_path: Path) -> None:
+    found = hil.sweep("scheme-1", "gnc.control.deadband_m", [0.004, 0.008], 3, tmp_path / "s", **SHORT)
+    assert found.values == (0.004, 0.008)
+    assert [len(each.cases) for each in found.campaigns] == [3, 3]
+    assert [point["value"] for point in found.summary["points"]] == [0.004, 0.008]
+    assert "Sweep of gnc.control.deadband_m" in (tmp_path / "s" / "report.html").read_text()
+    same = hil.campaign("scheme-1", 3, sweep="gnc.control.deadband_m=0.004:0.008:2", **SHORT)
+    assert same.summary == found.summary
+
+
+def test_case_of_a_campaign_is_flown_again_and_explained(tmp_path: Path) -> None:
+    campaign = hil.campaign("scheme-1", 3, tmp_path / "c", dispersions="stress", **SHORT)
+    run = hil.run("scheme-1", case=2, dispersions="stress", duration_s=2.0)
+    assert run.summary["first_violated"] == campaign.column("first_violated")[2] != ""
+    assert run.why()["text"].startswith("the ")
+    assert campaign.why(2)["first_violated"]["_s"] == pytest.approx(run.summary["first_violated_s"])
+
+
+def test_one_study_at_a_time() -> None:
+    with pytest.raises(BadInput, match="not together"):
+        hil.campaign("scheme-1", 2, sobol=20, sweep="gnc.control.deadband_m=0.004:0.008:2")
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars", "xarray"])
+def test_library_that_is_not_installed_is_bad_input(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, library, None)
+    run = hil.run("scheme-1", duration_s=0.1)
+    with pytest.raises(BadInput, match=f"pip install {library}"):
+        getattr(run, f"to_{library}")()
+
+
+def test_run_is_a_table_of_pandas() -> None:
+    pytest.importorskip("pandas")
+    run = hil.run("scheme-1", duration_s=1.0)
+    table = run.to_pandas()
+    np.testing.assert_array_equal(table["truth.r_CT_H.x"], run.truth.r_CT_H[:, 0])
+    np.testing.assert_array_equal(table.index, run.t_s)
+    assert table.attrs["units"]["truth.r_CT_H.x"] == "m"
+    assert hil.campaign("scheme-1", 2, **SHORT).to_pandas().index.tolist() == [0, 1]
+
+
+def test_run_is_a_table_of_polars() -> None:
+    pytest.importorskip("polars")
+    run = hil.run("scheme-1", duration_s=1.0)
+    np.testing.assert_array_equal(run.to_polars()["navigation.q_CH.q0"].to_numpy(), run.navigation.q_CH[:, 3])
+    assert hil.campaign("scheme-1", 2, **SHORT).to_polars().height == 2
+
+
+def test_run_is_a_dataset_of_xarray() -> None:
+    pytest.importorskip("xarray")
+    run = hil.run("scheme-1", duration_s=1.0)
+    data = run.to_xarray()
+    np.testing.assert_array_equal(data.truth_r_CT_H.sel(axis="y"), run.truth.r_CT_H[:, 1])
+    assert data.truth_r_CT_H.attrs["units"] == "m"
+    assert data.truth_r_CT_H.attrs["frame"] == "H"

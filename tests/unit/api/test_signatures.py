@@ -1,0 +1,34 @@
+"""``hil.campaign`` and ``hil.run`` have what the options of the commands of that name have."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import fields
+from typing import get_type_hints
+
+from hil.api.campaigns import StudyArguments, campaign
+from hil.api.runs import RunArguments, run
+from hil.cli.campaign import CaseOptions, EngineOptions, StudyOptions, VariationOptions
+from hil.cli.run import StoredCaseOptions
+
+NAMES = {"duration": "duration_s", "settings": "overrides"}
+"""Option of the command -> argument."""
+
+
+def arguments(function: object, more: type) -> set[str]:
+    """Return the names of the arguments of ``function``, with those of the table ``more``."""
+    return {*inspect.signature(function).parameters, *get_type_hints(more)}  # type: ignore[arg-type]
+
+
+def options(*groups: type) -> set[str]:
+    """Return the names of the options in ``groups``, as arguments."""
+    return {NAMES.get(field.name, field.name) for group in groups for field in fields(group)}  # type: ignore[arg-type]
+
+
+def test_campaign_has_every_option_of_the_command() -> None:
+    wanted = options(CaseOptions, EngineOptions, StudyOptions, VariationOptions) | {"out"}
+    assert wanted <= arguments(campaign, StudyArguments)
+
+
+def test_run_has_the_options_of_a_case() -> None:
+    assert options(StoredCaseOptions) <= arguments(run, RunArguments)
