@@ -63,7 +63,7 @@ docs-links: .venv/docs
 wheel: .venv/ready
 	rm -rf hil/kernels
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
-	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 tidy: .venv/ready
 	$(BIN)/ruff format .

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from scipy.stats import binomtest, rankdata, t
@@ -150,7 +150,14 @@ COMPARED: Final = (
 )  # fmt: skip
 
 
-def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, Any]:
+class CaseColumns(Protocol):
+    """Cases of a campaign by columns: its store, or the table of a finished one."""
+
+    def column(self, name: str) -> Array:
+        """Return a column, (n,)."""
+
+
+def compare(first: CaseColumns, second: CaseColumns, names: tuple[str, str]) -> dict[str, Any]:
     """Return second minus first, case by case with the same seeds, with intervals of the mean difference.
 
     Cases in which one of both has no value are omitted.
@@ -172,7 +179,7 @@ def compare(first: Store, second: Store, names: tuple[str, str]) -> dict[str, An
     return found
 
 
-def _paired_rates(first: Store, second: Store, flag: str) -> dict[str, Any]:
+def _paired_rates(first: CaseColumns, second: CaseColumns, flag: str) -> dict[str, Any]:
     """Return the rates of ``flag`` in both campaigns, and the number of cases that have it in one alone."""
     a, b = (np.asarray(store.column(flag), dtype=bool) for store in (first, second))
     return {
