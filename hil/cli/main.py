@@ -75,6 +75,12 @@ _EARLIER_NAMES: Final = {
     "runs": "hil.cli.recordings:list_recordings",
 }
 
+_EXTRAS: Final = {
+    "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
+    "foxglove": "foxglove", "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
+}  # fmt: skip
+"""Package that only some commands need -> the extra that installs it."""
+
 app = App(
     name="hil",
     help="Hardware-in-the-loop bench controller for spacecraft rendezvous and docking.",
@@ -165,6 +171,9 @@ def execute(arguments: Sequence[str]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
             return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
+        if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
+            text = f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'"
+            return _fail(f"hil {arguments[0]}: {text}", BAD_INPUT)
         if limit := _host_limit(error):
             return _fail(limit, BAD_INPUT)
         traceback.print_exc()
