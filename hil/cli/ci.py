@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -77,6 +78,7 @@ def ci(
     stored = None if base is None else _Base(Path(base), seed, runs)
     folder, console = Path(out), Console(stderr=True)
     folder.mkdir(parents=True, exist_ok=True)
+    _remove_campaign(folder / "campaign")
     with console.status(f"campaign of {runs} cases"):
         cases = campaign(scenario, runs, folder / "campaign", seed)
     steps = [_campaign_step(cases)]
@@ -104,6 +106,14 @@ def ci(
             {"scenario": cases.summary["scenario"], "verdict": verdict, "steps": content} | (compared or {}), json
         )
     return _CODES[verdict]
+
+
+def _remove_campaign(folder: Path) -> None:
+    """Remove the campaign of an earlier ``hil ci``: what has changed since must not be mixed with it."""
+    from hil.monte_carlo.store import MANIFEST
+
+    if (folder / MANIFEST).is_file():
+        shutil.rmtree(folder)
 
 
 class _Base:
