@@ -1,6 +1,6 @@
 """Build hook of hatchling: writes the commit of the sources into wheel and sdist, and kernels into tagged wheels.
 
-A wheel is pure, for any computer, and compiles its kernels at their first use. With HIL_WHEEL_KERNELS=1 it holds those in
+A wheel is pure, for any computer, and compiles its kernels at their first use. HIL_WHEEL_KERNELS=1 adds those in
 ``hil/kernels``, machine code for one version of Python and one kind of processor, and has the tags of both.
 """
 
