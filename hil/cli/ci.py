@@ -27,7 +27,7 @@ _NO_TESTS: Final = 5  # exit code of pytest
 
 
 @dataclass(frozen=True)
-class Step:
+class PipelineStep:
     """Result of one step of the pipeline. verdict: PASS, FAIL or STOPPED. text: its numbers."""
 
     name: str
@@ -146,18 +146,18 @@ class _Base:
         return compare(self, cases, ("base", "here"))
 
 
-def _campaign_step(cases: Campaign) -> Step:
+def _campaign_step(cases: Campaign) -> PipelineStep:
     rate = cases.accepted_rate
     text = f"{rate['passed']} of {rate['runs']} accepted, 95 %: {rate['low']:.3f} to {rate['high']:.3f}"
-    return Step("campaign on mock", PASS if rate["passed"] else FAIL, text)
+    return PipelineStep("campaign on mock", PASS if rate["passed"] else FAIL, text)
 
 
-def _run_step(run: Run) -> Step:
+def _run_step(run: Run) -> PipelineStep:
     verdict = PASS if run.accepted else STOPPED if run.summary["faults"] else FAIL
-    return Step("run in lock-step", verdict, repr(run)[1:-1])
+    return PipelineStep("run in lock-step", verdict, repr(run)[1:-1])
 
 
-def _requirements_step(run: Run, folder: Path) -> Step:
+def _requirements_step(run: Run, folder: Path) -> PipelineStep:
     """Return the verdict of the requirements, open steps aside; write their page into ``folder``."""
     from hil.monte_carlo.campaign import scenario_digest, write_evidence
     from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
@@ -167,19 +167,19 @@ def _requirements_step(run: Run, folder: Path) -> Step:
     recorded = {name: RecordedRun(run.rig.kind, run.summary, scenario_digest(run.scenario))}
     scenario, sources, rows = evidence_of_runs(recorded, folder / "campaign")
     write_evidence(folder, scenario, sources, rows)
-    return Step("requirements", FAIL if requirements_verdict(rows) == "fail" else PASS, steps_text(rows))
+    return PipelineStep("requirements", FAIL if requirements_verdict(rows) == "fail" else PASS, steps_text(rows))
 
 
-def _tests_step(tests: str, rig: str, results: Path) -> Step:
+def _tests_step(tests: str, rig: str, results: Path) -> PipelineStep:
     command = [sys.executable, "-m", "pytest", tests, "--rig", rig, "--results", str(results.absolute())]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     lines = [line.strip("= ") for line in done.stdout.splitlines() if line.strip("= ")]
     print(done.stdout, end="", file=sys.stderr)  # noqa: T201
     verdict = PASS if done.returncode in (0, _NO_TESTS) else FAIL
-    return Step(f"tests on {rig}", verdict, lines[-1] if lines else "no output")
+    return PipelineStep(f"tests on {rig}", verdict, lines[-1] if lines else "no output")
 
 
-def _comparison_step(found: dict[str, Any]) -> Step:
+def _comparison_step(found: dict[str, Any]) -> PipelineStep:
     """Return FAIL if significantly more cases have lost their acceptance than won it, by the exact test of signs."""
     from scipy.stats import binomtest  # slow import
 
@@ -187,10 +187,10 @@ def _comparison_step(found: dict[str, Any]) -> Step:
     lost, won = rates["first_alone"], rates["second_alone"]
     p = binomtest(lost, lost + won, alternative="greater").pvalue if lost + won else 1.0
     text = f"{lost} cases lost, {won} won, p = {p:.3g} for as many losses by chance"
-    return Step("comparison with the base", FAIL if p < 1.0 - found["confidence"] else PASS, text)
+    return PipelineStep("comparison with the base", FAIL if p < 1.0 - found["confidence"] else PASS, text)
 
 
-def _markdown(scenario: str, verdict: str, steps: list[Step], compared: dict[str, Any] | None) -> Iterator[str]:
+def _markdown(scenario: str, verdict: str, steps: list[PipelineStep], compared: dict[str, Any] | None) -> Iterator[str]:
     yield f"## {verdict.upper()} {scenario}"
     yield ""
     yield "| | verdict | |"

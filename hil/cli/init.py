@@ -8,7 +8,6 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-from hil.config.load import configs_folder
 from hil.core.build_info import VERSION
 from hil.errors import BadInput
 
@@ -56,17 +55,15 @@ def _check_empty(folder: Path) -> None:
 
 
 def _copy(target: Path) -> None:
+    from hil.config.load import configs_folder  # slow import
+
     template = configs_folder() / _TEMPLATE
     for source in sorted(path for path in template.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
         parts = [part.replace(_HIDDEN, ".", 1) for part in source.relative_to(template).parts]
         written = target.joinpath(*parts)
         written.parent.mkdir(parents=True, exist_ok=True)
         written.write_text(source.read_text(encoding="utf-8").replace("HIL_VERSION", VERSION), encoding="utf-8")
+    inside = configs_folder() / "backends"  # of an installed package; else those of the checkout
+    examples = inside if inside.is_dir() else configs_folder().parent / "examples" / "backends"
     for name, example in _EXAMPLES.items():
-        shutil.copyfile(_examples() / example, target / name)
-
-
-def _examples() -> Path:
-    """Return the folder of the examples of backends: in a checkout, or inside the package if installed."""
-    inside = configs_folder() / "backends"
-    return inside if inside.is_dir() else configs_folder().parent / "examples" / "backends"
+        shutil.copyfile(examples / example, target / name)

@@ -34,8 +34,8 @@ _PIXELS_MAX: Final = 1 << 27
 
 COMMANDS: Final = {
     "run": "Run one closed loop and print its verdict.",
-    "init": "Write a repository for a laboratory: scenario, rig, GNC, requirements, test campaign, pipelines.",
-    "ci": "Run what a pipeline runs: campaign, run in lock-step, requirements, tests, comparison with the base.",
+    "init": "Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.",
+    "ci": "Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the base.",
     "fusion": "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
     "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, "
     "sensitivities.",

@@ -23,7 +23,7 @@ from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.errors import BadInput, BenchError
 from hil.monte_carlo.campaign import scenario_digest
-from hil.pytest_plugin.conditions import Conditions, conditions_of, digest_of_test, requirements_of
+from hil.pytest_plugin.conditions import RunConditions, conditions_of, digest_of_test, requirements_of
 from hil.pytest_plugin.day import DAY_FILE, FAILED, PASSED, SKIPPED, CampaignRun, CampaignTest, Day
 from hil.pytest_plugin.operator_terminal import OperatorTerminal
 from hil.pytest_plugin.plugin import option_of
@@ -143,7 +143,7 @@ class CampaignSession:
                 self._park(bench.result, given)
         bench.raise_unseen_trip()
 
-    def _park(self, run: Run | None, given: Conditions) -> None:
+    def _park(self, run: Run | None, given: RunConditions) -> None:
         """Move a hardware rig to its park position, unless a trip has stopped it: its cause must be removed first."""
         self._trip = "" if run is None or not run.summary["faults"] else str(run.stop)
         try:

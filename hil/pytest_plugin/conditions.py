@@ -21,7 +21,7 @@ _DIGEST: Final = 16
 
 
 @dataclass(frozen=True)
-class Conditions:
+class RunConditions:
     """Scenario, seed and settings of a test. faults: instead of those of the scenario."""
 
     scenario: str
@@ -41,13 +41,13 @@ class Conditions:
         return dict(self.overrides or {}) | ({"faults": list(self.faults)} if self.faults else {})
 
 
-def conditions_of(item: pytest.Item) -> Conditions:
+def conditions_of(item: pytest.Item) -> RunConditions:
     """Return the conditions that the closest scenario marker of ``item`` gives, else those of the configuration."""
     marker = item.get_closest_marker("scenario")
     default = str(item.config.getini("hil_scenario"))
     if marker is None:
-        return Conditions(default)
-    return Conditions(str(marker.args[0]) if marker.args else default, **marker.kwargs)
+        return RunConditions(default)
+    return RunConditions(str(marker.args[0]) if marker.args else default, **marker.kwargs)
 
 
 def requirements_of(item: pytest.Item) -> list[tuple[str, str, RunRequirement | None]]:

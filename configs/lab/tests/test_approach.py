@@ -7,7 +7,7 @@ import pytest
 import hil
 
 LIBRARY = Path(__file__).parents[1] / "gnc" / "observer.so"
-BESIDE = hil.RunRequirement("LAB-030", "Never more than 60 mm beside the axis", "|truth.r_CT_H[1]|", at_most=0.06)
+OFF_AXIS = hil.RunRequirement("LAB-030", "Never more than 60 mm off the axis", "|truth.r_CT_H[1]|", at_most=0.06)
 
 
 @pytest.mark.requirement("LAB-020")
@@ -16,7 +16,7 @@ def test_approach_is_accepted(run):
     assert run.accepted
 
 
-@pytest.mark.requirement(BESIDE)
+@pytest.mark.requirement(OFF_AXIS)
 def test_approach_stays_near_the_axis(run):
     """The approach stays near the axis."""
 
