@@ -83,22 +83,22 @@ def _runs(tests: Sequence[CampaignTest]) -> Iterator[str]:
 
 
 def _twins(folder: Path, tests: Sequence[CampaignTest]) -> Iterator[str]:
-    """Yield how far the truths of the same test are apart on each two rigs."""
-    rows = []
+    """Yield how far the truths of the same test are apart on each two rigs; of runs that tests share once."""
+    rows: dict[tuple[str, ...], tuple[str, ...]] = {}
     for name in dict.fromkeys(test.test for test in tests):
         own = [test for test in tests if test.test == name and test.runs]
         for a, b in combinations(own, 2):
-            rows += [
-                _twin(folder, f"{name}", f"{a.rig} / {b.rig}", first, second)
-                for first, second in zip(a.runs, b.runs, strict=False)
-                if first.scenario_digest == second.scenario_digest
-            ]
+            for k, (first, second) in enumerate(zip(a.runs, b.runs, strict=False)):
+                shared = (first.recording, second.recording)
+                key = shared if all(shared) else (name, a.rig, b.rig, str(k))
+                if key not in rows and first.scenario_digest == second.scenario_digest:
+                    rows[key] = _twin(folder, name, f"{a.rig} / {b.rig}", first, second)
     if rows:
         yield html.heading(2, "Twins")
         caption = (
             "Largest difference of the truths over the time that both runs cover; sigma: of filters and dead bands"
         )
-        yield html.table(_TWIN_HEAD, rows, caption, words=True)
+        yield html.table(_TWIN_HEAD, list(rows.values()), caption, words=True)
 
 
 def _twin(folder: Path, name: str, rigs: str, first: CampaignRun, second: CampaignRun) -> tuple[str, ...]:
