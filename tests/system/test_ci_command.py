@@ -16,7 +16,7 @@ from hil.cli import ci as command
 from hil.cli.main import execute
 from tests.support.pytest_runs import pytest_run
 
-RUN = ("--runs", "20")
+RUN = ("--runs", "60")  # enough for the requirements
 
 
 @pytest.fixture(scope="module")
