@@ -1,4 +1,4 @@
-# make demo   installs and runs scheme 1
+# make demo   installs, without what only tests need, and runs scheme 1
 # make test   installs and runs all checks: format, lint, types, import layers, tests
 # make slow   runs the long tests that "make test" omits
 # make oracle compares the truth with Basilisk, in a separate environment
@@ -26,7 +26,7 @@ CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --
 .PHONY: demo test slow oracle bench lateness docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
-demo: .venv/ready
+demo: .venv/run
 	$(BIN)/hil run scheme-1
 
 test: .venv/ready
@@ -63,15 +63,21 @@ docs-links: .venv/docs
 wheel: .venv/ready
 	rm -rf hil/kernels
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
-	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 tidy: .venv/ready
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# one install for everything; repeated only after a change of the dependencies
-.venv/ready: pyproject.toml constraints.txt
+# what runs the program; repeated only after a change of the dependencies
+.venv/run: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
+		--editable '.[all]'
+	touch $@
+
+# what tests need, too
+.venv/ready: .venv/run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
 		--editable '.[dev]'
 	$(BIN)/python -m compileall -q -j 0 .venv/lib > /dev/null || true  # on all cores; some packages hold templates

@@ -34,6 +34,8 @@ _PIXELS_MAX: Final = 1 << 27
 
 COMMANDS: Final = {
     "run": "Run one closed loop and print its verdict.",
+    "init": "Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.",
+    "ci": "Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the base.",
     "fusion": "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
     "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases "
     "fail.",
@@ -74,6 +76,12 @@ _EARLIER_NAMES: Final = {
     "gnc-header": "hil.cli.gnc:header",
     "runs": "hil.cli.recordings:list_recordings",
 }
+
+_EXTRAS: Final = {
+    "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
+    "foxglove": "foxglove", "pyarrow": "parquet", "distributed": "campaign", "pytest": "dev",
+}  # fmt: skip
+"""Package that only some commands need -> the extra that installs it."""
 
 app = App(
     name="hil",
@@ -165,6 +173,9 @@ def execute(arguments: Sequence[str]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:  # a file or folder of the user
             return _fail(str(BadInput.single(str(error.filename), "", error.strerror or str(error))), BAD_INPUT)
+        if isinstance(error, ModuleNotFoundError) and (extra := _EXTRAS.get(error.name or "")):
+            text = f"needs {error.name}, which is not installed: pip install 'hil-bench[{extra}]'"
+            return _fail(f"hil {arguments[0]}: {text}", BAD_INPUT)
         if limit := _host_limit(error):
             return _fail(limit, BAD_INPUT)
         traceback.print_exc()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -57,6 +58,33 @@ def test_wheel_has_configs_page_header_and_types(wheel: Path) -> None:
     assert {f"hil/{p.relative_to(ROOT).as_posix()}" for p in (ROOT / "configs").rglob("*.toml")} <= names
     assert {"hil/py.typed", "hil/core/commit.txt"} <= names
     assert any(name.startswith("hil/console/page/") for name in names)
+
+
+def test_wheel_without_kernels_is_pure_and_has_the_files_of_hil_init(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert wheel.name.endswith("-py3-none-any.whl")
+    assert not any(name.startswith("hil/kernels/") for name in names)
+    assert {f"hil/configs/{name}" for name in ("lab/dot_gitlab-ci.yml", "backends/lqr.py")} <= names
+
+
+def test_wheel_with_kernels_has_the_tags_of_python_and_processor(tmp_path: Path) -> None:
+    for path in ("hil", "configs", "examples"):
+        shutil.copytree(ROOT / path, tmp_path / path, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
+    for path in ("pyproject.toml", "hatch_build.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / path, tmp_path / path)
+    (tmp_path / "hil" / "vmu" / "kernels").mkdir()
+    shutil.copytree(ROOT / "hil" / "vmu" / "kernels", tmp_path / "hil" / "vmu" / "kernels", dirs_exist_ok=True)
+    build = ("wheel", "--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", tmp_path / "dist")
+    environment = {"HIL_WHEEL_KERNELS": "1"}
+    with pytest.raises(AssertionError, match="holds no kernels"):
+        run(*PIP, *build, tmp_path, env=environment)
+    (tmp_path / "hil" / "kernels").mkdir()
+    (tmp_path / "hil" / "kernels" / "of_a_test").write_bytes(b"code")
+    run(*PIP, *build, tmp_path, env=environment)
+    (found,) = (tmp_path / "dist").glob("*.whl")
+    version = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    assert f"-{version}-{version}-" in found.name
+    assert "hil/kernels/of_a_test" in zipfile.ZipFile(found).namelist()
 
 
 @pytest.mark.slow

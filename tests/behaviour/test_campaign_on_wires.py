@@ -1,0 +1,108 @@
+"""A test campaign on emulated wires, and on hardware with an operator at a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from hil.config.load import load_rig, load_scenario
+from hil.core.clock import WallClock
+from hil.drivers.emulated_devices import EmulatedDevices
+from tests.support.pytest_runs import environment, pytest_command, pytest_run
+from tests.support.run_settings import UNHURRIED
+from tests.system.test_killed_processes import lab_file
+
+pytestmark = pytest.mark.wires
+NEAR = {
+    "initial.position_m": [0.5, 0.01, -0.01],
+    "rig.rails.x.park_m": 0.5,
+    "rig.rails.y.park_m": 0.01,
+    "rig.rails.z.park_m": -0.01,
+    "duration_s": 2.0,
+}
+SETTINGS = [f"{key}={value}" for key, value in NEAR.items()]
+TESTS = f"""
+import pytest
+
+pytestmark = pytest.mark.scenario("scheme-1", overrides={NEAR})
+
+@pytest.mark.requirement("RVD-001")
+def test_whole(run):
+    assert run.stop == "completed"
+
+def test_hold(bench):
+    bench.home()
+    bench.arm()
+    assert bench.start(until=1.0).stop == "on hold"
+"""
+
+
+def test_same_file_on_mock_and_in_lock_step_is_one_page_with_twins(tmp_path: Path) -> None:
+    (tmp_path / "test_bench.py").write_text(TESTS)
+    for rig in ("mock", "emulated"):
+        done = pytest_run(tmp_path, "--rig", rig, "--results", "day")
+        assert done.returncode == 0, done.stdout
+    assert "mock: 2 passed\nemulated, lock-step: 2 passed" in done.stdout
+    page = (tmp_path / "day" / "day.html").read_text()
+    assert "4 of 4 tests passed on 2 rigs" in page
+    assert page.count("mock / emulated, lock-step") == 2
+
+
+class Technician:
+    """Operator at a pseudo-terminal, who answers each question from ``answers``, then no."""
+
+    def __init__(self, answers: dict[str, str]) -> None:
+        self._ours, self._theirs = os.openpty()
+        self.terminal = os.ttyname(self._theirs)
+        self.shown = ""
+        self._answers = answers
+
+    def attend(self, process: subprocess.Popen[str]) -> None:
+        """Answer until ``process`` has ended."""
+        os.set_blocking(self._ours, False)
+        answered = 0
+        while process.poll() is None:
+            try:
+                self.shown += os.read(self._ours, 4096).decode()
+            except BlockingIOError:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(0.05)
+            for found in re.finditer(r"(Operator's name: |\[y/n\] )", self.shown[answered:]):
+                question = self.shown[answered : answered + found.end()]
+                answered += found.end()
+                reply = next((text for words, text in self._answers.items() if words in question), "n")
+                os.write(self._ours, f"{reply}\n".encode())
+                break
+
+
+@pytest.mark.parametrize("answer", ["y", "n"])
+def test_hardware_moves_only_when_the_operator_confirms(tmp_path: Path, answer: str) -> None:
+    (tmp_path / "test_bench.py").write_text(TESTS)
+    technician = Technician({"name": "Ada", "clear of people": answer})
+    rig = load_rig("emulated", (*SETTINGS, *UNHURRIED, "rig.io.driver=none")).value  # a pause is no fault here
+    with EmulatedDevices(load_scenario("scheme-1", SETTINGS).value, rig, WallClock(), 0) as emulated:
+        wired, _ = emulated.wait_ready()
+        lab = lab_file(tmp_path / "lab.toml", wired)
+        with (tmp_path / "lab.toml").open("a") as file:
+            file.write("".join(f"[rails.{axis}]\npark_m = {NEAR[f'rig.rails.{axis}.park_m']}\n" for axis in "xyz"))
+        command = pytest_command(f"--rig={lab}", "--results=day", f"--operator-terminal={technician.terminal}")
+        with subprocess.Popen(
+            command, cwd=tmp_path, env=environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        ) as process:
+            technician.attend(process)
+            assert process.stdout is not None
+            output = process.stdout.read()
+    assert process.returncode == 0, output
+    day = json.loads((tmp_path / "day" / "day.json").read_text())
+    outcome = "passed" if answer == "y" else "skipped"
+    assert [each["outcome"] for each in day["tests"]] == [outcome] * 2, output
+    assert day["setups"]["lab"]["operator"] == "Ada"
+    assert "Next test: test_bench.py::test_whole" in technician.shown
+    steps = [row["step"] for test in day["tests"] for row in test["evidence"]]
+    assert steps == (["hardware"] if answer == "y" else [])

@@ -1,0 +1,66 @@
+"""What a release is made of agrees: requirements with hashes, constraints, extras, actions, documented options."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hil.cli.main import _EXTRAS
+from hil.pytest_plugin.plugin import OPTIONS
+
+ROOT = Path(__file__).resolve().parents[2]
+USES = sorted((ROOT / "requirements").glob("*.txt"))
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def pins(path: Path) -> dict[str, str]:
+    """Return the version of each package that ``path`` pins, by its name in the form of the index."""
+    found = re.findall(r"^([\w.-]+)(?:\[[\w,]+\])?==([\w.+!]+)", path.read_text(), re.MULTILINE)
+    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in found}
+
+
+@pytest.mark.parametrize("path", USES, ids=lambda path: path.stem)
+def test_requirements_of_each_use_have_hashes_and_the_versions_of_the_constraints(path: Path) -> None:
+    constraints, own = pins(ROOT / "constraints.txt"), pins(path)
+    assert {path.stem for path in USES} == {"run", "dev", "docs"}
+    assert len(own) > 40
+    assert {name: version for name, version in own.items() if constraints.get(name, version) != version} == {}
+    blocks = re.split(r"\n(?=\S)", path.read_text())
+    assert [
+        block.splitlines()[0] for block in blocks if "--hash=sha256:" not in block and not block.startswith("#")
+    ] == []
+
+
+def test_extra_named_for_a_missing_package_installs_it_and_is_in_all() -> None:
+    extras = PROJECT["optional-dependencies"]
+    (everything,) = extras["all"]
+    for package, extra in _EXTRAS.items():
+        assert extra in extras
+        assert extra == "dev" or extra in everything
+        name = {"cv2": "opencv", "foxglove": "foxglove-sdk"}.get(package, package)
+        assert any(name in requirement for requirement in extras[extra]), package
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_workflow_pins_actions_by_commit_and_grants_nothing_by_default(path: Path) -> None:
+    content = yaml.safe_load(path.read_text())
+    assert content["permissions"] == {}
+    steps = [step for job in content["jobs"].values() for step in job["steps"]]
+    used = [step["uses"] for step in steps if "uses" in step]
+    assert used
+    assert all(re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", each) for each in used)
+    for target in re.findall(r"\bmake ([\w-]+)", path.read_text()):
+        assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE), target
+
+
+def test_documented_options_of_pytest_are_those_of_the_plugin() -> None:
+    pages = [ROOT / "README.md", *(ROOT / "docs" / "how-to").glob("*.md")]
+    commands = [line for page in pages for line in page.read_text().splitlines() if line.startswith("pytest ")]
+    assert len(commands) >= 4
+    for command in commands:
+        assert set(re.findall(r"(?<= )--[\w-]+", command.split("#")[0])) <= set(OPTIONS), command
