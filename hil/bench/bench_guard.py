@@ -21,7 +21,7 @@ from hil.maths.arrays import copy_into
 from hil.models.bodies import BODIES, are_apart, chord, travel_to_rest
 
 POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(9, 16)
-"""What was found, beside that of ``keep_out``; the numbers follow those of the compiled loop's other reasons to end."""
+"""What was found, in addition to ``keep_out``; the numbers follow those of the compiled loop's other reasons to end."""
 
 _KEPT = 64  # samples of the encoders, for the times of exposure
 _SLOW_S, _FAST_S = 10.0, 0.4  # time constants of the means of estimate minus encoders: of a filter, of an alarm

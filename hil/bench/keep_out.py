@@ -1,7 +1,7 @@
 """Keep-out of the chaser's reference point: a sphere about the target's, and the half-space behind it.
 
 The half-space keeps the chaser before the plane through the sphere's nearest point of the docking axis, also where it
-would pass beside the target. A scenario that docks has a corridor through both.
+would pass the target at its side. A scenario that docks has a corridor through both.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class JogGuard:
         return self._alarm(now_s, self._guard, setpoint, feedback)
 
     def check_jog(self, now_s: float, axis: int, rate: float, feedback: np.record) -> Alarm | None:
-        """Return the alarm of a jog of ``axis`` that would reach the volume if it went on, None if it would not.
+        """Return the alarm of a jog of ``axis`` that would reach the volume if it continued, None if it would not.
 
         rate: of the jog with its sign, m/s or rad/s. feedback: AXES.
         """
