@@ -6,34 +6,40 @@ python sims/guard_volume.py 50 20      as many of each
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
 from hil.config.load import load_rig, load_scenario
-from hil.config.scenario import Scenario
-from hil.core.messages import Array
+from hil.core.messages import CYCLE, Array
 from hil.core.operator_commands import Operator, OperatorCommand
+from hil.drivers.axes import ServoAxes
 from hil.drivers.mock_axes import MockAxes
-from hil.gnc_backends.base import GncBackend
-from hil.gnc_backends.python_object import PythonObjectGnc
+from hil.gnc_backends.c_header import HEADER_FILE
 from hil.maths import euler
 from hil.models.bodies import clearance
+from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import bench as bench_params
 from hil.session import build
 from hil.session.build import Job
-from hil.setup.gnc_setup import backend_setup
 
 STILL: Final = np.zeros(3)
 NO_TURN: Final = np.array([0.0, 0.0, 0.0, 1.0])
 FAST_MPS: Final = 0.05
 NEAR_M: Final = 0.1
 ROUNDING_M: Final = 1e-6
+STOPS: Final = ("along the docking axis", "range to the target", "distance of bodies", "distance of chaser and target")
+_BRAKE_STEP_S: Final = 0.002
+_REST: Final = 1e-4  # m/s, rad/s
 _TO_JUDGE_M: Final = 1.2  # range from which on distances are computed
 _FAR_M: Final = 10.0
 _PUSHED_S: Final = 80.0
@@ -50,21 +56,46 @@ class Nearest:
     stop: str = ""
 
 
-class RandomPush:
-    """GNC that pushes in random directions, most of them towards the target, each for some seconds."""
+PUSH = """
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include "hil_gnc.h"
 
-    def __init__(self, scenario: Scenario, draws: np.random.Generator) -> None:
-        self._directions = np.array(scenario.chaser.thrusters.direction)
-        self._draws = draws
-        self._until_s, self._on = -1.0, np.zeros(len(self._directions))
+/* Pushes at random, along -x most of the time, each push for 2 to 20 s. */
+typedef struct { uint64_t state; double until_s; int force[3]; } push;
 
-    def step(self, now: Any) -> list[int]:
-        """Return the thrusters."""
-        if now.t_s > self._until_s:
-            towards = self._draws.normal(size=3) + np.array([-1.0, 0.0, 0.0])
-            self._on = self._directions @ (towards / np.linalg.norm(towards)) > 0.3
-            self._until_s = now.t_s + self._draws.uniform(2.0, 20.0)
-        return [int(on) for on in self._on]
+static double uniform(push *p)
+{
+    p->state = p->state * 6364136223846793005ULL + 1442695040888963407ULL;
+    return (double)(p->state >> 11) / 9007199254740992.0;
+}
+int hil_gnc_protocol(void) { return HIL_GNC_PROTOCOL; }
+void *hil_gnc_open(const hil_gnc_setup *setup, char *reason)
+{
+    push *p = calloc(1, sizeof *p);
+    (void)setup; (void)reason;
+    p->state = strtoull(getenv("HIL_PUSH_SEED"), NULL, 10) * 0x9E3779B97F4A7C15ULL + 1;
+    p->until_s = -1.0;
+    return p;
+}
+int hil_gnc_step(void *gnc, const hil_gnc_input *input, hil_gnc_output *output)
+{
+    push *p = gnc;
+    if (input->t_s > p->until_s) {
+        for (int i = 0; i < 3; i++) {
+            double u = uniform(p);
+            p->force[i] = i == 0 ? (u < 0.7 ? -1 : u < 0.8 ? 0 : 1) : (u < 0.4 ? -1 : u < 0.6 ? 0 : 1);
+        }
+        p->until_s = input->t_s + 2.0 + 18.0 * uniform(p);
+    }
+    for (int i = 0; i < 3; i++)
+        output->force[i] = p->force[i];
+    return 0;
+}
+void hil_gnc_close(void *gnc) { free(gnc); }
+"""
+"""GNC as a C library."""
 
 
 class RandomJogs(Operator):
@@ -135,24 +166,44 @@ def _run(job: Job, operator: Operator | None) -> Nearest:
         return judge(job, rows, outcome.stop)
 
 
-def push(seed: int, *settings: str) -> Nearest:
-    """Return how near the bench comes under a GNC that pushes at random."""
-    draws = np.random.default_rng(seed)
-    start = [draws.uniform(0.7, 2.5), *draws.uniform(-0.6, 0.6, 2)]
-    chosen = (
-        f"initial.position_m={[round(float(x), 3) for x in start]}",
-        "initial.attitude_deg=[0,0,0]",
-        "chaser.thrusters.force_n=12",
-        "vmu.errors.needs_view=false",
-        f"gnc.abort.hold_distance_m={float(np.linalg.norm(start)):.3f}",
-        *settings,
-    )
-    job = Job(load_scenario("scheme-1", chosen), load_rig("mock", chosen), seed, _PUSHED_S, 1.0, compiled=False)
+class Pushes:
+    """Runs under the GNC of ``PUSH`` in the compiled loop, and the stop after each. folder: for its files."""
 
-    def backend(scenario: Scenario) -> GncBackend:
-        return PythonObjectGnc(RandomPush(scenario, draws), backend_setup(scenario))
+    def __init__(self, folder: Path, *settings: str) -> None:
+        (folder / "push.c").write_text(PUSH, encoding="ascii")
+        command = ["cc", "-std=c11", "-O1", "-fPIC", "-shared", f"-I{HEADER_FILE.parent}", "push.c", "-o", "push.so"]
+        subprocess.run(command, cwd=folder, check=True)
+        strong = ("chaser.thrusters.force_n=12", "vmu.errors.needs_view=false", "initial.attitude_deg=[0,0,0]")
+        chosen = (f"gnc.library={folder / 'push.so'}", *strong, *settings)
+        self._job = Job(load_scenario("scheme-1", chosen), load_rig("mock", chosen), 0, _PUSHED_S, 1.0)
+        self._runner = CaseRunner(self._job.scenario.value, self._job.rig.value, _PUSHED_S)
+        self._rows = np.zeros(self._runner.cycles, CYCLE)
 
-    return _run(replace(job, make_backend=backend), None)
+    def __call__(self, seed: int) -> Nearest:
+        """Return how near the bench comes from a random start."""
+        draws = np.random.default_rng(seed)
+        position = (draws.uniform(0.7, 2.5), *draws.uniform(-0.6, 0.6, 2))
+        scenario = self._job.scenario.value
+        start = scenario.initial.model_copy(update={"position_m": position})
+        os.environ["HIL_PUSH_SEED"] = str(seed)
+        stats, stop = self._runner.run(scenario.model_copy(update={"initial": start}), seed, self._rows)
+        flown = self._rows[: int(stats.cycles)]["feedback"]
+        rows = [np.concatenate([row["rail_m"], row["rail_mps"], row["gimbal_rad"]]) for row in flown]
+        return judge(self._job, rows + self._braked(), stop)
+
+    def _braked(self) -> list[Array]:
+        """Return the axes while they brake to rest from where the run has ended."""
+        mock, rig, rows = self._runner._state.mock, self._job.rig.value, []
+        axes = [ServoAxes(rig.rails), ServoAxes(rig.turntable)]
+        for each, servo in zip(axes, (mock.rails, mock.turntable), strict=True):
+            np.asarray(each.record)[...] = servo
+        rails, turntable = axes
+        while max(np.abs(rails.rate).max(), np.abs(turntable.rate).max()) > _REST:
+            for each in axes:
+                each.hold()
+                each.step(_BRAKE_STEP_S)
+            rows.append(np.concatenate([rails.position, rails.rate, turntable.position]))
+        return rows
 
 
 def jog(seed: int, *settings: str) -> Nearest:
@@ -173,19 +224,18 @@ def main() -> int:
     """Run all cases and print the nearest ones."""
     counts = [int(word) for word in sys.argv[1:3]] or [1000, 200]
     failed = 0
-    for name, case, count in zip(("pushes", "jogs"), (push, jog), counts, strict=True):
-        results = [case(seed) for seed in range(count)]
-        failed += (bad := sum(not is_clear(result) for result in results))
-        stopped = sum(
-            "along the docking axis" in result.stop or "range to" in result.stop or "bodies" in result.stop
-            for result in results
-        )
-        print(
-            f"{count} {name}: {bad} not clear, {stopped} stopped by the guard volume; least position along the axis "
-            f"{min(result.along_m for result in results):.4f} m, least distance of bodies "
-            f"{min(result.distance_m for result in results):.4f} m, fastest within {NEAR_M:g} m of a body "
-            f"{max(result.near_mps for result in results):.3f} m/s"
-        )
+    with TemporaryDirectory() as folder:
+        for name, case, count in zip(("pushes", "jogs"), (Pushes(Path(folder)), jog), counts, strict=True):
+            results = [case(seed) for seed in range(count)]
+            failed += (bad := sum(not is_clear(result) for result in results))
+            stopped = sum(any(words in result.stop for words in STOPS) for result in results)
+            print(
+                f"{count} {name}: {bad} not clear, {stopped} stopped by the guard volume; least position "
+                f"{min(result.along_m for result in results):.4f} m, least distance of bodies "
+                f"{min(result.distance_m for result in results):.4f} m, fastest within {NEAR_M:g} m of a body "
+                f"{max(result.near_mps for result in results):.3f} m/s",
+                flush=True,
+            )
     return int(failed > 0)
 
 
