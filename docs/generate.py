@@ -158,15 +158,16 @@ and shown in red, on every kind of rig: by `hil preflight`, before `hil console`
 report and at the terminal, there with the verdict as well; the JSON of runs and preflights, and with it the recording,
 has it in `waived`. On hardware a change of any of these keys ends the [sign-off](../../how-to/commission.md).
 """
-    head = "| key | protects from | recommended | on hardware | on mock and emulated rigs |"
+    head = "| key | protects from | recommended | on hardware | on mock and emulated rigs | where a weak one shows |"
+    shows = {"rig.": "in red, and the sign-off ends", "": "in red"}
     rows = [
         f"| `{prefix}{limit.key}` | {limit.protects} | "
         + " | ".join(map(limit.range_text, (limit.recommended, limit.hardware, limit.simulated)))
-        + " |"
+        + f" | {shows[prefix]} |"
         for prefix, limits in (("rig.", RIG_LIMITS), ("", SCENARIO_LIMITS))
         for limit in limits
     ]
-    return f"{intro}\n{head}\n|{'---|' * 5}\n" + "\n".join(rows) + "\n"
+    return f"{intro}\n{head}\n|{'---|' * 6}\n" + "\n".join(rows) + "\n"
 
 
 def other_files() -> str:

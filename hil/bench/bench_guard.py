@@ -1,6 +1,6 @@
 """Bench guard: checks in each cycle of a run that hold for any GNC.
 
-The chaser's range and closing rate, the distance of its bodies from the target's, the bench against the truth,
+The chaser's keep-out, the distance of its bodies from the target's, the bench against the truth,
 setpoints that are limited, each axis against the demand through a model of its drive, and the vision unit's poses
 against the encoders. Two calls per cycle: ``check_bench`` after the encoders were read, ``compare_pose`` for each pose
 that has arrived. A pose that deviates is reported by ``check_bench`` of the next cycle.
@@ -12,17 +12,17 @@ import math
 
 import numpy as np
 
-from hil.bench.guard import BREACH, NOTHING, bodies_meet
+from hil.bench.guard import bodies_meet
+from hil.bench.keep_out import BREACH, KEEP_OUT_ZONE, NOTHING, check_keep_out
 from hil.bench.kinematics import pose_of_axes
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
-from hil.models.bodies import BODIES
+from hil.models.bodies import BODIES, are_apart, chord, travel_to_rest
 
-KEEP_OUT, POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(8, 16)
-"""What was found; the numbers follow those of the compiled loop's other reasons to end."""
+POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(9, 16)
+"""What was found, in addition to ``keep_out``; the numbers follow those of the compiled loop's other reasons to end."""
 
-SLOW_MPS = 0.5
 _KEPT = 64  # samples of the encoders, for the times of exposure
 _SLOW_S, _FAST_S = 10.0, 0.4  # time constants of the means of estimate minus encoders: of a filter, of an alarm
 _ESTIMATE_SIGMAS = 3.0  # of the estimate, by which it may be off in addition
@@ -32,10 +32,9 @@ _HYSTERESIS = 0.8  # of a limit, below which an estimate that was beyond it is w
 BENCH_GUARD_PARAMS = np.dtype(
     [
         ("enabled", "i8"),
-        ("keep_out", "f8"),  # m, 0: none
+        ("zone", KEEP_OUT_ZONE),
         ("deceleration", "f8"),  # m/s^2, that all rails have
         ("reaction_s", "f8"),
-        ("far", "f8"),  # m, least range at a closing rate of SLOW_MPS
         ("chaser", BODIES),  # in c about the chaser's reference point
         ("target", BODIES),  # in H about the target's
         ("distance", "f8"),  # m, least one between bodies of both
@@ -95,38 +94,16 @@ BENCH_GUARD_MEMORY = np.dtype(
 
 
 @kernel
-def _is_too_near(params, truth, breach):
-    """Return whether the bench, braking now, would enter the keep-out sphere: range - v^2 / (2 a) - v t < radius.
-
-    ``breach`` then has the range, the closing rate and the least range allowed at it.
-    """
-    square, product, speed = 0.0, 0.0, 0.0
-    for i in range(3):
-        square += truth.r_CT_H[i] * truth.r_CT_H[i]
-        product += truth.r_CT_H[i] * truth.v_CT_H[i]
-        speed += truth.v_CT_H[i] * truth.v_CT_H[i]
-    # most cycles are farther than even this closing rate asks for
-    if speed <= SLOW_MPS * SLOW_MPS and square > params.far * params.far:
-        return False
-    distance = math.sqrt(square)
-    closing = max(0.0, -product / distance) if distance > 0.0 else 0.0
-    least = params.keep_out + closing * (params.reaction_s + closing / (2.0 * params.deceleration))
-    if distance >= least:
-        return False
-    breach.axis, breach.value, breach.low, breach.high = 0, distance, closing, least
-    return True
-
-
-@kernel
 def _chaser_meets(params, truth, breach):
     """Return whether the bodies of the chaser, braking now, would come too near to those of the target."""
-    if params.chaser.n == 0 or params.target.n == 0:
-        return False
-    own, of_H = 0.0, 0.0
+    rate, speed = 0.0, 0.0
     for i in range(3):
-        own += truth.w_CI_C[i] ** 2
-        of_H += truth.w_HI_H[i] ** 2
-    rate = math.sqrt(own) + math.sqrt(of_H)
+        rate += abs(truth.w_CI_C[i]) + abs(truth.w_HI_H[i])
+        speed += abs(truth.v_CT_H[i])
+    turned = chord(truth.q_CH) + travel_to_rest(rate, params.reaction_s, params.turning_deceleration)
+    least = params.distance + travel_to_rest(speed, params.reaction_s, params.deceleration)
+    if are_apart(params.chaser, truth.r_CT_H, turned, params.target, least):
+        return False
     return bodies_meet(
         params.chaser, truth.r_CT_H, truth.q_CH, truth.v_CT_H, rate, params.target,
         params.distance, params.reaction_s, params.deceleration, params.turning_deceleration, breach,
@@ -225,8 +202,9 @@ def check_bench(
     AXES of it, without limits; of no use in the first cycle of a motion. feedback: AXES; rails_age_s, turntable_age_s:
     its age. limited: setpoints in a row, the last one included, that were limited.
     """
-    if params.keep_out > 0.0 and _is_too_near(params, truth, breach):
-        return KEEP_OUT
+    found = check_keep_out(params.zone, truth.r_CT_H, truth.v_CT_H, 0.0, params.reaction_s, params.deceleration, breach)
+    if found != NOTHING:
+        return found
     if _chaser_meets(params, truth, breach):
         return BODIES_MEET
     if memory.cycles > 0 and memory.checked_s == t_s:

@@ -1,4 +1,7 @@
-"""Whether the axes stand where they should: following error that grows with speed, soft limits, distance of bodies.
+"""Whether the axes stand where they should: following error that grows with speed, soft limits, guard volume.
+
+The guard volume by the encoders: bodies of the bench that must not meet, and the keep-out of the chaser's reference
+point. It holds in every mode in which axes are commanded, once all of them are homed.
 
 Rails in m, gimbals in rad; axes 0..2 are the rails x y z, 3..5 the gimbals roll pitch yaw.
 """
@@ -9,10 +12,13 @@ import math
 
 import numpy as np
 
+from hil.bench.keep_out import BREACH as BREACH
+from hil.bench.keep_out import KEEP_OUT_ZONE, check_keep_out
+from hil.bench.keep_out import NOTHING as NOTHING
 from hil.core.jit import entry, kernel
-from hil.maths import euler, stack
+from hil.maths import euler, quat, stack
 from hil.maths.arrays import fill
-from hil.models.bodies import BODIES, CLOSING, DISTANCE, STOPPING, WHICH, clearance
+from hil.models.bodies import BODIES, CLOSING, DISTANCE, STOPPING, WHICH, are_apart, clearance, travel_to_rest
 
 GUARD = np.dtype(
     [
@@ -21,6 +27,10 @@ GUARD = np.dtype(
         ("low", "f8", 6),
         ("high", "f8", 6),
         ("order", "i8", 3),  # gimbals outer to inner, 0 roll, 1 pitch, 2 yaw
+        ("homed", "i8"),  # 1: positions are known, and the guard volume holds
+        ("zone", KEEP_OUT_ZONE),
+        ("arm", "f8", 3),  # m, in c, from the turntable's centre of rotation to the chaser's reference point
+        ("arm_length", "f8"),  # m
         ("carriage", BODIES),  # that move with the rails, in L about the turntable's centre of rotation
         ("turntable", BODIES),  # that rotate as well, in c about the same centre
         ("lab", BODIES),  # that stand still, in L
@@ -32,11 +42,11 @@ GUARD = np.dtype(
     align=True,
 )
 
-BREACH = np.dtype([("axis", "i8"), ("value", "f8"), ("low", "f8"), ("high", "f8")], align=True)
-
-NOTHING, FOLLOWING, TRAVEL, NOT_FINITE = range(4)
+FOLLOWING, TRAVEL, NOT_FINITE = range(1, 4)
 COLLISION = 16
-"""Bodies of the bench too near to each other; the numbers between are those of ``bench_guard``."""
+"""Bodies of the bench too near to each other; the numbers between are those of ``keep_out`` and ``bench_guard``."""
+BY_ENCODERS = 32
+"""Added to those of ``keep_out`` for the position by the encoders."""
 
 
 @kernel
@@ -57,25 +67,65 @@ def bodies_meet(moving, r, q, v, rate, fixed, least, reaction_s, deceleration, t
 
 
 @kernel
-def _bench_meets(guard, feedback, breach):
+def _bench_meets(guard, axes, breach):
     """Return whether the bodies of the bench come too near to each other; ``breach`` then has the pair."""
-    if guard.lab.n == 0:
-        return False
     q, rate = stack.vector(4), 0.0
     fill(q, 0.0)
     q[3] = 1.0
     if bodies_meet(
-        guard.carriage, feedback.rail_m, q, feedback.rail_mps, 0.0, guard.lab,
+        guard.carriage, axes.rail_m, q, axes.rail_mps, 0.0, guard.lab,
         guard.distance, guard.reaction_s, guard.deceleration, guard.turning_deceleration, breach,
     ):  # fmt: skip
         return True
-    euler.to_quaternion_into(feedback.gimbal_rad, guard.order, q)
+    euler.to_quaternion_into(axes.gimbal_rad, guard.order, q)
     for i in range(3):
-        rate += abs(feedback.gimbal_radps[i])
+        rate += abs(axes.gimbal_radps[i])
     return bodies_meet(
-        guard.turntable, feedback.rail_m, q, feedback.rail_mps, rate, guard.lab,
+        guard.turntable, axes.rail_m, q, axes.rail_mps, rate, guard.lab,
         guard.distance, guard.reaction_s, guard.deceleration, guard.turning_deceleration, breach,
     )  # fmt: skip
+
+
+@kernel
+def _enters_keep_out(guard, axes, turning, breach):
+    """Return ``check_keep_out`` of the chaser's reference point by the axes. turning: rotation, rad, until rest."""
+    r, q = stack.vector(3), stack.vector(4)
+    euler.to_quaternion_into(axes.gimbal_rad, guard.order, q)
+    quat.transform_back_into(q, guard.arm, r)
+    for i in range(3):
+        r[i] += axes.rail_m[i]
+    return check_keep_out(
+        guard.zone, r, axes.rail_mps, guard.arm_length * turning, guard.reaction_s, guard.deceleration, breach
+    )
+
+
+@kernel
+def enters_volume(guard, axes, breach):
+    """Return COLLISION, or a number of ``keep_out`` plus BY_ENCODERS, if the axes would enter the guard volume.
+
+    axes: AXES; they brake now. NOTHING if they would not, or if they are not homed.
+    """
+    if guard.homed == 0:
+        return NOTHING
+    angle, rate, speed, along = 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        angle += abs(axes.gimbal_rad[i])
+        rate += abs(axes.gimbal_radps[i])
+        speed += abs(axes.rail_mps[i])
+        along += guard.zone.axis[i] * (axes.rail_m[i] + guard.arm[i])
+    turning = travel_to_rest(rate, guard.reaction_s, guard.turning_deceleration)
+    farthest, rotation = travel_to_rest(speed, guard.reaction_s, guard.deceleration), angle + turning
+    # sums bound angles and speeds: far from the volume neither attitude nor distances are computed
+    least = guard.distance + farthest
+    is_apart = are_apart(guard.carriage, axes.rail_m, 0.0, guard.lab, least) and are_apart(
+        guard.turntable, axes.rail_m, rotation, guard.lab, least
+    )
+    if not is_apart and _bench_meets(guard, axes, breach):
+        return COLLISION
+    if along - farthest - guard.arm_length * rotation >= max(guard.zone.radius, guard.zone.plane):
+        return NOTHING
+    found = _enters_keep_out(guard, axes, turning, breach)
+    return NOTHING if found == NOTHING else found + BY_ENCODERS
 
 
 @entry
@@ -84,11 +134,9 @@ def first_breach(guard, setpoint, feedback, breach):
 
     setpoint, feedback: AXES of one moment. The following error may be ``following_max`` plus
     ``following_per_speed`` times the commanded speed; a position may lie beyond the travel by that
-    much, because a setpoint may lie at its end. Of several axes the first one counts. Bodies of the bench that come too
-    near to each other count before the axes.
+    much, because a setpoint may lie at its end. Of several axes the first one counts. The guard volume counts
+    last.
     """
-    if _bench_meets(guard, feedback, breach):
-        return COLLISION
     for axis in range(6):
         i = axis % 3
         if axis < 3:
@@ -105,7 +153,7 @@ def first_breach(guard, setpoint, feedback, breach):
         if not low <= found <= high:
             breach.axis, breach.value, breach.low, breach.high = axis, found, low, high
             return TRAVEL
-    return NOTHING
+    return enters_volume(guard, feedback, breach)
 
 
 @kernel

@@ -44,6 +44,8 @@ class Jog:
         self.axis = axis
         self.direction = direction
         self.key = DeadMan()
+        self.was_kept_clear = False
+        """Whether the guard volume has stopped this jog."""
         self.params = params.copy()
         self.params.rate_max[axis] *= rate_fraction if homed else min(rate_fraction, SHARE_OF_RATE_NOT_HOMED)
         for i in range(6):

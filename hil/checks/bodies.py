@@ -45,7 +45,7 @@ def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
         nearest = _Nearest(scenario.value, _chaser(scenario.value), scenario.value.gnc.abort.brake_mps2)
         problems += _problem(scenario, plan, nearest, "keep_out.bodies", scenario.value.keep_out.distance_m)
     if of_bench:
-        guard = bench_params.axis_guard(rig.value, scenario.value.step_s)
+        guard = bench_params.axis_guard(rig.value, scenario.value)
         nearest = _Nearest(scenario.value, guard, float(guard.deceleration), np.array(rig.value.bench.lever_arm_m))
         problems += _problem(scenario, plan, nearest, "rig.bench.bodies", rig.value.bench.bodies_distance_m)
     return problems

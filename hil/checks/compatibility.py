@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +102,7 @@ def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
 
 
 def check_keep_out(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem if the plan has a point in the keep-out volume."""
+    """Return a problem if the plan has a point in the sphere or the half-space of the keep-out."""
     value, key = scenario.value, "keep_out.radius_m"
     radius_m, guidance = value.keep_out.radius_m, value.gnc.guidance
     points = {"initial.position_m": value.initial.position_m, "gnc.guidance.ready_point_m": guidance.ready_point_m}
@@ -112,10 +112,28 @@ def check_keep_out(scenario: Loaded[Scenario]) -> list[Problem]:
     distances = {name: math.hypot(*point) for name, point in points.items()}
     distances["requirements.axial_distance_m"] = value.requirements.axial_distance_m
     name = min(distances, key=distances.__getitem__)
-    if distances[name] > radius_m or radius_m == 0.0:
+    if value.keep_out.has_corridor:
         return []
+    if distances[name] > radius_m:
+        return _beyond_half_space(scenario, points)
     text = f"{radius_m:g}: must be below {distances[name]:g}, the distance of {name}, or 0 for a scenario that docks"
     return [Problem(scenario.where(key), key, text)]
+
+
+def _beyond_half_space(scenario: Loaded[Scenario], points: Mapping[str, Sequence[float]]) -> list[Problem]:
+    """Return a problem for the first of ``points`` of the plan, m, in H, that is in the half-space."""
+    value = scenario.value
+    if value.keep_out.inspects:
+        return []
+    along = {name: float(np.dot(value.gnc.corridor.axis, point)) for name, point in points.items()}
+    name = min(along, key=along.__getitem__)
+    if along[name] > value.keep_out.radius_m:
+        return []
+    text = (
+        f"{list(points[name])}: {along[name]:g} m from the target along the docking axis, allowed more than "
+        f"{value.keep_out.radius_m:g} by keep_out.radius_m, or keep_out.inspects = true"
+    )
+    return [Problem(scenario.where(name), name, text)]
 
 
 def check_scenario_limits(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:

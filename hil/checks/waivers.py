@@ -32,12 +32,35 @@ class Waiver:
 def waivers(rig: Rig, scenario: Scenario) -> list[Waiver]:
     """Return the limits that are weaker than recommended, on every kind of rig, and what hardware waives."""
     waived = list(_waivers(rig)) if rig.kind == "hardware" else []
+    waived += _open_volume(rig, scenario)
     for prefix, limits, table in (("rig.", RIG_LIMITS, rig), ("", SCENARIO_LIMITS, scenario)):
         for limit, value in values(limits, table):
             if limit.is_weaker(value, limit.recommended):
                 text = f"weak protection from {limit.protects}, recommended {limit.range_text(limit.recommended)}"
                 waived.append(Waiver(f"{prefix}{limit.key}", f"{value:g}", text))
     return waived
+
+
+def _open_volume(rig: Rig, scenario: Scenario) -> Iterator[Waiver]:
+    """Yield what the guard volume lacks, on every kind of rig."""
+    keep_out = scenario.keep_out
+    if not rig.bench.bodies:
+        yield Waiver(
+            "rig.bench.bodies",
+            "none",
+            "collisions of carriage and turntable with the target are not monitored, only the keep-out of the chaser's "
+            "reference point",
+        )
+    if not keep_out.bodies:
+        yield Waiver(
+            "keep_out.bodies",
+            "none",
+            "chaser and target are kept apart by their reference points alone, not by their shapes",
+        )
+    if keep_out.docks:
+        yield Waiver("keep_out.docks", "true", "within the corridor the chaser may move up to contact")
+    if keep_out.inspects:
+        yield Waiver("keep_out.inspects", "true", "no half-space keeps the chaser in front of the target")
 
 
 def _waivers(rig: Rig) -> Iterator[Waiver]:

@@ -26,7 +26,7 @@ from hil.vmu.calibration.model import Setup
 from hil.vmu.calibration.refine import Prior
 from hil.vmu.calibration.views import COLUMNS
 
-_CLEARANCE_M: Final = 0.1  # beyond the scenario's keep-out
+_CLEARANCE_M: Final = 0.1  # beyond the guard volume
 _LONGEST_WAIT_S: Final = 10.0  # for a pair, at rest
 
 OnProgress = Callable[[str, float], None]
@@ -42,13 +42,13 @@ class DrivePlan:
 
 
 def plan_drive(job: Job, setup: Setup, held: Prior, request: PlanRequest) -> DrivePlan:
-    """Return a plan of views on the rig of ``job``, outside the scenario's keep-out. Raises BadInput if there is none.
+    """Return a plan of views on the rig of ``job``, outside the guard volume. Raises BadInput if there is none.
 
     setup, held: as of ``plan_views``.
     """
     scenario = job.scenario.value
     bench = bench_params.bench(job.rig.value, scenario.step_s)
-    is_clear = Clearance(bench, scenario.keep_out.radius_m + _CLEARANCE_M)
+    is_clear = Clearance(bench, bench_params.axis_guard(job.rig.value, scenario), _CLEARANCE_M)
     axes = plan_views(setup, bench, held, request, is_clear, np.random.default_rng(0))
     return DrivePlan(axes, is_clear, [(int(width), int(height)) for width, height in setup.sizes])
 
@@ -90,7 +90,7 @@ class CalibrationDrive:
         for k, axes in enumerate(plan):
             self._on_progress(f"view {k + 1} of {len(plan)}", k / len(plan))
             if not self._is_clear(self.position(), axes):
-                raise SafetyTrip("bench", f"move to view {k + 1}", "enters the keep-out", "a clear way")
+                raise SafetyTrip("bench", f"move to view {k + 1}", "enters the guard volume", "a clear way")
             exposure = _Exposure(self, self._settle_s)
             self._sequencer.visit(axes_record(axes), exposure.poll)
             views.append(exposure.view())

@@ -14,6 +14,7 @@ from hil.commission.emergency_stop import Button, EmergencyStopTest
 from hil.commission.identity import check_vision_unit, expected_identity
 from hil.commission.prompt import OperatorPrompt, StepFailed
 from hil.commission.slow_mover import MoveResult, SlowMover, shown, size
+from hil.commission.view_plan import axes_record
 from hil.config.rig import Rig
 from hil.core.messages import AXES, Array, new
 from hil.errors import SafetyTrip
@@ -204,6 +205,9 @@ class Commissioning:
         for end, inwards in ((float(self._params.low[axis]), 1.0), (float(self._params.high[axis]), -1.0)):
             near, target = start.copy(), start.copy()
             near[axis], target[axis] = end + inwards * last, end + inwards * short
+            if (alarm := self._bench.safety.jog_guard.check_position(axes_record(target))) is not None:
+                self._prompt.show(f"{name}: its end is within the guard volume and not approached: {alarm.text}")
+                continue
             mover.slowly(near)
             mover.crawl(axis, target)
             question = f"{name} is {size(axis, short)} before the end of its travel. Is its limit switch still free?"

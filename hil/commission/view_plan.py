@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from hil.bench.kinematics import pose_of_axes
 from hil.core.messages import AXES, Array, new
 from hil.errors import BadInput
 from hil.loop.bench_stage import Move
 from hil.maths import euler, quat
+from hil.safety.jog_guard import JogGuard
 from hil.vmu.calibration.model import Setup, TurntableModel, project_view
 from hil.vmu.calibration.refine import Prior
 from hil.vmu.kernels.chain import CAMERA_POSITION, TARGET_POSITION
@@ -40,23 +40,26 @@ class PlanRequest:
 
 
 class Clearance:
-    """Keep-out of the bench for moves outside a run.
+    """Guard volume of the bench for moves outside a run.
 
-    bench: BENCH_PARAMS. least_m: least range of the chaser's reference point from that of the target.
+    bench: BENCH_PARAMS. guard: GUARD. margin_m: by which its distances are larger.
     """
 
-    def __init__(self, bench: np.record, least_m: float) -> None:
+    def __init__(self, bench: np.record, guard: np.record, margin_m: float) -> None:
         self._bench = bench
-        self._least_m = least_m
+        self._guard = guard.copy()
+        self._guard.zone.radius += margin_m
+        self._guard.zone.plane += margin_m
+        self._guard.distance += margin_m
+        self._volume = JogGuard(self._guard)
 
     def __call__(self, start: Array, target: Array) -> bool:
-        """Return whether all positions of a slow move from ``start`` to ``target``, (6,), keep the least range."""
+        """Return whether all positions of a slow move from ``start`` to ``target``, (6,), are outside the volume."""
         move = Move(self._bench, axes_record(start), axes_record(target))
-        axes, r, q = new(AXES), np.empty(3), np.empty(4)
+        axes = new(AXES)
         for t_s in np.linspace(0.0, move.duration_s, _SAMPLES):
             move.at(t_s, axes)
-            pose_of_axes(self._bench, axes.rail_m, axes.gimbal_rad, r, q)
-            if not np.linalg.norm(r) >= self._least_m:
+            if self._volume.check_position(axes) is not None:
                 return False
         return True
 

@@ -13,10 +13,19 @@ Count = Annotated[int, Field(ge=1, le=10_000)]
 
 
 class KeepOut(ConfigModel):
-    """Volume about the target's reference point that the chaser's must not enter, and bodies that must not meet."""
+    """Guard volume: sphere and half-space that the chaser's reference point must not enter, bodies that must not meet.
+
+    It holds for the truth of a run, and for the encoders whenever axes are commanded.
+    """
 
     radius_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.25
-    """Radius; 0 for a scenario that docks."""
+    """Radius of the sphere about the target's reference point, and distance of the half-space behind it, along
+    `gnc.corridor.axis`; 0 for a scenario that docks without them."""
+    docks: bool = False
+    """Whether the chaser comes to contact: sphere and half-space do not hold within `gnc.corridor.minimum_radius_m` of
+    the docking axis. 0 as `radius_m` implies it."""
+    inspects: bool = False
+    """Whether the chaser goes to the side of the target and behind it: there is no half-space, only sphere and bodies."""
     bodies: tuple[SpacecraftBody, ...] = ()
     """`[[keep_out.bodies]]`: parts forward of the interfaces of chaser and target, at most 8 of each."""
     distance_m: Positive = 0.05
@@ -26,6 +35,11 @@ class KeepOut(ConfigModel):
     def _bodies_can_meet(self) -> Self:
         check_kinds(self.bodies, "target")
         return self
+
+    @property
+    def has_corridor(self) -> bool:
+        """Whether sphere and half-space are open along the docking axis."""
+        return self.docks or self.radius_m == 0.0
 
 
 class GuardConfig(ConfigModel):

@@ -25,5 +25,7 @@ class HostPauses:
 
 
 def pause_text(what: str, pause_s: float) -> str:
-    """Return a pause of ``what`` as an addition to the text of an alarm; "" without one."""
-    return f" (the host paused {what} for {1e3 * pause_s:.0f} ms)" if pause_s > 0.0 else ""
+    """Return a pause of ``what`` as an addition to the text of an alarm, with what to do; "" without one."""
+    if pause_s <= 0.0:
+        return ""
+    return f" (the host paused {what} for {1e3 * pause_s:.0f} ms: end other programs, check with hil preflight)"

@@ -21,13 +21,14 @@ from hil.core.jit import kernel
 from hil.gnc import guidance
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
-from hil.models.bodies import BODIES, clearance
+from hil.models.bodies import BODIES, are_apart, chord, clearance
 
 NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES = 10, 11, 12
 _CONVERGED_SHARE = 0.85  # of an alert limit
+_ROOT_2 = math.sqrt(2.0)
 _FAR = 0.6  # of the corridor's radius, from the plan at the start
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
@@ -178,13 +179,14 @@ def alert_limits(params, r_CT_H, v_CT_H, q_CH, limits):
         along = max(0.0, min(along, distance - params.keep_out - closing * closing / (2.0 * params.brake)))
     limits[ALONG] = along
     limits[ACROSS] = params.alert_corridor * corridor_radius(params, distance)
-    if params.chaser.n > 0 and params.target.n > 0:
-        reserve, found = params.distance + params.alert_turn, stack.vector(4)
-        enough = math.sqrt(2.0) * max(limits[ALONG], limits[ACROSS]) + reserve
+    reserve, speed = params.distance + params.alert_turn, abs(v_CT_H[0]) + abs(v_CT_H[1]) + abs(v_CT_H[2])
+    enough = _ROOT_2 * max(limits[ALONG], limits[ACROSS]) + reserve
+    if not are_apart(params.chaser, r_CT_H, chord(q_CH), params.target, enough + speed * speed / (2.0 * params.brake)):
+        found = stack.vector(4)
         left = clearance(
             params.chaser, r_CT_H, q_CH, v_CT_H, 0.0, params.target, 0.0, params.brake, 1.0, enough, found
         )  # fmt: skip
-        each = max(0.0, left - reserve) / math.sqrt(2.0)
+        each = max(0.0, left - reserve) / _ROOT_2
         limits[ALONG], limits[ACROSS] = min(limits[ALONG], each), min(limits[ACROSS], each)
     limits[ATTITUDE] = params.alert_angle
 

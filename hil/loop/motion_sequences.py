@@ -349,12 +349,24 @@ class MotionSequencer:
         if request == JogRequest(bench.axis_names[jog.axis], jog.direction):
             jog.key.refresh(tick.now_s)
         switch = (*bench.feedback[0].limit, *bench.feedback[1].limit)[jog.axis]
-        if not jog.may_move(tick.now_s, switch):
+        if not (jog.may_move(tick.now_s, switch) and self._keeps_clear(jog, tick)):
             return bench.brake(tick.now_s, jog.params) or jog.key.pressed(tick.now_s)
         wanted = new(AXES)
         jog.aim(bench.motion, wanted)
         bench.command(wanted, tick.now_s, jog.params)
         return True
+
+    def _keeps_clear(self, jog: Jog, tick: Tick) -> bool:
+        """Return whether a jog stays out of the guard volume; log once per jog why it does not."""
+        bench = self.loop.bench
+        if any(group.homing != HOMED for group in bench.feedback):
+            return True
+        rate = jog.direction * float(jog.params.rate_max[jog.axis])
+        alarm = self.safety.jog_guard.check_jog(tick.now_s, jog.axis, rate, self.loop.now.feedback)
+        if alarm is not None and not jog.was_kept_clear:
+            jog.was_kept_clear = True
+            self._operator.rejections.append(f"{bench.axis_names[jog.axis]}: no jog this way: {alarm.text}")
+        return alarm is None
 
     def _jog_manipulator(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
         """``jog`` of an axis that rotates the target, while the drives of rails and turntable hold their positions."""

@@ -31,7 +31,7 @@ from hil.safety.alarms import Alarm, alarm_from_error
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
 _LONG_PAUSE_S: Final = 0.03
-_CAUSED_BY_PAUSES: Final = (SAFETY_CHAIN, "age of the setpoint")
+_CAUSED_BY_PAUSES: Final = (SAFETY_CHAIN, "age of the setpoint", "age of the feedback", "following error")
 
 
 @dataclass(slots=True)
@@ -114,6 +114,8 @@ class Runner:
         """Return, at the end, the numbers of ``Outcome.measured``."""
         self.before_open: Callable[[], None] = lambda: None
         """Called before each opening of the devices; raises BenchError if the bench must not run."""
+        self.process_pauses: Callable[[], dict[str, float]] = dict
+        """Returns the pauses by the host, s, of the processes that serve the devices."""
         self.cycles: Cycles = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
         """Runs the cycles of the closed loop."""
         self._parked = False
@@ -364,14 +366,18 @@ class Runner:
             return bool(signals)
 
     def _host_pause(self, cause: BenchError) -> str:
-        """Return the recent pause of the loop, as an addition to the text of a fault that it can cause; "" without one.
+        """Return the longest recent pause of loop, I/O or watchdog process, as an addition to the text of a fault.
 
-        The watchdog process opens the chain, and setpoints grow old, after a long pause only.
+        "" without one, or if it cannot be the cause: other faults than a lost link take a long pause.
         """
-        late = isinstance(cause, SafetyTrip) and cause.quantity in _CAUSED_BY_PAUSES
-        if late and self.rate.pause_s >= _LONG_PAUSE_S:
-            return pause_text("the loop", self.rate.pause_s)
-        return pause_text("the loop", self.rate.pause_s) if isinstance(cause, LinkLost | LinkTimeout) else ""
+        is_link = isinstance(cause, LinkLost | LinkTimeout)
+        if not (is_link or (isinstance(cause, SafetyTrip) and cause.quantity in _CAUSED_BY_PAUSES)):
+            return ""
+        pauses = {"the loop": self.rate.pause_s, **self.process_pauses()}
+        longest = max(pauses, key=pauses.__getitem__)
+        if pauses[longest] < (0.0 if is_link else _LONG_PAUSE_S) or "(the host paused" in str(cause):
+            return ""
+        return pause_text(longest, pauses[longest])
 
     def _controlled_stop(self, signals: list[int]) -> ControlledStop:
         """Return a stop of the bench; a later signal, or STOP, ends the watch over axes that no brake holds.

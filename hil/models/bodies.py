@@ -16,6 +16,9 @@ MAX_VERTICES = 16
 BODIES = np.dtype(
     [
         ("n", "i8"),
+        ("low", "f8", 3),  # m, of all bodies along the axes of their frame; inf without a body
+        ("high", "f8", 3),  # -inf without a body
+        ("farthest", "f8"),  # m, of all bodies from the origin of their frame
         ("number", "i8", MAX_BODIES),  # in the list of the configuration, from 1
         ("vertices", "i8", MAX_BODIES),
         ("vertex", "f8", (MAX_BODIES, MAX_VERTICES, 3)),  # m, in the frame of the bodies
@@ -36,9 +39,27 @@ that they approach each other until rest, m."""
 
 
 @kernel
-def _travel(speed, reaction_s, deceleration):
+def travel_to_rest(speed, reaction_s, deceleration):
     """Return the distance, or angle, until rest, from ``speed`` with ``deceleration`` after ``reaction_s``."""
     return speed * (reaction_s + speed / (2.0 * deceleration)) if speed > 0.0 else 0.0
+
+
+@kernel
+def are_apart(moving, r, rotation, fixed, least):
+    """Return whether bodies are ``least``, m, apart along an axis of the frame of ``fixed``: cheap, and sufficient.
+
+    moving: BODIES in a frame at ``r`` (3,), m, rotated from that of ``fixed`` by at most ``rotation``, rad.
+    """
+    gap = -np.inf
+    for i in range(3):
+        gap = max(gap, r[i] + moving.low[i] - fixed.high[i], fixed.low[i] - r[i] - moving.high[i])
+    return gap - moving.farthest * rotation >= least
+
+
+@kernel
+def chord(q):
+    """Return a bound of how far the rotation ``q`` (4,) displaces a point, over its arm: 2 sin(angle / 2)."""
+    return 2.0 * (abs(q[0]) + abs(q[1]) + abs(q[2]))
 
 
 @kernel
@@ -54,7 +75,8 @@ def clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_de
     hull, centre, normal, vertex = stack.matrix(MAX_VERTICES, 3), stack.vector(3), stack.vector(3), stack.vector(3)
     least = enough
     speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    angle, farthest = _travel(rate, reaction_s, turning_deceleration), _travel(speed, reaction_s, deceleration)
+    angle = travel_to_rest(rate, reaction_s, turning_deceleration)
+    farthest = travel_to_rest(speed, reaction_s, deceleration)
     for i in range(moving.n):
         turned, is_placed = moving.arm[i] * angle, False
         quat.transform_back_into(q, moving.centre[i], centre)
@@ -73,7 +95,7 @@ def clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_de
             distance = separation(hull, moving.vertices[i], fixed.vertex[j], fixed.vertices[j], normal)
             distance -= moving.radius[i] + fixed.radius[j]
             closing = -(normal[0] * v[0] + normal[1] * v[1] + normal[2] * v[2])
-            travel = _travel(closing, reaction_s, deceleration) + turned
+            travel = travel_to_rest(closing, reaction_s, deceleration) + turned
             # "not >=" also takes nan
             if not distance - travel >= least:
                 least = distance - travel

@@ -105,7 +105,7 @@ class CaseRunner:
         """Return LOOP_PARAMS with all parameters of the GNC and the rig."""
         scenario, rig = self.scenario, self.rig
         bench = bench_params.bench(rig, scenario.step_s)
-        self._limits: SafetyLimits = safety_limits(rig, bench_params.axis_guard(rig, scenario.step_s))
+        self._limits: SafetyLimits = safety_limits(rig, bench_params.axis_guard(rig, scenario))
         params = loop_params(scenario, rig, gnc_params.gnc(scenario), bench, self._limits.guard)
         params.counts = 1
         params.steady_state_after_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0

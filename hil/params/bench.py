@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from hil.bench.bench_guard import BENCH_GUARD_PARAMS, SLOW_MPS
+from hil.bench.bench_guard import BENCH_GUARD_PARAMS
 from hil.bench.guard import GUARD
+from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
 from hil.config.rig import GimbalAxis, Rig
@@ -67,13 +68,30 @@ def _set_gimbals(params: np.record, gimbals: tuple[GimbalAxis, GimbalAxis, Gimba
     params.averaged[3:] = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in gimbals]
 
 
-def axis_guard(rig: Rig, step_s: float) -> np.record:
-    """Return GUARD: following errors, travel, and the bodies of the bench. step_s: period of the cycle."""
-    axes, guard = bench(rig, step_s), new(GUARD)
+def keep_out_zone(scenario: Scenario) -> np.record:
+    """Return KEEP_OUT_ZONE."""
+    config, zone = scenario.keep_out, new(KEEP_OUT_ZONE)
+    zone.axis, zone.radius = scenario.gnc.corridor.axis, config.radius_m
+    zone.plane = -math.inf if config.inspects else config.radius_m
+    zone.corridor = scenario.gnc.corridor.minimum_radius_m if config.has_corridor else 0.0
+    return zone
+
+
+def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
+    """Return GUARD: following errors, travel, bodies of the bench, and the scenario's keep-out.
+
+    The keep-out by the encoders is off without the bench guard, and with a target that rotates on a manipulator: the
+    axes of the chaser's rig alone do not show where its reference point is.
+    """
+    axes, guard = bench(rig, scenario.step_s), new(GUARD)
     rails, turntable, geometry = rig.rails, rig.turntable, rig.bench
     guard.following_max = [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3
     guard.following_per_speed = [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3
     guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
+    guard.homed, guard.zone = 1, keep_out_zone(scenario)
+    if rig.rotated_target is not None or not rig.guard.enabled:
+        guard.zone.radius, guard.zone.plane = 0.0, -math.inf
+    guard.arm, guard.arm_length = axes.lever_arm, np.linalg.norm(axes.lever_arm)
     guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
     guard.turntable = bodies(geometry.bodies, "turntable", geometry.lever_arm_m)
     guard.distance, guard.reaction_s = geometry.bodies_distance_m, rig.guard.reaction_s
@@ -88,11 +106,9 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     axes = bench(rig, step_s)
     params = new(BENCH_GUARD_PARAMS)
     params.enabled = config.enabled
-    params.keep_out = scenario.keep_out.radius_m
-    deceleration = float(axes.acceleration_max[:3].min())
-    params.deceleration = deceleration
+    params.zone = keep_out_zone(scenario)
+    params.deceleration = axes.acceleration_max[:3].min()
     params.reaction_s, params.startup_s = config.reaction_s, config.startup_s
-    params.far = scenario.keep_out.radius_m + SLOW_MPS * (config.reaction_s + SLOW_MPS / (2.0 * deceleration))
     params.chaser, params.target = (
         bodies(scenario.keep_out.bodies, "chaser"),
         bodies(scenario.keep_out.bodies, "target"),

@@ -13,6 +13,8 @@ from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.preflight.check import PreflightCheck
 
 DURATION_S = 5.0
+WIRED_S = 30.0
+"""Of the measurement for a rig on emulated wires: a pause of a shared computer comes once in many seconds."""
 FRACTION_OF_PERIOD = 0.1
 """Limit of the 99.9th percentile of the lateness, as a fraction of the period."""
 
@@ -74,6 +76,21 @@ def lateness_check(found: Lateness) -> PreflightCheck:
     )
     advice = "" if fine else "stop other processes, see scheduling and governor, or use a dedicated host"
     return PreflightCheck("lateness", fine, value, advice)
+
+
+def pause_check(found: Lateness, pump_timeout_s: float | None, on_hardware: bool) -> PreflightCheck:
+    """Return the check that no pause of the host would have opened the safety chain.
+
+    pump_timeout_s: after which the relay opens without an edge of the charge pump; None without digital I/O.
+    """
+    longest_s, measured_s = 1e-6 * found.percentiles_us["max"], found.cycles * found.period_s
+    value = f"longest {1e3 * longest_s:.1f} ms in {measured_s:.0f} s"
+    if pump_timeout_s is None:
+        return PreflightCheck("host pauses", None, value)
+    fine = longest_s < pump_timeout_s
+    value += f", allowed below io.pump_timeout_s, {1e3 * pump_timeout_s:g} ms"
+    advice = "" if fine else "end other programs and virtual machines, or use a host of the bench's own"
+    return PreflightCheck("host pauses", fine or (False if on_hardware else None), value, advice)
 
 
 def histogram_lines(found: Lateness) -> list[str]:

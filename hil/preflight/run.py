@@ -18,7 +18,7 @@ from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.clock import ptp_check
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
-from hil.preflight.lateness import Lateness, lateness_check, measure
+from hil.preflight.lateness import Lateness, lateness_check, measure, pause_check
 
 Probe = Callable[[Path], HostFacts]
 Meter = Callable[[float, float], Lateness]
@@ -78,10 +78,15 @@ def preflight(
     checks += rig_checks(run, rig.value, enable_drives)
     announce("measuring the lateness")
     try:
-        late = meter(run.step_s, MEASURED_S + run.step_s if on_hardware else lateness.DURATION_S)
+        duration_s = {"hardware": MEASURED_S + run.step_s, "emulated": lateness.WIRED_S}
+        late = meter(run.step_s, duration_s.get(rig.value.kind, lateness.DURATION_S))
     except RuntimeError as error:
         return Preflight([*checks, PreflightCheck("lateness", False, str(error))], None, 1.0 / run.step_s)
-    return Preflight([*checks, lateness_check(late)], late, 1.0 / run.step_s)
+    checks.append(lateness_check(late))
+    if rig.value.kind != "mock":
+        io = rig.value.io
+        checks.append(pause_check(late, io.pump_timeout_s if io is not None else None, on_hardware))
+    return Preflight(checks, late, 1.0 / run.step_s)
 
 
 def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:

@@ -21,7 +21,8 @@ from hil.core.modes import Mode, ModeMachine
 from hil.errors import SafetyTrip
 from hil.safety.alarms import Alarm, AlarmLog, speed_text
 from hil.safety.estop import EmergencyStop
-from hil.safety.guard_alarms import BENCH_BODIES, bodies_alarm
+from hil.safety.guard_alarms import is_of_volume, volume_alarm
+from hil.safety.jog_guard import JogGuard
 from hil.safety.packet_loss import LinkWatch
 from hil.safety.speed_check import SpeedCheck
 
@@ -121,6 +122,7 @@ class SafetyMonitor:
         self._links = tuple(links)
         self._guard = kernel_record(limits.guard.copy())
         self._breach = kernel_record(new(guards.BREACH))
+        self.jog_guard = JogGuard(limits.guard)
         self._speed_checks = [SpeedCheck(limit) for limit in limits.speed_mismatch_max]
         self._checked_mode = self.modes.mode
         self._checks = CHECKS[self._checked_mode]
@@ -142,6 +144,7 @@ class SafetyMonitor:
         mode = self.modes.mode
         if mode is not self._checked_mode:
             self._checked_mode, self._checks = mode, CHECKS[mode]
+            self._guard.homed = mode is not Mode.JOGGING  # which has a guard volume of its own
             for check in self._speed_checks:
                 check.restart()
         checks = self._checks
@@ -168,6 +171,9 @@ class SafetyMonitor:
             breach = guards.first_breach(self._guard, setpoint, feedback, self._breach)
             if breach != guards.NOTHING:
                 return breach_alarm(now_s, self._axis_names, breach, self._breach)
+            is_jog = mode is Mode.JOGGING and rails.homing == HOMED and turntable.homing == HOMED
+            if is_jog and (alarm := self.jog_guard.check(now_s, setpoint, feedback)):
+                return alarm
         return self._check_speeds(now_s, rails, turntable) if checks.speed else None
 
     def _check_speeds(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm | None:
@@ -299,8 +305,8 @@ def hold_trip(reason: str) -> SafetyTrip:
 def breach_alarm(now_s: float, axis_names: Sequence[str], what: int, found: np.record) -> Alarm:
     """Return the alarm of a breach. what: code returned by the guard kernels; found: BREACH."""
     axis = int(found.axis)
-    if what == guards.COLLISION:
-        return bodies_alarm(now_s, BENCH_BODIES, "bench.bodies", found)
+    if is_of_volume(what):
+        return volume_alarm(now_s, what, found)
     name = axis_names[axis]
     if what == guards.FOLLOWING:
         return Alarm(now_s, name, "following error", _shown(axis, found.value), _limit(axis, found.high))

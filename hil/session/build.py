@@ -144,8 +144,8 @@ class WiredBench:
     """A bench on wires with all its processes; each ``runner`` is one session at it, one after the other.
 
     rig: with the wires in use. telemetry: CYCLE of each cycle, for other processes. pids: of every process, by the
-    name of its device, or IO and WATCHDOG. addresses: of the emulators' wires and control ports. board: state of the
-    emulated axes. event_recorder: of the last runner.
+    name of its device, or IO and WATCHDOG. pauses: returns those of IO and WATCHDOG by the host, s. addresses: of the
+    emulators' wires and control ports. board: state of the emulated axes. event_recorder: of the last runner.
     """
 
     job: Job
@@ -158,6 +158,7 @@ class WiredBench:
     pids: dict[str, int]
     addresses: dict[str, str]
     board: SharedAxisState | None
+    pauses: Callable[[], dict[str, float]] = dict
     event_recorder: EventRecorder | None = None
 
     def axes_runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
@@ -166,7 +167,9 @@ class WiredBench:
         clock = self.clock
         rate = WallClockRate(clock, step_s) if isinstance(clock, WallClock) else LockStepRate(clock, step_s)
         context = RunContext(operator, on_progress, self.scheduling, self.telemetry, _FRAMES_TO_ARM)
-        return assemble(self.job, self.rig, rate, self.devices, context)
+        made = assemble(self.job, self.rig, rate, self.devices, context)
+        made.process_pauses = self.pauses
+        return made
 
     def runner(self, on_progress: ProgressCallback = lambda *_: None, operator: Operator | None = None) -> Runner:
         """Return a Runner of the job."""
@@ -209,7 +212,7 @@ def wired_bench(
         pids = {**(emulated.pids if emulated else {}), **io.pids}
         board = emulated.board if emulated else None
         devices = Devices(*io.devices())
-        yield WiredBench(job, wired, clock, scheduling, devices, telemetry, sinks, pids, addresses, board)
+        yield WiredBench(job, wired, clock, scheduling, devices, telemetry, sinks, pids, addresses, board, io.pauses)
 
 
 @contextmanager

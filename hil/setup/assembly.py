@@ -179,7 +179,7 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
     """Return the memory of the core for ``job`` on ``rig``, before its first cycle."""
     scenario = job.scenario.value
     gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s)
-    params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario.step_s))
+    params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
     set_truth(params, scenario, job.truth, job.seed, dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
     memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)

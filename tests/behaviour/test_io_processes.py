@@ -243,7 +243,7 @@ def test_a_process_that_was_paused_itself_says_so_for_a_second(monkeypatch: pyte
     monkeypatch.setattr(clock.select, "select", select_after_a_pause)
     assert host.own_pause() == ""
     host.run(stop)
-    assert re.fullmatch(r" \(the host paused this process for \d+ ms\)", host.own_pause())
+    assert re.fullmatch(r" \(the host paused this process for \d+ ms: end other programs, .*\)", host.own_pause())
     monkeypatch.setattr(clock.time, "monotonic", lambda: time.perf_counter() + 1e6)
     assert host.own_pause() == ""
     here.close()

@@ -74,6 +74,10 @@ class Bench:
         rates = [self.emulated.board.read(device, self._clock.now_s())[1] for device in ("rails", "turntable")]
         return float(np.abs(rates).max())
 
+    def rail_rates(self) -> np.ndarray:
+        """Return the rates of the rails, m/s."""
+        return self.emulated.board.read("rails", self._clock.now_s())[1]
+
     def z(self) -> tuple[float, float]:
         """Return position, m, and rate, m/s, of the gravity-loaded axis."""
         position, rate = self.emulated.board.read("rails", self._clock.now_s())

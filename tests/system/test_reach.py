@@ -76,7 +76,12 @@ REFUSALS = {
         "allowed 0.5 deg/s2 by rig.turntable.yaw.acceleration_max_degps2",
     ),
     "field of view, by the place": (
-        ("gnc.guidance.ready_point_m=[0.2, 0.0, 0.0]", "keep_out.radius_m=0.1"),
+        (
+            "gnc.guidance.ready_point_m=[0.2, 0.0, 0.0]",
+            "keep_out.radius_m=0.1",
+            "keep_out.bodies=[]",
+            "rig.bench.bodies=[]",
+        ),
         "gnc.guidance.ready_point_m: vmu: an LED of the ring would be 25 px outside an image (planned: 32 px inside "
         "an image) at 165.0 s, allowed 0 px or more inside both images of 1024 x 1024 px",
     ),

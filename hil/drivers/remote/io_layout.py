@@ -31,7 +31,8 @@ CYCLIC, JOGGED, GOAL = 0, 1, 2
 FEEDBACK: Final = np.dtype(
     [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
 )
-HEARTBEAT: Final = np.dtype([("watched", "i8")])
+HEARTBEAT: Final = np.dtype([("watched", "i8"), ("pause_s", "f8")])
+"""pause_s: of the sender, by the host, within the last second, s of wall time; that of the loop is not sent."""
 STOP: Final = np.dtype([("number", "i8"), ("kind", "i8")])
 QUICK_STOP, DISABLE = 1, 2
 """Kinds of stops: braking along the ramp, and removal of the torque."""

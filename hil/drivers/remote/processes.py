@@ -5,12 +5,14 @@ from __future__ import annotations
 import socket
 from typing import Final, Self
 
+import numpy as np
+
 from hil.config.rig import Rig
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
 from hil.drivers.base import DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
-from hil.drivers.remote.io_layout import IO, WATCHDOG, IoSharedMemory
+from hil.drivers.remote.io_layout import HEARTBEAT, IO, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
 
 _READY_WALL_S: Final = 60.0
@@ -57,6 +59,14 @@ class IoProcesses:
     def pids(self) -> dict[str, int]:
         """Process numbers of IO and, if there is one, WATCHDOG."""
         return {name: process.child.pid for name, process in self._processes.items()}
+
+    def pauses(self) -> dict[str, float]:
+        """Return the last pause of each process by the host, s, as it was at its last heartbeat; 0 without one."""
+        heartbeat, found = np.zeros(1, HEARTBEAT), {}
+        for name in self._processes:
+            self._memory.block[name].read(heartbeat)
+            found[f"the {name} process"] = float(heartbeat["pause_s"][0])
+        return found
 
     def wait_ready(self) -> None:
         """Return once all serve. Raises DeviceError if one does not start."""

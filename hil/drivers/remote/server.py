@@ -98,6 +98,7 @@ class DeviceServer:
             now_s = self.clock.now_s()
             if wall_s - beat_s >= _BEAT_WALL_S:
                 beat_s = wall_s
+                self._heartbeat["pause_s"] = self._pauses.recent_s(wall_s)
                 self._beat.write(self._heartbeat, now_s)
             self.step(now_s)
             stepped_s = self.clock.host_s()

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hil.bench import bench_guard
+from hil.bench import bench_guard, keep_out
 from hil.bench.bench_guard import BENCH_GUARD_MEMORY, check_bench, compare_estimate, compare_pose
-from hil.bench.guard import BREACH, NOTHING
+from hil.bench.keep_out import BREACH, NOTHING
 from hil.bench.kinematics import axes_of_pose
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import BENCH_AXES
@@ -126,7 +126,7 @@ def test_keep_out_leaves_way_to_brake_and_to_react(closing: float) -> None:
     motion.truth.r_CT_H = [least + 1e-6, 0.0, 0.0]
     assert motion.check() == NOTHING
     motion.truth.r_CT_H = [least - 1e-6, 0.0, 0.0]
-    assert motion.check() == bench_guard.KEEP_OUT
+    assert motion.check() == keep_out.KEEP_OUT
     assert (motion.breach.value, motion.breach.low) == pytest.approx((least, closing), abs=1e-5)
 
 
@@ -136,8 +136,43 @@ def test_chaser_that_leaves_may_be_as_near_as_the_radius() -> None:
 
 
 def test_scenario_that_docks_has_no_keep_out() -> None:
-    motion = Motion((0.01, 0.0, 0.0), (-0.02, 0.0, 0.0), "keep_out.radius_m=0")
-    motion.run(100)
+    for settings in (("keep_out.radius_m=0",), ("keep_out.docks=true",)):
+        motion = Motion((0.01, 0.0, 0.0), (-0.02, 0.0, 0.0), "keep_out.bodies=[]", *settings)
+        motion.run(100)
+
+
+def test_scenario_that_docks_has_a_keep_out_beside_its_corridor() -> None:
+    motion = Motion((0.2, 0.09, 0.0), (0.0, 0.0, 0.0), "keep_out.bodies=[]", "keep_out.docks=true")
+    assert motion.check() == NOTHING
+    motion.truth.v_CT_H = [0.0, 0.1, 0.0]  # which takes 18 mm until rest
+    assert motion.check() == keep_out.KEEP_OUT
+    motion.truth.r_CT_H, motion.truth.v_CT_H = [0.2, 0.46, 0.0], [0.0, 0.0, 0.0]
+    assert motion.check() == keep_out.PLANE
+
+
+@pytest.mark.parametrize("beside_m", [0.46, 1.2])
+@pytest.mark.parametrize("closing", [0.0, 0.3])
+def test_chaser_does_not_pass_beside_the_target(beside_m: float, closing: float) -> None:
+    least = 0.25 + closing * 0.1 + closing**2 / (2.0 * 0.6)
+    motion = Motion((least + 1e-6, beside_m, 0.0), (-closing, 0.0, 0.0), "keep_out.bodies=[]")
+    assert motion.check() == NOTHING
+    motion.truth.r_CT_H = [least - 1e-6, beside_m, 0.0]
+    assert motion.check() == keep_out.PLANE
+    assert (motion.breach.value, motion.breach.low, motion.breach.high) == pytest.approx(
+        (least, closing, least), abs=1e-5
+    )
+    alarm = guard_alarm(0.0, BENCH_AXES, keep_out.PLANE, motion.breach)
+    assert alarm.quantity == "distance from the target along the docking axis"
+    motion.truth.v_CT_H = [0.3, 0.0, 0.0]
+    motion.truth.r_CT_H = [0.24, beside_m, 0.0]  # within it, whatever the speed
+    assert motion.check() == keep_out.PLANE
+
+
+def test_scenario_that_inspects_has_no_half_space() -> None:
+    motion = Motion((-1.0, 1.2, 0.0), (-0.1, 0.0, 0.0), "keep_out.bodies=[]", "keep_out.inspects=true")
+    motion.run(20)
+    motion.truth.r_CT_H = [0.1, 0.2, 0.0]
+    assert motion.check() == keep_out.KEEP_OUT
 
 
 CAMERA = '{on = "chaser", vertices_m = [[-0.5, -0.1, -0.1], [-0.5, 0.1, -0.1], [-0.5, 0.0, 0.1]]}'

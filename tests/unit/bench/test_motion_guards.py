@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hil.bench.guard import (
     BREACH,
+    BY_ENCODERS,
     COLLISION,
     FOLLOWING,
     GUARD,
@@ -21,9 +22,10 @@ from hil.bench.guard import (
     first_breach,
     first_moving,
 )
+from hil.bench.keep_out import KEEP_OUT, PLANE
 from hil.bench.kinematics import BENCH_PARAMS, MOTION
 from hil.bench.stopping import brake_step, slower, stopping_distance
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.config.rig import BENCH_AXES
 from hil.core.messages import AXES, new
 from hil.params import bench as bench_params
@@ -64,9 +66,13 @@ RING = '{on = "lab", vertices_m = [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]], radius_m 
 def test_bodies_of_the_bench_leave_way_to_brake(
     bodies: tuple[str, ...], reach_m: float, pair: int, closing: float
 ) -> None:
-    settings = (f"rig.bench.bodies=[{', '.join(bodies)}]", "rig.bench.lever_arm_m=[0.0, 0.0, 0.0]")
+    settings = (
+        f"rig.bench.bodies=[{', '.join(bodies)}]",
+        "rig.bench.lever_arm_m=[0.0, 0.0, 0.0]",
+        "rig.bench.bodies_distance_m=0.05",
+    )
     rig, breach = load_rig("mock", settings).value, new(BREACH)
-    params = bench_params.axis_guard(rig, DT)
+    params = bench_params.axis_guard(rig, load_scenario("scheme-1", ("keep_out.radius_m=0",)).value)
     least = reach_m + 0.1 + 0.05 + closing * 0.1 + closing**2 / (2.0 * 0.6)
     for inside in (-1e-6, 1e-6):
         here = axes(0, least - inside, -closing)
@@ -76,6 +82,52 @@ def test_bodies_of_the_bench_leave_way_to_brake(
     away = axes(3 + 2, 0.5)  # the yaw takes the arm aside, not the carriage
     away.rail_m[0], away.rail_mps[0] = here.rail_m[0], here.rail_mps[0]
     assert (first_breach(params, away, away, breach) == NOTHING) == (ARM in bodies)
+
+
+def volume(*settings: str) -> np.record:
+    """Return GUARD of scheme 1 on the mock rig without bodies; its arm is 0.35 m along z."""
+    rig = load_rig("mock", ("rig.bench.bodies=[]", *(s for s in settings if s.startswith("rig."))))
+    scenario = load_scenario("scheme-1", tuple(s for s in settings if not s.startswith("rig.")))
+    return bench_params.axis_guard(rig.value, scenario.value)
+
+
+@pytest.mark.parametrize("closing", [0.0, 0.2])
+@pytest.mark.parametrize("beside_m", [0.0, 0.46])
+def test_keep_out_holds_for_the_encoders(closing: float, beside_m: float) -> None:
+    params, breach = volume(), new(BREACH)
+    least = 0.25 + closing * 0.1 + closing**2 / (2.0 * 0.6)
+    for inside in (-1e-6, 1e-6):
+        here = axes(0, least - inside, -closing)
+        here.rail_m[1:] = beside_m, -0.35
+        found = first_breach(params, here, here, breach)
+        expected = (KEEP_OUT if beside_m == 0.0 else PLANE) + BY_ENCODERS
+        assert found == (expected if inside > 0.0 else NOTHING)
+    alarm = breach_alarm(0.0, BENCH_AXES, found, breach)
+    assert alarm.value.endswith("m by the encoders")
+
+
+def test_turntable_that_swings_the_chaser_into_the_keep_out_is_found() -> None:
+    params, breach = volume(), new(BREACH)
+    here = axes(0, 0.27)
+    here.rail_m[1:] = 0.0, -0.35
+    assert first_breach(params, here, here, breach) == NOTHING
+    here.gimbal_rad[1] = -0.1  # 0.35 m times 0.1 rad forwards
+    assert first_breach(params, here, here, breach) == NOTHING or breach.value < 0.25
+    here.gimbal_rad[1] = 0.1
+    found = {first_breach(params, here, here, breach)}
+    here.gimbal_rad[1] = -0.1
+    found.add(first_breach(params, here, here, breach))
+    assert found == {NOTHING, KEEP_OUT + BY_ENCODERS}
+
+
+@pytest.mark.parametrize("why", ["homed", "rig.guard.enabled=false", "keep_out.radius_m=0"])
+def test_keep_out_of_the_encoders_is_off_before_homing_and_without_a_guard(why: str) -> None:
+    params = volume() if why == "homed" else volume(why)
+    if why == "homed":
+        params.homed = 0
+    here = axes(0, 0.05)
+    here.rail_m[2] = -0.35
+    assert first_breach(params, here, here, new(BREACH)) == NOTHING
 
 
 @pytest.mark.parametrize("axis", range(6))

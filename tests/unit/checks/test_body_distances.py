@@ -19,6 +19,9 @@ def keep_out(reach_m: float) -> str:
     return f"keep_out.bodies=[{MAST}, {camera(reach_m)}]"
 
 
+DISTANCE = "keep_out.distance_m=0.05"
+
+
 def bench(reach_m: float) -> tuple[str, ...]:
     arm = f'{{on = "turntable", vertices_m = [[0.0, 0.0, 0.0], [-{reach_m}, 0.0, 0.0]]}}'
     ring = '{on = "lab", vertices_m = [[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]], radius_m = 0.02}'
@@ -28,8 +31,8 @@ def bench(reach_m: float) -> tuple[str, ...]:
 def test_plan_keeps_bodies_apart_or_is_refused() -> None:
     rig = load_rig("mock")
     assert check_bodies(load_scenario("scheme-1"), rig) == []
-    assert check_bodies(load_scenario("scheme-1", (keep_out(0.1),)), rig) == []
-    (problem,) = check_bodies(load_scenario("scheme-1", (keep_out(0.18),)), rig)
+    assert check_bodies(load_scenario("scheme-1", (keep_out(0.1), DISTANCE)), rig) == []
+    (problem,) = check_bodies(load_scenario("scheme-1", (keep_out(0.18), DISTANCE)), rig)
     assert problem.key == "keep_out.bodies"
     assert problem.message.startswith("2 and 1 would be 0.0")
     assert problem.message.endswith("with the band about the plan and after braking; allowed 0.05 m or more")

@@ -170,3 +170,21 @@ def test_weak_limit_of_a_mock_rig_and_of_a_scenario_stands_in_the_json_and_with_
     waived = json.loads((tmp_path / "run.json").read_text())["waived"]
     assert [waiver["key"] for waiver in waived] == ["rig.guard.axis_error_max_m", "keep_out.radius_m"]
     assert "2 protections waived or weak" in capsys.readouterr().out
+
+
+OPEN_VOLUME = {
+    "rig.bench.bodies=[]": "none: collisions of carriage and turntable with the target are not monitored",
+    "keep_out.bodies=[]": "none: chaser and target are kept apart by their reference points alone",
+    "keep_out.docks=true": "true: within the corridor the chaser may move up to contact",
+    "keep_out.inspects=true": "true: no half-space keeps the chaser in front of the target",
+}
+
+
+@pytest.mark.parametrize(("setting", "words"), OPEN_VOLUME.items())
+@pytest.mark.parametrize("rig", ["mock", "emulated", "lab"])
+def test_guard_volume_that_lacks_a_part_is_a_waiver_on_each_kind_of_rig(
+    lab: str, rig: str, setting: str, words: str
+) -> None:
+    chosen = load_rig(lab if rig == "lab" else rig, [setting]).value
+    (waiver,) = waivers(chosen, load_scenario("scheme-1", [setting]).value)
+    assert str(waiver).startswith(f"WAIVED {setting.partition('=')[0]} = {words}")

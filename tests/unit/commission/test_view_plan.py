@@ -7,7 +7,7 @@ import pytest
 
 from hil.bench.kinematics import pose_of_axes
 from hil.commission.view_plan import Clearance, PlanRequest, plan_views
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.params import bench as bench_params
@@ -20,12 +20,15 @@ RIG = load_rig("emulated").value
 BENCH = bench_params.bench(RIG, 0.02)
 SETUP = Setup.of(geometry_of_rig(RIG), RIG.bench)
 LEAST_M = 0.8
+_SCENARIO = load_scenario("scheme-1", ("keep_out.inspects=true",)).value
+_ALONE = load_rig("emulated", ("rig.bench.bodies=[]",)).value
+CLEARANCE = Clearance(BENCH, bench_params.axis_guard(_ALONE, _SCENARIO), LEAST_M - _SCENARIO.keep_out.radius_m)
 
 
 def planned(count: int, far_m: float = 4.0) -> Array:
     held = weak_prior(SETUP, (), AXIS_SIGMA, 1e-3, 0.0)
     request = PlanRequest(count, 0.7, far_m, np.radians(20.0))
-    return plan_views(SETUP, BENCH, held, request, Clearance(BENCH, LEAST_M), np.random.default_rng(0))
+    return plan_views(SETUP, BENCH, held, request, CLEARANCE, np.random.default_rng(0))
 
 
 def test_views_are_within_travel_image_and_clearance_and_tilt_and_spread() -> None:
@@ -45,7 +48,7 @@ def test_views_are_within_travel_image_and_clearance_and_tilt_and_spread() -> No
 
 
 def test_a_way_past_the_target_is_not_clear() -> None:
-    clear = Clearance(BENCH, LEAST_M)
+    clear = CLEARANCE
     left, right = np.array([0.0, -1.4, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 1.4, 0.0, 0.0, 0.0, 0.0])
     assert clear(left, left)
     assert clear(right, right)
@@ -59,6 +62,6 @@ def test_ranges_that_the_rails_do_not_reach_are_refused() -> None:
             BENCH,
             weak_prior(SETUP, (), AXIS_SIGMA, 1e-3, 0.0),
             PlanRequest(10, 30.0, 40.0, 0.3),
-            Clearance(BENCH, LEAST_M),
+            CLEARANCE,
             np.random.default_rng(0),
         )

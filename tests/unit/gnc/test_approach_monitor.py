@@ -161,7 +161,8 @@ def test_alert_limits_follow_range_and_corridor(
 def test_alert_limits_leave_the_bodies_of_chaser_and_target_apart() -> None:
     camera = '{on = "chaser", vertices_m = [[0.0, 0.0, 0.0], [-0.2, 0.0, 0.0]], radius_m = 0.05}'
     mast = '{on = "target", vertices_m = [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], radius_m = 0.1}'
-    params = gnc_params.approach_monitor(load_scenario("scheme-1", (f"keep_out.bodies=[{camera}, {mast}]",)).value)
+    settings = (f"keep_out.bodies=[{camera}, {mast}]", "keep_out.distance_m=0.05")
+    params = gnc_params.approach_monitor(load_scenario("scheme-1", settings).value)
     plain, limits = gnc_params.approach_monitor(load_scenario("scheme-1").value), np.empty((2, 3))
     q, turn_m = np.array([0.0, 0.0, 0.0, 1.0]), math.radians(1.0) * 0.25  # the camera, by an error of the attitude
     for closing in (0.0, 0.03):

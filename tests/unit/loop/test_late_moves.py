@@ -69,6 +69,26 @@ def test_fault_that_a_pause_of_the_host_can_cause_names_the_pause(fault: BenchEr
 
     runner.loop.bench.rails.read = fail  # type: ignore[method-assign, assignment]
     outcome = runner.run()
-    text = f"{fault} (the host paused the loop for 51 ms)"
+    text = f"{fault} (the host paused the loop for 51 ms: end other programs, check with hil preflight)"
     assert outcome.stop == text
     assert [alarm.text for alarm in outcome.alarms] == [text]
+
+
+@pytest.mark.parametrize(("process_s", "loop_s", "named"), [(0.08, 0.051, "the watchdog process"), (0.0, 0.02, "")])
+def test_longest_pause_of_the_processes_is_named_and_a_short_one_is_not(
+    process_s: float, loop_s: float, named: str
+) -> None:
+    job, fault = make_job(2.0), SafetyTrip("io", "safety chain", "open", "closed")
+    rate = LateRate(SimulatedClock(), job.scenario.value.step_s)
+    rate.pause_s = loop_s
+    runner = in_memory(job, rate)
+    runner.process_pauses = lambda: {"the watchdog process": process_s}
+
+    def fail(now_s: float) -> None:
+        raise fault
+
+    runner.loop.bench.rails.read = fail  # type: ignore[method-assign, assignment]
+    assert (
+        runner.run().stop.removeprefix(str(fault)).startswith(f" (the host paused {named} for 80 ms" if named else "")
+    )
+    assert ("paused" in runner.safety.alarms.all()[0].text) == bool(named)

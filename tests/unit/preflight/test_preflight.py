@@ -21,7 +21,7 @@ from hil.preflight import devices, ports
 from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import device_checks
 from hil.preflight.host import HostFacts, Privileges, host_checks, probe_host
-from hil.preflight.lateness import Lateness, histogram_lines, lateness_check, summarise
+from hil.preflight.lateness import Lateness, histogram_lines, lateness_check, pause_check, summarise
 from hil.preflight.run import overtravel_check, preflight, reachability_check
 
 GOOD = HostFacts(
@@ -270,6 +270,20 @@ def test_plan_that_the_rig_cannot_realise_fails_with_its_problems() -> None:
     assert check.passed is False
     assert "rails.x would go at up to 0.0412 m/s" in check.value
     assert reachability_check(load_scenario("scheme-1"), load_rig("mock")).passed is True
+
+
+@pytest.mark.parametrize(
+    ("longest_s", "on_hardware", "passed"), [(0.02, True, True), (0.06, True, False), (0.06, False, None)]
+)
+def test_pause_that_would_open_the_chain_fails_on_hardware(
+    longest_s: float, on_hardware: bool, passed: bool | None
+) -> None:
+    late = summarise(0.02, np.array([1e-5] * 1000 + [longest_s]), 0, "SCHED_OTHER")
+    check = pause_check(late, 0.05, on_hardware)
+    assert check.passed is passed
+    assert check.value == f"longest {1e3 * longest_s:.1f} ms in 20 s, allowed below io.pump_timeout_s, 50 ms"
+    assert bool(check.advice) == (passed is not True)
+    assert pause_check(late, None, on_hardware).passed is None
 
 
 def test_lateness_that_cannot_be_measured_fails(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from hil.config.load import load_scenario
 from hil.config.rig import Rig
 from hil.core.messages import AXES, AxisFeedback, Homing, new
 from hil.core.modes import Mode
@@ -48,7 +49,11 @@ def _axes_at_3_m() -> np.record:
 
 @pytest.fixture
 def scene(mock_rig: Rig) -> Scene:
-    return Scene(SafetyMonitor(safety_limits(mock_rig, bench_params.axis_guard(mock_rig, 0.02)), NAMES))
+    return Scene(
+        SafetyMonitor(
+            safety_limits(mock_rig, bench_params.axis_guard(mock_rig, load_scenario("scheme-1").value)), NAMES
+        )
+    )
 
 
 def press(scene: Scene) -> None:
