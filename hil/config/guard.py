@@ -25,7 +25,7 @@ class KeepOut(ConfigModel):
     """Whether the chaser comes to contact: sphere and half-space do not hold within `gnc.corridor.minimum_radius_m` of
     the docking axis. 0 as `radius_m` implies it."""
     inspects: bool = False
-    """Whether the chaser goes to the side of the target and behind it: there is no half-space, only sphere and bodies."""
+    """Whether the chaser goes around the target: there is no half-space, only sphere and bodies."""
     bodies: tuple[SpacecraftBody, ...] = ()
     """`[[keep_out.bodies]]`: parts forward of the interfaces of chaser and target, at most 8 of each."""
     distance_m: Positive = 0.05

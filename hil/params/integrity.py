@@ -33,7 +33,7 @@ def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
         scenario.gnc.integrity.lost_after_s,
     )
     if rig is not None:
-        guard = bench_params.axis_guard(rig, scenario.step_s)
+        guard = bench_params.axis_guard(rig, scenario)
         limits.tracks, limits.axis_max, limits.axis_per_speed_s = 1, guard.following_max, guard.following_per_speed
     return params
 
