@@ -30,6 +30,7 @@ LIVE_TUNABLE: Final = {
     "gnc.corridor.confidence": (0.0, 10.0),
     "gnc.corridor.persistence_s": (0.0, 5.0),
     "gnc.navigation.gate_sigma": (2.0, 10.0),
+    "gnc.navigation.noise_scale": (0.1, 10.0),
     "gnc.akf.gyro_noise_degps": (1e-8, 1.0),
     "gnc.akf.gyro_drift_noise_degps2": (0.0, 0.1),
     "gnc.pkf.accelerometer_noise_mps2": (1e-8, 0.1),

@@ -217,6 +217,8 @@ class Navigation(ConfigModel):
     """Settings that a backend of your own declares."""
     gate_sigma: Positive
     """Poses with a larger innovation are rejected and counted."""
+    noise_scale: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
+    """Standard deviations that poses report are taken times this factor."""
     memory_s: Positive = 1.28
     """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
     budget: ErrorBudget = ErrorBudget()

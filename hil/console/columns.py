@@ -45,6 +45,10 @@ _SINGLES: Final = (
     "closing_margin_mps",
     "aborted",
     "phase",
+    "level_along",  # protection level over alert limit
+    "level_across",
+    "level_attitude",
+    "level_term",  # the largest of the level that is nearest its limit, as in SUPERVISION
 )
 NAMES: Final = ("t_s", *(f"{name}.{axis}" for name in _TRIPLES for axis in "xyz"), *_SINGLES)
 """Names of the columns in order; the bits of 24 thrusters are exact in a 32-bit float."""
@@ -129,6 +133,9 @@ def columns_of(params, order, rows, out):
         o[at + 9] = row.supervision.closing_margin_mps
         o[at + 10] = row.supervision.aborted
         o[at + 11] = reference.phase
+        for i in range(3):
+            o[at + 12 + i] = row.supervision.level[i] / row.supervision.alert_limit[i]
+        o[at + 15] = row.supervision.level_term
 
 
 _OF_ESTIMATE: Final = tuple(

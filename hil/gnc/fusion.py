@@ -39,6 +39,7 @@ NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 FUSION_PARAMS = np.dtype(
     [
         ("memory", "i8"),  # steps that are kept
+        ("noise_scale", "f8"),  # of the standard deviations that poses report
         ("ahead", "i8"),  # steps that an exposure may be in the future: stamps and cycles are rounded
         ("orbit", TARGET_ORBIT),
         ("close_after", "i8"),  # consecutive rejections
@@ -304,7 +305,7 @@ def _place(params, state, memory, pose):
     if held >= POSES_PER_STEP:
         state.too_late += 1
         return -1
-    copy_pose(pose, step.poses[held])
+    copy_pose(pose, params.noise_scale**2, step.poses[held])
     step.gated[held] = NOT_GATED
     step.n_poses += 1
     if state.started == 0:
@@ -313,7 +314,7 @@ def _place(params, state, memory, pose):
         state.start_cycle = cycle
         state.predicted = state.cycle
         state.last_accepted_s = pose.t_s
-        pose_model.start(params, pose, state.noise, state.filters)
+        pose_model.start(params, step.poses[held], state.noise, state.filters)
         keep_predicted(params, state.filters, memory, cycle)
     return cycle
 

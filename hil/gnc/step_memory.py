@@ -14,7 +14,7 @@ from hil.gnc.akf import AKF_STATE
 from hil.gnc.error_state import LANES
 from hil.gnc.pkf import PKF_STATE
 from hil.gnc.target_orbit import HILL_STEP
-from hil.maths.arrays import copy_into, copy_matrix
+from hil.maths.arrays import copy_into
 from hil.maths.record_view import copy_eight, record_at
 
 POSES_PER_STEP = 2
@@ -118,10 +118,12 @@ def return_to(params, filters, memory, cycle):
 
 
 @kernel
-def copy_pose(source, target):
-    """Copy what the filters need of POSE."""
+def copy_pose(source, factor, target):
+    """Copy what the filters need of POSE, with the covariances times ``factor``."""
     copy_into(target.z_TC_C, source.z_TC_C)
     copy_into(target.q_CH, source.q_CH)
     target.t_s = source.t_s
-    copy_matrix(target.covariance_position, source.covariance_position)
-    copy_matrix(target.covariance_attitude, source.covariance_attitude)
+    for i in range(3):
+        for j in range(3):
+            target.covariance_position[i, j] = factor * source.covariance_position[i, j]
+            target.covariance_attitude[i, j] = factor * source.covariance_attitude[i, j]

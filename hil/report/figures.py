@@ -15,12 +15,14 @@ from matplotlib.figure import Figure
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.gnc.approach_monitor import LEVEL_TERMS
 from hil.gnc.filter_monitor import WINDOWS, nis_band
 from hil.gnc.integrity_verdict import stanford
 from hil.loop.overrun_monitor import lateness_histogram
 from hil.params import integrity as integrity_params
 from hil.params.ready import tolerances
 from hil.report.bench_error import pose_errors
+from hil.report.limits import TERMS
 from hil.report.summary import attitude_error
 from hil.report.verdict import Verdict, deviations
 
@@ -70,6 +72,7 @@ def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict)
         yield "Normalised innovations squared and the band of their mean", svg_address(_nis(updates))
     if np.isfinite(known["navigation"]["protection_level_m"]).any():
         yield "Integrity: error against protection level (Stanford diagram)", svg_address(_stanford(known, scenario))
+        yield "Integrity: protection levels over their alert limits, and the largest term", svg_address(_levels(known))
     yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
     yield "Security: margins of the estimate", svg_address(_security(history))
     rows, distance, angle = pose_errors(history, rig, scenario.step_s)
@@ -193,6 +196,27 @@ def draw_stanford(plot: Any, error: Array, level: Array) -> None:
     plot.set_ylim(least, most)
     plot.set_xlabel("error / alert limit")
     plot.set_ylabel("protection level / alert limit")
+
+
+def _levels(known: np.ndarray) -> Figure:
+    """Draw level over limit of each alert limit, and the largest term of the one that is nearest, over time."""
+    figure, axes = _axes(2, 1, 5.0, sharex=True, height_ratios=(2, 1))
+    share, term = axes[:, 0]
+    found, t_s = known["supervision"], known["t_s"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = found["level"] / found["alert_limit"]
+    for i, name in enumerate(("along", "across", "attitude")):
+        values = np.where(np.isfinite(shares[:, i]), shares[:, i], np.nan)
+        _line(share, t_s, values, color=COLOURS[i], label=name)
+    share.axhline(1.0, color="0.4", linestyle="--", linewidth=0.9)
+    share.set_yscale("log")
+    share.set_ylabel("level / alert limit")
+    share.legend(loc="upper right", fontsize=8)
+    term.step(t_s, found["level_term"], where="post", color=COLOURS[0], linewidth=0.9)
+    term.set_yticks(range(LEVEL_TERMS + 1), ("unknown", *TERMS[1 : LEVEL_TERMS + 1]))
+    term.set_ylabel("largest term")
+    term.set_xlabel("time, s")
+    return figure
 
 
 def _firings(history: np.ndarray, scenario: Scenario) -> Any:

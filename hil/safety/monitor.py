@@ -144,7 +144,6 @@ class SafetyMonitor:
         mode = self.modes.mode
         if mode is not self._checked_mode:
             self._checked_mode, self._checks = mode, CHECKS[mode]
-            self._guard.homed = mode is not Mode.JOGGING  # which has a guard volume of its own
             for check in self._speed_checks:
                 check.restart()
         checks = self._checks
@@ -168,11 +167,12 @@ class SafetyMonitor:
             age, limit = f"{now_s - commanded_s:.3f} s", f"{self.limits.command_age_max_s:g} s"
             return Alarm(now_s, "bench", "age of the setpoint", age, limit)
         if checks.following:
+            is_homed = rails.homing == HOMED and turntable.homing == HOMED
+            self._guard.homed = is_homed and mode is not Mode.JOGGING  # which has a guard volume of its own
             breach = guards.first_breach(self._guard, setpoint, feedback, self._breach)
             if breach != guards.NOTHING:
                 return breach_alarm(now_s, self._axis_names, breach, self._breach)
-            is_jog = mode is Mode.JOGGING and rails.homing == HOMED and turntable.homing == HOMED
-            if is_jog and (alarm := self.jog_guard.check(now_s, setpoint, feedback)):
+            if mode is Mode.JOGGING and is_homed and (alarm := self.jog_guard.check(now_s, setpoint, feedback)):
                 return alarm
         return self._check_speeds(now_s, rails, turntable) if checks.speed else None
 

@@ -76,7 +76,9 @@ def test_home_is_lost_when_the_drive_was_off() -> None:
         if session.once("cut", session.mode is Mode.RUNNING and session.now_s > 1.0):
             session.rails.switch_off_and_on()
 
-    outcome, _ = operate(power_cut, 'rig.rails.x.encoder="incremental"', attended=False, duration_s=5.0)
+    away_from_the_target = "rig.rails.x.home_m=5.0"
+    settings = ('rig.rails.x.encoder="incremental"', away_from_the_target)
+    outcome, _ = operate(power_cut, *settings, attended=False, duration_s=5.0)
     assert outcome.stop == "rails.x: homing not homed, allowed done"
     assert outcome.mode is Mode.SAFE_STOP
 

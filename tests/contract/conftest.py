@@ -10,8 +10,8 @@ from tests.support import example_driver
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add --rig: the drivers of a rig file on their emulators are tested besides those of this package."""
-    parser.addoption("--rig", help="rig file whose rails and turntable are tested too, on their emulators")
+    """Add --driver-rig: the drivers of a rig file on their emulators are tested besides those of this package."""
+    parser.addoption("--driver-rig", help="rig file whose rails and turntable are tested too, on their emulators")
 
 
 @pytest.fixture(scope="session", autouse=True)

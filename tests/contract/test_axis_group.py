@@ -130,10 +130,10 @@ BACKENDS: dict[str, Callable[[], Any]] = {
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run each test on all backends, or on rails and turntable of the rig file given by --rig."""
+    """Run each test on all backends, or on rails and turntable of the rig file given by --driver-rig."""
     if "backend" not in metafunc.fixturenames:
         return
-    rig_file = metafunc.config.getoption("--rig", default=None)
+    rig_file = metafunc.config.getoption("--driver-rig", default=None)
     if rig_file is None:
         metafunc.parametrize("backend", [pytest.param(make, id=name) for name, make in BACKENDS.items()], indirect=True)
         return

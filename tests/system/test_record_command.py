@@ -138,7 +138,8 @@ def test_bad_input_is_one_clear_line(folder: Path, tmp_path: Path, capsys: pytes
     for command in (["replay"], ["recover"], ["export"], ["report", "-o", str(tmp_path / "r.html")]):
         assert "not a recording" in refused(capsys, command[0], str(foreign), *command[1:])
         assert "No such file" in refused(capsys, command[0], missing, *command[1:])
-        assert "is a folder" in refused(capsys, command[0], str(tmp_path), *command[1:])
+        of_folder = "holds no finished campaign" if command[0] == "report" else "is a folder"
+        assert of_folder in refused(capsys, command[0], str(tmp_path), *command[1:])
     assert ".html" in refused(capsys, "report", good, "-o", str(tmp_path / "r.pdf"))
     assert "folder does not exist" in refused(capsys, "report", good, "-o", str(tmp_path / "no" / "r.html"))
     assert "folder does not exist" in refused(capsys, "export", good, "-o", str(tmp_path / "no" / "r.csv"))

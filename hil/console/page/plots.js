@@ -1,10 +1,12 @@
-// The ten plots and their time window.
+// The plots and their time window.
 
 import { Chart, Firings, Lateness } from "/page/chart.js";
 
 const GREEN = "#009e73";
 const X = "#e69f00", Y = "#56b4e9", Z = "#cc79a7", WHITE = "#f4f6f8", YELLOW = "#f0e442";
 const AXES = [["x", X], ["y", Y], ["z", Z]];
+// largest term of the level that is nearest its limit, as in SUPERVISION
+const TERMS = ["", "noise", "undetected fault", "age of the pose", "reopened gate", "second sensor"];
 const WINDOWS_S = [Infinity, 120, 30];
 
 const lines = (column, more = {}) => AXES.map(([axis, color]) => ({ name: axis, column: `${column}.${axis}`, color, ...more }));
@@ -38,6 +40,11 @@ export class Plots {
         series: [{ name: "position", column: "nis_position", color: X, dots: true }, { name: "attitude", column: "nis_attitude", color: Y, dots: true }],
       }),
     ];
+    this.levels = chart("level", {
+      title: "Level / limit", log: true, bound: { value: 1, text: "limit" }, shows: null,
+      series: [{ name: "along", column: "level_along", color: X }, { name: "across", column: "level_across", color: Y }, { name: "attitude", column: "level_attitude", color: Z }],
+    });
+    this.charts.push(this.levels);
     this.firings = new Firings(this.canvas("thrusters"));
     this.lateness = new Lateness(this.canvas("lateness"));
     this.compare(0);
@@ -104,6 +111,8 @@ export class Plots {
     const first = store.count ? store.at(0, "t_s") : 0;
     const t0 = Math.max(first, end - WINDOWS_S[this.window]);
     const t1 = Math.max(end, t0 + 1);
+    const term = store.count ? TERMS[store.last("level_term")] : "";
+    this.levels.title = term ? `Level/limit: ${term}` : "Level / limit";
     for (const chart of this.charts) chart.draw(store, t0, t1, this.stale);
     this.firings.draw(store, t0, t1);
     this.lateness.draw(store);

@@ -89,3 +89,12 @@ def test_nothing_is_shown_of_an_estimate_before_there_is_one() -> None:
     for name in ("estimate_m", "angle_estimate_deg", "position_error_mm", "angle_band_deg"):
         assert np.isnan(triple(rows, name)).all()
     assert np.isfinite(triple(rows, "bench_m")).all()
+
+
+def test_levels_are_those_of_the_run_over_their_limits(flown: tuple[np.ndarray, np.ndarray]) -> None:
+    history, rows = flown
+    k, found = known(history), history["supervision"]
+    shares = rows[:, [INDEX[f"level_{name}"] for name in ("along", "across", "attitude")]].astype(float)
+    np.testing.assert_allclose(shares[k] * found["alert_limit"][k], found["level"][k], rtol=1e-5)
+    assert np.all(shares[k] > 0.0)
+    np.testing.assert_array_equal(rows[:, INDEX["level_term"]], found["level_term"])

@@ -168,6 +168,21 @@ def alongside(params: np.record, flight: Flight, poses: dict[int, list], extra: 
     return run.counts()
 
 
+def test_noise_scale_is_that_of_the_reported_standard_deviations(params: np.record, rng: np.random.Generator) -> None:
+    flight = Flight(params, 130, rng)
+    poses, doubled = {k: flight.pose(k) for k in range(0, 100, FRAME)}, {}
+    for k, pose in poses.items():
+        doubled[k] = pose.copy()
+        doubled[k].covariance_position *= 4.0
+        doubled[k].covariance_attitude *= 4.0
+    reported = arrive(params, flight, doubled, lambda k: 0)
+    scaled = params.copy()
+    scaled.noise_scale = 2.0
+    by_key = arrive(scaled, flight, poses, lambda k: 0)
+    assert by_key.counts() == reported.counts() == (12, 0, 0, 0, 0)
+    np.testing.assert_array_equal(by_key.known(), reported.known())
+
+
 def test_duplicate_changes_nothing_and_is_counted(params: np.record, rng: np.random.Generator) -> None:
     flight = Flight(params, 90, rng)
     start, one, other = flight.pose(0), flight.pose(8, 0.3), flight.pose(8, -0.2)
