@@ -147,12 +147,13 @@ def margins(params, from_H, to_H, r_CT_H, v_CT_H, corridor, closing):
 
 
 @kernel
-def _range(r_CT_H):
+def range_of(r_CT_H):
+    """Return the distance from the target, m."""
     return math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)
 
 
 @kernel
-def _largest(sigma):
+def largest_sigma(sigma):
     """Return the largest of ``sigma`` (3,), 0 if they are unknown (nan)."""
     largest = 0.0
     for i in range(3):
@@ -231,6 +232,12 @@ def level_share_into(params, estimate, levels, limits):
     """``level_share``, with the levels and their limits (3,)."""
     alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, estimate.q_CH, limits)
     protection_levels(params, estimate, levels)
+    return largest_share(levels, limits)
+
+
+@kernel
+def largest_share(levels, limits):
+    """Return the largest of ``levels`` (3,) over its limit, inf over a limit of 0; 0 if none is positive."""
     share = 0.0
     for i in range(3):
         if levels[i] > limits[i]:  # the limit may be 0
@@ -251,7 +258,7 @@ def _lack(go, what, axis, value, limit):
 def has_converged(params, estimate, share, converged_mps):
     """Return whether the filters have converged: level over limit ``share``, allowance of the closing rate, m/s."""
     # the level rises a little while the filters have few poses
-    return share <= _CONVERGED_SHARE and params.confidence * _largest(estimate.sigma_v_mps) <= converged_mps
+    return share <= _CONVERGED_SHARE and params.confidence * largest_sigma(estimate.sigma_v_mps) <= converged_mps
 
 
 @kernel
@@ -345,18 +352,18 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
     levels = stack.vector(3)
     protection_levels(params, estimate, levels)
     off = levels[ACROSS] if 0.0 < levels[ACROSS] < np.inf else 0.0  # one without a bound has its own reaction
-    off_mps = params.confidence * _largest(estimate.sigma_v_mps)
+    off_mps = params.confidence * largest_sigma(estimate.sigma_v_mps)
     if reactions.converged == 0:
-        off, off_mps = -params.confidence * _largest(estimate.sigma_r_m), -off_mps
+        off, off_mps = -params.confidence * largest_sigma(estimate.sigma_r_m), -off_mps
     elif reactions.entered == 0:
         _enter(params, estimate, reference, reactions, found)
     if found.corridor_margin_m < off and reactions.entered != 0 and reactions.outside == 0:
         cause = CORRIDOR
-        reactions.broken.limit = corridor_radius(params, _range(estimate.r_CT_H))
+        reactions.broken.limit = corridor_radius(params, range_of(estimate.r_CT_H))
         reactions.broken.value = reactions.broken.limit - found.corridor_margin_m + off
     elif found.closing_margin_mps < off_mps:
         cause = CLOSING_RATE
-        reactions.broken.limit = closing_limit(params, _range(estimate.r_CT_H))
+        reactions.broken.limit = closing_limit(params, range_of(estimate.r_CT_H))
         reactions.broken.value = reactions.broken.limit - found.closing_margin_mps + off_mps
     found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
     if ordered != 0 or t_s >= params.abort_at_s:

@@ -114,11 +114,6 @@ def _motion_term(now, speed):
 
 
 @kernel
-def _length(r):
-    return math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-
-
-@kernel
 def _update_security(approach, state, now, from_H, to_H):
     """Update the margins of the truth to corridor and closing rate. from_H, to_H: line of the phase."""
     truth, t_s = now.truth, now.t_s
@@ -130,12 +125,12 @@ def _update_security(approach, state, now, from_H, to_H):
     if enters:
         state.entered = 1
     if enters or corridor < state.margin[CORRIDOR]:
-        radius = approach_monitor.corridor_radius(approach, _length(truth.r_CT_H))
+        radius = approach_monitor.corridor_radius(approach, approach_monitor.range_of(truth.r_CT_H))
         _take(state, CORRIDOR, t_s, corridor, radius, _motion_term(now, False))
         if corridor < 0.0 and state.entered != 0:
             note_broken(state, CORRIDOR, t_s, radius - corridor, radius, state.term[CORRIDOR])
     if closing < state.margin[CLOSING]:
-        allowed = approach_monitor.closing_limit(approach, _length(truth.r_CT_H))
+        allowed = approach_monitor.closing_limit(approach, approach_monitor.range_of(truth.r_CT_H))
         _take(state, CLOSING, t_s, closing, allowed, _motion_term(now, True))
         if closing < 0.0:
             note_broken(state, CLOSING, t_s, allowed - closing, allowed, state.term[CLOSING])
@@ -188,10 +183,7 @@ def _update_levels(params, approach, state, now):
     """Update the margins of the protection levels; return whether the filters have converged."""
     found, t_s = now.supervision, now.t_s
     if state.converged == 0:
-        share = 0.0
-        for i in range(3):
-            if found.level[i] > share * found.alert_limit[i]:
-                share = found.level[i] / found.alert_limit[i] if found.alert_limit[i] > 0.0 else np.inf
+        share = approach_monitor.largest_share(found.level, found.alert_limit)
         if not approach_monitor.has_converged(approach, now.navigation, share, params.converged_mps):
             if t_s - state.valid_s <= params.acquisition_s:
                 return False
@@ -216,22 +208,21 @@ def _update_checks(approach, state, now):
     """Update the margins of the estimate, with what it may be wrong by, to corridor and closing rate."""
     found, estimate, t_s = now.supervision, now.navigation, now.t_s
     off = found.level[ACROSS] if 0.0 < found.level[ACROSS] < np.inf else 0.0
-    sigma = max(0.0, max(estimate.sigma_v_mps[0], max(estimate.sigma_v_mps[1], estimate.sigma_v_mps[2])))
-    off_mps = approach.confidence * sigma
+    off_mps = approach.confidence * approach_monitor.largest_sigma(estimate.sigma_v_mps)
     corridor, closing = found.corridor_margin_m - off, found.closing_margin_mps - off_mps
     if corridor < state.margin[CORRIDOR_SEEN]:
-        radius = approach_monitor.corridor_radius(approach, _length(estimate.r_CT_H))
+        radius = approach_monitor.corridor_radius(approach, approach_monitor.range_of(estimate.r_CT_H))
         term = PROTECTION_LEVEL if off > radius - found.corridor_margin_m else CONTROL_ERROR
         _take(state, CORRIDOR_SEEN, t_s, corridor, radius, term)
     if closing < state.margin[CLOSING_SEEN]:
-        allowed = approach_monitor.closing_limit(approach, _length(estimate.r_CT_H))
+        allowed = approach_monitor.closing_limit(approach, approach_monitor.range_of(estimate.r_CT_H))
         _take(state, CLOSING_SEEN, t_s, closing, allowed, _motion_term(now, True))
     if found.aborted == approach_monitor.CORRIDOR:
-        radius = approach_monitor.corridor_radius(approach, _length(estimate.r_CT_H))
+        radius = approach_monitor.corridor_radius(approach, approach_monitor.range_of(estimate.r_CT_H))
         term = PROTECTION_LEVEL if off > radius - found.corridor_margin_m else CONTROL_ERROR
         note_broken(state, CORRIDOR_SEEN, t_s, radius - corridor, radius, term)
     elif found.aborted == approach_monitor.CLOSING_RATE:
-        allowed = approach_monitor.closing_limit(approach, _length(estimate.r_CT_H))
+        allowed = approach_monitor.closing_limit(approach, approach_monitor.range_of(estimate.r_CT_H))
         note_broken(state, CLOSING_SEEN, t_s, allowed - closing, allowed, _motion_term(now, True))
 
 

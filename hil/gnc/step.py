@@ -141,7 +141,6 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     if approach.abort_began != 0:
         backends.orders |= _ABORT
     _feed_forward(params, state, reference)
-    thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, state.feed.transit_C)
     if backends.control.step == 0:
         control.control(params.control, estimate, reference, state.feed, command)
     elif not backend_step.control_elsewhere(params, state, t_s, estimate, reference, supervision, command):
@@ -244,8 +243,12 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
 
 @kernel
 def _feed_forward(params, state, reference):
-    """Write ``state.feed`` for the reference of this cycle, whose rate is that of its change since the one before."""
+    """Write ``state.feed``: what late valves have yet to give, and what the reference of this cycle asks.
+
+    The rate of the reference is that of its change since the cycle before.
+    """
     feed, dt = state.feed, params.control.dt_s
+    thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
     p, q, tumble = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble
     turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]
     if not turned and tumble.rotates == 0 and feed.turned == 0:
@@ -274,7 +277,6 @@ def _feed_forward(params, state, reference):
 def actuate(params, state, estimate, reference, command):
     """Stage 7: write the six demands and the thrusters of COMMAND. params, state: GNC_PARAMS, GNC_STATE."""
     _feed_forward(params, state, reference)
-    thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, state.feed.transit_C)
     control.control(params.control, estimate, reference, state.feed, command)
     _select_thrusters(params, state, command)
 
