@@ -77,6 +77,15 @@ def keep_out_zone(scenario: Scenario) -> np.record:
     return zone
 
 
+def following_limits(rig: Rig) -> tuple[list[float], list[float]]:
+    """Return the following error of each axis that is allowed at rest, m, rad, and in addition per speed, s."""
+    rails, turntable = rig.rails, rig.turntable
+    return (
+        [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3,
+        [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3,
+    )
+
+
 def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     """Return GUARD: following errors, travel, bodies of the bench, and the scenario's keep-out.
 
@@ -84,9 +93,8 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     axes of the chaser's rig alone do not show where its reference point is.
     """
     axes, guard = bench(rig, scenario.step_s), new(GUARD)
-    rails, turntable, geometry = rig.rails, rig.turntable, rig.bench
-    guard.following_max = [rails.following_error_max_m] * 3 + [math.radians(turntable.following_error_max_deg)] * 3
-    guard.following_per_speed = [rails.following_error_per_speed_s] * 3 + [turntable.following_error_per_speed_s] * 3
+    geometry = rig.bench
+    guard.following_max, guard.following_per_speed = following_limits(rig)
     guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
     guard.homed, guard.zone = 1, keep_out_zone(scenario)
     if rig.rotated_target is not None or not rig.guard.enabled:

@@ -28,13 +28,11 @@ def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
     limits = params.limits
     limits.acquisition_s = scenario.gnc.integrity.acquisition_s
     limits.converged_mps = gnc_params.converged_mps(scenario)
-    limits.time_to_alert_s, limits.lost_after_s = (
-        scenario.integrity.time_to_alert_s,
-        scenario.gnc.integrity.lost_after_s,
-    )
+    limits.time_to_alert_s = scenario.integrity.time_to_alert_s
+    limits.lost_after_s = scenario.gnc.integrity.lost_after_s
     if rig is not None:
-        guard = bench_params.axis_guard(rig, scenario)
-        limits.tracks, limits.axis_max, limits.axis_per_speed_s = 1, guard.following_max, guard.following_per_speed
+        limits.tracks = 1
+        limits.axis_max, limits.axis_per_speed_s = bench_params.following_limits(rig)
     return params
 
 

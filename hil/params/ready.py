@@ -22,8 +22,14 @@ def ready_params(requirements: Requirements) -> np.record:
     params = new(ready_phase.READY_PARAMS)
     params.axial_distance = requirements.axial_distance_m
     params.dwell_s = requirements.dwell_s
-    params.tolerance = np.concatenate([tolerances(requirements)[name] for name in ROW_NAMES])
+    params.tolerance = all_tolerances(requirements)
     return params
+
+
+def all_tolerances(requirements: Requirements) -> Array:
+    """Return the tolerances of all rows one after the other, (12,)."""
+    allowed = tolerances(requirements)
+    return np.concatenate([allowed[name] for name in ROW_NAMES])
 
 
 def tolerances(requirements: Requirements) -> dict[str, Array]:

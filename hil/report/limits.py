@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,9 +17,10 @@ from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.rig import BENCH_AXES
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
-from hil.gnc.approach_monitor import FIRST_HEALTH_CAUSE, ORDERED
+from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, ORDERED
 from hil.gnc.ready_phase import DEVIATIONS
-from hil.params.ready import ROW_NAMES, tolerances
+from hil.maths.limits import finite_or_none
+from hil.params.ready import all_tolerances
 from hil.safety.alarms import Alarm
 
 _DIRECTIONS: Final = ("along", "across", "attitude")
@@ -36,10 +37,9 @@ TERMS: Final = (
     "navigation error", "control error", "protection level",
 )  # fmt: skip
 _HEALTH: Final = tuple(bit.name.lower() for bit in GncHealth if bit.value)
-_CAUSES: Final = {ORDERED: "ordered_abort", 11: "hold_time"} | {
+_CAUSES: Final = {ORDERED: "ordered_abort", HELD_TOO_LONG: "hold_time", BENCH_DISAGREES: "bench_disagrees"} | {
     FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:-1])
 }
-_BENCH_CAUSE: Final = 12
 _PARTS: Final = (
     dict.fromkeys(("corridor", "closing_rate"), "security")
     | dict.fromkeys((*(f"error_{d}" for d in _DIRECTIONS), "keep_out"), "integrity")
@@ -120,7 +120,7 @@ class Margin:
     def as_json(self) -> dict[str, Any]:
         """Return the margin by the keys of the JSON."""
         return {
-            "margin": _number(self.margin),
+            "margin": finite_or_none(self.margin),
             "at_s": self.at_s,
             "value": self.value,
             "limit": self.limit,
@@ -167,24 +167,27 @@ def margins_of(run: RunNumbers, scenario: Scenario) -> list[Margin]:
 def _kernel_margins(state: np.record) -> list[Margin]:
     found = []
     for k, name in enumerate(_OF_KERNEL):
-        if not math.isfinite(state.margin[k]) and math.isnan(state.broken_s[k]):
+        is_broken = not math.isnan(state.broken_s[k])
+        if not math.isfinite(state.margin[k]) and not is_broken:
             continue
-        broken = not math.isnan(state.broken_s[k])
-        found.append(
-            Margin(
-                name, float(state.margin[k]), float(state.at_s[k]), _number(state.value[k]), _number(state.limit[k]),
-                TERMS[int(state.term[k])],
-                *((float(state.broken_s[k]), _number(state.broken_value[k]), _number(state.broken_limit[k]),
-                   TERMS[int(state.broken_term[k])]) if broken else ()),
+        value, limit = finite_or_none(state.value[k]), finite_or_none(state.limit[k])
+        margin = Margin(name, float(state.margin[k]), float(state.at_s[k]), value, limit, TERMS[int(state.term[k])])
+        if is_broken:
+            margin = replace(
+                margin,
+                broken_s=float(state.broken_s[k]),
+                broken_value=finite_or_none(state.broken_value[k]),
+                broken_limit=finite_or_none(state.broken_limit[k]),
+                broken_term=TERMS[int(state.broken_term[k])],
             )
-        )  # fmt: skip
+        found.append(margin)
     return found
 
 
 def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     """Return the margins to Table III: in the ready phase, or of what has kept it from beginning."""
     ready, found = run.ready, []
-    allowed = np.concatenate([tolerances(scenario.requirements)[row] for row in ROW_NAMES])
+    allowed = all_tolerances(scenario.requirements)
     late = bool(ready.is_ready) and not ready.left and not run.parts.get("control_precision", False)
     blocking = -1 if ready.is_ready and not (late and ready.breaks.any()) else _blocking(ready)
     for i in range(DEVIATIONS):
@@ -201,16 +204,13 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
         if i == blocking:
             at = float(ready.break_s[i]) if ready.breaks[i] else at_s
             broken = (at, float(ready.break_value[i]) if ready.breaks[i] else value, limit)
-        found.append(Margin(_OF_READY[i], limit - value, at_s, _number(value), limit, "", *(broken or ())))
+        found.append(Margin(_OF_READY[i], limit - value, at_s, finite_or_none(value), limit, "", *(broken or ())))
     if not ready.is_ready and not ready.breaks[blocking]:
-        limit = float(allowed[blocking])
-        known = bool(ready.out[blocking])
-        value, at_s = (
-            (float(ready.out_value[blocking]), float(ready.out_s[blocking])) if known else (math.nan, run.end_s)
-        )
-        found.append(
-            Margin(_OF_READY[blocking], limit - value, at_s, _number(value), limit, "", at_s, _number(value), limit)
-        )
+        limit, value, at_s = float(allowed[blocking]), math.nan, run.end_s
+        if ready.out[blocking]:
+            value, at_s = float(ready.out_value[blocking]), float(ready.out_s[blocking])
+        shown, name = finite_or_none(value), _OF_READY[blocking]
+        found.append(Margin(name, limit - value, at_s, shown, limit, "", at_s, shown, limit))
     if late and not ready.breaks.any():
         lasted, wanted = float(ready.last_s - ready.ready_s), scenario.requirements.required_ready_s
         found.append(Margin("ready_time", lasted - wanted, run.end_s, lasted, wanted, "", run.end_s, lasted, wanted))
@@ -239,7 +239,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     decision = integrity.decision
     if decision.error:
         k = int(decision.error_by)
-        limit = float(np.concatenate([tolerances(scenario.requirements)[row] for row in ROW_NAMES])[k])
+        limit = float(all_tolerances(scenario.requirements)[k])
         value = float(decision.error_value)
         found.append(
             Margin("decision", limit - value, float(decision.error_s), value, limit, "", float(decision.error_s), value,
@@ -250,7 +250,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
         found.append(Margin("error_beyond_level", math.nan, since, None, None, "", since))
     for name, (mean, limit) in zip(("nees_position", "nees_attitude"), run.nees, strict=False):
         if not mean <= limit:
-            found.append(Margin(name, limit - mean, run.end_s, _number(mean), limit, "", run.end_s, mean, limit))
+            found.append(Margin(name, limit - mean, run.end_s, finite_or_none(mean), limit, "", run.end_s, mean, limit))
     return found
 
 
@@ -258,7 +258,7 @@ def _ended(run: RunNumbers) -> list[Margin]:
     """Return what ended the approach: the cause of the abort, the stop, a part that was not passed for no limit."""
     state, found = run.integrity.limits, []
     cause = int(state.aborted)
-    name = "bench_disagrees" if cause == _BENCH_CAUSE else _CAUSES.get(cause)
+    name = _CAUSES.get(cause)
     if name is not None:
         found.append(_event(name, float(state.aborted_at_s)))
     if run.stop is not None:
@@ -382,7 +382,3 @@ def _leading(text: str) -> float | None:
     except ValueError:
         return None
     return math.radians(value) if unit.startswith("deg") else value
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
