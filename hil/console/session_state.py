@@ -14,6 +14,7 @@ from hil.config.scenario import Scenario
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.core.modes import Mode
 from hil.gnc.filter_monitor import nis_band
+from hil.maths.limits import finite_or_none
 from hil.monitor.results import QUANTITIES
 from hil.monitor.screen.overlay import NUMBERS
 
@@ -141,17 +142,17 @@ class SessionState:
             return {}
         status, since_s = status_of(self._status), now_s - self._received_s
         axes = _AXES_MAX if self._is_rotated else len(BENCH_AXES)
-        ages_s = {name: _number(status.age_s[i] + since_s) for i, name in enumerate(DEVICES)}
+        ages_s = {name: finite_or_none(status.age_s[i] + since_s) for i, name in enumerate(DEVICES)}
         return {
             "status_age_s": since_s,
-            "ages_s": ages_s | ({TARGET: _number(status.target_age_s + since_s)} if self._is_rotated else {}),
-            "bench_s": _number(status.bench_s),
-            "run_s": _number(status.run_s),
-            "share": _number(status.fraction),
-            "rail_m": [_number(v) for v in status.feedback.rail_m],
-            "gimbal_deg": [_number(math.degrees(v)) for v in status.feedback.gimbal_rad],
-            "rail_mps": [_number(v) for v in status.feedback.rail_mps],
-            "gimbal_degps": [_number(math.degrees(v)) for v in status.feedback.gimbal_radps],
+            "ages_s": ages_s | ({TARGET: finite_or_none(status.target_age_s + since_s)} if self._is_rotated else {}),
+            "bench_s": finite_or_none(status.bench_s),
+            "run_s": finite_or_none(status.run_s),
+            "share": finite_or_none(status.fraction),
+            "rail_m": [finite_or_none(v) for v in status.feedback.rail_m],
+            "gimbal_deg": [finite_or_none(math.degrees(v)) for v in status.feedback.gimbal_rad],
+            "rail_mps": [finite_or_none(v) for v in status.feedback.rail_mps],
+            "gimbal_degps": [finite_or_none(math.degrees(v)) for v in status.feedback.gimbal_radps],
             "homing": [int(v) for v in status.homing[:axes]],
             "limit": [int(v) for v in status.limit[:axes]],
             "estop": None if status.estop == UNKNOWN else bool(status.estop),
@@ -180,19 +181,14 @@ class SessionState:
         }
 
 
-def _number(value: float) -> float | None:
-    """Return ``value``; None for a non-finite number, which JSON does not support."""
-    return float(value) if math.isfinite(value) else None
-
-
 def _target(status: np.record) -> dict[str, Any]:
     """Return the axes of the rotary manipulator, and those of the chaser's rig relative to the target."""
     return {
-        "target_deg": [_number(math.degrees(v)) for v in status.target_rad],
-        "target_degps": [_number(math.degrees(v)) for v in status.target_radps],
+        "target_deg": [finite_or_none(math.degrees(v)) for v in status.target_rad],
+        "target_degps": [finite_or_none(math.degrees(v)) for v in status.target_radps],
         "relative": {
-            "rail_m": [_number(v) for v in status.relative.rail_m],
-            "gimbal_deg": [_number(math.degrees(v)) for v in status.relative.gimbal_rad],
+            "rail_m": [finite_or_none(v) for v in status.relative.rail_m],
+            "gimbal_deg": [finite_or_none(math.degrees(v)) for v in status.relative.gimbal_rad],
         },
     }
 

@@ -28,3 +28,8 @@ def to_integer(value):
 def has_held(since_s, now_s, dwell_s):
     """Return whether a condition that is true since ``since_s`` (nan: false) has held for ``dwell_s`` at ``now_s``."""
     return now_s - since_s >= dwell_s - 1e-9
+
+
+def finite_or_none(value: float) -> float | None:
+    """Return ``value``; None for a non-finite number, which JSON does not support."""
+    return float(value) if math.isfinite(value) else None

@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
 from hil.errors import BadInput, one_line
+from hil.maths.limits import finite_or_none
 from hil.monte_carlo.drivers import DISTANCE_PRODUCT, RATIO, VALUE, Candidates, Drivers, Term, find_drivers, threshold
 from hil.monte_carlo.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 from hil.monte_carlo.statistics import wilson
@@ -159,8 +160,8 @@ class _Campaign:
             "high": share["high"],
             "by_start": bool(np.mean(self.by_start[members]) > 0.5),
             "case": int(self.case[typical]),
-            "value": _number(self.value[typical]),
-            "allowed": _number(self.allowed[typical]),
+            "value": finite_or_none(self.value[typical]),
+            "allowed": finite_or_none(self.allowed[typical]),
             "unit": unit_of(limit),
             "term": self._common(self.term[members]),
             "driver": None,
@@ -318,7 +319,3 @@ def case_of(table: Any, case: int, scenario: str, folder: str = "DIR") -> dict[s
         "nearest": None if row["accepted"] else campaign.nearest(place),
         "command": f"hil run {scenario} --campaign {folder} --case {case}",
     }  # fmt: skip
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

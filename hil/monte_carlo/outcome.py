@@ -15,6 +15,7 @@ from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
 from hil.loop.runner import COMPLETED
+from hil.maths.limits import finite_or_none
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import is_accepted
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part, mean_nees
@@ -108,7 +109,7 @@ def row_of(
         "hmi_cycles": integrity["hmi_cycles"],
         "worst_error_m": integrity["worst_error_m"],
         "alert_limit_m": integrity["alert_limit_m"],
-        "protection_level_m": _number(stats.integrity.worst_bound),
+        "protection_level_m": finite_or_none(stats.integrity.worst_bound),
         "availability": integrity["availability"],
         "time_to_alert_s": integrity["time_to_alert_s"],
         "firings": firings,
@@ -124,14 +125,14 @@ def row_of(
         "thruster_on_time_s": scenario.step_s * float(np.sum(stats.thruster_open)),
         "control_margin": None,
         **{
-            name: _number(value) if flown else None
+            name: finite_or_none(value) if flown else None
             for name, value in (
                 ("corridor_margin_m", limits.margin[CORRIDOR]),
                 ("closing_margin_mps", limits.margin[CLOSING]),
                 ("view_margin_px", stats.view_margin),
             )
         },
-        "nearest_m": _number(stats.integrity.nearest) if flown else None,
+        "nearest_m": finite_or_none(stats.integrity.nearest) if flown else None,
         **_three("force_on_time_s", scenario.step_s * stats.force_cycles),
         **_three("torque_on_time_s", scenario.step_s * stats.torque_cycles),
         **_navigation(stats),
@@ -148,7 +149,7 @@ def _limits(
     row: dict[str, Any], stats: np.record, parts: dict[str, bool], ended: Stop | None, scenario: Scenario
 ) -> dict[str, Any]:
     """Return the first violated limit, the alarms before it and the margins to all limits."""
-    view = tuple(_number(value) for value in (stats.view_margin, stats.view_margin_s, stats.view_lost_s))
+    view = tuple(finite_or_none(value) for value in (stats.view_margin, stats.view_margin_s, stats.view_lost_s))
     run = RunNumbers(
         stats.integrity, stats.ready, parts, (view[0], view[1], view[2]),
         (row["propellant_kg"], row["propellant_limit_kg"]), mean_nees(stats.integrity),
@@ -161,7 +162,7 @@ def _limits(
     for each in margins:
         if each.name in LIMITS:
             at = f"margin_{each.name}"
-            columns |= {at: _number(each.margin), f"{at}_s": each.at_s, f"{at}_value": each.value}
+            columns |= {at: finite_or_none(each.margin), f"{at}_s": each.at_s, f"{at}_value": each.value}
             columns |= {f"{at}_limit": each.limit, f"{at}_term": each.term}
     return columns
 
@@ -188,8 +189,8 @@ def _navigation(stats: np.record) -> dict[str, float | None]:
         **_three("position_rmse_m", rms[0:3]),
         **_three("velocity_rmse_mps", rms[3:6]),
         **_three("attitude_rmse_deg", np.degrees(rms[6:9])),
-        "nees_pkf": _number(stats.nees_position / fused) if fused else None,
-        "nees_akf": _number(stats.nees_attitude / fused) if fused else None,
+        "nees_pkf": finite_or_none(stats.nees_position / fused) if fused else None,
+        "nees_akf": finite_or_none(stats.nees_attitude / fused) if fused else None,
     }
 
 
@@ -212,8 +213,4 @@ def _fault(truth: Scenario, stats: np.record) -> dict[str, Any]:
 
 
 def _three(name: str, values: Array) -> dict[str, float | None]:
-    return {f"{name}_{axis}": _number(value) for axis, value in zip(_AXES, values, strict=True)}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return {f"{name}_{axis}": finite_or_none(value) for axis, value in zip(_AXES, values, strict=True)}

@@ -19,6 +19,7 @@ from hil.gnc.integrity_verdict import (
     update_integrity_all,
 )
 from hil.maths import chi_square
+from hil.maths.limits import finite_or_none
 from hil.params import integrity as integrity_params
 
 SAFE_STOP: Final = "safe stop"
@@ -54,7 +55,7 @@ def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:
     A GNC that reports no protection levels is judged by the distance to the target alone.
     """
     reported = bool(state.reported)
-    nearest_m, keep_out_m = _number(state.nearest), scenario.keep_out.radius_m
+    nearest_m, keep_out_m = finite_or_none(state.nearest), scenario.keep_out.radius_m
     has_estimate = state.worst_limit > 0.0 or state.worst_error > 0.0
     return {
         "passed": bool(state.hmi_cycles == 0 and nearest_m is not None and nearest_m >= keep_out_m),
@@ -62,7 +63,7 @@ def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:
         "hmi_by_line1_only": int(state.hmi_by_line1_only) if reported else None,
         "worst_error_m": float(state.worst_error) if has_estimate else None,
         "alert_limit_m": float(state.worst_limit) if has_estimate else None,
-        "protection_level_m": [_number(level) for level in state.worst_level],
+        "protection_level_m": [finite_or_none(level) for level in state.worst_level],
         "availability": float(state.available / state.judged) if reported and state.judged else None,
         "time_to_alert_s": float(state.longest_unnoticed_s),
         "nearest_m": nearest_m,
@@ -82,7 +83,7 @@ def decision_part(state: np.record) -> dict[str, Any]:
     nees_ok = all(counted) if counted else None
     return {
         "passed": bool(found.error == 0 and found.beyond + found.pending == 0 and nees_ok is not False),
-        "go_s": _number(found.go_s),
+        "go_s": finite_or_none(found.go_s),
         "error": bool(found.error),
         "nees_ok": nees_ok,
         "beyond_level_cycles": int(found.beyond + found.pending),
@@ -119,7 +120,3 @@ def detection(state: np.record, k: int, fault: TimedFault, stop: SafeStop | None
     detected_s, by_whom = min(found, default=(None, None))
     reaction_s, reaction = min(reactions, default=(None, None))
     return {"detected_s": detected_s, "detected_by": by_whom, "reaction": reaction, "reaction_s": reaction_s}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
