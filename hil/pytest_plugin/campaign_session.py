@@ -101,14 +101,7 @@ class CampaignSession:
         given = conditions_of(item)
         if given.key not in self._shared:
             self._confirm(item)
-            found = run_scenario(
-                given.scenario,
-                self.rig_name,
-                given.seed,
-                overrides=given.settings | self._rig_settings,
-                gnc=given.gnc,
-                record=self._record(),
-            )
+            found = run_scenario(given.scenario, self.rig_name, given.seed, **self._options(given))
             self._note_run(item, found)
             self._shared[given.key] = found
             self._park(found, given)
@@ -121,14 +114,7 @@ class CampaignSession:
         """Give the bench of a test; afterwards it is at its start, or safe if it has tripped. Raises BenchError."""
         given = conditions_of(item)
         self._confirm(item)
-        bench = ProcedureBench(
-            self.rig_name,
-            given.scenario,
-            given.seed,
-            overrides=given.settings | self._rig_settings,
-            gnc=given.gnc,
-            record=self._record(),
-        )
+        bench = ProcedureBench(self.rig_name, given.scenario, given.seed, **self._options(given))
         bench.require(*(limit for _, _, limit in requirements_of(item) if limit is not None))
         item.stash[_BENCH] = bench
         parked = False
@@ -175,8 +161,10 @@ class CampaignSession:
         if not self._operator or not self._terminal.ask(question):
             pytest.skip("the operator has not confirmed that the bench is clear")
 
-    def _record(self) -> Path | None:
-        return None if self.day is None else self.day.folder / "recordings"
+    def _options(self, given: RunConditions) -> dict[str, Any]:
+        """Return the arguments that a run and a bench of the same conditions share."""
+        record = None if self.day is None else self.day.folder / "recordings"
+        return {"overrides": given.settings | self._rig_settings, "gnc": given.gnc, "record": record}
 
     def _note_run(self, item: pytest.Item, run: Run) -> None:
         item.stash.setdefault(_RUNS, []).append(run)
