@@ -35,6 +35,7 @@ SETTINGS = (
 )
 CHAIN_OPEN_S, STANDS_S = 0.3, 1.3  # 0.05 s of silence, the relay; a ramp from 0.25 m/s; a busy computer
 DROP_M = 0.002
+STANDING_MPS = 2e-3
 MODES = ("standby", "homing", "jogging", "placing", "armed", "running", "hold", "parking", "safe-stop")
 
 
@@ -138,6 +139,19 @@ def bench(folder: Path) -> Iterator[Bench]:
             made.process.communicate()
 
 
+def stop_times(made: Bench, limit_s: float = 5.0) -> tuple[float | None, float | None]:
+    """Return after which times, s, the axes stand, and have no torque; None if not within ``limit_s``."""
+    begun = time.monotonic()
+    stands = opened = None
+    while (now := time.monotonic() - begun) < limit_s and (stands is None or opened is None):
+        if opened is None and not made.has_torque():
+            opened = now
+        if stands is None and made.speed() < STANDING_MPS:
+            stands = now
+        time.sleep(0.0005)
+    return stands, opened
+
+
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "hanging"])
 @pytest.mark.parametrize("who", ["loop", "I/O", "watchdog"])
 @pytest.mark.parametrize("mode", MODES)
@@ -147,14 +161,7 @@ def test_the_chain_opens_and_nothing_moves_or_drops(tmp_path: Path, mode: str, w
         assert made.has_torque(), "the relay opened before: the computer paused for more than its 50 ms"
         (z_m, z_mps), speed = made.z(), made.speed()
         os.kill(made.pids[who], how)
-        begun = time.monotonic()
-        opened = stands = None
-        while (now := time.monotonic() - begun) < 4.0 and (opened is None or stands is None):
-            if opened is None and not made.has_torque():
-                opened = now
-            if stands is None and made.speed() < 2e-3:
-                stands = now
-            time.sleep(0.0005)
+        stands, opened = stop_times(made, 4.0)
         time.sleep(0.3)
         drop_m = z_m - made.z()[0]
         assert opened is not None

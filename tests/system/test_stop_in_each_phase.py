@@ -13,13 +13,12 @@ from pathlib import Path
 import pytest
 
 from hil.core.modes import Mode
-from tests.system.test_killed_in_each_mode import DROP_M, Bench, bench
+from tests.system.test_killed_in_each_mode import DROP_M, STANDING_MPS, Bench, bench, stop_times
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow]
 
 STANDS_S = 1.3  # a ramp from 0.25 m/s, standstill, and a busy computer
 TORQUE_OFF_S = 2.0  # after the brakes have closed
-STANDING_MPS = 2e-3
 PHASES = ("standby", "homing", "jogging", "placing", "armed", "running", "hold", "abort", "retreat", "parking")
 _BRAKING_S, _RETREATING_S = 0.5, 6.0
 
@@ -31,19 +30,6 @@ def bring_to(made: Bench, phase: str) -> None:
         made.order("abort")
         time.sleep(_BRAKING_S if phase == "abort" else _RETREATING_S)
     assert made.has_torque(), "the relay opened before: the computer paused for more than its 50 ms"
-
-
-def stop_times(made: Bench, limit_s: float = 5.0) -> tuple[float | None, float | None]:
-    """Return after which times, s, the axes stand, and have no torque; None if not within ``limit_s``."""
-    begun = time.monotonic()
-    stands = opened = None
-    while (now := time.monotonic() - begun) < limit_s and (stands is None or opened is None):
-        if opened is None and not made.has_torque():
-            opened = now
-        if stands is None and made.speed() < STANDING_MPS:
-            stands = now
-        time.sleep(0.0005)
-    return stands, opened
 
 
 @pytest.mark.parametrize("phase", PHASES)
