@@ -12,14 +12,14 @@ from pydantic import BaseModel, field_validator
 from hil.config.model import ConfigModel
 
 LIVE_TUNABLE: Final = {
-    "gnc.control.deadband_m": (1e-4, 0.2),
-    "gnc.control.lead_s": (0.01, 100.0),
-    "gnc.control.period_s": (0.01, 60.0),
+    "gnc.control.deadband_m": (0.0, 0.2),
+    "gnc.control.lead_s": (0.0, 100.0),
+    "gnc.control.period_s": (0.0, 60.0),
     "gnc.control.deadband_sigmas": (0.0, 10.0),
     "gnc.control.correction_rate_mps": (1e-4, 0.5),
-    "gnc.control.deadband_deg": (1e-3, 5.0),
-    "gnc.control.attitude_lead_s": (0.01, 100.0),
-    "gnc.control.attitude_period_s": (0.01, 60.0),
+    "gnc.control.deadband_deg": (0.0, 5.0),
+    "gnc.control.attitude_lead_s": (0.0, 100.0),
+    "gnc.control.attitude_period_s": (0.0, 60.0),
     "gnc.control.attitude_deadband_sigmas": (0.0, 10.0),
     "gnc.control.slew_rate_degps": (0.01, 5.0),
     "gnc.corridor.half_angle_deg": (0.5, 30.0),

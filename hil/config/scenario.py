@@ -506,24 +506,24 @@ class Control(ConfigModel):
     library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
-    deadband_m: Positive
-    """Dead band of the switching function, before `deadband_sigmas`."""
-    lead_s: Positive
-    """Weight of the rate relative to the position."""
-    period_s: Positive
-    """An axis decides once per period."""
-    deadband_sigmas: NotNegative = 0.0
-    """Standard deviations of the switching function added to the dead band."""
+    deadband_m: NotNegative = 0.0
+    """Least coast in the dead band; 0: that of the rule, by valve, propellant and requirement."""
+    lead_s: NotNegative = 0.0
+    """Weight of the rate relative to the position; 0: that of the rule, by noise and valve."""
+    period_s: NotNegative = 0.0
+    """An axis decides once per period; 0: that of the rule, by the valve."""
+    deadband_sigmas: NotNegative = 2.0
+    """Standard deviations of the switching function in the dead band."""
     correction_rate_mps: Positive = 0.05
     """Largest rate at which a position error is corrected; plus the approach speed, below the largest closing rate."""
-    deadband_deg: Positive
-    """Dead band of the attitude."""
-    attitude_lead_s: Positive
-    """Weight of the angular rate."""
-    attitude_period_s: Positive
-    """Decision period of an attitude axis."""
+    deadband_deg: NotNegative = 0.0
+    """Least coast of the attitude in its dead band; 0: that of the rule."""
+    attitude_lead_s: NotNegative = 0.0
+    """Weight of the angular rate; 0: that of the rule."""
+    attitude_period_s: NotNegative = 0.0
+    """Decision period of an attitude axis; 0: that of the rule."""
     attitude_deadband_sigmas: NotNegative = 0.0
-    """Standard deviations added to the dead band."""
+    """Standard deviations of the attitude in the dead band."""
     slew_rate_degps: Positive = 0.6
     """Largest rate at which an attitude error is corrected."""
 

@@ -9,16 +9,20 @@ last term is the parabola on which a full-thrust braking ends at rest; ``tau`` d
 noise. ``e`` is cut to ``tau`` times the greatest rate at which an error may be worked off, so a large
 error is approached at that rate and not with one long burst each way.
 
-An axis decides once per period. Outside the dead band it fires against s for as long as takes s to zero,
-``|s| / (tau a)``, at least one cycle and at most the period. The dead band is the set one plus
-``deadband_sigmas`` times the standard deviation of s by the covariance of navigation: far out, and while
-the filters converge, s is mostly noise, and propellant spent on noise is spent twice. The brake of an
-abort has the set dead band only.
+An axis decides once per period. Lead, dead band and burns follow from the noise of navigation and from the smallest
+change of rate d that the valves can fire (docs/explanation/control.md derives them):
+
+- lead: the ratio of the standard deviations of error and rate, with which both have an equal part in the noise of s,
+  at most the time in which d moves s through the noise's dead band, and between two bounds; without noise the shorter.
+- dead band: ``deadband_sigmas`` standard deviations of s or tau d / 2, the larger one, and a coast. From one
+  edge d may not reach the other; the coast is the amplitude d^2 / (4 u) of a limit cycle with the mean acceleration u.
+  The brake of an abort has no noise in it.
+- burn: against s until it has the rate d / 2 inwards at the edge of the coast, one smallest burn at least.
 
 The reference's acceleration is fed forward, with what axes of H that rotate ask beyond it (``hil.gnc.body_frame``):
-the change of rate that it requires over the coming period is fired in one burn. The part required and not yet fired,
-or fired ahead, is the pending delta-v (``owed`` in COMMAND); the rate error is taken against the reference's rate
-without it, so feedback never fires the same change again.
+the change of rate that it requires over the coming period is fired in one burn, unless that is less than half a
+smallest one. The part required and not yet fired, or fired ahead, is the pending delta-v (``owed`` in COMMAND); the
+rate error is taken against the reference's rate without it, so feedback never fires the same change again.
 """
 
 from __future__ import annotations
@@ -35,9 +39,13 @@ CONTROL_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
         # six axes: force along x, y, z, then torque about x, y, z
-        ("deadband", "f8", 6),  # m, rad
+        ("deadband", "f8", 6),  # m, rad: least coast
         ("deadband_sigmas", "f8", 6),  # standard deviations of s
-        ("lead", "f8", 6),  # s
+        ("lead", "f8", 6),  # s, 0: between the bounds, by noise and smallest burn
+        ("lead_bounds", "f8", (6, 2)),  # s
+        ("coast_scale", "f8", 6),  # s^2/m, s^2/rad: 1 / (4 u), of the square of the smallest change of rate
+        ("coast_max", "f8", 6),  # m, rad
+        ("pulse_s", "f8"),  # least time for which a valve opens
         ("correction_rate", "f8", 6),  # m/s, rad/s: greatest rate at which an error is worked off
         ("period", "i8", 6),  # cycles
         ("acceleration", "f8", 6),  # m/s^2, rad/s^2 of a demand
@@ -49,34 +57,82 @@ CONTROL_PARAMS = np.dtype(
 
 
 @kernel
-def burn_duration(error, rate, acceleration, deadband, lead, period, dt):
-    """Return how many cycles to fire, at most ``period``, negative against a positive s; 0 in the dead band."""
-    s = error + lead * rate + rate * abs(rate) / (2.0 * acceleration)
-    if abs(s) <= deadband:
-        return 0
-    cycles = min(period, max(1, int(abs(s) / (lead * acceleration * dt))))
-    return -cycles if s > 0.0 else cycles
+def lead_time(params, axis, sigma, sigma_rate, pulse):
+    """Return the lead of an axis, s. sigma, sigma_rate: of error and rate, nan if unknown. pulse: d, m/s or rad/s."""
+    if params.lead[axis] > 0.0:
+        return params.lead[axis]
+    low, high = params.lead_bounds[axis, 0], params.lead_bounds[axis, 1]
+    used = params.deadband_sigmas[axis] * sigma
+    if not (sigma_rate >= 0.0 and used >= 0.0):
+        return math.sqrt(low * high)
+    lead = min(high, 2.0 * used / pulse)
+    if sigma_rate > 0.0:
+        lead = min(lead, sigma / sigma_rate)
+    return max(low, lead)
 
 
 @kernel
-def update_axis(params, axis, error, rate, sigma, reference_acceleration, acceleration, command):
+def burn_time(error, rate, acceleration, lead, noise, coast, pulse_s):
+    """Return for how long to fire, s, negative against a positive s; 0 in the dead band.
+
+    noise: what noise alone makes of s, m or rad. coast: amplitude of the limit cycle. pulse_s: shortest firing.
+    """
+    s = error + lead * rate + rate * abs(rate) / (2.0 * acceleration)
+    if abs(s) <= max(noise, 0.5 * lead * acceleration * pulse_s) + coast:
+        return 0.0
+    time = (abs(s) - coast) / (lead * acceleration) + 0.5 * pulse_s
+    return -time if s > 0.0 else time
+
+
+@kernel
+def burn_cycles(time, least, extra, period, dt):
+    """Return the cycles to command for a firing of ``time``, s of either sign: at least one, at most ``period``.
+
+    least: s for which a valve opens at least. extra: s that each firing gives beyond that, as a tail does.
+    """
+    cycles = min(period, max(1, int((abs(time) - extra + 1e-9) / dt)))
+    if cycles * dt <= least:
+        cycles = 1
+    return -cycles if time < 0.0 else cycles
+
+
+@kernel
+def firing_time(cycles, least, extra, dt):
+    """Return for how long valves give thrust, s, that are commanded for ``cycles``, of either sign."""
+    if cycles == 0:
+        return 0.0
+    time = max(least, abs(cycles) * dt) + extra
+    return -time if cycles < 0 else time
+
+
+@kernel
+def update_axis(params, axis, error, rate, sigma, sigma_rate, reference_acceleration, acceleration, pulse_s, command):
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
-    error, rate: m, m/s or rad, rad/s. sigma: standard deviation of s; nan counts as zero.
+    error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their standard deviations; nan counts as zero. pulse_s:
+    least time for which a valve opens.
     """
     dt = params.dt_s
     if command.until_decision[axis] <= 0:
-        period, lead = params.period[axis], params.lead[axis]
-        deadband = params.deadband[axis]
-        if sigma > 0.0 and command.boost == 0:
-            deadband += params.deadband_sigmas[axis] * sigma
+        period, least, extra = params.period[axis], params.pulse_s, pulse_s - params.pulse_s
+        pulse = acceleration * pulse_s
+        lead = lead_time(params, axis, sigma, sigma_rate, pulse)
+        noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
+        if command.boost != 0 or not noise > 0.0:
+            noise = 0.0
+        coast = max(params.deadband[axis], min(params.coast_max[axis], params.coast_scale[axis] * pulse * pulse))
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))
-        cycles = burn_duration(cut, rate + command.owed[axis], acceleration, deadband, lead, period, dt)
-        ahead = round((command.owed[axis] + reference_acceleration * period * dt) / (acceleration * dt))
-        ahead = min(period - cycles, max(-period - cycles, ahead))
-        command.owed[axis] -= ahead * acceleration * dt
-        command.cycles_left[axis] = cycles + ahead
+        time = burn_time(cut, rate + command.owed[axis], acceleration, lead, noise, coast, pulse_s)
+        feedback = 0.0
+        if time != 0.0:
+            feedback = firing_time(burn_cycles(time, least, extra, period, dt), least, extra, dt)
+        time = feedback + (command.owed[axis] + reference_acceleration * period * dt) / acceleration
+        cycles = 0
+        if abs(time) >= 0.5 * pulse_s:
+            cycles = burn_cycles(time + math.copysign(0.5 * dt, time), least, extra, period, dt)
+        command.owed[axis] -= (firing_time(cycles, least, extra, dt) - feedback) * acceleration
+        command.cycles_left[axis] = cycles
         command.until_decision[axis] = period
     command.owed[axis] += reference_acceleration * dt
     command.until_decision[axis] -= 1
@@ -110,6 +166,7 @@ FEED_FORWARD = np.dtype(
         ("q_CH", "f8", 4),  # the reference's attitude of the cycle before
         ("turned", "i8"),  # 1: rate or angular acceleration were not zero
         ("transit_C", "f8", 6),  # m/s, rad/s: what has been fired and is not felt yet, as valves are late
+        ("pulse_s", "f8"),  # least time for which valves open, as the thruster monitor has measured it; 0: not yet
     ],
     align=True,
 )
@@ -142,19 +199,22 @@ def control(params, navigation, reference, feed, command):
         acceleration_c[i] = reference.a_CT_H[i] + feed.acceleration[i]
     quat.transform_into(navigation.q_CH, acceleration_c, acceleration_c)
     quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
+    pulse_s = feed.pulse_s if feed.pulse_s > 0.0 else params.pulse_s
     for i in range(3):
         acceleration = params.high_thrust_acceleration[i] if command.boost != 0 else params.acceleration[i]
-        sigma = 0.0
-        if command.until_decision[i] <= 0:
-            sigma = math.sqrt(navigation.sigma_r_m[i] ** 2 + (params.lead[i] * navigation.sigma_v_mps[i]) ** 2)
-        update_axis(params, i, error_c[i], rate_c[i], sigma, acceleration_c[i], acceleration, command)
+        sigma, sigma_rate = navigation.sigma_r_m[i], navigation.sigma_v_mps[i]
+        update_axis(
+            params, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], acceleration, pulse_s, command
+        )
         update_axis(
             params,
             3 + i,
             rotation[i],
             navigation.w_CH_C[i] - feed.rate_C[i] + feed.transit_C[3 + i],
             navigation.sigma_attitude_rad[i],
+            0.0,
             feed.acceleration[3 + i],
             params.acceleration[3 + i],
+            pulse_s,
             command,
         )

@@ -249,6 +249,7 @@ def _feed_forward(params, state, reference):
     """
     feed, dt = state.feed, params.control.dt_s
     thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
+    feed.pulse_s = state.thrusters.pulse_s
     p, q, tumble = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble
     turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]
     if not turned and tumble.rotates == 0 and feed.turned == 0:

@@ -8,7 +8,8 @@ The gyro, which is quiet, separates the thrusters at one place by force, and tho
 Parameters are estimated before a device is accused. A valve delay: the commands of up to ``DELAYS`` cycles ago are
 compared, and those that have explained most so far are used. Mass, thrust and inertia: a residual that is the expected
 thrust times one factor of all forces, and one of all torques, is no fault. A lever arm of the accelerometers: what
-angular acceleration times an arm explains is none either.
+angular acceleration times an arm explains is none either. And the least time for which a valve opens, which control
+needs: short firings between others that are known to be over have given what was measured.
 
 It also watches the IMU: readings that repeat themselves with all digits, and accelerations that no thruster explains.
 Every accusation is tested after its reaction, and revoked if readings and commands contradict it.
@@ -48,6 +49,8 @@ _SCALE_WEIGHT = 0.02  # of a cycle in the mean factor of the forces
 _MEAN_WEIGHT = 0.04  # of a cycle in the mean residual
 _ARM_MAX = 0.5  # m, of the accelerometers
 _ARM_WEIGHT = 0.03  # of a cycle in its estimate
+_PULSE_WEIGHT = 0.2  # of a firing in the least time for which a valve opens
+_PULSE_MAX_S = 0.3
 _REVOKED_MAX = 3  # accusations of a device that are revoked, then it stays accused
 
 THRUSTER_MONITOR_PARAMS = np.dtype(
@@ -63,6 +66,7 @@ THRUSTER_MONITOR_PARAMS = np.dtype(
         ("imu_cycles", "i8"),  # consecutive, after which the IMU is suspect
         ("most", "f8", 6),  # largest of each component with all thrusters that have it
         ("sound_cycles", "i8"),  # in which readings must agree with the commands before an accusation is revoked
+        ("settle_cycles", "i8"),  # after which a firing is over
     ],
     align=True,
 )
@@ -97,6 +101,11 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("delay", "i8"),  # the likeliest, cycles
         ("scale", "f8"),  # factor of the forces, mean; 0 before the first one
         ("arm", "f8", 3),  # m, of the accelerometers, in c
+        ("pulse_s", "f8"),  # least time for which valves open, in that of the nominal thrust; 0: not measured yet
+        ("firing_cycles", "i8"),  # of the firing under way, -1: not one that is measured
+        ("firing_thrust", "f8"),  # thrusters in it
+        ("firing_expected", "f8", 3),  # sum of torques over its cycles, in the units of the monitor
+        ("firing_measured", "f8", 3),
     ],
     align=True,
 )
@@ -239,6 +248,58 @@ def _remember(params, state, thrust):
 
 
 @kernel
+def _measure_pulse(params, state, thrust, since, rate):
+    """Measure for how long the valves of a single firing were open, if it is short enough to tell of the least time.
+
+    thrust: expected in the last cycle (n,). since: cycles since the firing before. rate: mean of the cycle.
+    """
+    total = 0.0
+    for j in range(params.n):
+        total += thrust[j]
+    if total > 0.0:
+        if state.firing_cycles == 0 and since > params.settle_cycles:
+            state.firing_cycles, state.firing_thrust = 1, total
+            fill(state.firing_expected, 0.0)
+            fill(state.firing_measured, 0.0)
+        elif state.firing_cycles > 0 and since == 0 and total == state.firing_thrust:
+            state.firing_cycles += 1
+        else:
+            state.firing_cycles = -1
+    if state.firing_cycles == 0:
+        return
+    if state.firing_cycles > 0:
+        for i in range(3):
+            state.firing_measured[i] += (rate[i] - state.rate[i]) / (params.dt_s * params.torque_unit)
+        for j in range(params.n):
+            if thrust[j] > 0.0:
+                for i in range(3):
+                    state.firing_expected[i] += thrust[j] * params.signature[j, 3 + i]
+    if state.open_cycles > params.settle_cycles:
+        if state.firing_cycles > 0:
+            _learn_pulse(params, state)
+        state.firing_cycles = 0
+
+
+@kernel
+def _learn_pulse(params, state):
+    """Take a firing that is over into the least time for which valves open, by its change of the rate.
+
+    The rate is measured well from the start, the specific force only once the bias of the accelerometer is known.
+    """
+    square, product = 0.0, 0.0
+    for i in range(3):
+        square += state.firing_expected[i] ** 2
+        product += state.firing_expected[i] * state.firing_measured[i]
+    if square < (0.5 * state.firing_cycles) ** 2:
+        return
+    commanded_s = state.firing_cycles * params.dt_s
+    if commanded_s < max(params.minimum_on_s, params.dt_s) + 0.5 * params.dt_s:  # the shortest that is commanded
+        open_s = min(_PULSE_MAX_S, max(0.25 * params.dt_s, product / square * commanded_s))
+        known_s = state.pulse_s if state.pulse_s > 0.0 else commanded_s
+        state.pulse_s = known_s + _PULSE_WEIGHT * (open_s - known_s)
+
+
+@kernel
 def _mean_thrust(params, state, delay, out):
     """Write the expected mean (n,) over the last two cycles, with the valves ``delay`` cycles late."""
     last = (state.row - delay + DELAYS) % DELAYS
@@ -378,12 +439,15 @@ def watch(params, state, samples, on, bias, isolated, estimate):
         state.withheld_cycles -= 1
     if state.calls >= 2:
         _watch_readings(state, rate, force)
+    since = state.open_cycles
     _remember(params, state, thrust)
     if state.calls >= 2:
         per_force, per_torque = 1.0 / params.force_unit, 1.0 / (params.dt_s * params.torque_unit)
         for i in range(3):
             measured[i] = (0.5 * (force[i] + state.force[i]) - bias[i]) * per_force
             measured[3 + i] = (rate[i] - state.rate[i]) * per_torque
+        if state.imu_suspect == 0 and state.fault == NO_FAULT:
+            _measure_pulse(params, state, thrust, since, rate)
         _correct_for_arm(params, state, measured)
         _find_delay(params, state, measured, thrust, residual)
         for i in range(3):

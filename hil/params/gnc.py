@@ -32,6 +32,7 @@ from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
+from hil.params.control_rule import control_rule
 from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_state import error_state
 from hil.params.target import known_tumble
@@ -42,6 +43,7 @@ _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
 _DEAD_CYCLES = 6  # with a command, of which each counts in two
 _IMU_S = 1.0  # for which an IMU must repeat its readings, or read what no thruster explains
 _SOUND_S = 1.0  # for which readings must agree with the commands, or contradict them, to revoke an accusation
+_SETTLED_S = 0.2  # a firing has been felt, also that of a valve that is late
 _CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
 _AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no gradient of gravity
 _MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever arm of the accelerometers
@@ -188,6 +190,7 @@ def thruster_monitor(scenario: Scenario) -> np.record:
     params.dead_cycles = _DEAD_CYCLES
     params.imu_cycles = max(1, round(_IMU_S / scenario.step_s))
     params.sound_cycles = max(1, round(_SOUND_S / scenario.step_s))
+    params.settle_cycles = max(1, round(_SETTLED_S / scenario.step_s))
     return params
 
 
@@ -393,20 +396,22 @@ def _square(table: np.ndarray) -> np.ndarray:
 def control(scenario: Scenario, strength: Array) -> np.record:
     """Return CONTROL_PARAMS; ``strength`` (ROWS,), N and N m, as ``allocation`` gives it."""
     params = new(CONTROL_PARAMS)
-    settings = scenario.gnc.control
+    settings, rule = scenario.gnc.control, control_rule(scenario, strength)
     step_s = scenario.step_s
 
     def six(force: float, torque: float) -> list[float]:
         return [force] * 3 + [torque] * 3
 
-    params.dt_s = step_s
+    params.dt_s, params.pulse_s = step_s, rule.pulse_s
     params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
     params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
+    params.lead_bounds = rule.lead_bounds_s
+    params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
-    params.period = [max(1, round(s / step_s)) for s in six(settings.period_s, settings.attitude_period_s)]
-    inertia = np.diag(np.array(scenario.chaser.inertia_kg_m2))
-    params.acceleration = np.concatenate([strength[:3] / scenario.chaser.mass_kg, strength[3:6] / inertia])
+    periods_s = six(settings.period_s or rule.period_s, settings.attitude_period_s or rule.period_s)
+    params.period = [max(1, round(s / step_s)) for s in periods_s]
+    params.acceleration = rule.acceleration
     params.high_thrust_acceleration = strength[6:] / scenario.chaser.mass_kg
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
     return params

@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Scenario
 from hil.core.messages import COMMAND, NAVIGATION, REFERENCE, new
-from hil.gnc.control import FEED_FORWARD, burn_duration, control
+from hil.gnc.control import FEED_FORWARD, burn_cycles, burn_time, control, firing_time, lead_time
 from hil.params import gnc as gnc_params
 
 IDENTITY = [0.0, 0.0, 0.0, 1.0]
-A, DEADBAND, LEAD, DT = 0.02, 0.002, 8.0, 0.02
+A, NOISE, COAST, LEAD, DT = 0.02, 0.002, 0.0005, 8.0, 0.02
+PULSE = A * DT  # change of rate by the shortest firing
 
 
 @pytest.fixture
@@ -83,9 +84,15 @@ def test_both_signs_of_a_quaternion_demand_the_same(params: np.record) -> None:
     np.testing.assert_array_equal(demanded(params, seen(q=q)).torque, demanded(params, seen(q=-q)).torque)
 
 
+def coast_of(params: np.record, axis: int) -> float:
+    """Return the amplitude of the limit cycle of an axis."""
+    pulse = params.acceleration[axis] * params.pulse_s
+    return min(params.coast_max[axis], params.coast_scale[axis] * pulse**2)
+
+
 def test_nothing_fires_inside_the_dead_band(params: np.record) -> None:
-    inside = 0.9 * params.deadband[0]
-    command = demanded(params, seen((inside, -inside, inside), [0.4 * params.deadband[3], 0.0, 0.0, 1.0]))
+    inside = 0.9 * coast_of(params, 0)
+    command = demanded(params, seen((inside, -inside, inside), [0.4 * coast_of(params, 3), 0.0, 0.0, 1.0]))
     np.testing.assert_array_equal([*command.force, *command.torque], 0)
 
 
@@ -99,32 +106,103 @@ def test_nothing_fires_without_valid_navigation(params: np.record) -> None:
         np.testing.assert_array_equal(command[name], 0)
 
 
-def test_burn_lasts_as_long_as_takes_the_switching_function_to_zero() -> None:
-    # s = 0.01 m at rest: 0.01 / (8 s * 0.02 m/s^2) = 0.0625 s, three cycles of 0.02 s
-    assert burn_duration(0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == -3
-    assert burn_duration(-0.01, 0.0, A, DEADBAND, LEAD, 50, DT) == 3
+def burn(error: float, rate: float) -> float:
+    return float(burn_time(error, rate, A, LEAD, NOISE, COAST, DT))
 
 
-def test_burn_is_at_least_a_cycle_and_at_most_the_period() -> None:
-    assert burn_duration(1.1 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == -1
-    assert burn_duration(10.0, 0.0, A, DEADBAND, LEAD, 50, DT) == -50
-    assert burn_duration(0.9 * DEADBAND, 0.0, A, DEADBAND, LEAD, 50, DT) == 0
+def test_burn_leaves_half_a_pulse_of_rate_inwards_at_the_edge_of_the_coast() -> None:
+    time = burn(0.02, 0.0)
+    rate = A * time
+    assert rate < 0.0
+    assert COAST - (0.02 + LEAD * rate) == pytest.approx(LEAD * 0.5 * PULSE)
+    assert burn(-0.02, 0.0) == -time
+
+
+def test_no_pulse_from_one_edge_of_the_dead_band_reaches_the_other() -> None:
+    for pulse_s in (0.02, 0.06, 0.2):
+        edge = max(NOISE, 0.5 * LEAD * A * pulse_s) + COAST
+        assert burn_time(0.999 * edge, 0.0, A, LEAD, NOISE, COAST, pulse_s) == 0.0
+        time = burn_time(1.001 * edge, 0.0, A, LEAD, NOISE, COAST, pulse_s)
+        after = edge + LEAD * A * min(time, -pulse_s)
+        assert abs(after) < edge
 
 
 def test_switching_line_is_the_braking_parabola_plus_the_lead() -> None:
+    edge = max(NOISE, 0.5 * LEAD * PULSE) + COAST
     for rate in (0.05, 0.2):
         on_line = -LEAD * rate - rate * rate / (2.0 * A)
-        assert burn_duration(on_line, rate, A, DEADBAND, LEAD, 1, DT) == 0
-        assert burn_duration(on_line + 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == -1
-        assert burn_duration(on_line - 2 * DEADBAND, rate, A, DEADBAND, LEAD, 1, DT) == 1
-        assert burn_duration(-on_line, -rate, A, DEADBAND, LEAD, 1, DT) == 0
+        assert burn(on_line, rate) == 0.0
+        assert burn(on_line + 1.1 * edge, rate) < 0.0
+        assert burn(on_line - 1.1 * edge, rate) > 0.0
+        assert burn(-on_line, -rate) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("time", "least", "extra", "cycles", "given"),
+    [
+        (0.07, 0.02, 0.0, 3, 0.06),  # rounded down
+        (0.001, 0.02, 0.0, 1, 0.02),  # at least one
+        (9.0, 0.02, 0.0, 50, 1.0),  # at most the period
+        (0.05, 0.06, 0.0, 1, 0.06),  # a valve that opens longer needs no longer command
+        (0.09, 0.06, 0.0, 4, 0.08),
+        (0.07, 0.02, 0.025, 2, 0.065),  # a tail gives its part in each firing
+        (0.02, 0.02, -0.01, 1, 0.01),  # and a slow rise takes it
+    ],
+)
+def test_command_is_for_what_the_valve_gives(
+    time: float, least: float, extra: float, cycles: int, given: float
+) -> None:
+    for sign in (-1, 1):
+        assert burn_cycles(sign * time, least, extra, 50, DT) == sign * cycles
+        assert firing_time(sign * cycles, least, extra, DT) == pytest.approx(sign * given)
+
+
+def test_lead_shares_the_noise_between_error_and_rate(params: np.record) -> None:
+    """The ratio of the standard deviations, at most what a pulse allows, and between two bounds."""
+    low, high = params.lead_bounds[0]
+    assert low < 2.0 < high
+    assert lead_time(params, 0, 0.002, 0.001, 1e-5) == pytest.approx(2.0)
+    assert lead_time(params, 0, 0.002, 1e-6, 1e-5) == high
+    assert lead_time(params, 0, 1e-4, 1e-6, 1e-4) == pytest.approx(2.0 * params.deadband_sigmas[0])
+    assert lead_time(params, 0, 1e-9, 1e-6, 1e-4) == low
+    assert lead_time(params, 0, 0.0, 0.0, 1e-4) == low
+    assert lead_time(params, 0, np.nan, 1e-6, 1e-4) == pytest.approx(math.sqrt(low * high))
+    params.lead[0] = 7.0
+    assert lead_time(params, 0, 0.002, 0.001, 1e-5) == 7.0
+
+
+def test_valves_of_60_ms_have_a_limit_cycle_of_single_pulses(params: np.record) -> None:
+    """An axis without noise crosses its dead band from edge to edge, one pulse each way, with the coast's amplitude."""
+    params.pulse_s = 0.06
+    pulse = params.acceleration[3] * params.pulse_s
+    command, turn, rate, open_cycles, fired = new(COMMAND), 0.0, 0.3 * pulse, 0, 0
+    found = []
+    for k in range(40_000):
+        navigation = seen(q=Rotation.from_rotvec([turn, 0.0, 0.0]).as_quat())
+        navigation.w_CH_C = [rate, 0.0, 0.0]
+        control(params, navigation, held(), new(FEED_FORWARD), command)
+        demand = int(command.torque[0])
+        if demand != 0 and open_cycles == 0:
+            open_cycles, sign = 3, demand
+            fired += k >= 20_000
+        if open_cycles > 0:
+            rate += sign * params.acceleration[3] * params.dt_s
+            open_cycles -= 1
+        turn += rate * params.dt_s
+        if k >= 20_000:
+            found.append(turn)
+    coast = coast_of(params, 3)
+    lead = params.lead_bounds[3, 0]
+    assert np.abs(found).max() < coast + lead * pulse
+    # a pulse each way in 8 coasts / pulse at the mean rate of half a pulse
+    assert fired * pulse / 400.0 <= 1.1 * pulse**2 / (4.0 * coast)
 
 
 def test_axis_holds_its_decision_for_a_period(params: np.record) -> None:
     params.period[:3] = 10
     command, demands = new(COMMAND), []
-    error = 3.5 * params.lead[0] * params.acceleration[1] * params.dt_s  # three cycles of thrust
-    assert error > params.deadband[0]
+    params.lead[:3] = 5.0
+    error = coast_of(params, 1) + 3.1 * 5.0 * params.acceleration[1] * params.dt_s  # three cycles of thrust
     for k in range(20):
         # the moved chaser is not looked at until the period is over
         control(params, seen((0.0, error if k == 0 or k >= 10 else -0.5, 0.0)), held(), new(FEED_FORWARD), command)
@@ -137,6 +215,7 @@ def test_double_integrator_comes_to_rest_with_at_most_one_overshoot(
     params: np.record, period: int, start: float
 ) -> None:
     params.period[:3] = period
+    params.lead[:3] = 5.0
     params.correction_rate[:3] = 0.05  # half a metre is worked off within the 80 s
     command, position, velocity, track = new(COMMAND), start, 0.0, []
     for _ in range(6000):
@@ -147,7 +226,7 @@ def test_double_integrator_comes_to_rest_with_at_most_one_overshoot(
         position += velocity * params.dt_s
         track.append(position)
     found = np.array(track)
-    band = 1.5 * params.deadband[0] + params.acceleration[0] * params.dt_s * params.lead[0]
+    band = 1.5 * coast_of(params, 0) + params.acceleration[0] * params.dt_s * params.lead[0]
     assert np.abs(found[4000:]).max() <= band
     outside = np.sign(found[np.abs(found) > band])
     assert np.count_nonzero(np.diff(outside)) <= 1
@@ -166,7 +245,8 @@ def test_attitude_converges_in_about_ten_seconds(params: np.record) -> None:
 
 
 def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record) -> None:
-    error = 5.0 * params.deadband[0]
+    params.lead[:3] = 5.0
+    error = 5.0 * coast_of(params, 0)
     navigation = seen((error, 0.0, 0.0))
     assert demanded(params, navigation).force[0] == -1
     navigation.sigma_v_mps[0] = error / (params.deadband_sigmas[0] * params.lead[0])
@@ -205,7 +285,8 @@ def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m:
     command, reference, fired = new(COMMAND), held(), 0
     position = velocity = 0.0
     reference.a_CT_H[0] = 0.0045  # four and a half pulses a period: something is always owed
-    for k in range(500):
+    cycles = 70 * int(params.period[0])
+    for k in range(cycles):
         t = k * params.dt_s
         reference.r_CT_H[0], reference.v_CT_H[0] = 0.5 * 0.0045 * t * t, 0.0045 * t
         navigation = seen((position, 0.0, 0.0))
@@ -217,7 +298,7 @@ def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m:
         velocity += change
         fired += abs(int(command.force[0]))
         assert command.force[0] >= 0
-    wanted = 0.0045 * 500 * params.dt_s
+    wanted = 0.0045 * cycles * params.dt_s
     assert fired * params.acceleration[0] * params.dt_s == pytest.approx(
         wanted, abs=2.0 * params.acceleration[0] * params.dt_s
     )
@@ -228,8 +309,11 @@ def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m:
 def test_feedback_leaves_to_feed_forward_what_is_owed(params: np.record) -> None:
     command, navigation = new(COMMAND), seen()
     pulse = params.acceleration[0] * params.dt_s
+    params.lead[:3] = 20.0
     command.owed[0] = 0.45 * pulse  # asked for, too little for a pulse so far
     navigation.v_CT_H[0] = -0.45 * pulse
-    assert 0.45 * pulse * params.lead[0] > params.deadband[0]
+    navigation.r_CT_H[0] = -0.6 * 20.0 * pulse  # with the rate it would be outside the dead band
+    assert demanded(params, navigation).force[0] == 1
+    navigation.r_CT_H[0] = -0.4 * 20.0 * pulse
     control(params, navigation, held(), new(FEED_FORWARD), command)
     assert command.force[0] == 0

@@ -84,6 +84,19 @@ def test_bias_of_the_accelerometer_that_is_not_known_yet_is_no_fault(chaser: Mon
     assert chaser.health == 0
 
 
+@pytest.mark.parametrize("given", [3.0, 2.25, 1.0, 0.5])  # cycles: a valve that stays open, a tail, a slow rise
+def test_impulse_of_the_shortest_firing_is_measured(chaser: MonitoredChaser, given: float) -> None:
+    pair = [0, 4]  # both along +x: a force; 0 and 5 turn about z
+    for turn in ([0, 5], pair):
+        for _ in range(20):
+            for cycle in range(40):
+                chaser._on[:] = 0
+                chaser._on[turn] = cycle == 20
+                left = min(1.0, max(0.0, given - (cycle - 20))) if cycle >= 20 else 0.0
+                chaser.cycle(dict.fromkeys(turn, left), wanted=None)
+        assert chaser.state.pulse_s == pytest.approx(given * STEP_S, rel=0.05)
+
+
 @pytest.mark.parametrize("thruster", range(N))
 def test_thruster_stuck_open_is_found_within_a_second(chaser: MonitoredChaser, thruster: int) -> None:
     for _ in range(50):

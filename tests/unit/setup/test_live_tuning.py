@@ -143,8 +143,8 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
     assert (first["key"], first["unit"], first["value"], first["range"]["words"]) == (
         DEADBAND,
         "m",
-        0.0002,
-        "0.0001 to 0.2",
+        0.0,
+        "0 to 0.2",
     )
     assert (second["unit"], second["range"]["words"]) == ("\u00b0", "0.5 to 30")
     tuner.applied(tuner.change(DEADBAND, 0.0004))
@@ -155,7 +155,7 @@ def test_page_is_offered_exactly_what_the_scenario_allows_with_value_unit_and_ra
     ("key", "value", "words"),
     [
         ("gnc.control.deadband_sigmas", -1, "gnc.control.deadband_sigmas: -1: during a run allowed 0 to 10"),
-        (DEADBAND, 0, "gnc.control.deadband_m: 0: during a run allowed 0.0001 to 0.2"),
+        (DEADBAND, 1, "gnc.control.deadband_m: 1: during a run allowed 0 to 0.2"),
         (DEADBAND, "0.1", "gnc.control.deadband_m: '0.1' is not a number"),
         (DEADBAND, True, "is not a number"),
         (DEADBAND, float("nan"), "is not a number"),
