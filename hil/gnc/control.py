@@ -17,7 +17,7 @@ change of rate d that the valves can fire (docs/explanation/control.md derives t
 - dead band: ``deadband_sigmas`` standard deviations of s or tau d / 2, the larger one, and a coast. From one
   edge d may not reach the other; the coast is the amplitude d^2 / (4 u) of a limit cycle with the mean acceleration u.
   The brake of an abort has no noise in it.
-- burn: against s until it has the rate d / 2 inwards at the edge of the coast, one smallest burn at least.
+- burn: against s back to the edge of the dead band, and one smallest burn.
 
 The reference's acceleration is fed forward, with what axes of H that rotate ask beyond it (``hil.gnc.body_frame``):
 the change of rate that it requires over the coming period is fired in one burn, unless that is less than half a
@@ -72,15 +72,27 @@ def lead_time(params, axis, sigma, sigma_rate, pulse):
 
 
 @kernel
-def burn_time(error, rate, acceleration, lead, noise, coast, pulse_s):
+def coast_of(params, axis, pulse):
+    """Return the amplitude of the limit cycle of an axis, m or rad. pulse: d, m/s or rad/s."""
+    return max(params.deadband[axis], min(params.coast_max[axis], params.coast_scale[axis] * pulse * pulse))
+
+
+@kernel
+def dead_band(lead, noise, coast, pulse):
+    """Return the dead band of s, m or rad. noise: what noise alone makes of s."""
+    return max(noise, 0.5 * lead * pulse) + coast
+
+
+@kernel
+def burn_time(error, rate, acceleration, lead, band, shortest):
     """Return for how long to fire, s, negative against a positive s; 0 in the dead band.
 
-    noise: what noise alone makes of s, m or rad. coast: amplitude of the limit cycle. pulse_s: shortest firing.
+    band: dead band of s, m or rad. shortest: least time of a firing, s.
     """
     s = error + lead * rate + rate * abs(rate) / (2.0 * acceleration)
-    if abs(s) <= max(noise, 0.5 * lead * acceleration * pulse_s) + coast:
+    if abs(s) <= band:
         return 0.0
-    time = (abs(s) - coast) / (lead * acceleration) + 0.5 * pulse_s
+    time = (abs(s) - band) / (lead * acceleration) + shortest
     return -time if s > 0.0 else time
 
 
@@ -106,30 +118,32 @@ def firing_time(cycles, least, extra, dt):
 
 
 @kernel
-def update_axis(params, axis, error, rate, sigma, sigma_rate, reference_acceleration, acceleration, pulse_s, command):
+def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, reference_acceleration, acceleration, command):
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
-    error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their standard deviations; nan counts as zero. pulse_s:
-    least time for which a valve opens.
+    feed: FEED_FORWARD, of which the firings are used. error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their
+    standard deviations; nan counts as zero.
     """
     dt = params.dt_s
     if command.until_decision[axis] <= 0:
-        period, least, extra = params.period[axis], params.pulse_s, pulse_s - params.pulse_s
-        pulse = acceleration * pulse_s
+        period, least, extra = params.period[axis], params.pulse_s, feed.extra_s
+        shortest = least + extra
+        pulse = acceleration * max(shortest, feed.pulse_s)
         lead = lead_time(params, axis, sigma, sigma_rate, pulse)
         noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
         if command.boost != 0 or not noise > 0.0:
             noise = 0.0
-        coast = max(params.deadband[axis], min(params.coast_max[axis], params.coast_scale[axis] * pulse * pulse))
+        coast = coast_of(params, axis, pulse)
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))
-        time = burn_time(cut, rate + command.owed[axis], acceleration, lead, noise, coast, pulse_s)
+        band = dead_band(lead, noise, coast, pulse)
+        time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
         feedback = 0.0
         if time != 0.0:
             feedback = firing_time(burn_cycles(time, least, extra, period, dt), least, extra, dt)
         time = feedback + (command.owed[axis] + reference_acceleration * period * dt) / acceleration
         cycles = 0
-        if abs(time) >= 0.5 * pulse_s:
+        if abs(time) >= 0.5 * shortest:
             cycles = burn_cycles(time + math.copysign(0.5 * dt, time), least, extra, period, dt)
         command.owed[axis] -= (firing_time(cycles, least, extra, dt) - feedback) * acceleration
         command.cycles_left[axis] = cycles
@@ -166,7 +180,8 @@ FEED_FORWARD = np.dtype(
         ("q_CH", "f8", 4),  # the reference's attitude of the cycle before
         ("turned", "i8"),  # 1: rate or angular acceleration were not zero
         ("transit_C", "f8", 6),  # m/s, rad/s: what has been fired and is not felt yet, as valves are late
-        ("pulse_s", "f8"),  # least time for which valves open, as the thruster monitor has measured it; 0: not yet
+        ("pulse_s", "f8"),  # least time for which valves open, as the thruster monitor has measured it
+        ("extra_s", "f8"),  # what each firing gives beyond that of the data sheet
     ],
     align=True,
 )
@@ -199,15 +214,13 @@ def control(params, navigation, reference, feed, command):
         acceleration_c[i] = reference.a_CT_H[i] + feed.acceleration[i]
     quat.transform_into(navigation.q_CH, acceleration_c, acceleration_c)
     quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
-    pulse_s = feed.pulse_s if feed.pulse_s > 0.0 else params.pulse_s
     for i in range(3):
         acceleration = params.high_thrust_acceleration[i] if command.boost != 0 else params.acceleration[i]
         sigma, sigma_rate = navigation.sigma_r_m[i], navigation.sigma_v_mps[i]
-        update_axis(
-            params, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], acceleration, pulse_s, command
-        )
+        update_axis(params, feed, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], acceleration, command)
         update_axis(
             params,
+            feed,
             3 + i,
             rotation[i],
             navigation.w_CH_C[i] - feed.rate_C[i] + feed.transit_C[3 + i],
@@ -215,6 +228,5 @@ def control(params, navigation, reference, feed, command):
             0.0,
             feed.acceleration[3 + i],
             params.acceleration[3 + i],
-            pulse_s,
             command,
         )

@@ -169,8 +169,10 @@ def has_event(before, after):
 def watch_thrusters(params, state, memory, samples, command, estimate):
     """Stage 4: compare the IMU with the thrusters of the cycle before; without a sound IMU the commands replace it.
 
-    Arguments as of ``gnc_step``.
+    Arguments as of ``gnc_step``. Vision alone has no IMU to compare.
     """
+    if params.navigation.sensors == navigation.VISION_ALONE and state.backends.navigation.step == 0:
+        return
     bias = stack.vector(6)
     if state.backends.navigation.step == 0:
         navigation.bias_of(state.navigation, bias[0:3], bias[3:6])
@@ -249,7 +251,7 @@ def _feed_forward(params, state, reference):
     """
     feed, dt = state.feed, params.control.dt_s
     thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
-    feed.pulse_s = state.thrusters.pulse_s
+    feed.pulse_s, feed.extra_s = thruster_monitor.shortest_firing(params.thruster_monitor, state.thrusters)
     p, q, tumble = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble
     turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]
     if not turned and tumble.rotates == 0 and feed.turned == 0:

@@ -51,6 +51,7 @@ _ARM_MAX = 0.5  # m, of the accelerometers
 _ARM_WEIGHT = 0.03  # of a cycle in its estimate
 _PULSE_WEIGHT = 0.2  # of a firing in the least time for which a valve opens
 _PULSE_MAX_S = 0.3
+_UNMEASURED = 3.0  # times the least time of the data sheet
 _REVOKED_MAX = 3  # accusations of a device that are revoked, then it stays accused
 
 THRUSTER_MONITOR_PARAMS = np.dtype(
@@ -101,9 +102,11 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("delay", "i8"),  # the likeliest, cycles
         ("scale", "f8"),  # factor of the forces, mean; 0 before the first one
         ("arm", "f8", 3),  # m, of the accelerometers, in c
-        ("pulse_s", "f8"),  # least time for which valves open, in that of the nominal thrust; 0: not measured yet
+        ("pulse_s", "f8"),  # least time for which valves open, in that of the nominal thrust, once it is measured
+        ("firings", "i8"),  # from which it is measured
         ("firing_cycles", "i8"),  # of the firing under way, -1: not one that is measured
-        ("firing_thrust", "f8"),  # thrusters in it
+        ("firing_thrusters", "i8"),  # in it
+        ("firing_s", "f8"),  # expected
         ("firing_expected", "f8", 3),  # sum of torques over its cycles, in the units of the monitor
         ("firing_measured", "f8", 3),
     ],
@@ -253,21 +256,24 @@ def _measure_pulse(params, state, thrust, since, rate):
 
     thrust: expected in the last cycle (n,). since: cycles since the firing before. rate: mean of the cycle.
     """
-    total = 0.0
+    count, largest = 0, 0.0
     for j in range(params.n):
-        total += thrust[j]
-    if total > 0.0:
+        if thrust[j] > 0.0:
+            count += 1
+            largest = max(largest, thrust[j])
+    if count > 0:
         if state.firing_cycles == 0 and since > params.settle_cycles:
-            state.firing_cycles, state.firing_thrust = 1, total
+            state.firing_cycles, state.firing_thrusters, state.firing_s = 1, count, 0.0
             fill(state.firing_expected, 0.0)
             fill(state.firing_measured, 0.0)
-        elif state.firing_cycles > 0 and since == 0 and total == state.firing_thrust:
+        elif state.firing_cycles > 0 and since == 0 and count == state.firing_thrusters:
             state.firing_cycles += 1
         else:
             state.firing_cycles = -1
     if state.firing_cycles == 0:
         return
     if state.firing_cycles > 0:
+        state.firing_s += largest * params.dt_s
         for i in range(3):
             state.firing_measured[i] += (rate[i] - state.rate[i]) / (params.dt_s * params.torque_unit)
         for j in range(params.n):
@@ -292,11 +298,12 @@ def _learn_pulse(params, state):
         product += state.firing_expected[i] * state.firing_measured[i]
     if square < (0.5 * state.firing_cycles) ** 2:
         return
-    commanded_s = state.firing_cycles * params.dt_s
+    commanded_s = state.firing_s
     if commanded_s < max(params.minimum_on_s, params.dt_s) + 0.5 * params.dt_s:  # the shortest that is commanded
         open_s = min(_PULSE_MAX_S, max(0.25 * params.dt_s, product / square * commanded_s))
-        known_s = state.pulse_s if state.pulse_s > 0.0 else commanded_s
-        state.pulse_s = known_s + _PULSE_WEIGHT * (open_s - known_s)
+        known_s = state.pulse_s if state.firings > 0 else commanded_s
+        state.firings += 1
+        state.pulse_s = known_s + max(_PULSE_WEIGHT, 1.0 / (1.0 + state.firings)) * (open_s - known_s)
 
 
 @kernel
@@ -306,6 +313,19 @@ def _mean_thrust(params, state, delay, out):
     before = (last - 1 + DELAYS) % DELAYS
     for j in range(params.n):
         out[j] = 0.5 * (state.past[last, j] + state.past[before, j])
+
+
+@kernel
+def shortest_firing(params, state):
+    """Return the least time for which valves open, s, and what each firing gives beyond that of the data sheet, s.
+
+    Until it is measured with an IMU, it is taken to be larger than that of the data sheet: pulses that drive each
+    other across a dead band that is too small leave no time to measure any.
+    """
+    least_s = max(params.minimum_on_s, params.dt_s)
+    if state.firings > 0:
+        return state.pulse_s, state.pulse_s - least_s
+    return (_UNMEASURED * least_s if state.calls >= 2 and state.imu_suspect == 0 else least_s), 0.0
 
 
 @kernel

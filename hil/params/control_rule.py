@@ -40,14 +40,6 @@ class ControlRule(NamedTuple):
     coast_max: Array
     """m, rad"""
 
-    def pulse(self) -> Array:
-        """Return the smallest change of rate of each axis, m/s and rad/s."""
-        return self.acceleration * self.pulse_s
-
-    def coast(self) -> Array:
-        """Return the amplitude of the limit cycle of each axis, m and rad."""
-        return np.minimum(self.coast_max, self.coast_scale * self.pulse() ** 2)
-
 
 def control_rule(scenario: Scenario, strength: Array) -> ControlRule:
     """Return the rule for ``scenario``; strength: (9,), N and N m, of the demands and of full thrust."""

@@ -137,6 +137,12 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
         )
     ]
     yield html.table(("thruster", "firings", "open, s"), rows, "Thruster use")
+    if control := summary.get("control"):
+        keys = ("smallest_change", "noise", "coast", "dead_band", "lead_s", "period_s")
+        rows = [(axis["axis"], axis["unit"], *(f"{axis[key]:.3g}" for key in keys)) for axis in control["axes"]]
+        head = ("axis", "unit", "smallest change, unit/s", "noise", "coast", "dead band", "lead, s", "period, s")
+        caption = f"Control at the end: dead bands and leads for firings of at least {control['shortest_firing_s']:g} s"
+        yield html.table(head, rows, caption)
     timing = summary["timing"]
     asked = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing["privileges"]]
     if asked:

@@ -25,6 +25,7 @@ from hil.params.ready import ROW_NAMES, tolerances
 from hil.report.acceptance import acceptance, parts_of
 from hil.report.bench_energy import judge_energy_added
 from hil.report.bench_error import judge_bench_error
+from hil.report.control_numbers import control_numbers
 from hil.report.device_times import count_beyond, execution_times_s, judge_times, with_exchanges
 from hil.report.integrity import IntegrityJudge, SafeStop, decision_part, detection, integrity_part, mean_nees
 from hil.report.latency import measure_latency
@@ -82,6 +83,7 @@ def summarise(
         "docking_go_s": docking_go_s(outcome.events),
         "navigation": found["navigation"],
         "thrusters": found["thrusters"],
+        "control": control_numbers(history, scenario),
         "orbit": {"body": scenario.orbit.body} | found["orbit"],
         "gnc": gnc_summary(scenario),
         "vision": outcome.vision_counters,

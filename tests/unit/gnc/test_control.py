@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.scenario import Scenario
 from hil.core.messages import COMMAND, NAVIGATION, REFERENCE, new
-from hil.gnc.control import FEED_FORWARD, burn_cycles, burn_time, control, firing_time, lead_time
+from hil.gnc import control as control_module
+from hil.gnc.control import FEED_FORWARD, burn_cycles, burn_time, control, dead_band, firing_time, lead_time
 from hil.params import gnc as gnc_params
 
 IDENTITY = [0.0, 0.0, 0.0, 1.0]
@@ -86,8 +87,7 @@ def test_both_signs_of_a_quaternion_demand_the_same(params: np.record) -> None:
 
 def coast_of(params: np.record, axis: int) -> float:
     """Return the amplitude of the limit cycle of an axis."""
-    pulse = params.acceleration[axis] * params.pulse_s
-    return min(params.coast_max[axis], params.coast_scale[axis] * pulse**2)
+    return float(control_module.coast_of(params, axis, params.acceleration[axis] * params.pulse_s))
 
 
 def test_nothing_fires_inside_the_dead_band(params: np.record) -> None:
@@ -106,34 +106,36 @@ def test_nothing_fires_without_valid_navigation(params: np.record) -> None:
         np.testing.assert_array_equal(command[name], 0)
 
 
+def edge(pulse_s: float = DT) -> float:
+    return float(dead_band(LEAD, NOISE, COAST, A * pulse_s))
+
+
 def burn(error: float, rate: float) -> float:
-    return float(burn_time(error, rate, A, LEAD, NOISE, COAST, DT))
+    return float(burn_time(error, rate, A, LEAD, edge(), DT))
 
 
-def test_burn_leaves_half_a_pulse_of_rate_inwards_at_the_edge_of_the_coast() -> None:
+def test_burn_takes_s_a_smallest_firing_inside_the_dead_band() -> None:
     time = burn(0.02, 0.0)
-    rate = A * time
-    assert rate < 0.0
-    assert COAST - (0.02 + LEAD * rate) == pytest.approx(LEAD * 0.5 * PULSE)
+    assert time < 0.0
+    assert 0.02 + LEAD * A * time == pytest.approx(edge() - LEAD * PULSE)
     assert burn(-0.02, 0.0) == -time
 
 
-def test_no_pulse_from_one_edge_of_the_dead_band_reaches_the_other() -> None:
-    for pulse_s in (0.02, 0.06, 0.2):
-        edge = max(NOISE, 0.5 * LEAD * A * pulse_s) + COAST
-        assert burn_time(0.999 * edge, 0.0, A, LEAD, NOISE, COAST, pulse_s) == 0.0
-        time = burn_time(1.001 * edge, 0.0, A, LEAD, NOISE, COAST, pulse_s)
-        after = edge + LEAD * A * min(time, -pulse_s)
-        assert abs(after) < edge
+@pytest.mark.parametrize("pulse_s", [0.02, 0.06, 0.2])
+def test_no_pulse_from_one_edge_of_the_dead_band_reaches_the_other(pulse_s: float) -> None:
+    band = edge(pulse_s)
+    assert burn_time(0.999 * band, 0.0, A, LEAD, band, pulse_s) == 0.0
+    time = burn_time(1.001 * band, 0.0, A, LEAD, band, pulse_s)
+    assert time == pytest.approx(-pulse_s, rel=0.02)
+    assert abs(1.001 * band + LEAD * A * time) < band
 
 
 def test_switching_line_is_the_braking_parabola_plus_the_lead() -> None:
-    edge = max(NOISE, 0.5 * LEAD * PULSE) + COAST
     for rate in (0.05, 0.2):
         on_line = -LEAD * rate - rate * rate / (2.0 * A)
         assert burn(on_line, rate) == 0.0
-        assert burn(on_line + 1.1 * edge, rate) < 0.0
-        assert burn(on_line - 1.1 * edge, rate) > 0.0
+        assert burn(on_line + 1.1 * edge(), rate) < 0.0
+        assert burn(on_line - 1.1 * edge(), rate) > 0.0
         assert burn(-on_line, -rate) == 0.0
 
 
