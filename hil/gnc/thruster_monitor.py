@@ -51,7 +51,7 @@ _ARM_MAX = 0.5  # m, of the accelerometers
 _ARM_WEIGHT = 0.03  # of a cycle in its estimate
 _PULSE_WEIGHT = 0.2  # of a firing in the least time for which a valve opens
 _PULSE_MAX_S = 0.3
-_UNMEASURED = 3.0  # times the least time of the data sheet
+_UNMEASURED = 1.5  # times the least time of the data sheet
 _REVOKED_MAX = 3  # accusations of a device that are revoked, then it stays accused
 
 THRUSTER_MONITOR_PARAMS = np.dtype(
