@@ -63,7 +63,7 @@ def command_line() -> str:
 | 4 | internal error |
 
 `--set a.b=v` overrides a key of the [scenario](scenario.md), `--set rig.a.b=v` a key of the [rig](rig.md). Texts may be
-given without quotes. Keys and commands under earlier names are accepted, keys with a line that names the new one.
+given without quotes. Commands under earlier names are accepted.
 """
     return f"{intro}\n{body}\n"
 
