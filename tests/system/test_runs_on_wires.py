@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
 pytestmark = pytest.mark.wires
@@ -59,10 +60,11 @@ def _none_left(pids: dict[str, int]) -> bool:
 
 
 @pytest.mark.parametrize("turntable", ["cia402", pytest.param("ascii", marks=pytest.mark.slow)])
-def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None:
+def test_approach_passes_over_real_wires_and_its_lateness_is_null(turntable: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "28", "--lock-step", "--json", str(path))
-    with _started(*typed(*NEAR), *arguments) as (process, pids):
+    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "28", "--lock-step")
+    files = ("--record", str(tmp_path), "--json", str(path))
+    with _started(*typed(*NEAR), *arguments, *files) as (process, pids):
         out, err = process.communicate(timeout=120)
     result = json.loads(path.read_text())
     assert process.returncode == 0, out + err
@@ -71,6 +73,10 @@ def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None
     assert result["vision"]["frames"] > 100
     assert max(result["bench"]["rail_error_max_m"]) < 0.005
     assert _none_left(pids)
+    assert set(result["timing"]["lateness_us"].values()) == {None}
+    assert result["timing"]["overruns"] == result["timing"]["skipped_periods"] == 0
+    assert result["recording"]["dropped"] == 0
+    assert hil.open(result["recording"]["file"]).replay().identical
 
 
 @pytest.mark.slow
