@@ -74,7 +74,7 @@ def test_change_that_loses_cases_is_red_and_an_equal_one_green(
     in_lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def run_from_near(*arguments: Any, overrides: dict[str, Any], **more: Any) -> Any:
-        return run(*arguments, overrides=overrides | PARKED_NEAR, **more)
+        return run(*arguments, duration_s=22.0, overrides=overrides | PARKED_NEAR, **more)  # ready after 17 s
 
     monkeypatch.setattr("hil.api.runs.run", run_from_near)
     (in_lab / "scenarios" / "short.toml").write_text(SHORT)
