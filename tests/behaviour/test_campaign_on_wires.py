@@ -19,7 +19,6 @@ from tests.support.pytest_runs import environment, pytest_command, pytest_run
 from tests.support.run_settings import HARDWARE_WIRES, UNHURRIED
 from tests.system.test_killed_processes import lab_file
 
-pytestmark = pytest.mark.wires
 NEAR = {
     "initial.position_m": [0.5, 0.01, -0.01],
     "rig.rails.x.park_m": 0.5,
@@ -99,6 +98,7 @@ def hardware_day(folder: Path, lab: str, answer: str, *options: str) -> tuple[di
     return day, technician.shown
 
 
+@pytest.mark.wires
 def test_hardware_moves_when_the_operator_confirms(tmp_path: Path) -> None:
     rig = load_rig("emulated", (*SETTINGS, *UNHURRIED, "rig.io.driver=none")).value  # a pause is no fault here
     with EmulatedDevices(load_scenario("scheme-1", SETTINGS).value, rig, WallClock(), 0) as emulated:
@@ -112,6 +112,7 @@ def test_hardware_moves_when_the_operator_confirms(tmp_path: Path) -> None:
     assert [row["step"] for test in day["tests"] for row in test["evidence"]] == ["hardware"]
 
 
+@pytest.mark.wires
 def test_hardware_stays_closed_if_the_operator_does_not_confirm(tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     lab.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\nsign_off.waived = true\n{HARDWARE_WIRES}')

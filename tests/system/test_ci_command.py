@@ -69,7 +69,6 @@ def test_folder_that_is_not_empty_is_refused_and_stays(tmp_path: Path, capsys: p
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.wires
 def test_change_that_loses_cases_is_red_and_an_equal_one_green(
     in_lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

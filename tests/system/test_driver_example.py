@@ -8,12 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from tests.support import example_driver
 from tests.support.run_settings import NEAR, UNHURRIED, typed
-
-pytestmark = pytest.mark.wires
 
 
 def run(tmp_path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

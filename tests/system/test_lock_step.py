@@ -18,7 +18,7 @@ from hil.api.jobs import IN_LOCK_STEP
 from hil.cli.main import execute
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
-from hil.session.build import WiredBench, check, wired_bench
+from hil.session.build import check, wired_bench
 from hil.session.warm_up import warm_up
 from sims.fault_matrix import TIGHT, FaultCase, FaultReaction, run_case
 from tests.support.run_settings import HARDWARE_WIRES, NEAR, make_job
@@ -61,20 +61,13 @@ def test_same_seed_gives_the_same_bits_on_a_busy_computer(rig: str) -> None:
     assert np.isnan(quiet["lateness_s"]).all()
 
 
-@pytest.fixture(scope="module")
-def bench() -> Iterator[WiredBench]:
+def test_faults_of_wires_strike_at_the_same_time_each_time() -> None:
     job = make_job(60.0, (*TIGHT, *IN_LOCK_STEP), rig="emulated")
     check(job)
     warm_up(job)
-    with wired_bench(job) as made:
-        yield made
-
-
-def test_faults_of_wires_strike_at_the_same_time_each_time(bench: WiredBench) -> None:
     cases = [FaultCase("rails", "on drop 0.6"), FaultCase("turntable", "on corrupt 0.5"), FaultCase("io", "on estop")]
 
     def reactions() -> list[FaultReaction]:
-        job = bench.job
         with wired_bench(job) as made:
             return [run_case(made, case) for case in cases]
 

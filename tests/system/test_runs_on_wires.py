@@ -18,8 +18,6 @@ import pytest
 import hil
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
-pytestmark = pytest.mark.wires
-
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 
 
@@ -98,6 +96,7 @@ def test_whole_scheme_passes_over_real_wires(turntable: str, tmp_path: Path) -> 
     "device",
     ["rails", *(pytest.param(name, marks=pytest.mark.slow) for name in ("vmu", "turntable", "io"))],
 )
+@pytest.mark.wires
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(2.0)
@@ -113,6 +112,7 @@ def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str,
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.wires
 def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal.Signals) -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(2.0)
@@ -124,6 +124,7 @@ def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal
 
 
 @pytest.mark.slow
+@pytest.mark.wires
 def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(1.0)
@@ -132,6 +133,7 @@ def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     assert _none_left(pids)
 
 
+@pytest.mark.wires
 def test_emulate_says_where_each_device_listens_and_ends_on_ctrl_c() -> None:
     command = [sys.executable, "-m", "hil", "emulate"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
