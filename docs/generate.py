@@ -1,7 +1,7 @@
 """Reference pages that are made from the code when the documentation is built.
 
 ``pages()`` has the text of each page by its path below ``docs/``: the command line from its declarations, the keys of
-configuration files from ``hil.config.key_reference``.
+configuration files from ``hil.config.key_reference``, the records from their field tables.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
+from docs import record_pages
 from hil.cli.main import app
 from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
@@ -63,7 +64,7 @@ def command_line() -> str:
 | 4 | internal error |
 
 `--set a.b=v` overrides a key of the [scenario](scenario.md), `--set rig.a.b=v` a key of the [rig](rig.md). Texts may be
-given without quotes. Keys and commands under earlier names are accepted, keys with a line that names the new one.
+given without quotes. Commands under earlier names are accepted.
 """
     return f"{intro}\n{body}\n"
 
@@ -190,6 +191,9 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "limits": limit_table,
     "rig": rig_keys,
     "files": other_files,
+    "records": record_pages.records,
+    "gnc-records": record_pages.gnc_records,
+    "backend-records": record_pages.backend_records,
 }
 
 

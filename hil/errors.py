@@ -64,10 +64,6 @@ class BadInput(HilError):
         return cls([Problem(source, key, message)])
 
 
-class RenamedKey(FutureWarning):
-    """Warning, not an error: a file or option has keys under earlier names; the text gives the present ones."""
-
-
 class CampaignStopped(HilError):
     """A campaign cannot continue: disk full, scheduler lost. Completed cases are kept."""
 

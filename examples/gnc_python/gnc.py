@@ -3,7 +3,7 @@
     hil dss scheme-1 --lock-step &              # on the computer of the bench
     python gnc.py 127.0.0.1 24500               # on this one: address and port of hil dss
 
-It needs only numpy. Datagrams: docs/reference/wire-formats.md, records: docs/reference/gnc-records.md.
+It needs only numpy. Datagrams: docs/reference/wire-formats.md, records: docs/how-to/connect-your-gnc.md.
 Frames: H is the target's Hill frame, c the chaser's body frame; q_CH, scalar last, transforms components in H to
 components in c.
 """

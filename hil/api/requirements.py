@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
+import scipy  # its parts are imported when they are used
 
 from hil.api.results import Run
 from hil.core.messages import CYCLE, Array
@@ -116,7 +116,7 @@ class RunRequirement:
         if len(values) < window:
             return row
         exceeded = np.where(np.isnan(values), np.inf, values)
-        held = float(minimum_filter1d(exceeded, window, mode="constant", cval=-np.inf).max())
+        held = float(scipy.ndimage.minimum_filter1d(exceeded, window, mode="constant", cval=-np.inf).max())
         longest_s = _longest(exceeded > sign * limit) * run.scenario.step_s
         margin = sign * limit - held if math.isfinite(held) else None
         result = f"{'largest' if sign > 0.0 else 'smallest'} {sign * held:.5g}, limit exceeded for {longest_s:.4g} s"

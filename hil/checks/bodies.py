@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from hil.params import gnc as gnc_params
 _BETWEEN: Final = 10  # points between two moments of the plan
 _NO_TURN: Final = np.array([0.0, 0.0, 0.0, 1.0])
 _FAR_M: Final = 1e6
+_ROUNDING_M: Final = 1e-9
 
 
 def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
@@ -64,48 +64,90 @@ class _Nearest:
     def __init__(
         self, scenario: Scenario, guard: np.record, brake_mps2: float, lever_arm_m: Array | None = None
     ) -> None:
-        self._guard = guard
+        self._fixed = guard.lab
         self._brake = brake_mps2
         self._arm = np.zeros(3) if lever_arm_m is None else lever_arm_m
-        self._band_rad = math.radians(scenario.reachability.attitude_margin_deg)
+        band_rad = math.radians(scenario.reachability.attitude_margin_deg)
+        kinds = ((guard.carriage, False), (guard.turntable, True))
+        self._moving = [(moving, turns, band_rad * float(moving.arm.max())) for moving, turns in kinds if moving.n]
         self._found = np.empty(4)
 
-    def at(self, r: Array, rotation: Array, v: Array, margin_m: float) -> tuple[float, int]:
-        """Return the distance, m, and the number of the pair, for a chaser at ``r`` (3,) with ``rotation`` from H."""
-        guard, q = self._guard, quat.from_rotation_vector(rotation)
-        centre = r - quat.transform_back(q, self._arm)
+    def bounds(self, points: _Points) -> Array:
+        """Return a lower bound of the distance at each of ``points``, (n,), m, from the spheres about the bodies."""
+        centre = points.r - _back(points.q, self._arm)
+        fixed, m = self._fixed, int(self._fixed.n)
+        speed = np.linalg.norm(points.v, axis=1)
+        least = np.full(len(centre), math.inf)
+        for moving, turns, band_m in self._moving:
+            for i in range(int(moving.n)):
+                at = centre + (_back(points.q, moving.centre[i]) if turns else moving.centre[i])
+                apart = np.linalg.norm(at[:, None] - fixed.centre[:m], axis=2) - fixed.reach[:m]
+                nearest = apart.min(axis=1, initial=_FAR_M) - moving.reach[i] - band_m
+                np.minimum(least, nearest, out=least)
+        bounds: Array = least - speed**2 / (2.0 * self._brake) - points.margin
+        return bounds
+
+    def at(self, points: _Points, k: int) -> tuple[float, int]:
+        """Return the distance, m, and the number of the pair, at point ``k``."""
+        q, v = points.q[k], points.v[k]
+        centre = points.r[k] - quat.transform_back(q, self._arm)
         least, which = math.inf, 0
-        for bodies, attitude in ((guard.carriage, _NO_TURN), (guard.turntable, q)):
-            turned = 0.0 if bodies is guard.carriage else self._band_rad
-            left = clearance(
-                bodies, centre, attitude, v, 0.0, guard.lab, 0.0, self._brake, 1.0, _FAR_M, self._found
-            )  # fmt: skip
-            left -= margin_m + turned * float(bodies.arm.max())
-            if bodies.n and left < least:
+        for moving, turns, band_m in self._moving:
+            attitude = q if turns else _NO_TURN
+            left = clearance(moving, centre, attitude, v, 0.0, self._fixed, 0.0, self._brake, 1.0, _FAR_M, self._found)
+            left -= points.margin[k] + band_m
+            if left < least:
                 least, which = left, int(self._found[WHICH])
         return least, which
 
 
-def _points(plan: list[PlanSample], margins: Array) -> Iterator[tuple[PlanSample, Array, Array, Array, float]]:
-    """Yield the moments of the plan, and points between them, with position, rotation, velocity and half band, m."""
+class _Points(NamedTuple):
+    """Points along a plan: number of the moment; position and velocity, (n, 3), m, m/s; attitude; half band, m."""
+
+    moment: np.ndarray
+    r: Array
+    q: Array
+    v: Array
+    margin: Array
+
+
+def _points(plan: list[PlanSample], margins: Array) -> _Points:
+    """Return the moments of the plan, and points between them."""
+    numbers, r, rotation, v = [], [], [], []
+    between = np.linspace(0.0, 1.0, _BETWEEN + 1)[1:, None]
     for k, moment in enumerate(plan):
         before = plan[k - 1] if k and plan[k - 1].abort_s == moment.abort_s else moment
-        for fraction in np.linspace(0.0, 1.0, _BETWEEN + 1)[1:] if before is not moment else (1.0,):
-            r = before.r_CT_H + fraction * (moment.r_CT_H - before.r_CT_H)
-            rotation = before.rotation + fraction * (moment.rotation - before.rotation)
-            v = before.v_CT_H if np.linalg.norm(before.v_CT_H) > np.linalg.norm(moment.v_CT_H) else moment.v_CT_H
-            yield moment, r, rotation, v, float(np.linalg.norm(margins[k]))
+        fraction = between if before is not moment else between[-1:]
+        numbers += [k] * len(fraction)
+        r.append(before.r_CT_H + fraction * (moment.r_CT_H - before.r_CT_H))
+        rotation.append(before.rotation + fraction * (moment.rotation - before.rotation))
+        faster = before if np.linalg.norm(before.v_CT_H) > np.linalg.norm(moment.v_CT_H) else moment
+        v.append(np.broadcast_to(faster.v_CT_H, (len(fraction), 3)))
+    q = np.array([quat.from_rotation_vector(each) for each in np.concatenate(rotation)])
+    half = np.linalg.norm(margins, axis=1)[numbers]
+    return _Points(np.array(numbers), np.concatenate(r), q, np.concatenate(v), half)
+
+
+def _back(q: Array, x: Array) -> Array:
+    """Return ``x`` (3,) transformed by the inverse of each quaternion of ``q`` (n, 4), (n, 3)."""
+    turned: Array = np.array([quat.transform_back(each, x) for each in q]) if x.any() else np.zeros((len(q), 3))
+    return turned
 
 
 def _problem(
     scenario: Loaded[Scenario], plan: list[PlanSample], nearest: _Nearest, key: str, least_m: float
 ) -> list[Problem]:
     """Return a problem for the moment at which the bodies of the list ``key`` are nearest, if that is too near."""
-    margins = position_margin(scenario.value, np.array([moment.far_m for moment in plan]))
-    (left_m, which), moment = min(
-        ((nearest.at(r, rotation, v, margin), moment) for moment, r, rotation, v, margin in _points(plan, margins)),
-        key=lambda found: found[0][0],
-    )
+    points = _points(plan, position_margin(scenario.value, np.array([moment.far_m for moment in plan])))
+    bounds = nearest.bounds(points)
+    left_m, first_k, which = math.inf, 0, 0
+    for k in np.argsort(bounds):
+        if bounds[k] > left_m + _ROUNDING_M:
+            break
+        found_m, pair = nearest.at(points, k)
+        if (found_m, k) < (left_m, first_k):
+            left_m, first_k, which = found_m, k, pair
+    moment = plan[points.moment[first_k]]
     if left_m >= least_m:
         return []
     first, second = divmod(which, PAIR)

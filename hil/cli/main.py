@@ -13,9 +13,7 @@ import resource
 import signal
 import sys
 import traceback
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from types import FrameType
 from typing import Any, Final, TextIO, cast
 
@@ -24,7 +22,7 @@ from cyclopts import App
 
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
-from hil.errors import BadInput, BenchError, CampaignStopped, RenamedKey
+from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
 PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
@@ -160,8 +158,7 @@ def execute(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code. Errors are printed to standard error, one line each."""
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_PIXELS_MAX))
     try:
-        with _renamed_keys_on_stderr():
-            result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except BadInput as error:
         return _fail(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:
@@ -181,23 +178,6 @@ def execute(arguments: Sequence[str]) -> int:
         traceback.print_exc()
         return _fail("internal error: please report it with the traceback above", DEFECT)
     return result if isinstance(result, int) else PASSED
-
-
-@contextmanager
-def _renamed_keys_on_stderr() -> Iterator[None]:
-    """Print each warning of a renamed key once, as one line."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("default", RenamedKey)
-        otherwise: Callable[..., None] = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, RenamedKey):
-                print(message, file=sys.stderr)  # noqa: T201
-            else:
-                otherwise(message, category, *place, **more)
-
-        setattr(warnings, "showwarning", show)  # noqa: B010 (restored by catch_warnings)
-        yield
 
 
 def _host_limit(error: BaseException | None) -> str:

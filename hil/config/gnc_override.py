@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.config.load import Loaded, apply_settings, check_table, load_scenario, merge_tables, read_with_bases, shipped
-from hil.config.renamed_keys import with_present_names
 from hil.config.scenario import GncConfig, Scenario
 from hil.errors import BadInput, Problem
 
@@ -52,7 +51,7 @@ def _tables_of(file: str) -> dict[str, Any]:
     if any(source != str(path) for source in origin.values()):  # it extends another file
         return _of_scenario(file)
     if own and set(own) <= set(GncConfig.model_fields):
-        return with_present_names("Scenario", {"gnc": own}, file)
+        return {"gnc": own}
     foreign = sorted(set(own) - {*_TABLES, "name"})
     if foreign:
         text = f"cannot be changed in a replay: allowed are {', '.join(_TABLES)}, or the tables of gnc themselves"

@@ -22,7 +22,6 @@ from hil.config.fmu_mapping import FmuMapping
 from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess
 from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
-from hil.config.renamed_keys import present_key, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
@@ -214,7 +213,7 @@ def read_with_bases(
 
     prefix: of the keys in ``origin``.
     """
-    table = with_present_names(model.__name__, _read_table(path), str(path))
+    table = _read_table(path)
     _find_files_beside(table, path.parent)
     if model is Scenario and isinstance(table.get("requirements"), list):
         table["requirements"] = {"probabilistic": table["requirements"]}
@@ -313,31 +312,20 @@ def apply_settings(
 ) -> None:
     """Put each ``key=value`` of ``settings`` into ``table``, the later over the earlier; raise BadInput.
 
-    prefix: may stand before the keys. A key may have an earlier name, but not that and the present one.
+    prefix: may stand before the keys.
     """
-    parsed = [_parse_setting(text, prefix) for text in settings]
-    given = {".".join(path) for path, _ in parsed}
-    for text, (path, value) in zip(settings, parsed, strict=True):
-        key = ".".join(path)
-        new = present_key(model.__name__, key)
-        if new != key and new in given:
-            raise BadInput.single("--set", f"{prefix}{key}", f"is now {prefix}{new}, and both are given")
-        for name in reversed(path):
-            value = {name: value}
-        value = with_present_names(model.__name__, value, "--set")
+    for text in settings:
+        (*parents, last), value = _parse_setting(text, prefix)
         place = table
-        for depth, name in enumerate(new.split(".")):
-            value = value[name]
-            if depth + 1 == len(path):
-                place[name] = value
-                break
+        for name in parents:
             place = place.setdefault(name, {})
             if not isinstance(place, dict):
                 raise BadInput.single("--set", text, f"{name} is not a table")
+        place[last] = value
         if _names_dispersion_set(model, table):
             _put_dispersion_set(table, table["dispersions"], origin)
         else:
-            _note_origin(value, new, "--set", origin)
+            _note_origin(value, ".".join((*parents, last)), "--set", origin)
 
 
 def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:

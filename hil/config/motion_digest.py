@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.config.load import load_protocol
-from hil.config.renamed_keys import with_first_names
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.core.files import sha256_of
 
@@ -18,11 +17,11 @@ _NOT_COUNTED: Final = {"name", "sign_off", "recording", "telemetry"}
 def motion_digest(rig: Rig) -> str:
     """Return "sha256:..." over all tables that decide or protect the motion, and over the files that they name.
 
-    Keys count under their first names, so that a sign-off outlasts a renaming. Excluded are what is recorded, what only
-    emulators have, the leads, which ``hil identify`` measures on a signed-off rig (setpoints are limited after their
-    lead), the reference of the drift check, and the CPU of the loop. Raises BadInput if a protocol file cannot be read.
+    Excluded are what is recorded, what only emulators have, the leads, which ``hil identify`` measures on a signed-off
+    rig (setpoints are limited after their lead), the reference of the drift check, and the CPU of the loop. Raises
+    BadInput if a protocol file cannot be read.
     """
-    table = with_first_names("Rig", rig.model_dump(mode="json", exclude=_NOT_COUNTED))
+    table = rig.model_dump(mode="json", exclude=_NOT_COUNTED)
     del table["vmu"]["drift_check"], table["host"]["cpu"]
     if rig.console.on_loss != "continue":
         del table["console"]["on_loss"]  # the operator's choice of two safe reactions
@@ -40,15 +39,10 @@ def motion_digest(rig: Rig) -> str:
             del table[device][name]["lead_s"]
     for device, gimbals in (("turntable", rig.turntable), ("rotary_manipulator", rig.rotary_manipulator)):
         if gimbals is not None and gimbals.ascii is not None:
-            table[device]["ascii"]["protocol"] = _protocol(gimbals.ascii.protocol)
+            table[device]["ascii"]["protocol"] = load_protocol(gimbals.ascii.protocol).value.model_dump(mode="json")
     _put_files_for_paths(table)
     text = json.dumps(table, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
-
-
-def _protocol(name: str) -> dict[str, Any]:
-    """Return the contents of a protocol file. Raises BadInput if it cannot be read."""
-    return with_first_names("Protocol", load_protocol(name).value.model_dump(mode="json"))
 
 
 def _put_files_for_paths(table: dict[str, Any]) -> None:

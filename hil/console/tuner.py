@@ -10,7 +10,6 @@ import numpy as np
 
 from hil.config.live_tunable import BACKEND_SETTINGS, range_of, value_of, within
 from hil.config.load import Loaded
-from hil.config.renamed_keys import present_key
 from hil.config.scenario import Scenario
 from hil.console.lease import RequestRejected
 from hil.gnc_backends.backend_registry import declared_setting
@@ -91,7 +90,6 @@ class Tuner:
         """Return the change of ``key`` to ``value``. Raises RequestRejected, or BadInput for an invalid one."""
         scenario = self._scenario.value
         allowed = scenario.console.adjustable
-        key = present_key("Scenario", key) if isinstance(key, str) else key
         if key not in allowed or not isinstance(key, str):
             raise RequestRejected(
                 f"{key!r}: not adjustable during a run of this scenario, allowed {', '.join(allowed) or 'none'}"

@@ -18,8 +18,6 @@ from hil.core.messages import MAX_POSES, MAX_THRUSTERS
 PROTOCOL: Final = 3
 """Version of the records; incremented when fields are appended. 2: protection levels and health in the output. 3: orbit
 and motion of the target in the setup."""
-PROTOCOLS: Final = (1, 2, 3)
-"""Versions that the bench accepts: a GNC of an earlier one does not have the appended fields."""
 REASON_BYTES: Final = 128
 """Size of the text with which a library rejects a scenario, including its terminating zero."""
 
@@ -118,7 +116,7 @@ GNC_SETUP_FIELDS: Final = (
 GNC_SETUP: Final = record_dtype(GNC_SETUP_FIELDS)
 """Nominal vehicle and plan, known to a GNC before the run; the dispersed vehicle is not."""
 GNC_SETUP_2: Final = record_dtype(GNC_SETUP_FIELDS[: -len(GNC_ORBIT_FIELDS)])
-"""GNC_SETUP of protocol 2, and the mailbox gnc.setup: one with the orbit would not fit into an Ethernet frame."""
+"""The mailbox gnc.setup: one with the orbit would not fit into an Ethernet frame."""
 
 GNC_POSE_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "moment of exposure, time of the run"),
@@ -171,5 +169,3 @@ GNC_OUTPUT_FIELDS: Final = (
     Field("health", "i8", (), "1", "", "0 healthy; sum of hil_gnc_health"),
 )
 GNC_OUTPUT: Final = record_dtype(GNC_OUTPUT_FIELDS)
-GNC_OUTPUT_1: Final = record_dtype(GNC_OUTPUT_FIELDS[:-3])
-"""GNC_OUTPUT of protocol 1."""

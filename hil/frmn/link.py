@@ -242,7 +242,7 @@ class Link:
             return None
         if not stats.count(header.sequence):
             return None
-        return Arrival(name, header.cell.record(payload), header.time_s, received_s)
+        return Arrival(name, np.frombuffer(payload, header.cell.dtype), header.time_s, received_s)
 
     def _receive_heartbeat(self, time_s: float, payload: bytes, received_s: float) -> None:
         sent_s, there_s = wire.read_heartbeat(payload)

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.gnc_records import GNC_INPUT, GNC_ORBIT, GNC_OUTPUT, GNC_OUTPUT_1, GNC_SETUP_2
+from hil.core.gnc_records import GNC_INPUT, GNC_ORBIT, GNC_OUTPUT, GNC_SETUP_2
 from hil.core.messages import AXES, COMMAND, IMU, NAVIGATION, POSE, TRUTH
 
 NAME_BYTES: Final = 16
@@ -68,30 +68,13 @@ GNC_FILTERS: Final = np.dtype(
 
 @dataclass(frozen=True)
 class MailboxSpec:
-    """A mailbox. number: on the wire. layout: two bytes of the digest of its fields, never 0.
-
-    earlier: size and layout before fields were appended; a side that sends those leaves the appended fields zero.
-    """
+    """A mailbox. number: on the wire. layout: two bytes of the digest of its fields, never 0."""
 
     number: int
     name: str
     dtype: np.dtype
     writer: Role
     layout: int
-    earlier: tuple[int, int] | None = None
-
-    def has_size(self, size: int) -> bool:
-        """Return whether a record of ``size`` bytes is of this mailbox."""
-        return size == self.dtype.itemsize or (self.earlier is not None and size == self.earlier[0])
-
-    def has_layout(self, size: int, layout: int) -> bool:
-        """Return whether ``layout``, 0 if not given, is that of records of ``size`` bytes."""
-        expected = self.layout if self.earlier is None or size == self.dtype.itemsize else self.earlier[1]
-        return layout in (0, expected)
-
-    def record(self, payload: bytes) -> np.ndarray:
-        """Return the record, (1,), in ``payload``; appended fields that it lacks are zero."""
-        return np.frombuffer(payload.ljust(self.dtype.itemsize, b"\0"), self.dtype)
 
 
 def layout_of(dtype: np.dtype) -> int:
@@ -116,15 +99,14 @@ def _lines(dtype: np.dtype, start: int) -> list[str]:
     return lines
 
 
-def _mailbox(number: int, name: str, dtype: np.dtype, writer: Role, earlier: np.dtype | None = None) -> MailboxSpec:
-    before = None if earlier is None else (earlier.itemsize, layout_of(earlier))
-    return MailboxSpec(number, name, dtype, writer, layout_of(dtype), before)
+def _mailbox(number: int, name: str, dtype: np.dtype, writer: Role) -> MailboxSpec:
+    return MailboxSpec(number, name, dtype, writer, layout_of(dtype))
 
 
 _ALL: Final = (
     _mailbox(1, "gnc.setup", GNC_SETUP_2, Role.DSS),
     _mailbox(2, "gnc.input", GNC_INPUT, Role.DSS),
-    _mailbox(3, "gnc.output", GNC_OUTPUT, Role.GNC, GNC_OUTPUT_1),
+    _mailbox(3, "gnc.output", GNC_OUTPUT, Role.GNC),
     _mailbox(4, "gnc.flight", GNC_FLIGHT, Role.GNC),
     _mailbox(5, "gnc.filters", GNC_FILTERS, Role.GNC),
     _mailbox(16, "truth", TRUTH, Role.DSS),

@@ -160,9 +160,9 @@ def unpack(datagram: bytes) -> DatagramHeader | Fault:
         cell = BY_NUMBER.get(number)
         if cell is None:
             return Fault.CELL
-        if not cell.has_size(size) or len(datagram) != HEADER.size + size:
+        if size != cell.dtype.itemsize or len(datagram) != HEADER.size + size:
             return Fault.SIZE
-        if not cell.has_layout(size, layout):
+        if layout not in (0, cell.layout):
             return Fault.LAYOUT
         return DatagramHeader(DatagramKind.CELL, cell, writer, sequence, time_s)
     try:
@@ -198,9 +198,9 @@ def read_hello(payload: bytes) -> Hello | str:
             return (
                 f"mailbox {number}, use {use}: known are {', '.join(map(str, BY_NUMBER))}, use 1 (offers) or 2 (wants)"
             )
-        if not kind.has_size(size):
+        if size != kind.dtype.itemsize:
             return f"mailbox {kind.name} has {size} bytes there and {kind.dtype.itemsize} here"
-        if not kind.has_layout(size, layout):
+        if layout not in (0, kind.layout):
             return f"mailbox {kind.name} has a different layout there"
         found[use].add(kind.name)
     name = _text(record["name"]) or "without a name"

@@ -10,7 +10,7 @@ from typing import Any, Final, NoReturn, Protocol, Self
 import numpy as np
 
 from hil.core.files import sha256_of
-from hil.core.gnc_records import PROTOCOL, PROTOCOLS, REASON_BYTES, GncMode, GncState
+from hil.core.gnc_records import PROTOCOL, REASON_BYTES, GncMode, GncState
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import new
 from hil.errors import BadInput, DeviceError, ProtocolError
@@ -42,7 +42,7 @@ class Library:
             raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header prints its interface")
         self._declare()
         protocol = self._loaded.hil_gnc_protocol()
-        if protocol not in PROTOCOLS:
+        if protocol != PROTOCOL:
             raise self._refusal(
                 f"has protocol {protocol}, this bench has {PROTOCOL}: build it with the header of hil gnc header"
             )

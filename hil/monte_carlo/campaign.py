@@ -15,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.load import Loaded, load_rig, load_scenario
-from hil.config.renamed_keys import first_names_json
 from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
@@ -194,12 +193,12 @@ def write_evidence(folder: Path, scenario: str, sources: dict[str, Any], rows: S
 
 def campaign_digest(scenario: Scenario, rig: Rig) -> str:
     """Return a digest of scenario, rig and GNC binary."""
-    return _digest(first_names_json(scenario), first_names_json(rig), binary_digest(scenario.gnc))
+    return _digest(scenario.model_dump_json(), rig.model_dump_json(), binary_digest(scenario.gnc))
 
 
 def scenario_digest(scenario: Scenario) -> str:
     """Return a digest of the scenario alone, which runs on any rig have in common."""
-    return _digest(first_names_json(scenario))
+    return _digest(scenario.model_dump_json())
 
 
 def _digest(*texts: str) -> str:

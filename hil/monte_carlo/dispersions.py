@@ -17,8 +17,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are imported when they are used
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from hil.config.dispersions import TABLES, FaultDispersion, Number, Spread
 from hil.config.faults import AXES
@@ -202,7 +202,7 @@ def drawn_fault(settings: FaultDispersion, thrusters: int, seed: np.random.SeedS
 @lru_cache(maxsize=4)
 def _hypercube(seed: int, block: int, cases: int, n: int) -> Array:
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN, block)))
-    points: Array = qmc.LatinHypercube(n, rng=generator).random(cases)
+    points: Array = scipy.stats.qmc.LatinHypercube(n, rng=generator).random(cases)
     return points
 
 
@@ -212,7 +212,7 @@ _SOBOL_BLOCK = 64
 @lru_cache(maxsize=4)
 def _sobol_block(seed: int, block: int, n: int) -> Array:
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN,)))
-    engine = qmc.Sobol(n, scramble=True, rng=generator)
+    engine = scipy.stats.qmc.Sobol(n, scramble=True, rng=generator)
     if block:
         engine.fast_forward(block * _SOBOL_BLOCK)
     with warnings.catch_warnings():

@@ -18,8 +18,8 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
+import scipy  # its parts are imported when they are used
 from numpy.typing import NDArray
-from scipy.stats import norm, rankdata
 
 Array = NDArray[np.floating[Any]]
 VALUE, DISTANCE, PRODUCT, DISTANCE_PRODUCT, RATIO = "value", "distance", "product", "distance product", "ratio"
@@ -65,7 +65,7 @@ class Candidates:
                 self.terms += _pairs(values, j, k)
         self.ranks = np.empty((len(self.terms), len(values)), np.float32)
         for i, term in enumerate(self.terms):
-            self.ranks[i] = (rankdata(term.of(values)) - 0.5) / len(values)
+            self.ranks[i] = (scipy.stats.rankdata(term.of(values)) - 0.5) / len(values)
 
 
 def _single(x: Array, j: int) -> list[Term]:
@@ -121,7 +121,7 @@ def find_drivers(
         return Drivers()
     score, importance = _cross_validated(candidates, rows, y, len(chosen), rng)
     n1, n0 = float(y.sum()), float((1.0 - y).sum())
-    low = score - norm.ppf(0.95) * _auc_sigma(score, n1, n0)
+    low = score - scipy.stats.norm.ppf(0.95) * _auc_sigma(score, n1, n0)
     if low <= 0.5:
         return Drivers(score=score, low=low)
     terms = [candidates.terms[i] for i in chosen]
@@ -230,7 +230,7 @@ def _rank_of(candidates: Candidates, i: int, values: Array) -> Array:
 
 def auc(score: Array, y: Array) -> float:
     """Return the area under the ROC curve: the probability that a failing case has the larger ``score``."""
-    ranks, n1 = rankdata(score), float(y.sum())
+    ranks, n1 = scipy.stats.rankdata(score), float(y.sum())
     n0 = len(y) - n1
     return float((ranks[y > 0.5].sum() - 0.5 * n1 * (n1 + 1.0)) / (n1 * n0))
 

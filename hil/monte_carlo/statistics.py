@@ -6,7 +6,7 @@ import math
 from typing import Any, Final, Protocol
 
 import numpy as np
-from scipy.stats import binomtest, t
+import scipy  # its parts are imported when they are used
 
 from hil.core.messages import Array
 from hil.loop.runner import COMPLETED
@@ -33,7 +33,7 @@ class HasColumns(Protocol):
 
 def wilson(passed: int, runs: int) -> dict[str, float | int]:
     """Return the fraction ``passed`` / ``runs`` with Wilson's interval of ``CONFIDENCE``."""
-    interval = binomtest(passed, runs).proportion_ci(CONFIDENCE, method="wilson")
+    interval = scipy.stats.binomtest(passed, runs).proportion_ci(CONFIDENCE, method="wilson")
     return {
         "passed": passed,
         "runs": runs,
@@ -49,7 +49,7 @@ def mean_interval(values: Array) -> dict[str, float | int | None]:
     n = len(known)
     if n < 2:
         return {"n": n, "mean": float(known[0]) if n else None, "low": None, "high": None}
-    half = float(t.ppf(0.5 * (1.0 + CONFIDENCE), n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
+    half = float(scipy.stats.t.ppf(0.5 * (1.0 + CONFIDENCE), n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
     mean = float(known.mean())
     return {"n": n, "mean": mean, "low": mean - half, "high": mean + half}
 

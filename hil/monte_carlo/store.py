@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, Self
 
-from hil.config.renamed_keys import present_key
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
 from hil.errors import BadInput, CampaignStopped, one_line
 from hil.monte_carlo.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
@@ -153,14 +152,13 @@ class Store:
         return self._parts / f"{first:010d}.parquet"
 
     def _read_part(self, first: int) -> Any:
-        """Return a batch; its columns may have names of renamed keys. Raises ValueError for any other rows."""
+        """Return a batch. Raises ValueError for any other rows."""
         path = self._part(first)
         check_regular(path, _PART_BYTES)
         table = self._pq.read_table(path, use_threads=False)
         carried = (table.schema.metadata or {}).get(_IDENTITY)
         if carried is None:
             raise ValueError("carries no identity")
-        table = table.rename_columns([present_key("Scenario", name) for name in table.column_names])
         table = table.select(self.schema.names).cast(self.schema)
         if carried != self._identity_of(table, first):
             raise ValueError("its rows are not those of this campaign and place, or are damaged")

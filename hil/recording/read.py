@@ -21,7 +21,6 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
 from hil.config.model import ConfigModel
-from hil.config.renamed_keys import present_setting, with_present_names
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import leaf_fields, record_dtype
@@ -30,6 +29,7 @@ from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
+from hil.recording.earlier_names import present_key, with_present_names
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 
@@ -435,7 +435,10 @@ def _note(path: Path, note: dict[str, Any]) -> dict[str, Any]:
 
 def present_note(note: dict[str, Any]) -> dict[str, Any]:
     """Return a log line with the present name of the key that it sets, if it sets one."""
-    return note | {"message": present_setting("Scenario", note["message"])} if note.get("kind") == "setting" else note
+    if note.get("kind") != "setting":
+        return note
+    key, equals, value = note["message"].partition("=")
+    return note | {"message": f"{present_key('Scenario', key.strip())}{equals}{value}"}
 
 
 def _model(found: Contents, name: str, model: type[_Model]) -> _Model:
@@ -447,8 +450,7 @@ def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str,
         raise BadInput.single(str(path), name, "is missing in this recording")
     try:
         content = _table(path, name, files[name])
-        table = with_present_names(model.__name__, content, f"{path}: {name}", named_at_most=1)
-        return model.model_validate_json(json.dumps(table))
+        return model.model_validate_json(json.dumps(with_present_names(model.__name__, content)))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

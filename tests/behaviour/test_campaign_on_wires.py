@@ -8,6 +8,7 @@ import re
 import subprocess
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,10 +16,9 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.clock import WallClock
 from hil.drivers.emulated_devices import EmulatedDevices
 from tests.support.pytest_runs import environment, pytest_command, pytest_run
-from tests.support.run_settings import UNHURRIED
+from tests.support.run_settings import HARDWARE_WIRES, UNHURRIED
 from tests.system.test_killed_processes import lab_file
 
-pytestmark = pytest.mark.wires
 NEAR = {
     "initial.position_m": [0.5, 0.01, -0.01],
     "rig.rails.x.park_m": 0.5,
@@ -81,28 +81,42 @@ class Technician:
                 break
 
 
-@pytest.mark.parametrize("answer", ["y", "n"])
-def test_hardware_moves_only_when_the_operator_confirms(tmp_path: Path, answer: str) -> None:
-    (tmp_path / "test_bench.py").write_text(TESTS)
+def hardware_day(folder: Path, lab: str, answer: str, *options: str) -> tuple[dict[str, Any], str]:
+    """Return the results of ``TESTS`` on hardware, whose operator gives ``answer``, and what the operator was shown."""
+    (folder / "test_bench.py").write_text(TESTS)
     technician = Technician({"name": "Ada", "clear of people": answer})
+    command = pytest_command(f"--rig={lab}", "--results=day", f"--operator-terminal={technician.terminal}", *options)
+    with subprocess.Popen(
+        command, cwd=folder, env=environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as process:
+        technician.attend(process)
+        assert process.stdout is not None
+        output = process.stdout.read()
+    assert process.returncode == 0, output
+    day = json.loads((folder / "day" / "day.json").read_text())
+    assert day["setups"]["lab"]["operator"] == "Ada"
+    return day, technician.shown
+
+
+@pytest.mark.wires
+def test_hardware_moves_when_the_operator_confirms(tmp_path: Path) -> None:
     rig = load_rig("emulated", (*SETTINGS, *UNHURRIED, "rig.io.driver=none")).value  # a pause is no fault here
     with EmulatedDevices(load_scenario("scheme-1", SETTINGS).value, rig, WallClock(), 0) as emulated:
         wired, _ = emulated.wait_ready()
         lab = lab_file(tmp_path / "lab.toml", wired)
         with (tmp_path / "lab.toml").open("a") as file:
             file.write("".join(f"[rails.{axis}]\npark_m = {NEAR[f'rig.rails.{axis}.park_m']}\n" for axis in "xyz"))
-        command = pytest_command(f"--rig={lab}", "--results=day", f"--operator-terminal={technician.terminal}")
-        with subprocess.Popen(
-            command, cwd=tmp_path, env=environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        ) as process:
-            technician.attend(process)
-            assert process.stdout is not None
-            output = process.stdout.read()
-    assert process.returncode == 0, output
-    day = json.loads((tmp_path / "day" / "day.json").read_text())
-    outcome = "passed" if answer == "y" else "skipped"
-    assert [each["outcome"] for each in day["tests"]] == [outcome] * 2, output
-    assert day["setups"]["lab"]["operator"] == "Ada"
-    assert "Next test: test_bench.py::test_whole" in technician.shown
-    steps = [row["step"] for test in day["tests"] for row in test["evidence"]]
-    assert steps == (["hardware"] if answer == "y" else [])
+        day, shown = hardware_day(tmp_path, lab, "y", "-k", "whole")
+    assert [each["outcome"] for each in day["tests"]] == ["passed"]
+    assert "Next test: test_bench.py::test_whole" in shown
+    assert [row["step"] for test in day["tests"] for row in test["evidence"]] == ["hardware"]
+
+
+@pytest.mark.wires
+def test_hardware_stays_closed_if_the_operator_does_not_confirm(tmp_path: Path) -> None:
+    lab = tmp_path / "lab.toml"
+    lab.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\nsign_off.waived = true\n{HARDWARE_WIRES}')
+    day, shown = hardware_day(tmp_path, str(lab), "n")  # nothing is at the wires: an attempt to open them fails
+    assert [each["outcome"] for each in day["tests"]] == ["skipped"] * 2
+    assert "Next test: test_bench.py::test_whole" in shown
+    assert [row for test in day["tests"] for row in test["evidence"]] == []

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,12 +37,21 @@ class RecordedCommand(NamedTuple):
     file: Path
 
 
-def recorded_command(folder: Path, capsys: pytest.CaptureFixture[str], *more: str) -> RecordedCommand:
-    """Run scheme 3, seed 1, with a limit of the propellant that it fails."""
-    path = folder / "run.json"
-    code = execute(["run", "scheme-3", "--seed", "1", "--record", str(folder), "--json", str(path), *STRICT, *more])
-    (file,) = folder.glob("*.mcap")
-    return RecordedCommand(code, capsys.readouterr().out.splitlines(), json.loads(path.read_text()), file)
+@pytest.fixture(scope="module")
+def recorded_command(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., RecordedCommand]:
+    """Return a function that runs scheme 3, seed 1, once with the same options, and fails a limit of the propellant."""
+
+    @cache
+    def run(*more: str) -> RecordedCommand:
+        folder, printed = tmp_path_factory.mktemp("recorded"), io.StringIO()
+        path = folder / "run.json"
+        files = ["--record", str(folder), "--json", str(path)]
+        with redirect_stdout(printed):
+            code = execute(["run", "scheme-3", "--seed", "1", *files, *STRICT, *more])
+        (file,) = folder.glob("*.mcap")
+        return RecordedCommand(code, printed.getvalue().splitlines(), json.loads(path.read_text()), file)
+
+    return run
 
 
 @pytest.mark.parametrize(
@@ -48,14 +60,14 @@ def recorded_command(folder: Path, capsys: pytest.CaptureFixture[str], *more: st
     ids=["energy not required", "all parts required"],
 )
 def test_every_output_of_a_run_gives_the_same_verdict(
-    tmp_path: Path,
+    recorded_command: Callable[..., RecordedCommand],
     capsys: pytest.CaptureFixture[str],
     more: Sequence[str],
     accepted: bool,
     beside: str,
     listed: str,
 ) -> None:
-    found = recorded_command(tmp_path, capsys, *more)
+    found = recorded_command(*more)
     word = "PASS" if accepted else "FAIL"
     assert found.code == (0 if accepted else 1)
     assert found.lines[-1] == f"{word} scheme-3 on mock, seed 1 {beside}"
@@ -64,7 +76,7 @@ def test_every_output_of_a_run_gives_the_same_verdict(
     verdict = {name: found.summary[name] for name in ("accepted", "passed", "passed_all_parts")}
     assert verdict == {"accepted": accepted, "passed": True, "passed_all_parts": False}
 
-    assert execute(["recordings", "list", str(tmp_path)]) == 0
+    assert execute(["recordings", "list", str(found.file.parent)]) == 0
     assert f" {listed} " in capsys.readouterr().out.splitlines()[-1]
     run = hil.open(found.file)
     assert (run.accepted, run.passed) == (accepted, True)
@@ -75,9 +87,9 @@ def test_every_output_of_a_run_gives_the_same_verdict(
 
 
 def test_recording_of_an_earlier_version_is_judged_by_the_requirements_of_its_scenario(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded_command: Callable[..., RecordedCommand],
 ) -> None:
-    recorded = load(recorded_command(tmp_path, capsys, *WITHOUT_ENERGY).file)
+    recorded = load(recorded_command(*WITHOUT_ENERGY).file)
     assert recorded.summary is not None
     earlier = {k: v for k, v in recorded.summary.items() if k not in ("accepted", "required_parts")}
     assert summary_of(replace(recorded, summary=earlier))["accepted"]

@@ -9,14 +9,18 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import chdir
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from hil.api.runs import run
 from hil.cli import ci as command
 from hil.cli.main import execute
 from tests.support.pytest_runs import pytest_run
 
-RUN = ("--runs", "60")  # enough for the requirements
+RUN = ("--runs", "50")  # enough for the requirements
+SHORT = 'extends = "approach.toml"\nduration_s = 40.0\nrequirements.required_ready_s = 1.0\n'
+PARKED_NEAR = {"rig.rails.x.park_m": 0.7}
 
 
 @pytest.fixture(scope="module")
@@ -65,11 +69,15 @@ def test_folder_that_is_not_empty_is_refused_and_stays(tmp_path: Path, capsys: p
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.wires
 def test_change_that_loses_cases_is_red_and_an_equal_one_green(
-    in_lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    in_lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arguments = ["ci", "scenarios/approach.toml", *RUN]
+    def run_from_near(*arguments: Any, overrides: dict[str, Any], **more: Any) -> Any:
+        return run(*arguments, duration_s=22.0, overrides=overrides | PARKED_NEAR, **more)  # ready after 17 s
+
+    monkeypatch.setattr("hil.api.runs.run", run_from_near)
+    (in_lab / "scenarios" / "short.toml").write_text(SHORT)
+    arguments = ["ci", "scenarios/short.toml", *RUN]
     assert execute([*arguments, "--out", str(tmp_path / "base")]) == 0
     assert "## PASS approach" in (tmp_path / "base" / "summary.md").read_text()
     law = in_lab / "gnc" / "law.py"

@@ -224,11 +224,6 @@ def test_library_that_cannot_fly_is_refused_in_one_line(
     assert "\n" not in str(problem)
 
 
-def test_library_of_an_earlier_protocol_is_accepted(tmp_path: Path) -> None:
-    path = variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 1;")
-    assert library_problems(load_scenario("scheme-1", [f"gnc.library={path}"])) == []
-
-
 @pytest.mark.parametrize("command", ["run", "campaign", "gnc-check"])
 def test_every_command_refuses_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
     path = str(variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 99;"))

@@ -15,9 +15,8 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from tests.support.run_settings import NEAR, UNHURRIED, typed
-
-pytestmark = pytest.mark.wires
 
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 
@@ -59,10 +58,11 @@ def _none_left(pids: dict[str, int]) -> bool:
 
 
 @pytest.mark.parametrize("turntable", ["cia402", pytest.param("ascii", marks=pytest.mark.slow)])
-def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None:
+def test_approach_passes_over_real_wires_and_its_lateness_is_null(turntable: str, tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "28", "--lock-step", "--json", str(path))
-    with _started(*typed(*NEAR), *arguments) as (process, pids):
+    arguments = ("--set", f"rig.turntable.driver={turntable}", "--duration", "28", "--lock-step")
+    files = ("--record", str(tmp_path), "--json", str(path))
+    with _started(*typed(*NEAR), *arguments, *files) as (process, pids):
         out, err = process.communicate(timeout=120)
     result = json.loads(path.read_text())
     assert process.returncode == 0, out + err
@@ -71,6 +71,10 @@ def test_approach_passes_over_real_wires(turntable: str, tmp_path: Path) -> None
     assert result["vision"]["frames"] > 100
     assert max(result["bench"]["rail_error_max_m"]) < 0.005
     assert _none_left(pids)
+    assert set(result["timing"]["lateness_us"].values()) == {None}
+    assert result["timing"]["overruns"] == result["timing"]["skipped_periods"] == 0
+    assert result["recording"]["dropped"] == 0
+    assert hil.open(result["recording"]["file"]).replay().identical
 
 
 @pytest.mark.slow
@@ -92,6 +96,7 @@ def test_whole_scheme_passes_over_real_wires(turntable: str, tmp_path: Path) -> 
     "device",
     ["rails", *(pytest.param(name, marks=pytest.mark.slow) for name in ("vmu", "turntable", "io"))],
 )
+@pytest.mark.wires
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(2.0)
@@ -107,6 +112,7 @@ def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str,
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.wires
 def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal.Signals) -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(2.0)
@@ -118,6 +124,7 @@ def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal
 
 
 @pytest.mark.slow
+@pytest.mark.wires
 def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(1.0)
@@ -126,6 +133,7 @@ def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     assert _none_left(pids)
 
 
+@pytest.mark.wires
 def test_emulate_says_where_each_device_listens_and_ends_on_ctrl_c() -> None:
     command = [sys.executable, "-m", "hil", "emulate"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -17,7 +17,7 @@ PAGES = sorted(
     [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "README.md"]
     + [page for page in DOCS.rglob("*.md") if not set(BUILT) & set(page.parts)]
 )
-MADE = {DOCS / name for name in generate.pages()}
+MADE = {DOCS / generate.FOLDER / f"{name}.md" for name in generate.PAGES}
 
 
 def anchors(page: Path) -> set[str]:

@@ -47,8 +47,9 @@ def test_a_key_shows_type_unit_range_and_default() -> None:
     assert rows["travel_m"][1:3] == ("number[2]", "m")
 
 
-def test_page_of_the_command_line_has_every_command() -> None:
-    page = generate.command_line()
+def test_page_of_the_command_line_has_every_command_and_the_others_have_rows() -> None:
+    page, *others = generate.pages().values()
+    assert all("\n| `" in other or "\n| 0 |" in other for other in others)
     headings = re.findall(r"^#+ hil (.*)$", page, re.MULTILINE)
     assert set(COMMANDS) | set(GROUPS) <= set(headings)
     assert {"gnc check", "gnc header", "recordings list"} <= set(headings)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from hil.checks.bodies import check_bodies
+from hil.checks.bodies import _chaser, _Nearest, _points, check_bodies
+from hil.checks.planned_trajectory import moments
+from hil.checks.reachability import position_margin
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput
 
@@ -64,3 +67,22 @@ def test_bodies_that_are_none_are_refused_with_key_and_value(bodies: str, text: 
         load_scenario("scheme-1", (f"keep_out.bodies=[{bodies}]",))
     assert text in str(refused.value)
     assert "keep_out" in str(refused.value)
+
+
+def test_spheres_about_bodies_bound_their_distance_from_below() -> None:
+    """The check computes distances from the least bound on, and stops at the first bound beyond the least distance.
+
+    Of bodies that are spheres the bound is the distance of a chaser that approaches them head-on.
+    """
+    ball = '{{on = "{}", vertices_m = [[0.0, 0.0, 0.0], [1e-9, 0.0, 0.0]], radius_m = 0.1}}'.format
+    balls = [f"keep_out.bodies=[{ball('target')}, {ball('chaser')}]"]
+    brake_mps2, arm_m = 0.001, np.array([0.3, 0.1, -0.2])
+    for settings, lever_arm_m, is_tight in (((), None, False), ((), arm_m, False), (balls, None, True)):
+        given = load_scenario("scheme-1", [*settings, "reachability.attitude_margin_deg=5.0"]).value
+        plan = moments(given)
+        points = _points(plan, position_margin(given, np.array([moment.far_m for moment in plan])))
+        nearest = _Nearest(given, _chaser(given), brake_mps2, lever_arm_m)
+        every = range(0, len(points.r), 7)
+        above = np.array([nearest.at(points, k)[0] for k in every]) - nearest.bounds(points)[::7]
+        assert above.min() >= -1e-9
+        assert bool(above.min() < 1e-4) is is_tight

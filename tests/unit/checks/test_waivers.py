@@ -7,6 +7,7 @@ import io
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,9 @@ from hil.checks.compatibility import check_scenario_limits
 from hil.checks.waivers import Waiver, waivers
 from hil.cli.main import execute
 from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Limit, values
-from hil.config.load import load_rig, load_scenario, shipped
+from hil.config.load import Loaded, load_rig, load_scenario, shipped
 from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.console.live_view import Client
 from hil.console.service import OPEN_QUESTION, ConsoleService
 from hil.console.session import Choice
@@ -117,11 +119,20 @@ def beyond(limit: Limit, bound: float) -> float:
     return bound * (0.5 if limit.weak_below else 2.0)
 
 
+shipped_scenario, plain_rig = cache(load_scenario), cache(load_rig)
+
+
+def loaded_with(key: str, value: float, rig: str) -> tuple[Loaded[Scenario], Loaded[Rig]]:
+    """Return scheme-1 and ``rig`` with a value of one of them. Raises BadInput."""
+    if key.startswith("rig."):
+        return shipped_scenario("scheme-1"), load_rig(rig, [f"{key}={value!r}"])
+    return load_scenario("scheme-1", [f"{key}={value!r}"]), plain_rig(rig)
+
+
 def bad_text(key: str, value: float, rig: str) -> str:
     """Return the error of a value, "" if it is accepted."""
     try:
-        scenario = load_scenario("scheme-1", [f"{key}={value!r}"])
-        loaded = load_rig(rig, [f"{key}={value!r}"])
+        scenario, loaded = loaded_with(key, value, rig)
     except BadInput as error:
         return "; ".join(map(str, error.problems))
     return "; ".join(map(str, check_scenario_limits(scenario, loaded)))
@@ -139,9 +150,8 @@ def test_each_limit_is_bounded_per_kind_of_rig_and_weak_ones_are_named(lab: str)
                     assert key in text
                     assert "allowed" in text or "must be" in text or "finite" in text, text
                     continue
-                found = waivers(
-                    load_rig(rig, [f"{key}={given!r}"]).value, load_scenario("scheme-1", [f"{key}={given!r}"]).value
-                )
+                scenario, chosen = loaded_with(key, given, rig)
+                found = waivers(chosen.value, scenario.value)
                 if limit.is_weaker(value, limit.recommended) and key not in [waiver.key for waiver in found]:
                     unsaid.append((key, value, rig))
                 assert not limit.is_weaker(value, bound), (key, value, rig)

@@ -8,7 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
-from hil.core.gnc_records import GNC_OUTPUT, GNC_OUTPUT_1
+from hil.core.gnc_records import GNC_OUTPUT
 from hil.frmn import wire
 from hil.frmn.mailboxes import BY_NUMBER, MAILBOXES, Role, layout_of
 from hil.frmn.wire import DatagramKind, Fault
@@ -43,22 +43,6 @@ def test_header_comes_back_and_the_payload_follows_it() -> None:
     header = wire.unpack(datagram)
     assert header == wire.DatagramHeader(DatagramKind.CELL, OUTPUT, 7, 1, 2.5)
     assert np.frombuffer(datagram[32:], GNC_OUTPUT)["cycle"][0] == 42
-
-
-def test_output_of_protocol_1_is_received_with_zeros_for_the_appended_fields() -> None:
-    sent = np.zeros(1, GNC_OUTPUT_1)
-    sent["cycle"], sent["text"] = 42, b"mine"
-    layout = struct.pack("<H", layout_of(GNC_OUTPUT_1))
-    datagram = changed(wire.pack(DatagramKind.CELL, sent.tobytes(), 7, 1, 2.5, OUTPUT), 14, layout)
-    assert wire.unpack(datagram) == wire.DatagramHeader(DatagramKind.CELL, OUTPUT, 7, 1, 2.5)
-    (received,) = OUTPUT.record(datagram[32:])
-    assert received.dtype == GNC_OUTPUT
-    assert (received["cycle"], received["text"]) == (42, b"mine")
-    assert not received["protection_level_m"].any()
-    assert wire.unpack(changed(datagram, 14, struct.pack("<H", OUTPUT.layout))) is Fault.LAYOUT
-    hello = np.frombuffer(wire.hello_payload(Role.GNC, "mine", ["gnc.output"], []), wire.HELLO).copy()
-    hello["cells"]["size"][0, 0], hello["cells"]["layout"][0, 0] = GNC_OUTPUT_1.itemsize, layout_of(GNC_OUTPUT_1)
-    assert isinstance(wire.read_hello(hello.tobytes()), wire.Hello)
 
 
 def test_every_cell_fits_an_ethernet_frame_and_has_a_number_of_its_own() -> None:

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from docs import record_pages
 from hil.core.fields import markdown_table, record_dtype
 from hil.core.gnc_records import GNC_ORBIT, GNC_SETUP, GNC_SETUP_2
 from hil.frmn.mailboxes import MAILBOXES
 from hil.frmn.wire import HEADER, LARGEST
 from hil.gnc_backends.c_header import HEADER_FILE, RECORDS, c_header
-from tests.support.external_gnc import PYTHON_EXAMPLE, ROOT, compile_c
+from tests.support.external_gnc import PYTHON_EXAMPLE, compile_c
 
 LAYOUTS = {name: record_dtype(fields) for name, fields in RECORDS.items()}
 
@@ -24,8 +25,7 @@ def test_shipped_header_is_the_one_of_the_records() -> None:
 
 @pytest.mark.parametrize("record", RECORDS)
 def test_page_shows_the_layout_of_the_records(record: str) -> None:
-    page = (ROOT / "docs" / "reference" / "gnc-records.md").read_text()
-    assert markdown_table(RECORDS[record]) in page, "write the text of hil.core.fields.markdown_table() to it"
+    assert markdown_table(RECORDS[record]) in record_pages.gnc_records()
 
 
 def test_c_compiler_places_every_field_where_the_bench_has_it(tmp_path: Path) -> None:

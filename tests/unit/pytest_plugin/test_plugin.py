@@ -158,7 +158,7 @@ def test_other_projects_keep_their_options_fixtures_and_speed(tmp_path: Path) ->
         "    assert (pytestconfig.getoption('--rig'), run) == ('ship', 42)\n"
         "    assert not {'numpy', 'numba', 'pydantic', 'hil.api', 'hil.core'} & set(sys.modules)\n"
     )
-    done = pytest_run(tmp_path, "--rig", "ship")
+    done = pytest_run(tmp_path, "--rig", "ship", fresh=True)
     assert done.returncode == 0, done.stdout
     assert sorted(path.name for path in tmp_path.iterdir() if path.name != "__pycache__") == [
         "conftest.py",

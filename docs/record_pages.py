@@ -1,0 +1,136 @@
+"""Reference pages of the records, made from their field tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.core import manipulator_records, messages
+from hil.core.fields import Fields, markdown_table
+from hil.gnc_backends.backend_header import BACKEND_STRUCTS
+from hil.gnc_backends.c_header import RECORDS
+from hil.monitor.results import PORTION_FIELDS
+
+Section = str | Fields
+"""Text, or the fields of a table."""
+
+
+def _page(sections: Sequence[Section]) -> str:
+    return "\n\n".join(each if isinstance(each, str) else markdown_table(each) for each in sections) + "\n"
+
+
+def records() -> str:
+    """Return the page of the records of a cycle and of a recording."""
+    return _page(
+        [
+            """# Records
+
+Layout of the records that a recording holds and that the stages of a cycle exchange, from the field tables in
+`hil/core/messages.py`, `hil/core/manipulator_records.py` and `hil/monitor/results.py`. Offsets are in bytes from the
+start of the record; types are those of numpy, little-endian; nested records have a table of their own.
+[Frames](../../explanation/frames.md). Records of an [external GNC](gnc-records.md).
+
+## Cycle
+
+`/cycle`, one per cycle (`CYCLE`); its nested records follow:""",
+            messages.CYCLE_FIELDS,
+            "## Truth\n\n`truth` (`TRUTH`):",
+            messages.TRUTH_FIELDS,
+            "## IMU\n\n`imu` (`IMU`):",
+            messages.IMU_FIELDS,
+            "## Pose\n\n`pose` (`POSE`): chaser relative to target, from a frame of the vision unit:",
+            messages.POSE_FIELDS,
+            "## Navigation\n\n`navigation` (`NAVIGATION`):",
+            messages.NAVIGATION_FIELDS,
+            "## Reference\n\n`reference` (`REFERENCE`):",
+            messages.REFERENCE_FIELDS,
+            "## Approach monitor\n\n`supervision` (`SUPERVISION`):",
+            messages.SUPERVISION_FIELDS,
+            "## Command\n\n`command` (`COMMAND`):",
+            messages.COMMAND_FIELDS,
+            "## Axes\n\n`setpoint` and `feedback` (`AXES`):",
+            messages.AXES_FIELDS,
+            "## Arrival\n\n`/vmu/frames`, one per frame of the vision unit (`ARRIVAL`); `pose` is the pose above:",
+            messages.ARRIVAL_FIELDS,
+            """## Samples of fast IMU and axes
+
+`/imu`, one per sample of an IMU that is faster than the cycle (`IMU_SAMPLE`); `imu` is the record of the cycle:""",
+            messages.IMU_SAMPLE_FIELDS,
+            "`/axes`, one per setpoint of axes that are faster than the cycle (`AXES_SAMPLE`):",
+            messages.AXES_SAMPLE_FIELDS,
+            """## Axes of a rotated target
+
+`/manipulator`, one per cycle of a rig with a [rotary
+manipulator](../../explanation/moving-targets.md#rotary-manipulator) (`MANIPULATOR_SAMPLE`); the last two are records
+like `setpoint` of the cycle:""",
+            manipulator_records.MANIPULATOR_SAMPLE_FIELDS,
+            "`setpoint` and `feedback` of it:",
+            manipulator_records.GIMBALS_FIELDS,
+            "## Frame of the vision unit\n\n`frame` (`VMU_FRAME`):",
+            messages.VMU_FRAME_FIELDS,
+            "## Portion\n\n`/monitor/portions`, one per batch of frames of the docking monitor (`PORTION`):",
+            PORTION_FIELDS,
+        ]
+    )
+
+
+def gnc_records() -> str:
+    """Return the page of the records of an external GNC."""
+    return _page(
+        [
+            """# Records of an external GNC
+
+Little-endian, aligned as by a C compiler for x86-64 or ARM64: the structs of `hil_gnc.h`, which `hil gnc header`
+prints, byte for byte. Offsets in bytes; f8 is a double, i8 and i4 signed integers of 8 and 4 bytes, u1 a byte, S32
+text of 32 bytes padded with zeros.
+
+**Setup**, sent once at the start; it contains the nominal vehicle and plan, without dispersions:""",
+            RECORDS["setup"],
+            """The fields from offset 1440 on are those of protocol 3; over UDP they are the mailbox `gnc.orbit`.
+With eccentricity e and mean anomaly M, Kepler's equation E - e sin E = M + n t gives the true anomaly, tan(nu/2) =
+sqrt((1 + e)/(1 - e)) tan(E/2), and the rate of Hill's frame, n (1 + e cos nu)^2 / (1 - e^2)^1.5 about -y. The rate
+of a target that tumbles follows Euler's equations, J w' = -w x J w, from its rate at t_s = 0; of J only the ratios
+count. Values have the errors of the GNC's ephemeris (`gnc.ephemeris`, `gnc.target`).
+
+**Input**, one per cycle:""",
+            RECORDS["input"],
+            "**Pose**, four in each input, of which the first `n_poses` count:",
+            RECORDS["pose"],
+            "**Output**, one per input:",
+            RECORDS["output"],
+            """`mode`: 0 STANDBY, 1 ARMED (the bench is at rest at the start pose, the time of the run has not
+started), 2 RUNNING, 3 HOLD (the axes are braked and time is frozen: keep the state), 4 STOPPED. **Thrusters open
+only in RUNNING**: demands in other modes are ignored. `orders`: 1 GO, 2 ABORT, each in one input only. `state`: 0
+STARTING (demands are ignored), 1 WORKING, 2 ASKS_FOR_HOLD (an attended bench is braked to rest and continues on
+command; an unattended run ends), 3 FAULT (the bench stops; `text` gives the reason). `text` is logged as an event of
+the run whenever it changes.""",
+        ]
+    )
+
+
+_TITLES = {
+    "hil_backend_sample": "Sample of the IMU, `samples` of the input of navigation",
+    "hil_backend_pose": "Pose of the vision unit, `poses` of the input of navigation",
+    "hil_navigation": "Estimate, `navigation` of the input of control",
+    "hil_reference": "Reference, `reference` of the input of control",
+    "hil_navigation_input": "Input of navigation",
+    "hil_navigation_output": "Output of navigation; preset: no estimate, numbers that are not reported nan",
+    "hil_control_input": "Input of control",
+    "hil_control_output": "Output of control; preset: no demands",
+}
+
+
+def backend_records() -> str:
+    """Return the page of the records of backends."""
+    sections: list[Section] = [
+        """# Records of backends
+
+The arguments of a backend of navigation or of control ([fly a law](../../how-to/fly-a-law.md), [fly a
+filter](../../how-to/fly-a-filter.md)): the structs of `hil_backends.h`, which `hil gnc header --backends` prints,
+the records of a kernel, and the objects that a Python class receives. Little-endian, aligned as by a C compiler for
+x86-64 or ARM64; offsets in bytes; f8 is a double, i8 and i4 signed integers of 8 and 4 bytes, u1 a byte, S64 text of
+64 bytes padded with zeros. `setup` is the setup of an [external GNC](gnc-records.md). In kernels a text is an array
+of bytes."""
+    ]
+    for struct, fields in BACKEND_STRUCTS.items():
+        sections += [f"**{_TITLES[struct]}** (`{struct}`):", fields]
+    return _page(sections)
