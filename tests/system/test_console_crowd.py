@@ -49,6 +49,7 @@ def guesses(address: str, number: int, stack: ExitStack) -> None:
     """Send wrong tokens."""
     for _ in range(number):
         with suppress(OSError, WebSocketException, TimeoutError), hello(address, "guess", TOKEN + "x") as there:
+            there.recv(5.0)  # the challenge
             there.recv(5.0)
 
 
