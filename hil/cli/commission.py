@@ -34,6 +34,8 @@ class SignOffOptions:
     """Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware requires."""
     operator: Annotated[str | None, Parameter(name=("--operator", "--by"))] = None
     """Operator's name; prompted for if omitted."""
+    operator_key: str | None = None
+    """The operator's key file, by hil operators add: the sign-off has its name, and is sealed with it."""
     date: str | None = None
     """Date of the sign-off, 2026-03-01; default: today."""
 
@@ -42,6 +44,8 @@ class SignOffOptions:
         found = []
         if self.operator is not None and not self.operator.strip():
             found.append(Problem("--operator", "", "is empty, give a name"))
+        if self.operator is not None and self.operator_key is not None:
+            found.append(Problem("--operator", "", "not together with --operator-key: the key has a name"))
         if self.date is not None and not _is_day(self.date):
             found.append(Problem("--date", "", f"{self.date}: must look like 2026-03-01"))
         return found + check_rig_path("--out", self.out)
@@ -94,6 +98,7 @@ def commission(
     from hil.commission.steps import Commissioning, CommissioningPlan
     from hil.config.load import load_rig, load_scenario
     from hil.config.rig import BENCH_AXES
+    from hil.core.operator_keys import OperatorKey, read_key
     from hil.drivers.remote.io_layout import WATCHDOG
     from hil.session import build
 
@@ -109,7 +114,8 @@ def commission(
     before = signed_before(loaded_rig.value)
     chosen = chosen_axes(axis)
     others = [k for k, name in enumerate(BENCH_AXES) if name in before]
-    who = sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
+    key = None if sign_off.operator_key is None else read_key(sign_off.operator_key)
+    who: OperatorKey | str = key or sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
     if loaded_rig.value.kind == "hardware" and not prompt.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
     ):

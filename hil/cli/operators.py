@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
 from hil.cli.options import Names, refuse
 from hil.cli.output import print_columns
-from hil.errors import Problem
+from hil.errors import BadInput, Problem
+
+if TYPE_CHECKING:
+    from hil.core.operator_keys import Signature
 
 _FILE = "operators.toml"
 
@@ -74,3 +77,39 @@ def list_operators(operators: str = _FILE, /) -> int:
     ]
     print_columns(("operator", "key", "rights", "addresses"), rows, left=(0, 1, 2, 3))
     return 0
+
+
+@app.command(help="Verify who signed rig files and records of preflights.")
+def verify(files: Annotated[list[str], Parameter(negative=())], /, *, operators: str = _FILE) -> int:
+    """Verify who signed rig files and records of preflights; exit code 1 if one is not sealed by a known key.
+
+    Parameters
+    ----------
+    files
+        Rig files with a sign-off (*.toml), records of preflights (*.json).
+    operators
+        File of hil console --operators.
+    """
+    from hil.core.operator_keys import read_operators
+
+    known, failed = read_operators(operators), False
+    for name in files:
+        for what, signature, record in _signatures(name):
+            problem = signature.problem(record, known)
+            failed = failed or bool(problem)
+            print(f"{'FAIL' if problem else 'PASS'} {name}: {what}: {problem or f'sealed by {signature.by}'}")  # noqa: T201
+    return int(failed)
+
+
+def _signatures(name: str) -> list[tuple[str, Signature, list[Any]]]:
+    from hil.checks.preflight_record import read_signature
+    from hil.commission.sign_off import signatures
+    from hil.config.load import load_rig
+
+    if name.endswith(".json"):
+        return [("preflight", *read_signature(Path(name)))]
+    sign_off = load_rig(name).value.sign_off
+    found = [] if sign_off is None else list(signatures(sign_off))
+    if not found:
+        raise BadInput.single(name, "rig.sign_off", "is missing: nothing is signed")
+    return found

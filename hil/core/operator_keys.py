@@ -2,7 +2,7 @@
 
 A key is 256 random bits. The operator has it in a file of its own; the console's file has those of all operators with
 their rights. Both are readable by their owner only. A client proves its key by the HMAC-SHA-256 of a challenge that is
-used once, so that the key is never sent. Whoever reads the console's file can act as any operator.
+used once, so that the key is never sent. The console's file is enough to act as any operator.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import hmac
 import json
 import re
 import secrets
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -53,6 +54,37 @@ class OperatorKey:
     def seal(self, text: str) -> str:
         """Return the HMAC-SHA-256 of a record that the operator signs, hexadecimal."""
         return hmac.new(bytes.fromhex(self.secret), f"hil record 1\n{text}".encode(), hashlib.sha256).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """Signature under a record: name, id of the key, and seal, "" for a name that nothing proves."""
+
+    by: str
+    key: str = ""
+    seal: str = ""
+
+    @classmethod
+    def of(cls, signatory: OperatorKey | str, record: Sequence[Any]) -> Signature:
+        """Return the signature of a key, or the name alone, under ``record``, plain values."""
+        if isinstance(signatory, str):
+            return cls(signatory)
+        return cls(signatory.name, signatory.id, signatory.seal(_sealed(signatory.name, record)))
+
+    def problem(self, record: Sequence[Any], operators: Mapping[str, OperatorKey]) -> str:
+        """Return why ``record`` is not signed by a key of ``operators``, "" if it is."""
+        if not self.key:
+            return f"signed by the name {self.by}, without a key"
+        known = operators.get(self.key)
+        if known is None:
+            return f"signed with the key {self.key}, which is not in the file"
+        if not hmac.compare_digest(known.seal(_sealed(self.by, record)).encode(), self.seal.encode(errors="replace")):
+            return f"not sealed by the key of {known.name}: the record or its signature was changed"
+        return ""
+
+
+def _sealed(name: str, record: Sequence[Any]) -> str:
+    return json.dumps([name, *record])
 
 
 def new_challenge() -> str:
@@ -100,7 +132,7 @@ def read_operators(path: str | Path) -> dict[str, OperatorKey]:
 
 def write_operators(path: str | Path, keys: dict[str, OperatorKey]) -> None:
     """Write the console's file; raises BadInput."""
-    lines = ["# Operators of hil console. Who reads this file can act as any of them."]
+    lines = ["# Operators of hil console. This file is enough to act as any of them."]
     for key in keys.values():
         lines += ["", f"[{json.dumps(key.name, ensure_ascii=False)}]", f'secret = "{key.secret}"']
         lines += [f'rights = "{key.rights}"']

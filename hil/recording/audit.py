@@ -2,8 +2,8 @@
 
 The chain begins with the header and the configuration of the recording. Its length and last digest are in the end of
 the file and in the catalogue. ``audit_problems`` finds an entry that was changed, removed, inserted or moved, a changed
-configuration, and a shortened log. Who rewrites file and catalogue can write another chain: only a copy of the last
-digest elsewhere finds that.
+configuration, and a shortened log. A user who may write file and catalogue can write another chain: only a copy of the
+last digest elsewhere finds that.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ export class Link {
     this.socket = socket;
   }
 
-  // Answer the challenge; without knowing who is there, close the connection until open() is called again.
+  // Answer the challenge; if the operator has to be asked first, close the connection until open() is called again.
   async greet({ challenge, required }) {
     const socket = this.socket, who = await this.on.required(required);
     if (socket !== this.socket) return;
