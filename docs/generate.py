@@ -209,7 +209,8 @@ checks that each test exists and that each [alarm](../modes-and-alarms.md) of th
     sections = [
         f"## {row['id']} {row['hazard']}\n\n| | |\n|---|---|\n| cause | {row['cause']} |\n| barrier in software | "
         f"{row['software']} |\n| barrier in hardware | {row['hardware']} |\n| category asked of it | {row['category']} "
-        f"|\n| alarms | {', '.join(row['alarms']) or 'none'} |\n| tests | {', '.join(map(_test_link, row['tests']))} |\n"
+        f"|\n| alarms | {', '.join(row['alarms']) or 'none'} |\n"
+        f"| tests | {', '.join(map(_test_link, row['tests']))} |\n"
         f"| what remains | {row['remains']} |\n"
         for row in rows
     ]
