@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import time
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from hil.checks.compatibility import requires_sign_off
+from hil.checks.signed_record import read_signed, write_signed
 from hil.config.load import Loaded
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
-from hil.core.files import KIB, parse_json, read_text
-from hil.core.operator_keys import OperatorKey, Signature
-from hil.core.text_files import write_text
+from hil.core.operator_keys import OperatorKey
 from hil.errors import BadInput, Problem
 
 VALID_S: Final = 3600.0
 MEASURED_S: Final = 60.0
 """Shortest measurement of the lateness."""
-_SEALED: Final = ("unix_time_s", "digest", "rate_hz", "measured_s", "passed")
 _RATE_TOLERANCE: Final = 1e-6
 
 
@@ -35,24 +31,14 @@ def write_record(rig: Loaded[Rig], rate_hz: float, measured_s: float, passed: bo
     rate_hz: of the loop. measured_s: duration of the measurement of the lateness, s. by: key of
     the operator, or a name that nothing proves.
     """
-    record: dict[str, Any] = {
+    record = {
         "unix_time_s": time.time(),
         "digest": motion_digest(rig.value),
         "rate_hz": rate_hz,
         "measured_s": measured_s,
         "passed": passed,
     }
-    record |= asdict(Signature.of(by, [record[key] for key in _SEALED]))
-    write_text(json.dumps(record, indent=1) + "\n", record_path(rig))
-
-
-def read_signature(path: Path) -> tuple[Signature, list[Any]]:
-    """Return the signature of the record at ``path``, and what it seals. Raises BadInput."""
-    try:
-        record = parse_json(read_text(path, 16 * KIB))
-        return Signature(*(str(record.get(key, "")) for key in ("by", "key", "seal"))), [record[key] for key in _SEALED]
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise BadInput.single(str(path), "", f"not the record of a preflight: {error}") from error
+    write_signed(record, record_path(rig), by)
 
 
 def check_preflight(rig: Loaded[Rig], step_s: float, now_unix_s: float | None = None) -> list[Problem]:
@@ -72,7 +58,7 @@ def _gap(rig: Loaded[Rig], step_s: float, now_unix_s: float) -> str:
     if not path.exists():
         return "is missing"
     try:
-        record = parse_json(read_text(path, 16 * KIB))
+        record = read_signed(path)
         age_s, measured_s = now_unix_s - float(record["unix_time_s"]), float(record["measured_s"])
         digest, passed, rate_hz = record["digest"], record["passed"], float(record["rate_hz"])
     except (BadInput, ValueError, LookupError, TypeError):

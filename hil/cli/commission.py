@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import re
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
+from hil.cli.options import Flag, Group, Integer, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
 from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
@@ -60,6 +61,8 @@ def commission(
     axis: Names = (),
     sign_off: Group[SignOffOptions] = _UNSIGNED,
     limits: Flag = False,
+    proof_test: Flag = False,
+    due_days: Integer = 90,
     yes: Flag = False,
     scenario: str = "scheme-1",
     settings: Settings = (),
@@ -75,6 +78,10 @@ def commission(
         rails.x, turntable.yaw ...; may be given more than once. By default all six, one after the other.
     limits
         Also approach both ends of each axis' travel.
+    proof_test
+        Only test emergency stop, safety chain and brakes, and write the record that the preflight of hardware requires.
+    due_days
+        Days until the next proof test.
     yes
         Answer every question with yes, on emulated rigs only.
     scenario
@@ -82,7 +89,13 @@ def commission(
     speed
         Simulation speed relative to real time, on an emulated rig.
     """
+    from hil.checks.proof_test import DUE_DAYS_MAX, write_proof
+
     problems = axis_problems(axis) + above_zero("--speed", speed) + sign_off.problems()
+    if proof_test and (sign_off.out is not None or axis or limits):
+        problems.append(Problem("--proof-test", "", "moves no axis: not together with --out, --axis and --limits"))
+    if not 1 <= due_days <= DUE_DAYS_MAX:
+        problems.append(Problem("--due-days", "", f"{due_days}: allowed 1 to {DUE_DAYS_MAX}"))
     if sign_off.out is not None:
         changed = [text for text in settings if text.startswith("rig.")]
         advice = "a sign-off is valid for the rig file as it is: write the setting into that file"
@@ -95,7 +108,7 @@ def commission(
     from hil.commission.auto_operator import AutoOperator
     from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
     from hil.commission.sign_off import as_toml, signed_before
-    from hil.commission.steps import Commissioning, CommissioningPlan
+    from hil.commission.steps import Commissioning, CommissioningPlan, Findings
     from hil.config.load import load_rig, load_scenario
     from hil.config.rig import BENCH_AXES
     from hil.core.operator_keys import OperatorKey, read_key
@@ -131,9 +144,15 @@ def commission(
             bench.runner(), loaded_rig.value, prompt, plan, button, true_position, bench.pids.get(WATCHDOG)
         )
         try:
-            findings = steps.run()
+            findings = Findings(proved=steps.prove()) if proof_test else steps.run()
         except StepFailed as failure:
             return _failed(str(failure), console)
+    proved = rig if proof_test else sign_off.out
+    if proved is not None and loaded_rig.value.kind == "hardware":
+        file = write_proof(proved, time.time(), due_days, findings.proved, who)
+        prompt.show(f"{file}: proof test passed, the next is due in {due_days} days")
+    if proof_test:
+        return _SIGNED
     if sign_off.out is None:
         prompt.show("all steps passed; nothing was written, because there is no --out")
         return _SIGNED

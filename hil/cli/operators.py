@@ -79,14 +79,16 @@ def list_operators(operators: str = _FILE, /) -> int:
     return 0
 
 
-@app.command(help="Verify who signed rig files and records of preflights.")
+@app.command(help="Verify who signed rig files and records of preflights and proof tests.")
 def verify(files: Annotated[list[str], Parameter(negative=())], /, *, operators: str = _FILE) -> int:
-    """Verify who signed rig files and records of preflights; exit code 1 if one is not sealed by a known key.
+    """Verify who signed rig files and records of preflights and proof tests.
+
+    Exit code 1 if one is not sealed by a key of the file.
 
     Parameters
     ----------
     files
-        Rig files with a sign-off (*.toml), records of preflights (*.json).
+        Rig files with a sign-off (*.toml), records of preflights and proof tests (*.json).
     operators
         File of hil console --operators.
     """
@@ -102,12 +104,12 @@ def verify(files: Annotated[list[str], Parameter(negative=())], /, *, operators:
 
 
 def _signatures(name: str) -> list[tuple[str, Signature, list[Any]]]:
-    from hil.checks.preflight_record import read_signature
+    from hil.checks.signed_record import read_signed, signature_of
     from hil.commission.sign_off import signatures
     from hil.config.load import load_rig
 
     if name.endswith(".json"):
-        return [("preflight", *read_signature(Path(name)))]
+        return [("record", *signature_of(read_signed(Path(name))))]
     sign_off = load_rig(name).value.sign_off
     found = [] if sign_off is None else list(signatures(sign_off))
     if not found:

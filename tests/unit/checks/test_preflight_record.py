@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from hil.checks.preflight_record import MEASURED_S, VALID_S, check_preflight, read_signature, record_path, write_record
+from hil.checks.preflight_record import MEASURED_S, VALID_S, check_preflight, record_path, write_record
+from hil.checks.signed_record import read_signed, signature_of
 from hil.config.load import load_rig
 from hil.core.operator_keys import OperatorKey
 from tests.support.run_settings import HARDWARE_WIRES
@@ -78,9 +79,9 @@ def test_a_damaged_record_is_refused(lab: Path) -> None:
 def test_record_names_the_key_of_the_operator_and_a_forged_one_is_found(lab: Path) -> None:
     path = lab.with_name("lab.preflight.json")
     assert recorded(lab) == []
-    signature, record = read_signature(path)
+    signature, record = signature_of(read_signed(path))
     assert (signature.by, signature.key, signature.problem(record, {ANN.id: ANN})) == ("ann", ANN.id, "")
     for change in ({"unix_time_s": time.time() + 1.0}, {"passed": 1}, {"by": "bob"}, {"seal": "0" * 64}):
         recorded(lab, lambda record, change=change: record.update(change))  # type: ignore[misc]
-        signature, record = read_signature(path)
+        signature, record = signature_of(read_signed(path))
         assert "the record or its signature was changed" in signature.problem(record, {ANN.id: ANN})
