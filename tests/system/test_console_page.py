@@ -231,7 +231,7 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
         screen.press("p", "settings_open")
         screen.page.wait_for_selector("#settinglist tr:nth-child(9)")
         screen.page.type("#settinglist tr:nth-child(1) input", "-1\n")
-        screen.until("document.getElementById('answer').textContent.includes('must be greater than 0')")
+        screen.until("document.getElementById('answer').textContent.includes('-1: during a run allowed 0.0001 to 0.2')")
         screen.page.type("#settinglist tr:nth-child(1) input", "0.0005\n")
         screen.page.wait_for_selector("#confirm[open]")
         question = screen.page.inner_text("#question")
@@ -391,5 +391,5 @@ def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictu
         screen.picture("waived")
         line = screen.page.locator("#waived li").first
         assert line.inner_text().startswith("WAIVED rig.io.driver = none")
-        assert line.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(213, 94, 0)"
+        assert line.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(184, 79, 0)"
         assert screen.errors == []
