@@ -12,6 +12,7 @@ import pytest
 from hil.console.strangers import Access
 from hil.core.modes import Mode
 from hil.core.operator_keys import OperatorKey, write_key
+from hil.report import html
 from tests.support.browsers import ChromiumPage, chromium
 from tests.support.stub_console import stub_console
 
@@ -186,3 +187,23 @@ def test_key_is_chosen_once_kept_over_a_reload_and_forgotten_on_signing_out(
         page.wait_for_selector("#who[open]")
         page.reload()
         page.wait_for_selector("#who[open] #key_file")
+
+
+@pytest.mark.parametrize("width", [1280, 794, 768, 390])
+@pytest.mark.parametrize("media", ["screen", "print"])
+def test_reports_fit_any_screen_and_paper(screens: ChromiumPage, tmp_path: Path, width: int, media: str) -> None:
+    rows = [
+        ["calibration_motion", "sha256:" + "0123456789abcdef" * 4, "20261125T230617Z-scheme-1-emulated-s0-18c5.mcap"]
+    ]
+    body = [
+        html.heading(1, "Report"),
+        html.table(["key", "value", "file"], rows, words=True),
+        html.folded("log", "x" * 400),
+    ]
+    path = tmp_path / "report.html"
+    path.write_text(html.page("Report", body))
+    with screens.page.context.browser.new_page(viewport={"width": width, "height": 800}) as page:
+        page.emulate_media(media=media)
+        page.goto(f"file://{path}")
+        page.evaluate("document.querySelector('details').open = true")
+        assert page.evaluate("document.documentElement.scrollWidth - innerWidth") == 0
