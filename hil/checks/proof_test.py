@@ -13,9 +13,8 @@ from hil.config.rig import Rig
 from hil.core.operator_keys import OperatorKey
 from hil.errors import BadInput
 
-DUE_DAYS: Final = 90
-"""Time from a test to the next one, unless another is given, days."""
 DUE_DAYS_MAX: Final = 366
+"""Longest time between two tests, days."""
 _DAY_S: Final = 86_400.0
 
 
@@ -33,7 +32,7 @@ def write_proof(rig_file: str, now_unix_s: float, due_days: int, tested: Sequenc
 
 
 def proof_gap(rig: Loaded[Rig], now_unix_s: float) -> tuple[str, str]:
-    """Return why the bench needs a test now, "" if it does not, and what the record says."""
+    """Return why the bench needs a test now, "" if it does not, and the dates of its record."""
     path = proof_path(rig.source)
     if not path.exists():
         return "no record", f"{path.name} is missing"

@@ -29,7 +29,7 @@ _NO: Final = {"n", "no"}
 
 @dataclass(frozen=True)
 class SignOffOptions:
-    """Options of the sign-off."""
+    """Options of the sign-off and of the proof test."""
 
     out: Output = None
     """Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware requires."""
@@ -39,9 +39,15 @@ class SignOffOptions:
     """The operator's key file, by hil operators add: the sign-off has its name, and is sealed with it."""
     date: str | None = None
     """Date of the sign-off, 2026-03-01; default: today."""
+    proof_test: Flag = False
+    """Only test emergency stop, safety chain and brakes; writes the record that the preflight of hardware requires."""
+    due_days: Integer = 90
+    """Days until the next proof test."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
+        from hil.checks.proof_test import DUE_DAYS_MAX  # slow imports
+
         found = []
         if self.operator is not None and not self.operator.strip():
             found.append(Problem("--operator", "", "is empty, give a name"))
@@ -49,6 +55,10 @@ class SignOffOptions:
             found.append(Problem("--operator", "", "not together with --operator-key: the key has a name"))
         if self.date is not None and not _is_day(self.date):
             found.append(Problem("--date", "", f"{self.date}: must look like 2026-03-01"))
+        if self.proof_test and self.out is not None:
+            found.append(Problem("--proof-test", "", "signs no rig: not together with --out"))
+        if not 1 <= self.due_days <= DUE_DAYS_MAX:
+            found.append(Problem("--due-days", "", f"{self.due_days}: allowed 1 to {DUE_DAYS_MAX}"))
         return found + check_rig_path("--out", self.out)
 
 
@@ -61,8 +71,6 @@ def commission(
     axis: Names = (),
     sign_off: Group[SignOffOptions] = _UNSIGNED,
     limits: Flag = False,
-    proof_test: Flag = False,
-    due_days: Integer = 90,
     yes: Flag = False,
     scenario: str = "scheme-1",
     settings: Settings = (),
@@ -78,10 +86,6 @@ def commission(
         rails.x, turntable.yaw ...; may be given more than once. By default all six, one after the other.
     limits
         Also approach both ends of each axis' travel.
-    proof_test
-        Only test emergency stop, safety chain and brakes, and write the record that the preflight of hardware requires.
-    due_days
-        Days until the next proof test.
     yes
         Answer every question with yes, on emulated rigs only.
     scenario
@@ -89,13 +93,9 @@ def commission(
     speed
         Simulation speed relative to real time, on an emulated rig.
     """
-    from hil.checks.proof_test import DUE_DAYS_MAX, write_proof
-
     problems = axis_problems(axis) + above_zero("--speed", speed) + sign_off.problems()
-    if proof_test and (sign_off.out is not None or axis or limits):
-        problems.append(Problem("--proof-test", "", "moves no axis: not together with --out, --axis and --limits"))
-    if not 1 <= due_days <= DUE_DAYS_MAX:
-        problems.append(Problem("--due-days", "", f"{due_days}: allowed 1 to {DUE_DAYS_MAX}"))
+    if sign_off.proof_test and (axis or limits):
+        problems.append(Problem("--proof-test", "", "moves no axis: not together with --axis and --limits"))
     if sign_off.out is not None:
         changed = [text for text in settings if text.startswith("rig.")]
         advice = "a sign-off is valid for the rig file as it is: write the setting into that file"
@@ -104,6 +104,7 @@ def commission(
     refuse_wires_in_use(rig, settings)
 
     from hil.checks.compatibility import check_plan
+    from hil.checks.proof_test import write_proof
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.commission.auto_operator import AutoOperator
     from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
@@ -144,14 +145,14 @@ def commission(
             bench.runner(), loaded_rig.value, prompt, plan, button, true_position, bench.pids.get(WATCHDOG)
         )
         try:
-            findings = Findings(proved=steps.prove()) if proof_test else steps.run()
+            findings = Findings(proved=steps.prove()) if sign_off.proof_test else steps.run()
         except StepFailed as failure:
             return _failed(str(failure), console)
-    proved = rig if proof_test else sign_off.out
+    proved = rig if sign_off.proof_test else sign_off.out
     if proved is not None and loaded_rig.value.kind == "hardware":
-        file = write_proof(proved, time.time(), due_days, findings.proved, who)
-        prompt.show(f"{file}: proof test passed, the next is due in {due_days} days")
-    if proof_test:
+        file = write_proof(proved, time.time(), sign_off.due_days, findings.proved, who)
+        prompt.show(f"{file}: proof test passed, the next is due in {sign_off.due_days} days")
+    if sign_off.proof_test:
         return _SIGNED
     if sign_off.out is None:
         prompt.show("all steps passed; nothing was written, because there is no --out")
