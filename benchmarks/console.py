@@ -32,6 +32,7 @@ from hil.console.columns import INDEX
 from hil.console.live_view import Client
 from hil.console.service import ConsoleService
 from hil.console.session import Choice
+from hil.console.strangers import Access
 from hil.loop.overrun_monitor import lateness_percentiles_us
 
 PATIENT = (
@@ -87,7 +88,7 @@ class Console:
         listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{listener.getsockname()[1]}"
         config = uvicorn.Config(
-            make_app(self.service, None, None),
+            make_app(self.service, Access(), None),
             log_level="warning",
             ws="websockets-sansio",
             ws_per_message_deflate=False,
@@ -187,7 +188,7 @@ def main() -> None:
     console = Console(options.rig, whole_s)
     try:
         console.obey(do="take")
-        console.obey(do="open")
+        console.obey(do="open", confirmed=True)
         console.wait_for("standby")
         console.order("arm", "armed")
         console.order("start", "running")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -184,11 +185,50 @@ def other_files() -> str:
     return text + "".join(f"\n## {title}\n\n{_sections(model, level=3)}" for title, model in parts.items())
 
 
+HAZARD_KEYS: Final = (
+    "id", "losses", "hazard", "cause", "software", "hardware", "category", "alarms", "tests", "remains",
+)  # fmt: skip
+"""Keys of a row of ``docs/hazards.toml``."""
+
+
+def hazards() -> str:
+    """Return the page of all hazards: cause, barriers, category asked, tests, and what remains."""
+    intro = """# Hazards of the bench
+
+Losses: **P** a person is hurt, **B** bench or specimen is damaged, **V** a verdict is wrong, **A** an act cannot be
+attributed. The category is asked of the hardware barrier, by ISO 13849-1; software of this program has none ([what it
+cannot do](../../explanation/safety-file.md#what-software-cannot-do)). The table is `docs/hazards.toml`; the suite
+checks that each test exists and that each [alarm](../modes-and-alarms.md) of the program has a row.
+"""
+    rows = tomllib.loads((Path(__file__).parent / "hazards.toml").read_text(encoding="utf-8"))["hazards"]
+    head = "| | hazard | losses | category asked | tests | alarms |\n|---|---|---|---|---|---|\n"
+    lines = [
+        f"| {row['id']} | {row['hazard']} | {row['losses']} | {row['category']} | {len(row['tests'])} "
+        f"| {len(row['alarms'])} |"
+        for row in rows
+    ]
+    sections = [
+        f"## {row['id']} {row['hazard']}\n\n| | |\n|---|---|\n| cause | {row['cause']} |\n| barrier in software | "
+        f"{row['software']} |\n| barrier in hardware | {row['hardware']} |\n| category asked of it | {row['category']} "
+        f"|\n| alarms | {', '.join(row['alarms']) or 'none'} |\n"
+        f"| tests | {', '.join(map(_test_link, row['tests']))} |\n"
+        f"| what remains | {row['remains']} |\n"
+        for row in rows
+    ]
+    return f"{intro}\n{head}" + "\n".join(lines) + "\n\n" + "\n".join(sections)
+
+
+def _test_link(name: str) -> str:
+    path, _, function = name.partition("::")
+    return f"`{function}` (`{path}`)"
+
+
 PAGES: Final[dict[str, Callable[[], str]]] = {
     "command-line": command_line,
     "scenario": scenario_keys,
     "faults": fault_table,
     "limits": limit_table,
+    "hazards": hazards,
     "rig": rig_keys,
     "files": other_files,
     "records": record_pages.records,

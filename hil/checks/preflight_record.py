@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Final
 
 from hil.checks.compatibility import requires_sign_off
+from hil.checks.signed_record import read_signed, write_signed
 from hil.config.load import Loaded
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
-from hil.core.files import KIB, parse_json, read_text
-from hil.core.text_files import write_text
+from hil.core.operator_keys import OperatorKey
 from hil.errors import BadInput, Problem
 
 VALID_S: Final = 3600.0
@@ -26,10 +25,11 @@ def record_path(rig: Loaded[Rig]) -> Path:
     return Path(rig.source).with_suffix(".preflight.json")
 
 
-def write_record(rig: Loaded[Rig], rate_hz: float, measured_s: float, passed: bool) -> None:
+def write_record(rig: Loaded[Rig], rate_hz: float, measured_s: float, passed: bool, by: OperatorKey | str) -> None:
     """Write the record of a preflight of hardware. Raises BadInput if it cannot be written.
 
-    rate_hz: of the loop. measured_s: duration of the measurement of the lateness, s.
+    rate_hz: of the loop. measured_s: duration of the measurement of the lateness, s. by: key of
+    the operator, or a name that nothing proves.
     """
     record = {
         "unix_time_s": time.time(),
@@ -38,7 +38,7 @@ def write_record(rig: Loaded[Rig], rate_hz: float, measured_s: float, passed: bo
         "measured_s": measured_s,
         "passed": passed,
     }
-    write_text(json.dumps(record, indent=1) + "\n", record_path(rig))
+    write_signed(record, record_path(rig), by)
 
 
 def check_preflight(rig: Loaded[Rig], step_s: float, now_unix_s: float | None = None) -> list[Problem]:
@@ -58,7 +58,7 @@ def _gap(rig: Loaded[Rig], step_s: float, now_unix_s: float) -> str:
     if not path.exists():
         return "is missing"
     try:
-        record = parse_json(read_text(path, 16 * KIB))
+        record = read_signed(path)
         age_s, measured_s = now_unix_s - float(record["unix_time_s"]), float(record["measured_s"])
         digest, passed, rate_hz = record["digest"], record["passed"], float(record["rate_hz"])
     except (BadInput, ValueError, LookupError, TypeError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import re
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
+from hil.cli.options import Flag, Group, Integer, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
 from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
@@ -28,22 +29,36 @@ _NO: Final = {"n", "no"}
 
 @dataclass(frozen=True)
 class SignOffOptions:
-    """Options of the sign-off."""
+    """Options of the sign-off and of the proof test."""
 
     out: Output = None
     """Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware requires."""
     operator: Annotated[str | None, Parameter(name=("--operator", "--by"))] = None
     """Operator's name; prompted for if omitted."""
+    operator_key: str | None = None
+    """The operator's key file, by hil operators add: the sign-off has its name, and is sealed with it."""
     date: str | None = None
     """Date of the sign-off, 2026-03-01; default: today."""
+    proof_test: Flag = False
+    """Only test emergency stop, safety chain and brakes; writes the record that the preflight of hardware requires."""
+    due_days: Integer = 90
+    """Days until the next proof test."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
+        from hil.checks.proof_test import DUE_DAYS_MAX  # slow imports
+
         found = []
         if self.operator is not None and not self.operator.strip():
             found.append(Problem("--operator", "", "is empty, give a name"))
+        if self.operator is not None and self.operator_key is not None:
+            found.append(Problem("--operator", "", "not together with --operator-key: the key has a name"))
         if self.date is not None and not _is_day(self.date):
             found.append(Problem("--date", "", f"{self.date}: must look like 2026-03-01"))
+        if self.proof_test and self.out is not None:
+            found.append(Problem("--proof-test", "", "signs no rig: not together with --out"))
+        if not 1 <= self.due_days <= DUE_DAYS_MAX:
+            found.append(Problem("--due-days", "", f"{self.due_days}: allowed 1 to {DUE_DAYS_MAX}"))
         return found + check_rig_path("--out", self.out)
 
 
@@ -79,6 +94,8 @@ def commission(
         Simulation speed relative to real time, on an emulated rig.
     """
     problems = axis_problems(axis) + above_zero("--speed", speed) + sign_off.problems()
+    if sign_off.proof_test and (axis or limits):
+        problems.append(Problem("--proof-test", "", "moves no axis: not together with --axis and --limits"))
     if sign_off.out is not None:
         changed = [text for text in settings if text.startswith("rig.")]
         advice = "a sign-off is valid for the rig file as it is: write the setting into that file"
@@ -87,13 +104,15 @@ def commission(
     refuse_wires_in_use(rig, settings)
 
     from hil.checks.compatibility import check_plan
+    from hil.checks.proof_test import write_proof
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.commission.auto_operator import AutoOperator
     from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
     from hil.commission.sign_off import as_toml, signed_before
-    from hil.commission.steps import Commissioning, CommissioningPlan
+    from hil.commission.steps import Commissioning, CommissioningPlan, Findings
     from hil.config.load import load_rig, load_scenario
     from hil.config.rig import BENCH_AXES
+    from hil.core.operator_keys import OperatorKey, read_key
     from hil.drivers.remote.io_layout import WATCHDOG
     from hil.session import build
 
@@ -109,7 +128,8 @@ def commission(
     before = signed_before(loaded_rig.value)
     chosen = chosen_axes(axis)
     others = [k for k, name in enumerate(BENCH_AXES) if name in before]
-    who = sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
+    key = None if sign_off.operator_key is None else read_key(sign_off.operator_key)
+    who: OperatorKey | str = key or sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
     if loaded_rig.value.kind == "hardware" and not prompt.ask(
         "The axes will move. Is the bench clear of people, and the emergency stop in your hand?"
     ):
@@ -125,9 +145,15 @@ def commission(
             bench.runner(), loaded_rig.value, prompt, plan, button, true_position, bench.pids.get(WATCHDOG)
         )
         try:
-            findings = steps.run()
+            findings = Findings(proved=steps.prove()) if sign_off.proof_test else steps.run()
         except StepFailed as failure:
             return _failed(str(failure), console)
+    proved = rig if sign_off.proof_test else sign_off.out
+    if proved is not None and loaded_rig.value.kind == "hardware":
+        file = write_proof(proved, time.time(), sign_off.due_days, findings.proved, who)
+        prompt.show(f"{file}: proof test passed, the next is due in {sign_off.due_days} days")
+    if sign_off.proof_test:
+        return _SIGNED
     if sign_off.out is None:
         prompt.show("all steps passed; nothing was written, because there is no --out")
         return _SIGNED

@@ -17,6 +17,7 @@ from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.console.foxglove_clients import FoxgloveClients
+    from hil.console.strangers import Access
 
 _NEEDED = ("fastapi", "uvicorn", "websockets")
 
@@ -30,7 +31,9 @@ class ServerOptions:
     port: Integer = 8765
     """Port; 0 takes any free one."""
     token_file: str | None = None
-    """File with the token that a page must send, readable by its owner only."""
+    """File with the token that a page must send, readable by its owner only; for pages on this computer."""
+    operators: str | None = None
+    """File with the operators' keys and rights, by hil operators add: each page proves the key of its operator."""
     certificate: str | None = None
     """File of the server's certificate (PEM): pages use https. Required to listen on other addresses."""
     key: str | None = None
@@ -86,7 +89,10 @@ def console(
     refuse(options.problems())
 
     from hil.console.serve import Tls, listen, read_token, serve
+    from hil.console.service import NEEDS_KEYS
     from hil.console.session import Choice
+    from hil.console.strangers import Access
+    from hil.core.operator_keys import read_operators
     from hil.recording.foxglove_server import check_foxglove_option
 
     overridden = () if on_loss is None else (f"rig.console.on_loss={on_loss}",)
@@ -99,38 +105,45 @@ def console(
         settings=(*options.settings, *overridden),
         record=None if no_record else str(Path(record).absolute()),
     )
-    choice.job()
     host, token_file = server.host, server.token_file
-    token = None if token_file is None else read_token(token_file)
+    if token_file is not None and server.operators is not None:
+        raise BadInput.single("--token-file", "", "not together with --operators: their keys replace the token")
+    access = Access(
+        None if token_file is None else read_token(token_file),
+        {} if server.operators is None else read_operators(server.operators),
+    )
+    if choice.job().rig.value.console.second_person and not access.operators:
+        raise BadInput.single("--operators", "", f"is missing: {NEEDS_KEYS}")
     tls = None if server.tls is None else Tls(*server.tls)
     if tls is not None:
         tls.check()
     if foxglove is not None:
         check_foxglove_option(foxglove)
-    with listen(host, server.port, token, tls is not None or server.behind_tunnel) as listener:
+    with listen(host, server.port, access, tls is not None or server.behind_tunnel) as listener:
         shown = f"[{host}]" if ":" in host else host
         _say(f"console on {'https' if tls else 'http'}://{shown}:{listener.getsockname()[1]}/")
-        with _foxglove_clients(foxglove, token) as clients:
+        with _foxglove_clients(foxglove, access) as clients:
             try:
-                serve(choice, listener, host, token, _log, tls, clients)
+                serve(choice, listener, host, access, _log, tls, clients)
             except KeyboardInterrupt:
                 _say("console closed")
     return 0
 
 
 @contextmanager
-def _foxglove_clients(port: int | None, token: str | None) -> Iterator[FoxgloveClients | None]:
-    """Give the clients in Foxglove at ``port``, None without one. token: required for the command, or a new code."""
+def _foxglove_clients(port: int | None, access: Access) -> Iterator[FoxgloveClients | None]:
+    """Give the clients in Foxglove at ``port``, None without one. The token, or a new code, is required for the
+    command; where operators have keys, these clients watch."""
     if port is None:
         yield None
         return
     from hil.console.foxglove_clients import FoxgloveClients
     from hil.recording.foxglove_server import layout_file
 
-    code = secrets.token_hex(8) if token is None else token
+    code = None if access.operators else access.token or secrets.token_hex(8)
     clients = FoxgloveClients(port, code, _log)
     try:
-        shown = f"; code to take the command: {code}" if token is None else ""
+        shown = f"; code to take the command: {code}" if code and access.token is None else ""
         _say(f"foxglove on {clients.address}{shown}")
         _say(f"layout for it: {layout_file()}")
         yield clients

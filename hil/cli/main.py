@@ -66,6 +66,7 @@ GROUPS: Final = {
     "cameras": "Cameras of the vision unit: find them, show their images, focus their lenses.",
     "gnc": "Run the GNC of a scenario for a bench in another process or on another computer, until the bench "
     "disconnects.",
+    "operators": "Keys of the operators of a console.",
     "recordings": "Recorded runs.",
 }
 """Command with commands of its own -> summary: ``app`` in the module of that name."""

@@ -22,6 +22,7 @@ def preflight(
     settings: Settings = (),
     json: Output = None,
     devices: Flag = False,
+    operator_key: str | None = None,
 ) -> int:
     """Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.
 
@@ -35,16 +36,21 @@ def preflight(
         File for the results, - for standard output.
     devices
         Also open rails and turntable of a hardware rig: the drives are enabled and hold their positions.
+    operator_key
+        The operator's key file, by hil operators add: the record of a hardware rig has its name, and is sealed with it.
     """
     refuse(check_json_path("--json", json))
 
     from hil.checks.preflight_record import write_record
     from hil.checks.waivers import waivers
     from hil.config.load import load_rig, load_scenario
+    from hil.core.local_user import local_user
+    from hil.core.operator_keys import read_key
     from hil.preflight import run
     from hil.preflight.lateness import histogram_lines
     from hil.report.table import print_waived
 
+    who = local_user() if operator_key is None else read_key(operator_key)
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
     progress = Console(stderr=True)
     with progress.status("") as status:
@@ -52,7 +58,7 @@ def preflight(
     if loaded_rig.value.kind == "hardware":
         late = found.lateness
         measured_s = 0.0 if late is None else late.cycles * late.period_s
-        write_record(loaded_rig, found.rate_hz, measured_s, found.passed)
+        write_record(loaded_rig, found.rate_hz, measured_s, found.passed, who)
     waived = [waiver.as_json() for waiver in waivers(loaded_rig.value, loaded.value)]
     if json is not None:
         write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers(), "waived": waived}, json)

@@ -14,6 +14,8 @@ from hil.cli.output import check_json_path, print_columns, write_json
 from hil.errors import BadInput, Problem
 
 _FOLDER = "recordings"
+_ACTS = ("operator", "setting", "fault", "order")
+"""Kinds of the log's lines that are acts of people."""
 
 app = App(name="recordings")
 
@@ -183,19 +185,21 @@ def _render_places(run: dict[str, Any]) -> None:
     print(f"{run['recording']}: {outside} of {len(rows)} outcomes outside {cases} cases, {expected:.2g} expected")  # noqa: T201
 
 
-@app.command(name="verify", help="Add recorded runs to the evidence for a campaign's requirements.")
+@app.command(name="verify", help="Verify the audits of recorded runs, and add them to a campaign's evidence.")
 def verify_recordings(
     recordings: Annotated[list[str], Parameter(negative=())],
     /,
     *,
-    campaign: str,
+    campaign: str | None = None,
     out: str | None = None,
     json: Output = None,
 ) -> int:
-    """Write requirements.html, .xml and .json with the evidence of a campaign and of recorded runs, step by step.
+    """Verify the audits of recorded runs: who did what, with what rights, in which configuration, and no change since.
 
-    The verdict is FAIL, with exit code 1, if a requirement is not verified by the campaign or violated in a run. It is
-    OPEN, with exit code 0, as long as a step has no evidence, and PASS if all steps are verified.
+    Exit code 1 if an audit was changed, shortened or reordered, or is absent. With --campaign and sound audits, write
+    requirements.html, .xml and .json with the evidence of the campaign and of the runs, step by step. The verdict is
+    FAIL, with exit code 1, if a requirement is not verified by the campaign or violated in a run. It is OPEN, with exit
+    code 0, as long as a step has no evidence, and PASS if all steps are verified.
 
     Parameters
     ----------
@@ -206,10 +210,50 @@ def verify_recordings(
     out
         Folder for the files, instead of the campaign's.
     json
-        File for the evidence, - for standard output.
+        File for the audits, or for the evidence, - for standard output.
     """
-    refuse(check_json_path("--json", json))
+    problems = check_json_path("--json", json)
+    if out is not None and campaign is None:
+        problems.append(Problem("--out", "", "requires --campaign"))
+    refuse(problems)
 
+    audits = [_audit(Path(name), json == "-") for name in recordings]
+    if campaign is None or any(found["problems"] for found in audits):
+        if json is not None:
+            write_json({"audits": audits}, json)
+        return int(any(found["problems"] for found in audits))
+    return _add_to_evidence(recordings, campaign, out, json)
+
+
+def _audit(path: Path, quiet: bool) -> dict[str, Any]:
+    """Verify and print the audit of the recording at ``path``; return it for JSON."""
+    from hil.recording.audit import audit_problems
+    from hil.recording.foxglove import LOG_TOPIC
+    from hil.recording.read import contents
+    from hil.recording.writer import SUMMARY
+
+    found = contents(path, frozenset({LOG_TOPIC}))
+    log, files = found.lines.get(LOG_TOPIC, []), {name: text for name, text in found.files.items() if name != SUMMARY}
+    problems = audit_problems(path, found.run, found.end, files, log)
+    acts = [
+        {key: line.get(key) for key in ("bench_s", "name", "key", "rights", "message", "configuration")}
+        for line in log
+        if line.get("kind") in _ACTS
+    ]
+    if not quiet:
+        head = ("bench time", "who", "key", "rights", "what")
+        keys = ("name", "key", "rights", "message")
+        cells = [(_with_unit(act["bench_s"], ".2f", "s"), *(str(act[key] or "") for key in keys)) for act in acts]
+        print_columns(head, cells, left=(1, 2, 3, 4))
+        for problem in problems:
+            print(f"{path}: {problem}")  # noqa: T201
+        digest = log[-1].get("digest", "") if log else ""
+        print(f"{'FAIL' if problems else 'PASS'} audit of {path.name}: {len(log)} entries, last digest {digest}")  # noqa: T201
+    return {"recording": str(path), "entries": len(log), "problems": problems, "acts": acts}
+
+
+def _add_to_evidence(recordings: list[str], campaign: str, out: str | None, json: str | None) -> int:
+    """Write the evidence of ``campaign`` and of ``recordings``; return the exit code."""
     from hil.api.recordings import open_recording
     from hil.monte_carlo.campaign import scenario_digest, write_evidence
     from hil.monte_carlo.placement import RecordedRun, evidence_of_runs

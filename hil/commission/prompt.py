@@ -41,6 +41,25 @@ class ScriptedPrompt:
         return answer
 
 
+class KeptPrompt:
+    """Prompt that passes everything to ``prompt`` and stores the lines that it showed."""
+
+    def __init__(self, prompt: OperatorPrompt) -> None:
+        self.lines: list[str] = []
+        self._prompt = prompt
+
+    def show(self, text: str) -> None:
+        """Show and store the line."""
+        self.lines.append(text)
+        self._prompt.show(text)
+
+    def ask(self, question: str) -> bool:
+        """Ask, and store question and answer."""
+        answer = self._prompt.ask(question)
+        self.lines.append(f"{question} {'yes' if answer else 'no'}")
+        return answer
+
+
 def ask_meanwhile(prompt: OperatorPrompt, question: str, meanwhile: Callable[[], None]) -> bool:
     """Ask in a separate thread and repeat ``meanwhile`` until the answer arrives.
 

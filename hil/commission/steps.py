@@ -12,7 +12,7 @@ import numpy as np
 from hil.commission.chain_tests import ChainTests
 from hil.commission.emergency_stop import Button, EmergencyStopTest
 from hil.commission.identity import check_vision_unit, expected_identity
-from hil.commission.prompt import OperatorPrompt, StepFailed
+from hil.commission.prompt import KeptPrompt, OperatorPrompt, StepFailed
 from hil.commission.slow_mover import MoveResult, SlowMover, shown, size
 from hil.commission.view_plan import axes_record
 from hil.config.rig import Rig
@@ -49,6 +49,8 @@ class Findings:
 
     axes: list[AxisFindings] = field(default_factory=list)
     dry_run: Array | None = None
+    proved: list[str] = field(default_factory=list)
+    """Results of the tests of emergency stop, safety chain and brakes."""
 
 
 @dataclass(frozen=True)
@@ -91,14 +93,19 @@ class Commissioning:
         self._bench = runner.loop.bench
         self._params = self._bench.params
 
-    def run(self) -> Findings:
-        """Run all steps. Raises StepFailed, BenchError; the axes are stopped first."""
-        findings = Findings()
+    def prove(self) -> list[str]:
+        """Test emergency stop, safety chain and brakes; return the results. Raises StepFailed, BenchError."""
+        prompt = KeptPrompt(self._prompt)
         self._title("emergency stop")
-        EmergencyStopTest(self._runner.loop.safety_io, self._runner.rate, self._prompt, self._button).run()
+        EmergencyStopTest(self._runner.loop.safety_io, self._runner.rate, prompt, self._button).run()
         if self._runner.rate.paced:  # in simulated time the relay has no time-out
             self._title("safety chain")
-            ChainTests(self._runner, self._rig, self._prompt, self._watchdog_pid).run()
+            ChainTests(self._runner, self._rig, prompt, self._watchdog_pid).run()
+        return prompt.lines
+
+    def run(self) -> Findings:
+        """Run all steps. Raises StepFailed, BenchError; the axes are stopped first."""
+        findings = Findings(proved=self.prove())
         self._title("identity of the devices")
         with self._runner.axes_only() as sequencer:
             check_vision_unit(self._runner, sequencer, self._rig, self._prompt)

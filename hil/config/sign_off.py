@@ -10,6 +10,7 @@ from hil.config.model import ConfigModel, NotNegative
 
 AxisName = Literal["rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw"]
 Day = Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
+KeyId = Annotated[str, Field(pattern=r"^([0-9a-f]{16})?$")]
 Digest = Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
 
 
@@ -20,6 +21,10 @@ class AxisSignOff(ConfigModel):
     """Date."""
     by: str
     """Operator."""
+    key: KeyId = ""
+    """Key of the operator, empty for a name that nothing proves."""
+    seal: str = ""
+    """HMAC-SHA-256 of date, operator, axis, digest and findings, with that key."""
     digest: Digest
     """Digest of the configuration with which the axis passed."""
     scale_error: float
@@ -39,6 +44,10 @@ class SignOff(ConfigModel):
     """Date."""
     by: str | None = None
     """Operator."""
+    key: KeyId = ""
+    """Key of the operator, empty for a name that nothing proves."""
+    seal: str = ""
+    """HMAC-SHA-256 of date, operator and digest, with that key."""
     hil: str | None = None
     """Version of this program."""
     digest: Digest | None = None

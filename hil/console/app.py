@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
 import signal
 import traceback
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Coroutine
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -21,8 +22,9 @@ from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.message import pack
 from hil.console.service import ConsoleService
-from hil.console.strangers import FairSlots, GuessLimiter
+from hil.console.strangers import Access, FairSlots, GuessLimiter
 from hil.core.files import parse_json
+from hil.core.operator_keys import OperatorKey, new_challenge, new_key
 
 PAGE: Final = Path(__file__).parent / "page"
 TICK_S: Final = 0.05
@@ -43,11 +45,11 @@ _HEADERS: Final = {
 
 def make_app(
     service: ConsoleService,
-    token: str | None,
+    access: Access,
     hosts: frozenset[str] | None,
     foxglove: FoxgloveClients | None = None,
 ) -> FastAPI:
-    """Return the application. token: required of each client, None for none. hosts: host names accepted in requests,
+    """Return the application. access: what is required of each client. hosts: host names accepted in requests,
     None for any; on loopback they prevent access by other sites' pages through a rebound name. foxglove: clients that
     ``service`` serves as well."""
 
@@ -64,7 +66,7 @@ def make_app(
         await service.close()
 
     updated = asyncio.Condition()
-    authenticator = Authenticator(token, hosts, service.wall_s)
+    authenticator = Authenticator(access, hosts, service)
     app = FastAPI(lifespan=life, docs_url=None, redoc_url=None, openapi_url=None)
 
     @app.middleware("http")
@@ -106,21 +108,28 @@ def _exit_on_error(ticking: asyncio.Task[None]) -> None:
         signal.raise_signal(signal.SIGINT)
 
 
+_UNKNOWN: Final = new_key("unknown")
+"""Checked for an operator without a key, so that the answer takes as long as for a wrong proof."""
+
+
 class Authenticator:
     """Authenticates clients: see ``make_app``. Bounds those that have not authenticated, fairly among addresses."""
 
-    def __init__(self, token: str | None, hosts: frozenset[str] | None, wall_s: Callable[[], float]) -> None:
+    def __init__(self, access: Access, hosts: frozenset[str] | None, service: ConsoleService) -> None:
         self._hosts = hosts
-        self._wall_s = wall_s
+        self._service = service
+        self._operators = access.operators
         self._strangers: FairSlots[asyncio.Event] = FairSlots(_STRANGERS_MAX)
-        self._guesses = GuessLimiter(token) if token is not None else None
+        self._guesses = GuessLimiter(access.token) if access.token is not None else None
 
     async def admit(self, socket: WebSocket) -> Client:
         """Return the client of a valid first message; raise RequestRejected, or WebSocketDisconnect."""
         if not (_is_known_host(socket, self._hosts) and _is_own_page(socket)):
             raise RequestRejected("this console rejects pages of other sites")
         address = socket.client.host if socket.client is not None else ""
-        displaced = asyncio.Event()
+        displaced, challenge = asyncio.Event(), new_challenge()
+        required = "key" if self._operators else "token" if self._guesses else ""
+        await socket.send_text(json.dumps({"challenge": challenge, "required": required}))
         if (oldest := self._strangers.enter(displaced, address)) is not None:
             oldest.set()
         try:
@@ -128,16 +137,42 @@ class Authenticator:
         finally:
             self._strangers.leave(displaced)
         if hello is None:
-            text = 'the first message must be {"key": ..., "name": ..., "token": ...}'
+            text = 'the first message must be {"key": ..., "name": ..., "token": ...}, or with operator and proof'
             raise RequestRejected("too many clients: try again" if displaced.is_set() else text)
-        key, name, given = (str(hello.get(field, "")) for field in ("key", "name", "token"))
+        key, name, given, device = (str(hello.get(field, "")) for field in ("key", "name", "token", "device"))
+        origin = address, device[:_LONGEST_KEY]
+        if self._operators:
+            return self._operator(hello, challenge, socket.headers.get("host", ""), origin)
         if self._guesses is not None:
             if not given:
                 raise RequestRejected("this console requires a token")
-            self._guesses.check(given, address, self._wall_s())
+            self._guesses.check(given, address, self._service.wall_s())
         if not 16 <= len(key) <= _LONGEST_KEY:
             raise RequestRejected("key: at least 16 random characters")
-        return Client(key, plain_name(name) or "unnamed")
+        return Client(key, plain_name(name) or "unnamed", origin=origin)
+
+    def _operator(self, hello: dict[str, Any], challenge: str, host: str, origin: tuple[str, str]) -> Client:
+        """Return the client of an operator who proves a key; raise RequestRejected.
+
+        A key is accepted at one computer and browser at a time: a copy of it elsewhere is turned away while it is in
+        use, and both places are logged.
+        """
+        operator, client, proof = (str(hello.get(field, "")) for field in ("operator", "key", "proof"))
+        known = self._operators.get(operator)
+        expected = (known or _UNKNOWN).proof(challenge, host, client)
+        if not hmac.compare_digest(proof.encode(errors="replace"), expected.encode()) or known is None:
+            raise RequestRejected("this console requires the key of an operator: choose its file")
+        if known.addresses and origin[0] not in known.addresses:
+            return self._turn_away(known, f"is not accepted from {origin[0]}, only from {', '.join(known.addresses)}")
+        elsewhere = next((c for c in self._service.clients if c.key_id == known.id and c.origin != origin), None)
+        if elsewhere is not None:
+            at = f"{elsewhere.origin[0]}{'' if elsewhere.origin[0] != origin[0] else ' by another browser'}"
+            return self._turn_away(known, f"was refused from {origin[0]}: it is in use at {at}")
+        return Client(known.id, known.name, known.id, known.rights, origin)
+
+    def _turn_away(self, key: OperatorKey, text: str) -> Client:
+        self._service.log(f"the key of {key.name} {text}; if that is a copy, replace the key")
+        raise RequestRejected(f"the key of {key.name} {text}")
 
 
 async def _before(event: asyncio.Event, message: Coroutine[Any, Any, str]) -> str:

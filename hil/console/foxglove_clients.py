@@ -36,12 +36,13 @@ _ADDRESS: Final = "foxglove"
 class FoxgloveClients:
     """Process of the server for Foxglove on ``port`` of this computer. Raises BadInput if it cannot listen.
 
-    code: required of a client that takes the command.
+    code: required of a client that takes the command, None if none may.
     """
 
-    def __init__(self, port: int, code: str, log: Callable[[str], None]) -> None:
+    def __init__(self, port: int, code: str | None, log: Callable[[str], None]) -> None:
         self._log = log
-        self._guesses = GuessLimiter(code)
+        self._guesses = GuessLimiter(code) if code is not None else None
+        self._rights = "watch" if code is None else "command"
         self._clients: dict[int, Client] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._session: SessionProcess | None = None
@@ -146,7 +147,7 @@ class FoxgloveClients:
     def _keep(self, alive: set[int]) -> None:
         """Renew the lease of clients that watch; forget the others, whose lease expires."""
         for number in [number for number in self._clients if number not in alive]:
-            if self._service.lease.key != self._clients[number].key:
+            if not self._service.lease.held_by(self._clients[number]):
                 del self._clients[number]
         for number in alive & set(self._clients):
             self._service.refresh(self._clients[number])
@@ -160,13 +161,15 @@ class FoxgloveClients:
         if number not in self._clients:
             while len(self._clients) >= _CLIENTS_MAX:
                 del self._clients[next(iter(self._clients))]
-            self._clients[number] = Client(secrets.token_hex(), f"Foxglove client {number}")
+            self._clients[number] = Client(secrets.token_hex(), f"Foxglove client {number}", rights=self._rights)
         return self._clients[number]
 
     async def _execute(self, client: Client, request: dict[str, Any]) -> dict[str, Any]:
         """Execute the request of a client, after its code if it asks for the command."""
         try:
             if request["do"] in ("take", "take_over"):
+                if self._guesses is None:
+                    return {"ok": False, "text": "Foxglove watches: operators have keys, take the command at a page"}
                 self._guesses.check(str(request.pop("code", "")), _ADDRESS, self._service.wall_s())
                 name = "".join(c for c in str(request.pop("name", "")) if c.isprintable()).strip()[:_NAME_MAX]
                 client.name = name or client.name

@@ -7,6 +7,7 @@ images and delays no other.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -33,14 +34,19 @@ _PORTIONS: Final = 3000  # one hour of the docking monitor
 
 @dataclass(slots=True)
 class Client:
-    """One client. key: its secret, which identifies it to the lease; name: of its operator.
+    """One client. key: its secret, which identifies it to the lease; name: of its operator. number: of its connection.
 
-    last_rx_s, acted_s: wall-clock times of its last message and of its last request. displaced: set when its place is
-    given to another client.
+    key_id: of the operator's key, "" for a self-given name. rights: as of ``OperatorKey``. origin: address and device
+    from which it is connected. last_rx_s, acted_s: wall-clock times of its last message and of its last request.
+    displaced: set when its place is given to another client.
     """
 
     key: str
     name: str
+    key_id: str = ""
+    rights: str = "command"
+    origin: tuple[str, str] = ("", "")
+    number: int = field(default_factory=itertools.count(1).__next__)
     cursor: Cursor = field(default_factory=Cursor)
     page_seen: int = -1
     camera: str = ""
@@ -53,6 +59,11 @@ class Client:
     last_rx_s: float = -math.inf
     acted_s: float = -math.inf
     displaced: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def actor(self) -> dict[str, str]:
+        """Name, key and rights of the operator, as of a message to the session."""
+        return {"by": self.name, "key": self.key_id, "rights": self.rights}
 
     @property
     def congested(self) -> bool:

@@ -4,13 +4,14 @@ The loop polls the socket once per cycle and never waits: a slow or dead console
 JSON object per packet of a socket pair.
 
 to the loop    {"order": "hold", "by": "ann", "id": 7}
-               {"order": "arm", "by": "ann", "confirmed": true, "mode": "standby", "second": "bob", "id": 7,
+               {"order": "arm", "by": "ann", "confirmed": true, "mode": "standby", "second": KEY, "id": 7,
                 "until_s": 812.5}: not executed after that time of the monotonic clock
                {"acknowledge": 3, "by": "ann", "id": 8}: an alarm, true: all
                {"shelve": [3, 600.0], "by": "ann", "id": 9}
                {"adjust": {"key": "gnc.control.deadband_m", "value": 0.0004, "records": "..."}, "by": "ann", "id": 9}
                {"search": [120, 80, 300, 240], "by": "ann", "id": 9}: of the docking monitor, null: the whole image
-               {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann", "has the command"]}
+               {"jog": ["rails.x", 1]}   {"present": true}   {"note": ["operator", "ann has the command"], "by": "ann"}
+with "by" come "key" and "rights" of the operator, for the recording
 to the console {"answer": 7, "text": ""}, with "ask" or "second" and "mode" if a confirmation is missing
                {"alarms": [...]}    {"events": [...]}   and further ``OutgoingMessages``
 """
@@ -36,6 +37,7 @@ from hil.frmn.mailbox import Mailbox
 from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.loop.runner import Runner
+from hil.recording.audit import Actor
 from hil.recording.sinks import EventRecorder
 from hil.setup.live_tuning import unpacked
 
@@ -192,31 +194,35 @@ class RemoteOperator(Operator):
                 self._messages.send(word=f"bench: a message of the console cannot be read: {error!r}")
 
     def _handle(self, message: dict[str, Any]) -> None:
+        who = Actor(*(str(message.get(name, "")) for name in ("by", "key", "rights")))
         if "present" in message:
             self._present = bool(message["present"])
         elif "jog" in message:
             axis, direction = message["jog"]
             self.jog(axis, direction)
         elif "note" in message:
-            self._log_event(*message["note"])
+            kind, text = message["note"]
+            self._log_event(kind, who, text)
         elif "acknowledge" in message:
-            which, by = message["acknowledge"], message.get("by", "")
-            number = None if which is True else int(which)
-            self._runner.safety.alarms.acknowledge(number, by)
-            self._log_event("operator", by, f"acknowledged {'the alarms' if number is None else f'alarm {number}'}")
+            number = None if message["acknowledge"] is True else int(message["acknowledge"])
+            self._runner.safety.alarms.acknowledge(number, who.name)
+            self._log_event("operator", who, f"acknowledged {'the alarms' if number is None else f'alarm {number}'}")
             self._messages.send(answer=message["id"], text="")
         elif "shelve" in message:
-            (number, lasting_s), by = message["shelve"], message.get("by", "")
-            text = self._runner.safety.alarms.shelve(int(number), self._runner.now_s(), float(lasting_s), by)
+            number, lasting_s = int(message["shelve"][0]), float(message["shelve"][1])
+            text = self._runner.safety.alarms.shelve(number, self._runner.now_s(), lasting_s, who.name)
+            self._log_event(
+                "operator", who, f"shelved alarm {number} for {lasting_s:g} s{text and f': rejected: {text}'}"
+            )
             self._messages.send(answer=message["id"], text=text)
         elif "search" in message:
-            self._messages.send(answer=message["id"], text=self._search_in(message["search"], message.get("by", "")))
+            self._messages.send(answer=message["id"], text=self._search_in(message["search"], who))
         elif "adjust" in message:
-            self._messages.send(answer=message["id"], text=self._adjust(message["adjust"], message.get("by", "")))
+            self._messages.send(answer=message["id"], text=self._adjust(message["adjust"], who))
         elif "order" in message:
-            self._messages.send(answer=message["id"], **self._order(message, message.get("by", "")))
+            self._messages.send(answer=message["id"], **self._order(message, who))
 
-    def _order(self, message: dict[str, Any], operator: str) -> dict[str, Any]:
+    def _order(self, message: dict[str, Any], operator: Actor) -> dict[str, Any]:
         """Submit a command that the present mode allows and that is confirmed for it; return the answer."""
         command, mode = OperatorCommand(message["order"]), self._runner.safety.modes.mode
         word, confirmed_in = command.value, message.get("mode") or mode.value
@@ -231,14 +237,14 @@ class RemoteOperator(Operator):
                 refusal = f"bench: {word} came too late to be executed: command it again"
             elif confirmed_in != mode.value:
                 refusal = f"bench: {word} was confirmed in {confirmed_in}, not for {mode.value}: confirm it again"
-            elif word in self._second_person and message.get("second", "") in ("", operator):
+            elif word in self._second_person and message.get("second", "") in ("", operator.key):
                 return {"text": "", "second": word, "mode": mode.value}
         if not refusal:
             self.submit(command)
         self._log_event("operator", operator, f"{word}{refusal and f': rejected: {refusal}'}")
         return {"text": refusal}
 
-    def _search_in(self, box: list[int] | None, operator: str) -> str:
+    def _search_in(self, box: list[int] | None, operator: Actor) -> str:
         """Set the docking monitor's region of search, u, v, width, height, px; return the reason of a rejection."""
         if self._search is None:
             return NO_MONITOR
@@ -246,7 +252,7 @@ class RemoteOperator(Operator):
         self._log_event("operator", operator, f"the docking monitor searches {box_text(box)}")
         return ""
 
-    def _adjust(self, change: dict[str, Any], operator: str) -> str:
+    def _adjust(self, change: dict[str, Any], operator: Actor) -> str:
         """Apply a changed setting before the next cycle; return the reason of a rejection, "" if applied.
 
         The sender has checked the setting and built its records, so that no cycle waits for it.
@@ -266,13 +272,13 @@ class RemoteOperator(Operator):
         if self._recorder is not None:
             self._recorder.setting(cycle, operator, text)
         t_s = float(self._runner.loop.now.t_s[0])
-        self._runner.events.append(Event(t_s, "bench", f"{operator} changed {text}, from cycle {cycle}"))
+        self._runner.events.append(Event(t_s, "bench", f"{operator.name} changed {text}, from cycle {cycle}"))
         return ""
 
-    def _log_event(self, kind: str, operator: str, text: str) -> None:
+    def _log_event(self, kind: str, operator: Actor, text: str) -> None:
         """Record an action of an operator if the session is recorded; a replay ignores it."""
         if self._recorder is not None:
-            self._recorder.log_event(kind, operator or "console", text)
+            self._recorder.operator(kind, operator, text)
 
     def _check_presence(self, wall_s: float) -> None:
         silent_s = wall_s - self._last_rx_s

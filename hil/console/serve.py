@@ -6,7 +6,6 @@ import ipaddress
 import logging
 import socket
 import ssl
-import stat
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +15,8 @@ from typing import Final
 from hil.config.load import shipped
 from hil.console.foxglove_clients import FoxgloveClients
 from hil.console.session import Choice
-from hil.core.files import KIB, MIB, check_regular, read_text
+from hil.console.strangers import Access
+from hil.core.files import KIB, MIB, check_regular, read_private_text
 from hil.errors import BadInput, Problem
 
 _CERTIFICATE_BYTES: Final = MIB
@@ -31,14 +31,9 @@ def read_token(path: str) -> str:
     """Return the token in the file at ``path``; raises BadInput if it is invalid or readable by other users."""
     option = "--token-file"
     try:
-        token = read_text(Path(path), _TOKEN_BYTES).strip()
-        mode = Path(path).stat().st_mode
+        token = read_private_text(Path(path), _TOKEN_BYTES).strip()
     except (BadInput, OSError) as error:
         raise BadInput.single(option, "", str(error)) from error
-    if stat.S_IMODE(mode) & 0o077:
-        raise BadInput.single(
-            option, "", f"{path}: readable by other users, mode {stat.S_IMODE(mode):o}: chmod 600 {path}"
-        )
     if len(token) < _SHORTEST_TOKEN:
         text = f"{path}: {len(token)} characters, at least {_SHORTEST_TOKEN}: openssl rand -hex 16 > {path}"
         raise BadInput.single(option, "", text)
@@ -75,13 +70,13 @@ class Tls:
             raise BadInput.single("--certificate", "", text) from error
 
 
-def listen(host: str, port: int, token: str | None, is_encrypted: bool) -> socket.socket:
+def listen(host: str, port: int, access: Access, is_encrypted: bool) -> socket.socket:
     """Return a listening socket; raises BadInput on failure, or for an address that is reachable from other computers
-    without a token, or without encryption. is_encrypted: by TLS, or by a tunnel in front of the server."""
+    without keys of operators, or without encryption. is_encrypted: by TLS, or by a tunnel in front of the server."""
     problems = []
     if not 0 <= port <= 65535:
         problems.append(Problem("--port", "", f"{port}: allowed 0 to 65535, 0 for any free port"))
-    missing = [] if token is not None else ["--token-file"]
+    missing = [] if access.operators else ["--operators"]
     if not is_encrypted:
         missing.append("--certificate and --key (--behind-tunnel if a tunnel encrypts all connections)")
     if not is_loopback(host) and missing:
@@ -100,7 +95,7 @@ def serve(
     choice: Choice,
     listener: socket.socket,
     host: str,
-    token: str | None,
+    access: Access,
     log: Callable[[str], None],
     tls: Tls | None = None,
     foxglove: FoxgloveClients | None = None,
@@ -120,7 +115,7 @@ def serve(
     logging.getLogger("uvicorn.error").addFilter(lambda record: not str(record.msg).startswith("Invalid UTF-8"))
     hosts = frozenset({host, *_LOOPBACK_NAMES}) if is_loopback(host) else None
     config = uvicorn.Config(
-        make_app(service, token, hosts, foxglove),
+        make_app(service, access, hosts, foxglove),
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",

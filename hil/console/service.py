@@ -18,12 +18,14 @@ from hil.console.session_manager import SessionManager
 from hil.console.session_process import SessionProcess
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_keys import RIGHTS
 from hil.errors import BadInput, one_line
 from hil.frmn.search_region import box_text
 
 OPEN_QUESTION: Final = "Open: the devices open and the drives are powered. Is the bench clear of people?"
 WITHOUT_COMMAND: Final = (OperatorCommand.STOP.value, OperatorCommand.HOLD.value)
 """Commands that each client may send, with the command of the bench or without it."""
+NEEDS_KEYS: Final = "the rig requires a second person, whom only a key identifies: start the console with --operators"
 SECOND_PERSON_S: Final = 30.0
 """Time in which another person has to confirm a command that requires it, wall clock."""
 SEED_MAX: Final = 2**63 - 1
@@ -79,69 +81,78 @@ class ConsoleService(SessionManager):
             return {"ok": False, "text": str(error)}
 
     async def _execute(self, client: Client, command: dict[str, Any], second: str = "") -> dict[str, Any]:
-        """``execute``. second: name of another person who has confirmed the command, "" for none."""
+        """``execute``. second: key of another person who has confirmed the command, "" for none."""
         match command.get("do"):
             case "take":
-                self.lease.acquire(client.key, client.name, self.wall_s())
+                self._require_rights(client, "command")
+                self.lease.acquire(client, self.wall_s())
                 self.log(f"{client.name} has the command")
             case "take_over":
                 return self._take_over(client, bool(command.get("confirmed")))
             case "release":
                 self._release(client)
             case "open":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 return self._open(client, command, second)
             case "second":
                 return await self._second(client, str(command.get("order")))
             case "order":
                 if command.get("order") not in WITHOUT_COMMAND:
-                    self.lease.require(client.key)
+                    self.lease.require(client)
                 return await self._order(client, str(command.get("order")), command, second)
             case "jog":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 self._jog(str(command.get("axis")), command.get("direction"))
             case "adjust":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 return await self._adjust(client, command)
             case "search":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 await self._search(client, command.get("region"))
             case "watch":
                 client.camera = str(command.get("camera"))
             case "acknowledge":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 await self._acknowledge(client, _alarm_number(command))
             case "shelve":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 await self._shelve(client, _alarm_number(command), command.get("lasting_s"))
             case "fault":
-                self.lease.require(client.key)
+                self.lease.require(client)
                 device, line = (one_line(str(command.get(key)), _DEVICE_TEXT) for key in ("device", "line"))
                 await self.faults.switch(device, line)
                 self.log(f"{client.name} switched a fault: {device} {line}")
-                self.record_event("fault", client.name, f"{device}: {line}")
+                self.record_event("fault", client, f"{device}: {line}")
             case other:
                 raise RequestRejected(f"{other!r}: unknown request")
         return {"ok": True, "text": ""}
 
+    def _require_rights(self, client: Client, rights: str) -> None:
+        """Raise RequestRejected unless the operator has ``rights`` or more."""
+        if RIGHTS.index(client.rights) < RIGHTS.index(rights):
+            raise RequestRejected(f"{client.name} may {client.rights}, not {rights}: see the file of --operators")
+
     def _take_over(self, client: Client, confirmed: bool) -> dict[str, Any]:
-        if self.lease.held and self.lease.key != client.key and not confirmed:
+        self._require_rights(client, "command")
+        if self.lease.held and not self.lease.held_by(client) and not confirmed:
             return {"ok": False, "ask": f"Take the command over from {self.lease.name}, who can then only watch?"}
-        before = self.lease.take_over(client.key, client.name, self.wall_s())
+        before = self.lease.take_over(client, self.wall_s())
         self.log(f"{client.name} took the command over from {before}" if before else f"{client.name} has the command")
         return {"ok": True, "text": ""}
 
     def _release(self, client: Client) -> None:
-        self.lease.require(client.key)
+        self.lease.require(client)
         if self.mode not in AT_REST:
             raise RequestRejected(
                 f"the bench is {self.mode.value}: hold or stop it first, or let another operator take over"
             )
-        self.lease.release(client.key)
+        self.lease.release(client)
         self.log(f"{client.name} released the command")
 
     def _wait_for_second(self, client: Client, word: str, command: dict[str, Any]) -> dict[str, Any]:
         """Keep a confirmed command until another person confirms it; return the answer to its client."""
+        if not client.key_id:
+            raise RequestRejected(f"{word}: {NEEDS_KEYS}")
         self.second_person = SecondPerson(word, client, command, self.wall_s() + SECOND_PERSON_S, self.session)
         self.log(f"{client.name}: {word} waits for a second person")
         text = f"{word}: waits {SECOND_PERSON_S:g} s for the confirmation of a second person at another page"
@@ -152,12 +163,13 @@ class ConsoleService(SessionManager):
         awaited = self._awaited()
         if awaited is None or awaited.word != word:
             raise RequestRejected(f"{word}: no such command waits for a second person")
-        if client.key == awaited.client.key or client.name == awaited.client.name:
+        self._require_rights(client, "confirm")
+        if client.key_id == awaited.client.key_id:
             raise RequestRejected(f"{word}: {awaited.client.name} commanded it, another person has to confirm it")
         self.second_person = None
         self.log(f"{client.name} confirmed {word} of {awaited.client.name} as the second person")
-        self.record_event("operator", client.name, f"confirmed {word} of {awaited.client.name} as the second person")
-        return await self._execute(awaited.client, awaited.command, client.name)
+        self.record_event("operator", client, f"confirmed {word} of {awaited.client.name} as the second person")
+        return await self._execute(awaited.client, awaited.command, client.key_id)
 
     def _open(self, client: Client, command: dict[str, Any], second: str) -> dict[str, Any]:
         if self.session is not None:
@@ -178,7 +190,7 @@ class ConsoleService(SessionManager):
             return {"ok": False, "ask": "\n".join([*map(str, waivers(rig, job.scenario.value)), OPEN_QUESTION])}
         if "open" in rig.console.second_person and not second:
             return self._wait_for_second(client, "open", command)
-        self.start_session(choice)
+        self.start_session(choice, client)
         return {"ok": True, "text": ""}
 
     async def _order(self, client: Client, word: str, command: dict[str, Any], second: str) -> dict[str, Any]:
@@ -198,7 +210,7 @@ class ConsoleService(SessionManager):
         if word in WITHOUT_COMMAND:
             return await self._halt(client, word, self.session)
         terms = {key: command[key] for key in ("confirmed", "mode") if key in command}
-        answer = await self.session.request(order=word, by=client.name, second=second, **terms)
+        answer = await self.session.request(order=word, second=second, **client.actor, **terms)
         if "ask" in answer:
             return {"ok": False, "ask": answer["ask"], "mode": answer["mode"]}
         if "second" in answer:
@@ -212,7 +224,7 @@ class ConsoleService(SessionManager):
 
             async def execute() -> dict[str, Any]:
                 try:
-                    answer = await session.request(order=word, by=client.name)
+                    answer = await session.request(order=word, **client.actor)
                     if answer.get("unsent") and word == OperatorCommand.STOP.value:
                         session.interrupt()
                     return self._answer(client, word, answer)
@@ -254,7 +266,7 @@ class ConsoleService(SessionManager):
             if not command.get("confirmed"):
                 return {"ok": False, "ask": change.question}
             self.report_operator(self.session, self.wall_s())
-            text = await self.session.ask(adjust=change.as_message(), by=client.name)
+            text = await self.session.ask(adjust=change.as_message(), **client.actor)
             if not text:
                 self.tuner.applied(change)
         done = f"rejected: {text}" if text else f"was {change.before:g}"
@@ -271,7 +283,7 @@ class ConsoleService(SessionManager):
         box = _box(region)
         if box is not None and (error := camera.region_error(box)):
             raise RequestRejected(one_line(f"region {region!r}: {error}", _REGION_TEXT))
-        if text := await self.session.ask(search=box, by=client.name):
+        if text := await self.session.ask(search=box, **client.actor):
             raise RequestRejected(text)
         self.state.search = box
         self.log(f"{client.name}: the docking monitor searches {box_text(box)}")
@@ -280,7 +292,7 @@ class ConsoleService(SessionManager):
         if number is not None and number not in {alarm.get("number") for alarm in self.state.alarms}:
             raise RequestRejected(f"alarm {number}: no such alarm")
         if self.session is not None and self.session.ready:
-            text = await self.session.ask(acknowledge=True if number is None else number, by=client.name)
+            text = await self.session.ask(acknowledge=True if number is None else number, **client.actor)
             if text:
                 raise RequestRejected(text)
         self.state.acknowledge(number)
@@ -292,7 +304,7 @@ class ConsoleService(SessionManager):
             raise RequestRejected("no session is open: nothing to shelve")
         if number is None or isinstance(lasting_s, bool) or not isinstance(lasting_s, int | float):
             raise RequestRejected("shelve needs alarm, its number, and lasting_s, in s")
-        if text := await self.session.ask(shelve=[number, float(lasting_s)], by=client.name):
+        if text := await self.session.ask(shelve=[number, float(lasting_s)], **client.actor):
             raise RequestRejected(text)
         self.log(f"{client.name} shelved alarm {number} for {lasting_s:g} s")
 
@@ -318,7 +330,8 @@ class ConsoleService(SessionManager):
             "mode": self.mode.value,
             "open": self.session is not None,
             "ready": self.session is not None and self.session.ready,
-            "lease": {"holder": lease.name, "mine": lease.held and lease.key == client.key},
+            "lease": {"holder": lease.name, "mine": lease.held_by(client)},
+            "me": {"name": client.name, "key": client.key_id, "rights": client.rights},
             "watching": len(self.clients),
             "cameras": self.view.cameras,
             "second_person": {"order": awaited.word, "by": awaited.client.name} if awaited else None,

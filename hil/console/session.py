@@ -166,4 +166,5 @@ def _result(
     if taken is not None:
         stats = taken.finish(summary) if summary else taken.break_off(outcome.stop)
         ended["recording"] = {"file": str(taken.path), "dropped": stats.dropped, "problem": stats.problem}
+        ended["recording"]["audit"] = taken.sinks.audit.summary._asdict()
     return ended

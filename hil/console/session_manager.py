@@ -67,11 +67,12 @@ class SessionManager:
         self.television: SceneCamera | None = None
         """Camera of the docking monitor that measures on images, None without one."""
         self.tuning = asyncio.Lock()  # each change is based on the previous one
-        self._reported: tuple[str, float] = ("", -math.inf)
+        self._reported: tuple[int, float] = (0, -math.inf)
+        self._opened_by: Client | None = None
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def start_session(self, choice: Choice) -> None:
-        """Start a session of ``choice``. Raises BadInput for unsuitable files."""
+    def start_session(self, choice: Choice, opened_by: Client | None = None) -> None:
+        """Start a session of ``choice``. opened_by: of whose operator. Raises BadInput for unsuitable files."""
         job = choice.job()
         self.choice = choice
         self.tuner = Tuner(job)
@@ -81,7 +82,8 @@ class SessionManager:
         self.lease.timeout_s = job.rig.value.console.lease_s
         self.view.begin(job)
         self.session = SessionProcess(choice, self._on_message)
-        self._reported = ("", -math.inf)
+        self._reported = (0, -math.inf)
+        self._opened_by = opened_by
         self.log(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
 
     def admit(self, client: Client) -> None:
@@ -92,15 +94,17 @@ class SessionManager:
         if len(present) >= CLIENTS_MAX:
 
             def importance(each: Client) -> tuple[bool, bool, float]:
-                return each.key == self.lease.key, now_s - each.last_rx_s < _SILENT_S, each.acted_s
+                return self.lease.held_by(each), now_s - each.last_rx_s < _SILENT_S, each.acted_s
 
             min(present, key=importance).displaced.set()
         self.clients.append(client)
+        self.lease.reclaim(client, now_s)
         self.changed()
 
     def dismiss(self, client: Client) -> None:
         """Remove a client that has disconnected."""
         self.clients.remove(client)
+        self.lease.close(client)
         self.changed()
 
     def refresh(self, client: Client, got: object = None) -> None:
@@ -108,7 +112,7 @@ class SessionManager:
         if isinstance(got, int):
             client.got = got
         client.last_rx_s = self.wall_s()
-        self.lease.renew(client.key, self.wall_s())
+        self.lease.renew(client, self.wall_s())
 
     def tick(self) -> None:
         """Read the session's output and report the operator's presence to it; called about 20 times per second."""
@@ -133,14 +137,25 @@ class SessionManager:
 
     def report_operator(self, session: SessionProcess, now_s: float) -> None:
         """Report to the session whether an operator has the command, and record the operator's name."""
-        key, reported_s = self._reported
-        if key == self.lease.key and now_s - reported_s < PRESENCE_PERIOD_S:
+        holder, reported_s = self._reported
+        if holder == self.lease.number and now_s - reported_s < PRESENCE_PERIOD_S:
             return
         session.send(present=self.lease.held)
-        if key != self.lease.key:
-            name = self.lease.name if self.lease.held else "no operator"
-            session.send(note=["operator", name, f"{name} has the command"])
-        self._reported = (self.lease.key, now_s)
+        if holder != self.lease.number:
+            self._report_holder(session)
+        self._reported = (self.lease.number, now_s)
+
+    def _report_holder(self, session: SessionProcess) -> None:
+        """Record who has the command, and from where."""
+        holder = next((each for each in self.clients if self.lease.held_by(each)), None)
+        if holder is not None:
+            at = f" at {holder.origin[0]}" if holder.origin[0] else ""
+            session.send(note=["operator", f"{holder.name} has the command{at}"], **holder.actor)
+        elif not self.lease.held:
+            session.send(note=["operator", "no operator has the command"], by="no operator")
+        else:
+            state = "" if self.lease.number else ", its page is closed"
+            session.send(note=["operator", f"{self.lease.name} has the command{state}"], by=self.lease.name)
 
     def _poll_recording(self, session: SessionProcess) -> None:
         found = session.read_recording()
@@ -149,10 +164,10 @@ class SessionManager:
             for line in self.state.recording.update(state, time.monotonic() - updated_s):
                 self.log(line)
 
-    def record_event(self, kind: str, operator: str, text: str) -> None:
-        """Record an action of an operator in the session's recording."""
+    def record_event(self, kind: str, client: Client, text: str) -> None:
+        """Record an action of the operator of ``client`` in the session's recording."""
         if self.session is not None and self.session.ready:
-            self.session.send(note=[kind, operator, text])
+            self.session.send(note=[kind, text], **client.actor)
 
     def _on_message(self, message: dict[str, Any]) -> None:
         """Handle a message of the session."""
@@ -160,6 +175,8 @@ class SessionManager:
             self.state.status_text = ""
             self.state.recording = RecordingStatus(self.session.file)
             self._in_background(self._connect_faults(message["hello"]["addresses"]))
+            if self._opened_by is not None:
+                self.record_event("operator", self._opened_by, "opened the bench")
         for line in self.state.apply(message):
             self.log(line)
         if "refused" in message or ("ended" in message and message["ended"]["stop"] != COMPLETED):

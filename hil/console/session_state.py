@@ -113,6 +113,8 @@ class SessionState:
             lines.append(self.status_text)
             if problem := message["ended"].get("recording", {}).get("problem"):
                 lines.append(f"recording: {problem}")
+            if audit := message["ended"].get("recording", {}).get("audit"):
+                lines.append(f"recording: audit of {audit['entries']} entries, last digest {audit['digest']}")
         if "refused" in message:
             self.status_text = message["refused"][0]
             lines += message["refused"]

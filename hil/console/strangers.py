@@ -7,9 +7,12 @@ from __future__ import annotations
 
 import hmac
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final, Generic, TypeVar
 
 from hil.console.lease import RequestRejected
+from hil.core.operator_keys import OperatorKey
 
 _TYPING_ERRORS: Final = 2
 _FIRST_PAUSE_S: Final = 0.5
@@ -18,6 +21,14 @@ _DOUBLINGS_MAX: Final = 16
 _ADDRESSES_MAX: Final = 1024
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Access:
+    """Requirement of each client: a key of ``operators``, by their ids, or else ``token``, None for none."""
+
+    token: str | None = None
+    operators: Mapping[str, OperatorKey] = field(default_factory=dict)
 
 
 class FairSlots(Generic[T]):

@@ -55,6 +55,15 @@ def read_text(path: Path, at_most: int, encoding: str = "utf-8-sig") -> str:
     return text.replace("\r\n", "\n")
 
 
+def read_private_text(path: Path, at_most: int) -> str:
+    """Return the text of a file with a secret; raise BadInput, also for one that other users can read."""
+    text = read_text(path, at_most)
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077:
+        raise BadInput.single(str(path), "", f"readable by other users, mode {mode:o}: chmod 600 {path}")
+    return text
+
+
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of the regular file at ``path``, hexadecimal; raise BadInput."""
     return hashlib.sha256(read_bytes(path, _DIGESTED_BYTES)).hexdigest()

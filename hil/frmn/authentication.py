@@ -14,12 +14,11 @@ from __future__ import annotations
 import hmac
 import os
 import secrets
-import stat
 import struct
 from pathlib import Path
 from typing import Final
 
-from hil.core.files import KIB, read_text
+from hil.core.files import KIB, read_private_text
 from hil.errors import BadInput
 from hil.frmn import wire
 from hil.frmn.mailboxes import MAILBOXES
@@ -58,10 +57,7 @@ def link_key(path: str | None = None) -> bytes:
     file = users_key_file() if path is None else Path(path)
     if path is None:
         _make(file)
-    text = read_text(file, _KEY_FILE_BYTES).strip()
-    mode = stat.S_IMODE(file.stat().st_mode)
-    if mode & 0o077:
-        raise BadInput.single(str(file), "", f"readable by other users, mode {mode:o}: chmod 600 {file}")
+    text = read_private_text(file, _KEY_FILE_BYTES).strip()
     if len(text) < _SHORTEST_KEY:
         text = f"{len(text)} characters, at least {_SHORTEST_KEY}: openssl rand -hex 32 > {file}"
         raise BadInput.single(str(file), "", text)

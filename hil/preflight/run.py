@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.checks.compatibility import check_approach, check_plan
+from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
 from hil.checks.preflight_record import MEASURED_S
+from hil.checks.proof_test import proof_gap
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -57,11 +59,12 @@ def preflight(
     announce: Callable[[str], None] = lambda _: None,
     probe: Probe = probe_host,
     meter: Meter = measure,
+    now_unix_s: Callable[[], float] = time.time,
 ) -> Preflight:
     """Return the results of all checks.
 
     folder: where runs are written. announce: called with each step. probe, meter: read the facts of the host and
-    measure its lateness.
+    measure its lateness. now_unix_s: returns the time, for the due date of the proof test.
     """
     run = scenario.value
     announce("reading the operating system")
@@ -74,6 +77,8 @@ def preflight(
     checks.append(reachability_check(scenario, rig))
     if rig.value.kind != "mock":
         checks.append(overtravel_check(rig.value))
+    if on_hardware:
+        checks.append(proof_test_check(rig, now_unix_s()))
     announce("opening the devices")
     checks += rig_checks(run, rig.value, enable_drives)
     announce("measuring the lateness")
@@ -99,6 +104,15 @@ def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Prefligh
         )
     text = "; ".join(str(problem) for problem in problems)
     return PreflightCheck(name, False, text, "change the named key of the scenario or limit of the rig")
+
+
+def proof_test_check(rig: Loaded[Rig], now_unix_s: float) -> PreflightCheck:
+    """Return the check that emergency stop, safety chain and brakes were tested, and are not due to be tested again."""
+    gap, text = proof_gap(rig, now_unix_s)
+    if not gap:
+        return PreflightCheck("proof test", True, text)
+    advice = f"hil commission {rig.source} --proof-test tests emergency stop, safety chain and brakes"
+    return PreflightCheck("proof test", False if requires_sign_off(rig.value) else None, f"{gap}: {text}", advice)
 
 
 def overtravel_check(rig: Rig) -> PreflightCheck:

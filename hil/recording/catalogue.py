@@ -51,6 +51,7 @@ CREATE TABLE IF NOT EXISTS runs (
     summary TEXT
 )
 """
+_AUDITS: Final = "CREATE TABLE IF NOT EXISTS audits (run TEXT PRIMARY KEY, entries INTEGER, digest TEXT)"
 COLUMNS: Final = (
     "run",
     "state",
@@ -155,6 +156,23 @@ class Catalogue:
         changes = ", ".join(f"{name} = :{name}" for name in found if name != "run")
         with self._connection() as connection:
             connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", found)
+
+    def enter_audit(self, run: str, entries: int, digest: str) -> None:
+        """Enter the length and the last digest of the audit of ``run``."""
+        with self._connection() as connection:
+            connection.execute(_AUDITS)
+            connection.execute("INSERT OR IGNORE INTO audits VALUES (?, ?, ?)", (run, entries, digest))
+
+    def audit(self, run: str) -> tuple[int, str] | None:
+        """Return the length and the last digest of the audit of ``run``, None if there is no such entry."""
+        if not self.path.is_file():
+            return None
+        try:
+            with self._connection("BEGIN") as connection:
+                row = connection.execute("SELECT entries, digest FROM audits WHERE run = ?", (run,)).fetchone()
+        except sqlite3.OperationalError:  # of an earlier version
+            return None
+        return None if row is None else (row["entries"], row["digest"])
 
     def runs(self, selection: RecordingFilter = RecordingFilter()) -> list[dict[str, Any]]:
         """Return the selected entries, oldest first, by ``COLUMNS``, with the path of the file."""

@@ -131,6 +131,8 @@ def log(entry: np.void, time_ns: int) -> dict[str, Any]:
         "t_s": finite(entry["t_s"]),
         "bench_s": finite(entry["bench_s"]),
         "cycle": int(entry["cycle"]),
+        "number": int(entry["number"]),
+        **{name: text_of(entry[name]) for name in ("key", "rights", "configuration", "digest")},
     }
 
 

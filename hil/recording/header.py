@@ -13,6 +13,7 @@ from hil.config.motion_digest import motion_digest
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
+from hil.recording import audit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
 from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
@@ -24,6 +25,7 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHe
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
     facts = {
         "schema_version": str(VERSION),
+        audit.AUDIT: audit.VERSION,
         "run": run,
         "scenario": scenario.name,
         "scenario_file": job.scenario.source,

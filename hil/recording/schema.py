@@ -35,11 +35,15 @@ _TYPE: Final = re.compile(r"[fiu][1248]|b1|S[1-9]\d{0,3}")
 _SIZE_MAX: Final = 1 << 20
 
 LOG_ENTRY: Final = np.dtype(
-    [("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888")]
-)
+    [
+        ("t_s", "f8"), ("bench_s", "f8"), ("cycle", "i8"), ("kind", "S16"), ("source", "S48"), ("text", "S888"),
+        ("number", "i8"), ("key", "S16"), ("rights", "S16"), ("configuration", "S64"), ("digest", "S64"),
+    ]
+)  # fmt: skip
 """Entry of the log. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first on which it acts, or
 during which it happened, -1 before the run. kind: event, alarm, alarm state, mode, order (command to the GNC), setting,
-operator (action at the console), fault (switched on an emulator)."""
+operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as of
+``audit``."""
 
 GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
 """Attachments: cameras and targets as assumed by vision unit and docking monitor."""

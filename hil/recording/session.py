@@ -22,6 +22,7 @@ from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 from hil.recording import recorder
+from hil.recording.audit import DIGEST, ENTRIES, AuditChain
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
 from hil.recording.header import header_of
 from hil.recording.parts import PartedFile
@@ -77,10 +78,12 @@ class RunRecorder:
 
     def _finish(self, state: str, stop: str, summary: dict[str, Any]) -> RecordingStats:
         ended = utc_text()
-        end = {"stop": stop, "ended_utc": ended}
+        audit = self.sinks.audit.summary
+        end = {"stop": stop, "ended_utc": ended, ENTRIES: str(audit.entries), DIGEST: audit.digest}
         stats = self._recorder.finish(end, json.dumps(summary, allow_nan=False) if summary else "")
         try:
             self._catalogue.end(self.run, ended, state, stats.cycles, stats.dropped, summary)
+            self._catalogue.enter_audit(self.run, *audit)
         except (sqlite3.Error, BadInput) as error:
             problem = stats.problem or f"{self._catalogue.path}: the run's end is not entered: {error}"
             stats = replace(stats, problem=problem)
@@ -132,6 +135,7 @@ def recording(
             raise
         text = f"{catalogue.path}: the run cannot be entered: {error}"
         raise BadInput.single("--record", "", text) from error
+    made.sinks.audit = AuditChain.begin(header.run, header.files)
     taken = RunRecorder(run, path, catalogue, made)
     announce(f"recording to {path}")
     if isinstance(made, _RecorderProcess):

@@ -8,13 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.config.rig import Rig
+from hil.core.build_info import VERSION
 from hil.core.camera_images import ImageEncoder
+from hil.core.local_user import local_user
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.runner import Runner
+from hil.recording.audit import Actor, AuditChain
+from hil.recording.foxglove import log
 from hil.recording.schema import LOG_ENTRY
 from hil.safety.alarms import Alarm
 
@@ -25,12 +29,13 @@ class EventRecorder:
     ``log_event`` must be called from the loop's thread only. Texts are truncated to the size of LOG_ENTRY.
     """
 
-    def __init__(self, out: Telemetry, runner: Runner) -> None:
+    def __init__(self, out: Telemetry, runner: Runner, audit: AuditChain) -> None:
         self._out = out
+        self._audit = audit
         self._runner = runner
         self._row = np.zeros(1, LOG_ENTRY)
 
-    def log_event(self, kind: str, source: str, text: str, t_s: float | None = None, cycle: int | None = None) -> None:
+    def log_event(self, kind: str, who: Actor, text: str, t_s: float | None = None, cycle: int | None = None) -> None:
         """Write one entry; t_s: time of the run, cycle: its number; by default those of the last cycle."""
         done = self._runner.loop.gnc.cycle
         last_s = float(self._runner.loop.now.t_s[0]) if done >= 0 else math.nan
@@ -39,34 +44,45 @@ class EventRecorder:
             self._runner.now_s(),
             done if cycle is None else cycle,
             kind.encode(errors="replace"),
-            source.encode(errors="replace")[: LOG_ENTRY["source"].itemsize],
+            who.name.encode(errors="replace")[: LOG_ENTRY["source"].itemsize],
             text.encode(errors="replace")[: LOG_ENTRY["text"].itemsize],
+            self._audit.entries,
+            who.key.encode(),
+            who.rights.encode(),
+            self._audit.configuration.encode(),
+            b"",
         )
+        self._row["digest"] = self._audit.link(log(self._row[0], 0)).encode()
         self._out.put(self._row)
+
+    def operator(self, kind: str, who: Actor, text: str) -> None:
+        """Log an action of an operator."""
+        self.log_event(kind, who if who.name else who._replace(name="console"), text)
 
     def event(self, event: Event) -> None:
         """Log an event of the run."""
-        self.log_event("event", event.source, event.text, event.t_s)
+        self.log_event("event", Actor(event.source), event.text, event.t_s)
 
     def alarm(self, alarm: Alarm) -> None:
         """Log an alarm."""
-        self.log_event("alarm", alarm.device, alarm.text)
+        self.log_event("alarm", Actor(alarm.device), alarm.text)
 
     def alarm_change(self, change: tuple[Alarm, str]) -> None:
         """Log an alarm that was acknowledged, shelved, or has returned to normal."""
         alarm, text = change
-        self.log_event("alarm state", alarm.device, f"alarm {alarm.number}, {alarm.quantity}: {text}")
+        self.log_event("alarm state", Actor(alarm.device), f"alarm {alarm.number}, {alarm.quantity}: {text}")
 
     def mode(self, mode: Mode) -> None:
         """Log a change of mode."""
-        self.log_event("mode", "bench", mode.value)
+        self.log_event("mode", Actor("bench"), mode.value)
 
     def order(self, cycle: int, text: str) -> None:
         """Log an order that acts from ``cycle`` on; the replay repeats it there."""
-        self.log_event("order", "operator", text, cycle=cycle)
+        self.log_event("order", Actor("operator"), text, cycle=cycle)
 
-    def setting(self, cycle: int, who: str, text: str) -> None:
+    def setting(self, cycle: int, who: Actor, text: str) -> None:
         """Log ``key=value``, changed by ``who`` from ``cycle`` on; the replay repeats it there."""
+        self._audit.change(text)
         self.log_event("setting", who, text, cycle=cycle)
 
 
@@ -76,7 +92,8 @@ class RecordingSinks:
 
     images: of the vision unit; monitor_images, portions: of the docking monitor; imu_samples, axes_samples: of an IMU
     and of axes that are faster than the cycle; manipulator_samples: of all axes of a rig whose target is rotated.
-    run_time: receives the relation of the run's time to bench time, for sources that have bench time only.
+    run_time: receives the relation of the run's time to bench time, for sources that have bench time only. audit: of
+    the log.
     """
 
     cycles: Telemetry = field(default_factory=NoTelemetry)
@@ -89,10 +106,12 @@ class RecordingSinks:
     axes_samples: Telemetry = field(default_factory=NoTelemetry)
     manipulator_samples: Telemetry = field(default_factory=NoTelemetry)
     run_time: RunTime | None = None
+    audit: AuditChain = field(default_factory=AuditChain, init=False)
 
     def attach(self, runner: Runner) -> EventRecorder:
         """Attach to ``runner`` before it starts: to everything but its cycles, which its loop's telemetry receives."""
-        recorder = EventRecorder(self.log, runner)
+        recorder = EventRecorder(self.log, runner, self.audit)
+        recorder.operator("operator", Actor(local_user(), rights="local"), f"started this run, hil {VERSION}")
         loop = runner.loop
         loop.vision.frame_sink = self.arrivals
         if len(loop.now.samples) > 1:

@@ -12,8 +12,10 @@ h3 { font-size: 1.05em; }
 table { border-collapse: collapse; margin: .6em 0 1em; } caption { text-align: left; font-weight: 600; }
 th, td { padding: .2em .7em; border-bottom: 1px solid #ddd; text-align: right; vertical-align: top; }
 th:first-child, td:first-child, .words td, .words th { text-align: left; }
-.words td:first-child { white-space: nowrap; }
-img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px; background: #f5f5f5; padding: .7em; }
+.words td:first-child { white-space: nowrap; } .words td:not(:first-child) { overflow-wrap: anywhere; }
+img { width: 100%; height: auto; }
+pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 12px; background: #f5f5f5;
+  padding: .7em; }
 .verdict { font-size: 1.3em; font-weight: 700; padding: .4em .8em; display: inline-block; border: 3px solid; }
 .pass { color: #00543b; border-color: #009e73; } .fail { color: #7c2d00; border-color: #d55e00; }
 .open { color: #5c4400; border-color: #e69f00; }
@@ -22,7 +24,11 @@ img { width: 100%; height: auto; } pre { white-space: pre-wrap; font-size: 12px;
 .waived { background: #c00000; color: #fff; font-weight: 700; padding: .4em .8em; margin: .3em 0; }
 @media (max-width: 700px) {
   body { padding: 0 .6em; } table { width: 100%; font-size: 13px; } th, td { padding: .2em .25em; }
-  th, td, .verdict { overflow-wrap: anywhere; } .words td:first-child { white-space: normal; } figure { margin: 1em 0; }
+  th, td, .verdict { overflow-wrap: anywhere; } .words td:first-child { white-space: normal; }
+  .words thead { display: none; } .words tr { display: block; padding: .4em 0; border-bottom: 1px solid #bbb; }
+  .words td { display: block; border: 0; } .words td:empty { display: none; }
+  .words td[data-label]::before { content: attr(data-label) ": "; color: #555; }
+  figure { margin: 1em 0; }
 }
 @media print { h2 { break-after: avoid; } img, table { break-inside: avoid; } }
 """
@@ -53,13 +59,16 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "",
     opening = '<table class="words">' if words else "<table>"
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     top = "".join(f'<th scope="col">{escape(word)}</th>' for word in head)
-    lines = "\n".join("<tr>" + "".join(_cell(word) for word in row) + "</tr>" for row in rows)
+    labels = head if words else [""] * len(head)
+    lines = "\n".join("<tr>" + "".join(map(_cell, row, labels)) + "</tr>" for row in rows)
     return f"{opening}{title}<thead><tr>{top}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>"
 
 
-def _cell(word: str) -> str:
+def _cell(word: str, label: str) -> str:
+    """Return a cell. label: of its column, for narrow screens, on which the cells of a row stand below each other."""
     kind = ' class="out"' if word == "out" or word.startswith("fail") else ""
-    return f"<td{kind}>{escape(word)}</td>"
+    named = f' data-label="{escape(label)}"' if label else ""
+    return f"<td{kind}{named}>{escape(word)}</td>"
 
 
 def image(title: str, address: str) -> str:

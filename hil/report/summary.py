@@ -267,7 +267,7 @@ def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
     if rig.kind != "hardware":
         return None
     found, gap = rig.sign_off or SignOff(), sign_off_gap(rig)
-    return {"valid": not gap, "gap": gap, "waived": found.waived, "date": found.date, "by": found.by}
+    return {"valid": not gap, "gap": gap, "waived": found.waived, "date": found.date, "by": found.by, "key": found.key}
 
 
 def lateness_counts(lateness_s: Array, rig: Rig) -> dict[str, Any]:

@@ -61,7 +61,8 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
     """Print who commissioned the hardware; ``print_waived`` reports a missing sign-off."""
     if sign_off is not None and not sign_off["gap"]:
-        text = f"{sign_off['date']} by {sign_off['by']}"
+        key = sign_off.get("key")
+        text = f"{sign_off['date']} by {sign_off['by']}{f', key {key}' if key else ''}"
         console.print(f"Sign-off    {text}", highlight=False, soft_wrap=True, markup=False)
 
 

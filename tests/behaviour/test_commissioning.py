@@ -308,3 +308,20 @@ def test_ctrl_c_at_a_question_stops_the_axes_first() -> None:
         commissioned((X,), answer=answer, prepare=interrupt)
     answered.set()
     assert calls == [["stop", "close"]]
+
+
+def test_proof_test_moves_no_axis_and_returns_what_it_found() -> None:
+    job = make_job(STEP_S)
+    prompt = ScriptedPrompt()
+    with build.runner(job) as runner:
+        lines, bench = runner.loop.safety_io, runner.loop.bench
+        assert isinstance(lines, SafetyIoStage)
+        assert isinstance(lines.io, MockIo)
+        moved: list[float] = []
+        bench._send = moved.append  # type: ignore[method-assign]
+        steps = Commissioning(runner, job.rig.value, prompt, CommissioningPlan((X,)), Button(lines.io))
+        proved = steps.prove()
+    assert moved == []
+    assert proved[0] == "io: coupler identified, emergency stop released, safety chain closed"
+    assert "Are all drives without power while the emergency stop is pressed? yes" in proved
+    assert proved[-1] == "io: released, chain stayed open, closed again after the reset"

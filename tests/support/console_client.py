@@ -19,6 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from hil.console.columns import INDEX
 from hil.console.message import unpack
+from hil.core.operator_keys import OperatorKey
 from tests.support.run_settings import typed
 
 _PATIENCE = {
@@ -42,15 +43,24 @@ class Console:
         self.process = process
         self._pages = pages
 
-    def page(self, name: str, token: str = "", key: str | None = None, **options: Any) -> Page:
-        """Return a new page, open until the console ends."""
+    def page(
+        self, name: str, token: str = "", key: str | None = None, operator: OperatorKey | None = None, **options: Any
+    ) -> Page:
+        """Return a new page, open until the console ends. operator: key that it proves."""
         socket = connect(
             f"{self._scheme}://{self.address}/ws", max_size=None, open_timeout=60.0, close_timeout=0.1, **options
         )
         page = Page(self._pages.enter_context(socket))
         with suppress(ConnectionClosed):  # turned away at once: the reason is there to be read
-            page.socket.send(json.dumps({"key": key or name * 8, "name": name, "token": token}))
+            page.socket.send(json.dumps(hello(page.challenge(), self.address, key or name * 8, operator, name, token)))
         return page
+
+
+def hello(challenge: str, host: str, key: str, operator: OperatorKey | None, name: str, token: str) -> dict[str, str]:
+    """Return the first message of a client at ``host``."""
+    if operator is None:
+        return {"key": key, "name": name, "token": token}
+    return {"key": key, "operator": operator.id, "proof": operator.proof(challenge, host, key)}
 
 
 @contextmanager
@@ -81,11 +91,22 @@ class Page:
         self.rows = np.empty((0, len(INDEX)), "<f4")
         self.picture: dict[str, Any] = {}
         self.refused = ""
+        self.first: dict[str, Any] = {}
         self.beats = True
         self._number = 0
 
+    def challenge(self) -> str:
+        """Return the challenge, which is the first message unless the client is turned away at once."""
+        first = json.loads(self.socket.recv(10.0))
+        if "challenge" not in first:
+            self.first = first
+        return str(first.get("challenge", ""))
+
     def take(self, timeout_s: float = 10.0) -> dict[str, Any] | None:
         """Take one message; return an answer, None for anything else."""
+        if self.first:
+            self.refused, first, self.first = self.first["refused"], self.first, {}
+            return first
         try:
             message = self.socket.recv(timeout_s)
         except ConnectionClosed:

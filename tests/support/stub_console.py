@@ -18,12 +18,14 @@ from hil.console.service import ConsoleService
 from hil.console.session import Choice
 from hil.console.session_state import SessionState, bench_description
 from hil.console.status import MODES, empty_status
+from hil.console.strangers import Access
 from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE, Homing
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
 
 FAULTS = {"rails": {"kinds": {"stuck": {"of_axis": True, "value": "s", "default": 1.0}}, "axes": ["x", "y", "z"]}}
+OPEN = Access()
 CHOICE = Choice(scenario="scheme-1", rig="mock")
 
 
@@ -93,7 +95,7 @@ class StubSession:
 
 
 @contextmanager
-def stub_console(token: str | None = None) -> Iterator[tuple[str, ConsoleService, StubSession]]:
+def stub_console(access: Access = OPEN) -> Iterator[tuple[str, ConsoleService, StubSession]]:
     """Serve a console with an open stub in a thread; give its address, its service and the stub."""
     loop = asyncio.new_event_loop()
     service = ConsoleService(CHOICE, ["scheme-1", "scheme-2"], ["mock", "emulated"], loop.time)
@@ -101,7 +103,7 @@ def stub_console(token: str | None = None) -> Iterator[tuple[str, ConsoleService
     stub = StubSession(service)
     listener = socket.create_server(("127.0.0.1", 0))
     config = uvicorn.Config(
-        make_app(service, token, None), log_level="error", ws="websockets-sansio", timeout_graceful_shutdown=1
+        make_app(service, access, None), log_level="error", ws="websockets-sansio", timeout_graceful_shutdown=1
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=lambda: loop.run_until_complete(server.serve([listener])), daemon=True)

@@ -16,11 +16,12 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
-from hil.cli.main import BAD_INPUT, execute
+from hil.cli.main import BAD_INPUT, PASSED, execute
 from hil.config.required_parts import PART_COLUMNS
 from hil.console.serve import is_loopback
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
+from hil.core.operator_keys import new_key, write_operators
 from hil.recording.catalogue import Catalogue
 from hil.recording.read import load
 from hil.recording.replay import replay
@@ -49,8 +50,11 @@ def start(page: Page) -> None:
 
 
 def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recorded(tmp_path: Path) -> None:
-    with console("--rig", "mock", "--set", "rig.console.lease_s=3", *typed(*NEAR), record=tmp_path) as c:
-        ann, bob = c.page("ann"), c.page("bob")
+    anns, bobs = new_key("ann"), new_key("bob")
+    write_operators(tmp_path / "keys.toml", {key.id: key for key in (anns, bobs)})
+    options = ("--operators", str(tmp_path / "keys.toml"), "--set", "rig.console.lease_s=3")
+    with console("--rig", "mock", *options, *typed(*NEAR), record=tmp_path) as c:
+        ann, bob = c.page("ann", operator=anns), c.page("bob", operator=bobs)
         start(ann)
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
         assert np.isfinite(ann.column("estimate_m.x")[-1])
@@ -87,9 +91,15 @@ def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recor
     assert recorded.summary is not None
     assert len(recorded.cycles) == ended["cycles"]
     assert replay(recorded, recorded.scenario).identical
-    did = [(entry["name"], entry["message"]) for entry in recorded.log if entry["kind"] == "operator"]
-    assert did[:3] == [("ann", "ann has the command"), ("ann", "arm"), ("ann", "start")]
-    assert did[-3:] == [("no operator", "no operator has the command"), ("bob", "bob has the command"), ("bob", "stop")]
+    did = [(entry["key"], entry["rights"], entry["message"]) for entry in recorded.log if entry["kind"] == "operator"]
+    here = "has the command at 127.0.0.1"
+    assert did[0][:2] == ("", "local")
+    assert did[1:5] == [(anns.id, "command", text) for text in ("opened the bench", f"ann {here}", "arm", "start")]
+    assert did[-3] == ("", "", "no operator has the command")
+    assert did[-2:] == [(bobs.id, "command", f"bob {here}"), (bobs.id, "command", "stop")]
+    assert execute(["recordings", "verify", str(recorded.path)]) == PASSED
+    digest = ended["recording"]["audit"]["digest"]
+    assert digest == recorded.log[-1]["digest"]
     modes = [entry["message"] for entry in recorded.log if entry["kind"] == "mode"]
     assert modes[-5:] == ["running", "hold", "running", "hold", "safe-stop"]
     (entry,) = Catalogue(tmp_path).runs()
@@ -275,13 +285,17 @@ def test_page_needs_nothing_from_outside(idle: Console) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--host", "0.0.0.0"), "--host: 0.0.0.0: reachable from other computers: give --token-file"),
+        (("--host", "0.0.0.0"), "--host: 0.0.0.0: reachable from other computers: give --operators, --cert"),
+        (("--host", "0.0.0.0", "--token-file", "TOKEN"), "reachable from other computers: give --operators"),
+        (("--operators", "KEYS", "--token-file", "TOKEN"), "not together with --operators"),
+        (("--operators", "TOKEN"), "not TOML"),
+        (("--set", "rig.console.second_person=['arm']"), "--operators: is missing: the rig requires a second person"),
         (("--port", "70000"), "--port: 70000: allowed 0 to 65535"),
         (("--rig", "no-such"), "no-such: unknown rig"),
         (("--seed", "-1"), "--seed: -1: must not be negative"),
         (("--token-file", "/does/not/exist"), "--token-file: /does/not/exist: cannot be read"),
-        (("--host", "0.0.0.0", "--token-file", "TOKEN"), "0.0.0.0: reachable from other computers: give --certificate"),
-        (("--host", "not.an.address.invalid", "--token-file", "TOKEN", "--behind-tunnel"), "cannot listen"),
+        (("--host", "0.0.0.0", "--operators", "KEYS"), "0.0.0.0: reachable from other computers: give --certificate"),
+        (("--host", "not.an.address.invalid", "--operators", "KEYS", "--behind-tunnel"), "cannot listen"),
         (("--certificate", "TOKEN"), "--key: is missing: give both"),
         (("--certificate", "TOKEN", "--key", "TOKEN"), "not a certificate and its private key"),
         (("--token-file", "OPEN"), "readable by other users, mode 644: chmod 600"),
@@ -291,6 +305,8 @@ def test_page_needs_nothing_from_outside(idle: Console) -> None:
 def test_bad_options_are_refused_in_one_line(
     arguments: tuple[str, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    ann = new_key("ann")
+    write_operators(tmp_path / "KEYS", {ann.id: ann})
     for name, text, mode in (("TOKEN", TOKEN, 0o600), ("OPEN", TOKEN, 0o644), ("SHORT", "12345", 0o600)):
         (tmp_path / name).write_text(text)
         (tmp_path / name).chmod(mode)

@@ -13,6 +13,7 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from hil.console.strangers import Access
 from tests.support.console_client import Page, console
 from tests.support.run_settings import NEAR, typed
 from tests.support.stub_console import stub_console
@@ -48,6 +49,7 @@ def guesses(address: str, number: int, stack: ExitStack) -> None:
     """Send wrong tokens."""
     for _ in range(number):
         with suppress(OSError, WebSocketException, TimeoutError), hello(address, "guess", TOKEN + "x") as there:
+            there.recv(5.0)  # the challenge
             there.recv(5.0)
 
 
@@ -93,7 +95,7 @@ def opened_page(address: str) -> Iterator[tuple[Page, float]]:
 
 @pytest.mark.parametrize(("crowd", "number"), [(sockets, 60), (idle, 32), (guesses, 60), (flood, 5)])
 def test_operator_stops_a_stub_in_a_crowd(crowd: Crowd, number: int) -> None:
-    with stub_console(TOKEN) as (address, _, stub), ExitStack() as stack:
+    with stub_console(Access(TOKEN)) as (address, _, stub), ExitStack() as stack:
         crowd(address, number, stack)
         with opened_page(address) as (page, took_s):
             begun_s = time.monotonic()

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from hil.core.operator_keys import new_key, write_key, write_operators
 from hil.recording.read import load
 from hil.recording.replay import replay
 from tests.support.browsers import chromium_browser
@@ -23,7 +24,7 @@ pytestmark = [pytest.mark.wires, pytest.mark.slow, pytest.mark.timeout(600)]
 class Screen:
     """A page in the browser and what it asked for outside of the console."""
 
-    def __init__(self, page: Any, address: str, pictures: Path, name: str = "ann") -> None:
+    def __init__(self, page: Any, address: str, pictures: Path, name: str = "ann", key: Path | None = None) -> None:
         self.page = page
         self.outside: list[str] = []
         self.errors: list[str] = []
@@ -32,6 +33,10 @@ class Screen:
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.add_init_script(f"localStorage.setItem('hil.name', '{name}')")
         page.goto(f"http://{address}/")
+        if key is not None:
+            page.wait_for_selector("#who[open]")
+            page.set_input_files("#key_file", key)
+            page.click("#enter")
         self.until("window.hil && window.hil.page")
 
     def _note(self, url: str, address: str) -> None:
@@ -80,10 +85,11 @@ def browser() -> Iterator[Any]:
         yield found
 
 
-def open_screen(browser: Any, c: Console, pictures: Path) -> Screen:
+def open_screen(browser: Any, c: Console, pictures: Path, key: Path | None = None) -> Screen:
     for context in browser.contexts:
         context.close()  # pages of earlier tests draw and look for their consoles
-    return Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures)
+    page = browser.new_page(viewport={"width": 1280, "height": 720})
+    return Screen(page, c.address, pictures, key=key)
 
 
 def test_scheme_1_is_flown_held_resumed_and_aborted_from_the_keyboard(
@@ -225,7 +231,7 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
         screen.press("p", "settings_open")
         screen.page.wait_for_selector("#settinglist tr:nth-child(9)")
         screen.page.type("#settinglist tr:nth-child(1) input", "-1\n")
-        screen.until("document.getElementById('answer').textContent.includes('must be greater than 0')")
+        screen.until("document.getElementById('answer').textContent.includes('-1: during a run allowed 0.0001 to 0.2')")
         screen.page.type("#settinglist tr:nth-child(1) input", "0.0005\n")
         screen.page.wait_for_selector("#confirm[open]")
         question = screen.page.inner_text("#question")
@@ -250,13 +256,18 @@ def test_setting_is_changed_from_the_page_seen_in_the_log_and_recorded(
 
 
 def test_arming_takes_a_second_person_and_alarms_are_acknowledged_and_shelved_one_by_one(
-    browser: Any, pictures: Path
+    browser: Any, pictures: Path, tmp_path: Path
 ) -> None:
     blind = "faults=[{device='vmu', kind='no_pose', at_s=3, until_s=9}, {device='imu', kind='stuck', at_s=14}]"
     settings = typed(*NEAR, blind, "rig.console.second_person=['arm']", "rig.console.lease_s=30")
-    with console("--rig", "mock", *settings) as c:
-        screen = open_screen(browser, c, pictures)
-        other = Screen(browser.new_page(viewport={"width": 1280, "height": 720}), c.address, pictures, "bob")
+    operators, keys = tmp_path / "operators.toml", {name: new_key(name) for name in ("ann", "bob")}
+    write_operators(operators, {key.id: key for key in keys.values()})
+    for key in keys.values():
+        write_key(tmp_path / key.name, key)
+    with console("--rig", "mock", "--operators", str(operators), *settings) as c:
+        screen = open_screen(browser, c, pictures, tmp_path / "ann")
+        view = {"width": 1280, "height": 720}
+        other = Screen(browser.new_page(viewport=view), c.address, pictures, "bob", tmp_path / "bob")
         screen.press("t", "take")
         screen.press("n", "open", confirm=True)
         screen.until_mode("standby", 400.0)  # a first start compiles
@@ -380,5 +391,5 @@ def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictu
         screen.picture("waived")
         line = screen.page.locator("#waived li").first
         assert line.inner_text().startswith("WAIVED rig.io.driver = none")
-        assert line.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(213, 94, 0)"
+        assert line.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(184, 79, 0)"
         assert screen.errors == []

@@ -20,6 +20,7 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from hil.core.operator_keys import new_key, write_operators
 from hil.recording.read import load
 from tests.support.console_client import Console, Page, console
 from tests.support.run_settings import NEAR, UNHURRIED, typed
@@ -46,7 +47,7 @@ def start(page: Page) -> None:
     page.start_run()
 
 
-def test_page_and_websocket_over_tls_with_a_certificate_of_the_labs_own(tmp_path: Path, token_file: str) -> None:
+def test_page_and_websocket_over_tls_with_a_certificate_of_the_labs_own(tmp_path: Path) -> None:
     if shutil.which("openssl") is None:
         pytest.skip("no openssl on this computer")
     certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
@@ -54,18 +55,21 @@ def test_page_and_websocket_over_tls_with_a_certificate_of_the_labs_own(tmp_path
     command += ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
     subprocess.run(command, check=True, capture_output=True)
     trusting = ssl.create_default_context(cafile=str(certificate))
-    options = ("--host", "0.0.0.0", "--token-file", token_file, "--certificate", str(certificate), "--key", str(key))
+    ann, operators = new_key("ann"), tmp_path / "operators.toml"
+    write_operators(operators, {ann.id: ann})
+    options = ("--host", "0.0.0.0", "--operators", str(operators), "--certificate", str(certificate), "--key", str(key))
     with console("--rig", "mock", *typed(*NEAR), *options) as c:
         c.address = f"127.0.0.1:{c.address.rpartition(':')[2]}"
         with urlopen(f"https://{c.address}/", context=trusting) as answer:
             assert b"<title>hil console</title>" in answer.read()
-        page = c.page("ann", TOKEN, ssl=trusting)
+        page = c.page("ann", operator=ann, ssl=trusting)
         start(page)
         page.order("stop")
         page.until(lambda: not page.now["open"], "the end")
-        assert c.page("eve", "0123456789abcdef-wrong", ssl=trusting).take() == {"refused": "wrong token"}
+        refused = {"refused": "this console requires the key of an operator: choose its file"}
+        assert c.page("eve", operator=new_key("ann"), ssl=trusting).take() == refused
         with pytest.raises(ssl.SSLCertVerificationError):
-            c.page("eve", TOKEN, ssl=ssl.create_default_context())
+            c.page("eve", operator=ann, ssl=ssl.create_default_context())
         with pytest.raises((OSError, WebSocketException)):
             connect(f"ws://{c.address}/ws", open_timeout=5.0)
 
@@ -94,6 +98,7 @@ class Guessers:
             there = connect(f"ws://{self._address}/ws", source_address=("127.0.0.2", 0), open_timeout=5.0)
             with suppress(OSError, WebSocketException, TimeoutError), there as page:
                 hello = {"key": f"guesser-{number:012d}", "name": "eve", "token": f"0123456789abcdef-{number}"}
+                page.recv(10.0)  # the challenge
                 page.send(json.dumps(hello))
                 text = json.loads(page.recv(10.0))["refused"].partition(":")[0]
                 self.answers[text] = self.answers.get(text, 0) + 1
@@ -211,6 +216,7 @@ def test_mutated_messages_disturb_neither_the_loop_nor_other_clients(tmp_path: P
             while not ended.is_set():
                 there = connect(f"ws://{c.address}/ws", source_address=("127.0.0.2", 0), open_timeout=5.0)
                 with suppress(OSError, WebSocketException, TimeoutError), there as eve:
+                    eve.recv(10.0)  # the challenge
                     eve.send(mutated(dice))
                     eve.recv(10.0)
                     sent["before"] += 1

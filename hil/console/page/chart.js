@@ -72,7 +72,7 @@ export class Chart {
       const value = this.shows === "last" ? shown(this.value(store, store.count - 1, series)) : "";
       const text = `${series.name}${value ? ` ${value}` : ""}`;
       if (right - c.measureText(text).width < left) break;
-      c.fillStyle = stale ? "#6d7884" : series.color;
+      c.fillStyle = stale ? "#8f9ba8" : series.color;
       c.fillText(text, right, 3);
       right -= c.measureText(text).width + 9;
     }
@@ -118,7 +118,7 @@ export class Chart {
     c.strokeStyle = GRID;
     c.lineWidth = 1;
     c.fillStyle = DIM;
-    c.font = `11px ${FONT}`;
+    c.font = `12px ${FONT}`;
     c.textAlign = "right";
     c.textBaseline = "middle";
     c.beginPath();
@@ -206,13 +206,13 @@ export class Chart {
   }
 
   limit(c, box, at) {
-    c.strokeStyle = c.fillStyle = "#d55e00";
+    c.strokeStyle = c.fillStyle = "#e66a0a";
     c.lineWidth = 2;
     c.beginPath();
     c.moveTo(box.left, at);
     c.lineTo(box.right, at);
     c.stroke();
-    c.font = `700 11px ${FONT}`;
+    c.font = `700 12px ${FONT}`;
     c.textAlign = "left";
     const below = at - box.top < 14; // no space above it
     c.textBaseline = below ? "top" : "bottom";
@@ -239,7 +239,7 @@ export class Firings {
     const x = (t) => box.left + ((t - t0) / (t1 - t0)) * (box.right - box.left);
     const pitch = (box.bottom - box.top) / this.thrusters;
     const each = Math.max(1, Math.ceil(9 / pitch));
-    c.font = `11px ${FONT}`;
+    c.font = `12px ${FONT}`;
     c.textAlign = "right";
     c.textBaseline = "middle";
     for (let i = 0; i < this.thrusters; i++) {
@@ -292,10 +292,10 @@ export class Lateness {
     c.textBaseline = "top";
     c.textAlign = "left";
     c.fillStyle = TEXT;
-    c.fillText(`Lateness, cycles by us; worst ${shown(this.largest)} us`, 6, 3);
+    c.fillText(`Lateness us${this.taken ? `; worst ${this.largest < 1 ? "below 1" : shown(this.largest)}` : ""}`, 6, 3);
     const most = Math.max(10, ...this.bins), wide = (box.right - box.left) / this.bins.length;
     const y = (n) => box.bottom - (Math.log10(1 + n) / Math.log10(1 + most)) * (box.bottom - box.top);
-    c.font = `11px ${FONT}`;
+    c.font = `12px ${FONT}`;
     this.bins.forEach((n, i) => {
       const at = box.left + i * wide;
       c.fillStyle = 2 ** i > this.limit_us ? "#d55e00" : "#56b4e9";
@@ -303,7 +303,7 @@ export class Lateness {
       c.fillStyle = DIM;
       c.textAlign = "right";
       c.textBaseline = "top";
-      if (i % 3 === 0 && i < 17) c.fillText(`<${2 ** i}`, at + wide, box.bottom + 2);
+      if (i % (wide < 15 ? 6 : 3) === 0 && i < 17) c.fillText(`<${2 ** i}`, at + wide, box.bottom + 2);
     });
     c.textBaseline = "middle";
     for (let n = 1; n <= most; n *= 10) c.fillText(String(n), box.left - 3, y(n));

@@ -1,9 +1,12 @@
 // Websocket of the page: authentication, updates, requests and heartbeat.
 
+import { device, proof } from "/page/keys.js";
+
 const BEAT_MS = 200, RECONNECT_MS = 1000, LOST_MS = 500;
 
 export class Link {
-  // on: {message(header, rows, data), opened(), refused(text), lost()}
+  // on: {message(header, rows, data), required(what), opened(), refused(text), lost()}; required returns, or promises, who
+  // is at this page: {name, token} or {key}, null if it has to be asked
   constructor(on) {
     this.on = on;
     this.waiting = new Map();
@@ -25,29 +28,44 @@ export class Link {
     return performance.now() - this.received_ms > LOST_MS;
   }
 
-  open(name, token) {
+  open() {
+    if (this.socket) return;
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
     socket.binaryType = "arraybuffer";
     this.got = 0;
-    socket.onopen = () => {
-      socket.send(JSON.stringify({ key: this.key, name, token }));
-      this.on.opened();
-    };
+    this.asked = false;
     socket.onmessage = (event) => this.receive(event.data);
     socket.onclose = (event) => {
-      this.socket = null;
+      if (this.socket === socket) this.socket = null;
       for (const done of this.waiting.values()) done({ ok: false, text: "connection lost" });
       this.waiting.clear();
       this.on.lost();
-      if (event.code !== 4401) setTimeout(() => this.open(name, token), RECONNECT_MS);
+      if (event.code !== 4401 && !this.asked) setTimeout(() => this.open(), RECONNECT_MS);
     };
     this.socket = socket;
+  }
+
+  // Answer the challenge; if the operator has to be asked first, close the connection until open() is called again.
+  async greet({ challenge, required }) {
+    const socket = this.socket, who = await this.on.required(required);
+    if (socket !== this.socket) return;
+    if (!who) return this.close();
+    const proved = who.key ? await proof(who.key, challenge, this.key) : who;
+    socket.send(JSON.stringify({ key: this.key, device: device(), ...proved }));
+    this.on.opened();
+  }
+
+  close() {
+    this.asked = true;
+    if (this.socket) this.socket.close();
+    this.socket = null;
   }
 
   receive(data) {
     if (typeof data === "string") {
       const message = JSON.parse(data);
-      if (message.refused) this.on.refused(message.refused);
+      if (message.challenge) this.greet(message);
+      else if (message.refused) this.on.refused(message.refused);
       else this.answered(message);
       return;
     }

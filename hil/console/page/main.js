@@ -3,6 +3,7 @@
 import { Camera } from "/page/camera.js";
 import { Controls } from "/page/controls.js";
 import { closeDialog, openDialog } from "/page/dialogs.js";
+import { forgetKey, keepKey, keptKey } from "/page/keys.js";
 import { Link } from "/page/link.js";
 import { ages, alarms, header, isStale, log, reach, waived } from "/page/panels.js";
 import { Plots } from "/page/plots.js";
@@ -17,7 +18,7 @@ const store = new Store();
 const plots = new Plots($("plots"));
 const scene = new Scene($("scene"));
 const camera = new Camera($("camera"), $("camera_text"));
-let now = null, page = null, drawn = -1, drawn_ms = 0, slow_ms = 0;
+let keyed = false, now = null, page = null, drawn = -1, drawn_ms = 0, slow_ms = 0;
 
 const link = new Link({
   message(header, rows, data) {
@@ -34,10 +35,17 @@ const link = new Link({
     if (header.portions) store.addPortions(header.portions);
     if (header.picture) camera.receive(header.picture, data);
   },
+  async required(what) {
+    keyed = what === "key";
+    const key = keyed && (await keptKey());
+    const name = localStorage.getItem("hil.name") || "";
+    if (keyed ? key : name) return key ? { key } : { name, token: token() };
+    whoIs(keyed ? "Operator: choose your key file" : "Operator");
+    return null;
+  },
   refused(text) {
-    $("who_text").textContent = text;
     sessionStorage.removeItem("hil.token");
-    openDialog($("who"));
+    whoIs(text);
   },
   opened() {
     if (camera.wanted) link.send({ do: "watch", camera: camera.wanted });
@@ -97,19 +105,39 @@ function draw(time_ms) {
   camera.draw(page.bench, pose);
 }
 
-function enter() {
-  const name = localStorage.getItem("hil.name") || "";
-  const token = new URLSearchParams(location.hash.slice(1)).get("token") || sessionStorage.getItem("hil.token") || "";
-  if (name) link.open(name, token);
-  else openDialog($("who"));
+const token = () => new URLSearchParams(location.hash.slice(1)).get("token") || sessionStorage.getItem("hil.token") || "";
+
+// Ask who is at this page. text: why.
+function whoIs(text) {
+  $("who_text").textContent = text;
+  for (const part of document.querySelectorAll("[data-for]")) part.hidden = (part.dataset.for === "key") !== keyed;
+  openDialog($("who"));
 }
 
-$("who").addEventListener("submit", () => {
+$("who").addEventListener("submit", async () => {
   closeDialog($("who"));
-  localStorage.setItem("hil.name", $("name").value.trim() || "operator");
-  sessionStorage.setItem("hil.token", $("token").value);
-  link.open(localStorage.getItem("hil.name"), $("token").value);
+  const [file] = $("key_file").files;
+  try {
+    if (keyed && file) await keepKey(await file.text());
+  } catch (error) {
+    return whoIs(error.message);
+  } finally {
+    $("key_file").value = "";
+  }
+  if (!keyed) {
+    localStorage.setItem("hil.name", $("name").value.trim() || "operator");
+    sessionStorage.setItem("hil.token", $("token").value);
+  }
+  link.open();
 });
+$("leave").onclick = async () => {
+  if (now && now.lease.mine && now.open) return controls.notify("release the command first");
+  await forgetKey().catch(() => {});
+  localStorage.removeItem("hil.name");
+  sessionStorage.removeItem("hil.token");
+  link.close();
+  whoIs("Signed out. Operator:");
+};
 $("name").value = localStorage.getItem("hil.name") || "";
-enter();
+link.open();
 requestAnimationFrame(draw);

@@ -36,6 +36,8 @@ export function header(now, page, store) {
   $("phase").textContent = store.last("aborted") > 0 ? `ABORT ${names[phase] || ""}` : names[phase] || "-";
   $("share").value = now.mode === "running" && page.bench.duration_s ? now.run_s / page.bench.duration_s : now.share || 0;
   $("holder").textContent = now.lease.mine ? "You have command" : now.lease.holder ? `${now.lease.holder} has command` : "no operator has command";
+  $("leave").textContent = "Sign out";
+  $("leave").title = `Sign out ${now.me.name}${now.me.key ? `, key ${now.me.key}` : ""}, may ${now.me.rights}`;
   $("word").textContent = statusText(now, page);
   recording(now.recording);
   $("share").hidden = $("recording").hidden = !now.open; // leaves space for the result

@@ -11,10 +11,13 @@ from typing import Any
 import pytest
 
 from hil.checks.preflight_record import MEASURED_S, VALID_S, check_preflight, record_path, write_record
+from hil.checks.signed_record import read_signed, signature_of
 from hil.config.load import load_rig
+from hil.core.operator_keys import OperatorKey
 from tests.support.run_settings import HARDWARE_WIRES
 
 STEP_S = 0.02
+ANN = OperatorKey("ann", "a1" * 32)
 
 
 @pytest.fixture
@@ -27,7 +30,7 @@ def lab(tmp_path: Path) -> Path:
 def recorded(lab: Path, change: Callable[[dict[str, Any]], object] = lambda _: None) -> list[str]:
     """Write a good record, change it, and return the problems of a run."""
     rig = load_rig(str(lab))
-    write_record(rig, 1.0 / STEP_S, MEASURED_S, True)
+    write_record(rig, 1.0 / STEP_S, MEASURED_S, True, ANN)
     record = json.loads(record_path(rig).read_text())
     change(record)
     record_path(rig).write_text(json.dumps(record))
@@ -71,3 +74,14 @@ def test_a_damaged_record_is_refused(lab: Path) -> None:
     record_path(load_rig(str(lab))).write_text("{")
     (problem,) = check_preflight(load_rig(str(lab)), STEP_S)
     assert "cannot be read" in str(problem)
+
+
+def test_record_names_the_key_of_the_operator_and_a_forged_one_is_found(lab: Path) -> None:
+    path = lab.with_name("lab.preflight.json")
+    assert recorded(lab) == []
+    signature, record = signature_of(read_signed(path))
+    assert (signature.by, signature.key, signature.problem(record, {ANN.id: ANN})) == ("ann", ANN.id, "")
+    for change in ({"unix_time_s": time.time() + 1.0}, {"passed": 1}, {"by": "bob"}, {"seal": "0" * 64}):
+        recorded(lab, lambda record, change=change: record.update(change))  # type: ignore[misc]
+        signature, record = signature_of(read_signed(path))
+        assert "the record or its signature was changed" in signature.problem(record, {ANN.id: ANN})

@@ -89,7 +89,7 @@ def test_all_of_them_stand_in_the_terminal_the_page_the_console_and_the_json(lab
     choice = Choice(scenario="scheme-1", rig=lab, settings=tuple(EACH))
     service = ConsoleService(choice, ["scheme-1"], [lab], lambda: 0.0)
     ann = Client("a" * 16, "ann")
-    service.lease.acquire(ann.key, ann.name, 0.0)
+    service.lease.acquire(ann, 0.0)
     asked = asyncio.run(service.execute(ann, {"do": "open"}))["ask"]
     assert asked.endswith(OPEN_QUESTION)
     red = "\x1b[1;31m"

@@ -19,6 +19,7 @@ from hil.commission.steps import AxisFindings, Findings
 from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
+from hil.core.operator_keys import OperatorKey, write_operators
 from hil.report.summary import sign_off_summary
 from hil.report.table import print_sign_off, print_waived
 from tests.support.run_settings import HARDWARE_WIRES
@@ -38,9 +39,15 @@ def lab(tmp_path: Path) -> Path:
     return path
 
 
-def signed(lab: Path, axes: range | list[int] = range(6), whole: bool = True, base: str = "lab.toml") -> Path:
+def signed(
+    lab: Path,
+    axes: range | list[int] = range(6),
+    whole: bool = True,
+    base: str = "lab.toml",
+    by: OperatorKey | str = 'A. "Tech" Nician',
+) -> Path:
     """Write the sign-off of ``lab`` beside it; return its path."""
-    text = as_toml(found(axes, whole), load_rig(str(lab)).value, base, 'A. "Tech" Nician', "2026-03-01")
+    text = as_toml(found(axes, whole), load_rig(str(lab)).value, base, by, "2026-03-01")
     path = lab.with_name(f"signed-{len(list(lab.parent.iterdir()))}.toml")
     path.write_text(text)
     return path
@@ -219,3 +226,28 @@ def test_question_is_asked_until_it_is_answered_and_nobody_there_is_a_no(
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
     assert Terminal(Console(file=shown)).ask("Is it [so]?") is answer
     assert shown.getvalue().count("Is it [so]? [y/n]") == times
+
+
+def test_sign_off_names_its_key_and_a_changed_or_forged_one_is_found(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ann, operators = OperatorKey("ann", "a1" * 32), tmp_path / "operators.toml"
+    write_operators(operators, {ann.id: ann})
+    file = signed(lab, by=ann)
+    sign_off = load_rig(str(file)).value.sign_off
+    assert sign_off is not None
+    assert {each.key for each in (sign_off, *sign_off.axes.values())} == {ann.id}
+    command = ["operators", "verify", str(file), "--operators", str(operators)]
+    assert execute(command) == 0
+    assert capsys.readouterr().out.count(f"PASS {file}: ") == 7
+    text = file.read_text()
+    for old, new, words in (
+        ("2026-03-01", "2026-09-01", "not sealed by the key of ann: the record or its signature was changed"),
+        ('by = "ann"', 'by = "bob"', "not sealed by the key of ann"),
+        ("scale_error = 0.001", "scale_error = 0.000", "not sealed by the key of ann"),
+        (f'key = "{ann.id}"', 'key = "0123456789abcdef"', "which is not in the file"),
+        (f'key = "{ann.id}"', "", "signed by the name ann, without a key"),
+    ):
+        file.write_text(text.replace(old, new))
+        assert execute(command) == 1
+        assert words in capsys.readouterr().out

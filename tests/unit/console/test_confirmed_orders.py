@@ -17,8 +17,9 @@ from hil.console.session import Choice
 from hil.console.status import MODES, empty_status
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.recording.audit import Actor
 
-ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")
+ANN, BOB = Client("a" * 16, "ann", "a" * 16), Client("b" * 16, "bob", "b" * 16, "confirm")
 ORDERS = [order for order in OperatorCommand if order is not OperatorCommand.JOG]
 SECOND = ("arm", "start", "resume", "home", "park", "reset")
 INTERLEAVINGS = 10_000
@@ -41,7 +42,7 @@ class Loop:
     async def request(self, **message: Any) -> dict[str, Any]:
         if self.next_mode is not None:
             self.modes.mode = self.next_mode  # while the order was on its way
-        return self.operator._order(message, message["by"])
+        return self.operator._order(message, Actor(message["by"], message["key"]))
 
     def send(self, **_: Any) -> bool:
         return True
@@ -55,7 +56,7 @@ class Loop:
 
 def make_service() -> ConsoleService:
     service = ConsoleService(Choice(scenario="scheme-1", rig="mock"), ["scheme-1"], ["mock"], lambda: 100.0)
-    service.lease.acquire(ANN.key, ANN.name, 100.0)
+    service.lease.acquire(ANN, 100.0)
     return service
 
 
@@ -90,7 +91,7 @@ def test_no_hazardous_order_passes_unconfirmed_or_without_its_second_person() ->
                 command["confirmed"] = confirmed
             if dice.random() < 0.5:
                 command["mode"] = before.value
-            command |= dice.choice(({}, {"second": "bob"}))
+            command |= dice.choice(({}, {"second": BOB.key_id}))
             answer = await service.execute(ANN, command)
             seconded = "second" in answer and dice.random() < 0.7
             if seconded:
@@ -132,9 +133,9 @@ def test_change_of_mode_since_the_confirmation_and_a_late_order_are_refused() ->
     operator = Loop(service).operator
     order = {"order": "arm", "confirmed": True, "by": "ann"}
     refused = {"text": "bench: arm was confirmed in armed, not for standby: confirm it again"}
-    assert operator._order(order | {"mode": "armed"}, "ann") == refused
+    assert operator._order(order | {"mode": "armed"}, Actor("ann")) == refused
     late = {"text": "bench: arm came too late to be executed: command it again"}
-    assert operator._order(order | {"until_s": 99.0}, "ann") == late
+    assert operator._order(order | {"until_s": 99.0}, Actor("ann")) == late
     assert not operator.pending
 
 

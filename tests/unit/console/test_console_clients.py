@@ -54,7 +54,7 @@ class OpenSession:
 def service() -> ConsoleService:
     """Return a service with an open session, whose command ann has."""
     made = ConsoleService(Choice(scenario="scheme-1", rig="mock"), ["scheme-1"], ["mock"], lambda: 100.0)
-    made.lease.acquire(ANN.key, ANN.name, 100.0)
+    made.lease.acquire(ANN, 100.0)
     made.session = cast(SessionProcess, OpenSession())
     return made
 
@@ -66,7 +66,7 @@ def answer(service: ConsoleService, client: Client, **command: Any) -> dict[str,
 @pytest.mark.parametrize("order", ["stop", "hold"])
 def test_client_without_the_command_can_stop_and_hold(service: ConsoleService, order: str) -> None:
     assert answer(service, BOB, do="order", order=order)["ok"]
-    assert cast(OpenSession, service.session).asked == [{"order": order, "by": "bob"}]
+    assert cast(OpenSession, service.session).asked == [{"order": order, **BOB.actor}]
 
 
 def test_flood_of_holds_is_one_message_and_an_unsent_stop_is_a_signal(service: ConsoleService) -> None:
@@ -77,7 +77,7 @@ def test_flood_of_holds_is_one_message_and_an_unsent_stop_is_a_signal(service: C
         return list(await asyncio.gather(*holds, service.execute(ANN, {"do": "order", "order": "stop"})))
 
     assert asyncio.run(flood()) == [{"ok": True, "text": ""}] * 1001
-    assert session.asked == [{"order": "hold", "by": "bob"}, {"order": "stop", "by": "ann"}]
+    assert session.asked == [{"order": "hold", **BOB.actor}, {"order": "stop", **ANN.actor}]
     session.reply = {"text": "the session receives no messages", "unsent": True}
     answer(service, BOB, do="order", order="stop")
     assert session.interrupted
@@ -214,8 +214,8 @@ def test_mutated_messages_are_answered_and_change_nothing_but_what_they_may(
                 reply = await service.execute(BOB, message)
                 json.dumps(reply)
                 assert isinstance(reply["ok"], bool)
-            if service.lease.key == BOB.key:
-                service.lease.take_over(ANN.key, ANN.name, 100.0)
+            if service.lease.held_by(BOB):
+                service.lease.take_over(ANN, 100.0)
 
     asyncio.run(talk())
     assert {message["order"] for message in cast(OpenSession, service.session).asked} <= {"stop", "hold"}

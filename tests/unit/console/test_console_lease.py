@@ -5,13 +5,14 @@ from __future__ import annotations
 import pytest
 
 from hil.console.lease import Lease, RequestRejected
+from hil.console.live_view import Client
 
-ANN, BOB = "a" * 16, "b" * 16
+ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")
 
 
 def held_by_ann() -> Lease:
     lease = Lease(2.0)
-    lease.acquire(ANN, "ann", 10.0)
+    lease.acquire(ANN, 10.0)
     return lease
 
 
@@ -23,7 +24,7 @@ def test_nobody_commands_before_taking_the_lease() -> None:
 def test_second_commander_is_refused_by_the_name_of_the_first() -> None:
     lease = held_by_ann()
     with pytest.raises(RequestRejected, match="ann has the command: watch, or take it over"):
-        lease.acquire(BOB, "bob", 10.1)
+        lease.acquire(BOB, 10.1)
     with pytest.raises(RequestRejected, match="ann has the command"):
         lease.require(BOB)
     lease.require(ANN)
@@ -31,11 +32,11 @@ def test_second_commander_is_refused_by_the_name_of_the_first() -> None:
 
 def test_takeover_says_from_whom_and_leaves_the_first_one_watching() -> None:
     lease = held_by_ann()
-    assert lease.take_over(BOB, "bob", 10.5) == "ann"
+    assert lease.take_over(BOB, 10.5) == "ann"
     lease.require(BOB)
     with pytest.raises(RequestRejected, match="bob has the command"):
         lease.require(ANN)
-    assert lease.take_over(BOB, "bob", 10.6) == ""
+    assert lease.take_over(BOB, 10.6) == ""
 
 
 def test_lease_runs_out_in_silence_and_not_while_its_holder_is_heard() -> None:
@@ -45,7 +46,7 @@ def test_lease_runs_out_in_silence_and_not_while_its_holder_is_heard() -> None:
     assert lease.expire(13.51) == "ann"
     assert not lease.held
     assert lease.expire(20.0) == ""
-    lease.acquire(BOB, "bob", 20.0)
+    lease.acquire(BOB, 20.0)
 
 
 def test_watcher_that_is_heard_does_not_keep_the_lease_alive() -> None:
@@ -72,4 +73,36 @@ def test_only_the_holder_gives_the_lease_back() -> None:
 
 def test_empty_key_does_not_pass_for_the_holder_of_a_free_lease() -> None:
     with pytest.raises(RequestRejected):
-        Lease(2.0).require("")
+        Lease(2.0).require(Client("", ""))
+
+
+def test_duplicated_tab_neither_commands_nor_keeps_the_lease_alive() -> None:
+    lease = held_by_ann()
+    duplicate = Client(ANN.key, "ann")
+    with pytest.raises(RequestRejected, match="ann has the command at another page: watch, or take it over"):
+        lease.acquire(duplicate, 10.1)
+    with pytest.raises(RequestRejected, match="ann has the command"):
+        lease.require(duplicate)
+    lease.close(ANN)
+    lease.renew(duplicate, 11.9)
+    with pytest.raises(RequestRejected):
+        lease.require(duplicate)
+    assert lease.expire(12.1) == "ann"
+
+
+def test_lease_of_a_closed_page_goes_to_the_next_one_with_its_key_and_no_other() -> None:
+    lease = held_by_ann()
+    reloaded = Client(ANN.key, "ann")
+    lease.reclaim(reloaded, 10.1)
+    assert not lease.held_by(reloaded)
+    lease.close(BOB)
+    lease.close(ANN)
+    lease.reclaim(BOB, 10.2)
+    assert not lease.held_by(BOB)
+    with pytest.raises(RequestRejected):
+        lease.acquire(BOB, 10.3)
+    lease.reclaim(reloaded, 11.5)
+    lease.require(reloaded)
+    with pytest.raises(RequestRejected):
+        lease.require(ANN)
+    assert lease.expire(13.4) == ""

@@ -23,11 +23,11 @@ from hil.core.operator_commands import OperatorCommand
 def service() -> ConsoleService:
     choice = Choice(scenario="scheme-1", rig="mock")
     service = ConsoleService(choice, ["scheme-1", "scheme-2"], ["mock", "emulated"], lambda: 100.0)
-    service.lease.acquire(ANN.key, ANN.name, 100.0)
+    service.lease.acquire(ANN, 100.0)
     return service
 
 
-ANN = Client("a" * 16, "ann")
+ANN = Client("a" * 16, "ann", "a" * 16)
 
 
 def ask(service: ConsoleService, **command: Any) -> str:
@@ -94,7 +94,7 @@ def test_region_of_search_is_checked_sent_and_shown_to_all_pages(service: Consol
         assert "\n" not in ask(service, do="search", region=wrong)
     assert session.asked == []
     assert ask(service, do="search", region=[10, 20, 300, 200]) == "ok"
-    assert session.asked == [{"search": [10, 20, 300, 200], "by": "ann"}]
+    assert session.asked == [{"search": [10, 20, 300, 200], **ANN.actor}]
     assert service.state.page()["search"] == [10, 20, 300, 200]
     assert service.log_lines[-1]["text"] == "ann: the docking monitor searches 10,20,300,200 px"
     assert ask(service, do="search") == "ok"
@@ -182,8 +182,8 @@ def test_second_person_confirms_at_another_page_in_time(
     rig.write_text('extends = "mock"\n[console]\nsecond_person = ["open"]\n')
     service.rigs = (*service.rigs, str(rig))
     opened: list[Choice] = []
-    monkeypatch.setattr(service, "start_session", opened.append)
-    bob, other_ann = Client("b" * 16, "bob"), Client("c" * 16, "ann")
+    monkeypatch.setattr(service, "start_session", lambda choice, _: opened.append(choice))
+    bob, anns_tablet = Client("b" * 16, "bob", "b" * 16, "confirm"), Client(ANN.key, "Ann", ANN.key_id)
 
     def second(client: Client) -> dict[str, Any]:
         return asyncio.run(service.execute(client, {"do": "second", "order": "open"}))
@@ -192,7 +192,9 @@ def test_second_person_confirms_at_another_page_in_time(
     assert ask(service, do="open", rig=str(rig)).startswith("Open: the devices open")
     assert "waits 30 s for the confirmation" in ask(service, do="open", rig=str(rig), confirmed=True)
     assert service.update_for(bob)[0]["second_person"] == {"order": "open", "by": "ann"}
-    for same in (ANN, other_ann):
+    watcher = Client("e" * 16, "eve", "e" * 16, "watch")
+    assert second(watcher)["text"] == "eve may watch, not confirm: see the file of --operators"
+    for same in (ANN, anns_tablet):
         assert second(same)["text"] == "open: ann commanded it, another person has to confirm it"
     assert not opened
     assert second(bob)["ok"]
@@ -200,7 +202,7 @@ def test_second_person_confirms_at_another_page_in_time(
     assert "no such command waits" in second(bob)["text"]
     ask(service, do="open", rig=str(rig), confirmed=True)
     service.wall_s = lambda: 131.0
-    service.lease.acquire(ANN.key, ANN.name, 131.0)
+    service.lease.acquire(ANN, 131.0)
     assert "no such command waits" in second(bob)["text"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import math
 import socket
 import threading
 import time
@@ -114,7 +115,7 @@ def desk() -> Iterator[Desk]:
 def client(desk: Desk) -> Iterator[FoxgloveClient]:
     with FoxgloveClient(desk.clients.address) as connected:
         yield connected
-    desk.service.lease.release(desk.service.lease.key)
+    desk.service.lease.expire(math.inf)
 
 
 @pytest.fixture
@@ -139,7 +140,7 @@ def test_stop_reaches_the_console_without_the_command_and_the_rest_does_not(desk
 
 
 def test_command_is_held_while_the_client_watches_and_expires_when_it_is_gone(desk: Desk) -> None:
-    desk.service.lease.release(desk.service.lease.key)  # of an attempt on a computer that paused
+    desk.service.lease.expire(math.inf)  # of an attempt on a computer that paused
     watcher = FoxgloveClient(desk.clients.address, topics=frozenset())
     assert watcher.call("/hil/take", name="eve", code=CODE)["text"] == "subscribe to a topic first: an operator watches"
     watcher.close()
@@ -153,7 +154,7 @@ def test_command_is_held_while_the_client_watches_and_expires_when_it_is_gone(de
     client.close()
     time.sleep(0.6)
     assert desk.service.lease.silent_s(time.monotonic()) > 0.3
-    desk.service.lease.release(desk.service.lease.key)
+    desk.service.lease.expire(math.inf)
 
 
 def test_every_topic_of_a_recording_is_live_with_its_schema_and_all_its_messages(
@@ -167,7 +168,7 @@ def test_every_topic_of_a_recording_is_live_with_its_schema_and_all_its_messages
     rows = np.frombuffer(bytearray(rng.standard_normal(60 * CYCLE.itemsize // 8).tobytes()), CYCLE)
     rows["t_s"] = 0.001 * np.arange(60)
     entry = np.zeros(1, LOG_ENTRY)
-    entry[0] = (0.0, 0.0, 3, b"event", b"gnc", b"ready")
+    entry[["t_s", "bench_s", "cycle", "kind", "source", "text"]] = (0.0, 0.0, 3, b"event", b"gnc", b"ready")
     for row in rows:
         session.rings["telemetry"].put(row.reshape(1))
     session.rings["log"].put(entry)

@@ -155,6 +155,7 @@ def test_command_ends_with_the_verdict_of_the_page(
     summary = {"scenario": "scheme-1", "rig": "emulated", "seed": 1, "ready_phase": {"position_m": [ready_m, 0, 0]}}
     run = SimpleNamespace(rig=SimpleNamespace(kind="emulated"), scenario=scenario, summary=summary)
     monkeypatch.setattr("hil.api.recordings.open_recording", lambda _: run)
+    monkeypatch.setattr("hil.cli.recordings._audit", lambda path, _: {"recording": str(path), "problems": []})
     assert verify_recordings(["a.mcap"], campaign=str(tmp_path)) == code
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith(f"{word} requirements of scheme-1: mock: 1 verified; emulated: 1 ")

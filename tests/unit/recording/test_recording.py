@@ -294,7 +294,9 @@ def test_notes_and_pictures_open_with_the_names_that_foxglove_knows(tmp_path: Pa
     path = tmp_path / "run.mcap"
     file = run_file(path)
     note = np.zeros(1, LOG_ENTRY)
-    note[0] = (np.nan, 3.5, -1, b"alarm", b"rails.x", "zu heiß".encode())
+    note[["t_s", "bench_s", "cycle", "kind", "source", "text"]] = (
+        np.nan, 3.5, -1, b"alarm", b"rails.x", "zu heiß".encode(),
+    )  # fmt: skip
     file.write_log(note)
     file.write_images(image_row("left", 2.5, b"\xff\xd8jpeg\x00\xff\xd9"))
     file.finish({})

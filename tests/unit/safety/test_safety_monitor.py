@@ -226,3 +226,10 @@ def test_first_reason_for_a_hold_is_kept_until_the_devices_are_opened_anew(scene
     assert scene.safety.hold_reason == "three late cycles"
     scene.safety.restart()
     assert not scene.safety.hold_reason
+
+
+def test_neither_power_nor_motion_is_permitted_without_the_local_enabling_input(scene: Scene) -> None:
+    scene.safety.locally_enabled = False
+    for alarm in (scene.safety.interlock_power(10.0), scene.refusal()):
+        assert alarm is not None
+        assert alarm.text == "io: local enabling input off, allowed on"

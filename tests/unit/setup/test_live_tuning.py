@@ -19,6 +19,7 @@ from hil.core.operator_commands import Operator
 from hil.errors import BadInput
 from hil.loop.runner import Runner
 from hil.params import gnc as gnc_params
+from hil.recording.audit import Actor
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
@@ -51,7 +52,7 @@ class Changes(Operator):
         gnc = self.runner.loop.gnc
         if (text := self._changes.pop(gnc.cycle, None)) is not None:
             self._scenario = with_setting(self._scenario, text, "test").value
-            self.event_recorder.setting(gnc.adjust(gnc_params.gnc(self._scenario)), "ann", text)
+            self.event_recorder.setting(gnc.adjust(gnc_params.gnc(self._scenario)), Actor("ann"), text)
 
 
 def fly(folder: Path, job: build.Job, changes: dict[int, str]) -> Recorded:
