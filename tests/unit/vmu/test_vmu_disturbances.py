@@ -25,6 +25,7 @@ from tests.support.vmu_disturbances import (
     real_bench,
     somewhere,
 )
+from tests.support.vmu_lookalikes import LOOKALIKE_ROWS
 from tests.support.vmu_pixels import PixelOptics
 
 BY_NAME = {row.name: row for row in ROWS}
@@ -173,7 +174,7 @@ def calibration_of(covariance: np.ndarray) -> dict[str, object]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [*ROWS, *LOOKALIKE_ROWS], ids=lambda row: row.name)
 def test_every_row_is_as_expected(row: Row) -> None:
     """The table of ``python sims/disturbances.py vmu``."""
     verdict = judge(row.expected, [row.run(40, seed).result() for seed in range(3)])
