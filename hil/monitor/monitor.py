@@ -22,7 +22,17 @@ from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
 from hil.monitor.paper.motion import PaperMotionFit
 from hil.monitor.preprocess import Region
-from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, QUANTITIES, FrameResult, Result
+from hil.monitor.results import (
+    AMBIGUOUS,
+    ANY_ROLL_QUANTITIES,
+    FAR,
+    FAR_QUANTITIES,
+    NEAR,
+    NO_TARGET,
+    QUANTITIES,
+    FrameResult,
+    Result,
+)
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame, exposures_of
 
@@ -131,6 +141,8 @@ class DockingMonitor:
         late = np.zeros(12)
         late[0::2] = self.scene.camera.tolerances.time_s * fit.motion.w[1::2]
         covariance = fit.motion.covariance + np.outer(late, late)
+        if 2 * sum(result.roll_open for result in used) > len(used):
+            status = AMBIGUOUS
         portion = _result(frames, fit, status, covariance)
         if self.warning:
             portion = replace(portion, timing=", ".join(text for text in (portion.timing, TWO_FIELDS) if text))
@@ -177,11 +189,12 @@ def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -
 
 def _result(frames: list[FrameResult], fit: MotionSolution, status: str, covariance: NDArray[np.float64]) -> Result:
     values, sigmas = derive(fit.motion.w, covariance)
-    if status == FAR:
+    observed = {FAR: FAR_QUANTITIES, AMBIGUOUS: ANY_ROLL_QUANTITIES}.get(status)
+    if observed is not None:
         # two uncertain angles rotate the image by half their product, an effect of second order
         roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
         sigmas[roll] = np.hypot(sigmas[roll], sigmas[one] * sigmas[two])
-        hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
+        hidden = [name not in observed for name in QUANTITIES]
         values[hidden] = np.nan
         sigmas[hidden] = np.nan
     return Result(

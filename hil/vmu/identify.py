@@ -245,7 +245,7 @@ class Identifier:
             counts[c] = view.counts[c]
             fits, _ = self._solver.hypotheses(view._replace(counts=counts))
             fits = fits[[bool((fit["spot"] >= 0).sum() >= _OWN and self._possible(fit)) for fit in fits]]
-            if both is not None:  # a pattern of other lights says nothing about this one
+            if both is not None:  # a pattern of other lights does not count
                 fits = fits[[shares_spots(fit, both) for fit in fits]]
             if not len(fits):
                 return OK

@@ -76,7 +76,8 @@ class MonitorTally:
 class MonitorRow:
     """One row. draw: the real camera of a portion. stated: tolerances of the scene file. lost: frames left out.
 
-    plate_m: place of the plate along y3 in the scene file.
+    plate_m: place of the plate along y3 in the scene file. roll_deg: of the real ship, beyond its usual few degrees.
+    roll_max_deg: in the scene file; None: as shipped. boxes: whether the ship has its boxes, in the scene file too.
     """
 
     name: str
@@ -85,6 +86,9 @@ class MonitorRow:
     lost: int = 0
     said_fields: str = "whole"
     plate_m: float = 0.0
+    roll_deg: float = 0.0
+    roll_max_deg: float | None = None
+    boxes: bool = True
     expected: Expectation = USUAL_ROW
 
     def scene(self) -> Scene:
@@ -92,8 +96,12 @@ class MonitorRow:
         scene = load_scene("atv").value
         camera = scene.camera.model_copy(update={"tolerances": self.stated or CameraTolerances()})
         plate = scene.target.plate.model_copy(update={"offset_m": self.plate_m})  # type: ignore[union-attr]
-        target = scene.target.model_copy(update={"plate": plate})
-        return scene.model_copy(update={"camera": camera, "fields": self.said_fields, "target": target})
+        parts = {"plate": plate} | ({} if self.boxes else {"boxes": ()})
+        target = scene.target.model_copy(update=parts)
+        changed = {"camera": camera, "fields": self.said_fields, "target": target}
+        if self.roll_max_deg is not None:
+            changed["roll_max_deg"] = self.roll_max_deg
+        return scene.model_copy(update=changed)
 
     def run(self, portions: int, seed: int) -> MonitorTally:
         """Return the tally of ``portions`` portions, each of a new monitor."""
@@ -106,6 +114,8 @@ class MonitorRow:
         """Measure one portion by a new monitor."""
         scene, rng = self.scene(), np.random.default_rng([seed, number])
         camera, w = self.draw(rng), _motion(rng)
+        if self.roll_deg:
+            _turn_ship(w, np.radians(self.roll_deg))
         target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
         left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
         shown, found = 0, []
@@ -128,6 +138,15 @@ class MonitorRow:
         found += monitor.finish()
         end_s = last_s if self.said_fields == "whole" else found[0].t_s
         tally.add(found[0], _truth(w, end_s), cost_s)
+
+
+def _turn_ship(w: Array, roll: float) -> None:
+    """Turn the ship in ``w`` (12,) about its axis y3, without a rotation of its own."""
+    turn = Rotation.from_rotvec([0.0, 0.0, -roll]).as_matrix()
+    w[0:6:2], w[1:6:2] = turn @ w[0:6:2], turn @ w[1:6:2]
+    flip = np.diag([1.0, -1.0, -1.0])
+    rotation = flip @ turn @ flip @ Rotation.from_rotvec(w[6::2]).as_matrix()
+    w[6::2], w[7::2] = Rotation.from_matrix(rotation).as_rotvec(), 0.0
 
 
 def _motion(rng: np.random.Generator) -> Array:
@@ -186,6 +205,7 @@ def _film(rng: np.random.Generator) -> TvCamera:
 _TONE = CameraTolerances(tone_px=0.2)
 _FILM = CameraTolerances(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
 _SAME = Expectation(drawn=False)
+_NO_PART, _NO_ROLL = Expectation(refused=("rejected_boxes",)), Expectation(drawn=False)
 
 MONITOR_ROWS = (
     MonitorRow("clean", _always()),
@@ -208,5 +228,14 @@ MONITOR_ROWS = (
     MonitorRow("low noise, edges off by 0.02 px", _always(noise_levels=0.5, coarse=True), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc", _always(plate_behind_m=0.001), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc, stated", _always(), plate_m=-0.001),
+    MonitorRow("ship rolled by 60 deg", _always(), roll_deg=60.0, roll_max_deg=180.0, expected=_NO_PART),
+    MonitorRow("ship rolled by 90 deg", _always(), roll_deg=90.0, roll_max_deg=180.0, expected=_NO_PART),
+    MonitorRow("ship rolled by 180 deg", _always(), roll_deg=180.0, roll_max_deg=180.0, expected=_NO_ROLL),
+    MonitorRow("ship without boxes, any roll", _always(), roll_max_deg=180.0, boxes=False, expected=_NO_ROLL),
+    MonitorRow(
+        "ship without boxes, rolled by 90 deg", _always(), roll_deg=90.0, roll_max_deg=180.0, boxes=False,
+        expected=_NO_ROLL,
+    ),
+    MonitorRow("ship without boxes, roll stated", _always(), boxes=False),
     MonitorRow("television film", _film, _FILM, said_fields="upper_first"),
-)
+)  # fmt: skip
