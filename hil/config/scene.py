@@ -357,8 +357,8 @@ class Scene(ConfigModel):
     fields: Literal["whole", "upper_first", "lower_first"] = "whole"
     """Whole frames, or half frames: which field is exposed first, the other half a period later."""
     roll_max_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
-    """Largest roll of the ship in the image, either way. The cross looks the same when rolled by 90 deg: of the rolls up to
-    this one, those that no other part excludes leave a portion ``ambiguous``."""
+    """Largest roll of the ship in the image, either way. The cross looks the same when rolled by 90 deg: a roll up to
+    this one that no other part excludes makes a portion ``ambiguous``."""
     target: Target
     """The target; disc and cross (near), the outline (far), or all three."""
     backup: Target | None = None

@@ -42,7 +42,7 @@ class TargetFeatures:
     lens: (5,): f, cx, cy, width, height, px. circles, lines: measured edges. borders: (n,) LINE, all straight
     borders: measurements keep a distance from other borders. feature_count: number of feature numbers. cross: (3,):
     offset, arm length, arm width, m; zeros without a cross. partner_m: (3, circles + lines), distance of each measured
-    edge, m, from the nearest equal one of the target turned by 90, 180 and 270 deg: 0 if the turn does not show in it.
+    edge, m, from the nearest equal one of the target rolled by 90, 180 and 270 deg: 0 if that does not show in it.
     """
 
     lens: Floats

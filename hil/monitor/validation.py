@@ -75,7 +75,7 @@ def excluded_turns(
     """Return whether the ship is not rolled by 90, 180 and 270 deg more (3,), where its cross would look the same.
 
     A turn is excluded by edges, or by a label, that it would leave somewhere else. labels: contrasts, grey values, nan
-    where there is none.
+    for other circles.
     """
     n = len(features.circles)
     cluster = verdict.samples["cluster"]

@@ -78,6 +78,7 @@ class MonitorRow:
 
     plate_m: place of the plate along y3 in the scene file. roll_deg: of the real ship, beyond its usual few degrees.
     roll_max_deg: in the scene file; None: as shipped. boxes: whether the ship has its boxes, in the scene file too.
+    frozen: number of images that are the one before, unsynced: that begin at another line.
     """
 
     name: str
@@ -89,6 +90,8 @@ class MonitorRow:
     roll_deg: float = 0.0
     roll_max_deg: float | None = None
     boxes: bool = True
+    frozen: int = 0
+    unsynced: int = 0
     expected: Expectation = USUAL_ROW
 
     def scene(self) -> Scene:
@@ -117,7 +120,12 @@ class MonitorRow:
         if self.roll_deg:
             _turn_ship(w, np.radians(self.roll_deg))
         target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
-        left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
+        left_out = (
+            set(rng.choice(np.arange(2, FRAMES + self.lost - 2), self.lost, replace=False)) if self.lost else set()
+        )
+        still = int(rng.integers(1, FRAMES - self.frozen + 1)) if self.frozen else FRAMES
+        rolled = set(rng.choice(FRAMES, self.unsynced, replace=False).tolist()) if self.unsynced else set()
+        held: Array | None = None
         shown, found = 0, []
         last_s, cost_s = 0.0, 0.0
         for k in range(FRAMES + self.lost):
@@ -125,6 +133,11 @@ class MonitorRow:
                 continue
             t_s = k / scene.fps
             image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
+            if held is not None and still <= k < still + self.frozen:
+                image = held
+            elif k in rolled:
+                image = np.roll(image, int(rng.integers(image.shape[0])), axis=0)
+            held = image
             start = time.process_time()
             found += (
                 monitor.feed(image)
