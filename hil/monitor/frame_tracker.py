@@ -22,7 +22,7 @@ from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
 from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import LOWER, UPPER, VideoFrame, lines_of
+from hil.monitor.sources import LOWER, UPPER, Image, VideoFrame, lines_of
 
 Floats = NDArray[np.float64]
 
@@ -55,6 +55,7 @@ class FrameTracker:
         self._far[[ACROSS, UPRIGHT, LABEL]] = 0
         self._whole = Region(0, 0, scene.camera.width, scene.camera.height)
         self._search: Region | None = None
+        self._shown: list[Image | None] = [None, None, None]  # the last image of each field
         self._roll_max = math.radians(scene.roll_max_deg)
         self._excluded = np.zeros(len(_TURNS), bool)  # turns that the parts seen so far exclude
 
@@ -79,6 +80,9 @@ class FrameTracker:
         patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
         if int(patch.max()) - int(patch.min()) < LEAST_CONTRAST:
             return self._no_result(frame, NO_TARGET, "black")
+        before, self._shown[frame.field] = self._shown[frame.field], image
+        if before is not None and np.array_equal(before[::16], image[::16]) and np.array_equal(before, image):
+            return self._no_result(frame, "rejected_frozen", "equal to the image before")
         followed = self._follow(frame)
         if followed is not None and followed.used:
             return followed

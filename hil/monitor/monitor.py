@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
+from hil.monitor.displacement import DISPLACED, displaced
 from hil.monitor.field_check import FieldCheck
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
@@ -37,6 +38,7 @@ from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame, exposures_of
 
 REJECTED_FIELDS: Final = "rejected_fields"
+REJECTED_DISPLACED: Final = "rejected_displaced"
 TWO_FIELDS: Final = "two fields"
 _EACH_CHECKED: Final = 2  # of the frames of a portion
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
@@ -115,6 +117,7 @@ class DockingMonitor:
     def _close(self) -> Result:
         frames, self._frames = self._frames, []
         t_s = frames[-1].detection.t_s
+        frames = self._without_displaced(frames)
         near = [result for result in frames if result.status == NEAR]
         far = [result for result in frames if result.status == FAR]
         both = [result for result in frames if result.used]
@@ -148,6 +151,12 @@ class DockingMonitor:
             portion = replace(portion, timing=", ".join(text for text in (portion.timing, TWO_FIELDS) if text))
         return portion
 
+    def _without_displaced(self, frames: list[FrameResult]) -> list[FrameResult]:
+        """Return ``frames`` with those as not used whose image is displaced."""
+        used = [result for result in frames if result.used]
+        wrong = {id(result) for result, off in zip(used, displaced(used, self.scene.camera.f), strict=True) if off}
+        return [_unsuited(one, DISPLACED, REJECTED_DISPLACED) if id(one) in wrong else one for one in frames]
+
     @property
     def _fields_are_stated(self) -> bool:
         """Whether the scene's tolerance of time has what the fields do: half of their distance in time."""
@@ -170,11 +179,11 @@ def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:
     return tuple(Counter(result.reason for result in frames if not result.used).most_common())
 
 
-def _unsuited(result: FrameResult, why: str) -> FrameResult:
+def _unsuited(result: FrameResult, why: str, status: str = REJECTED_FIELDS) -> FrameResult:
     """Return a frame that was measured under a wrong assumption as not used."""
     if not result.used:
         return result
-    detection = replace(result.detection, status=REJECTED_FIELDS)
+    detection = replace(result.detection, status=status)
     return replace(result, detection=detection, reason=why, pose=np.full_like(result.pose, np.nan))
 
 

@@ -74,7 +74,7 @@ def excluded_turns(
 ) -> NDArray[np.bool_]:
     """Return whether the ship is not rolled by 90, 180 and 270 deg more (3,), where its cross would look the same.
 
-    A turn is excluded by edges, or by a label, that it would leave somewhere else. labels: contrasts, grey values, nan
+    A roll is excluded by edges, or by a label, that would be elsewhere. labels: contrasts, grey values, nan
     for other circles.
     """
     n = len(features.circles)
