@@ -9,7 +9,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.support.disturbance_verdicts import Expectation
-from tests.support.vmu_disturbances import VERY_GOOD, Frame, Frames, Pose, Row, approach, real_bench, somewhere
+from tests.support.vmu_disturbances import (
+    USUAL,
+    VERY_GOOD,
+    Frame,
+    Frames,
+    Pose,
+    Row,
+    approach,
+    real_bench,
+    somewhere,
+)
 from tests.support.vmu_pixels import Array, PixelOptics, PixelScene
 
 ALL_LIT = (0, 1, 2, 3, 4, 5)
@@ -73,6 +83,22 @@ def second_ring(behind_m: float) -> Frames:
     return frames
 
 
+def other_scale(focal: float = 0.0, ring: float = 0.0) -> Frames:
+    """Return frames whose focal lengths, or whose ring, are larger than in the geometry file, relative."""
+    errors = replace(USUAL, focal_scale=0.0, led_scale=0.0)
+
+    def frames(rng: np.random.Generator, count: int) -> Iterable[Frame]:
+        for _ in range(count):
+            scene, truth = real_bench(errors, rng, PixelOptics()), somewhere(rng)
+            left, right = (
+                replace(camera, fx=(1.0 + focal) * camera.fx, fy=(1.0 + focal) * camera.fy)
+                for camera in (scene.left, scene.right)
+            )
+            yield replace(scene, left=left, right=right, leds_m=(1.0 + ring) * scene.leds_m), truth
+
+    return frames
+
+
 _EITHER = Expectation(refused=("ambiguous",))
 
 LOOKALIKE_ROWS = (
@@ -84,4 +110,6 @@ LOOKALIKE_ROWS = (
     ),
     Row("second ring 1.5 m behind", VERY_GOOD, second_ring(1.5), expected=_EITHER),
     Row("second ring beside", VERY_GOOD, second_ring(0.0), expected=_EITHER),
+    Row("focal lengths 0.5 % longer, not stated", None, other_scale(focal=0.005), expected=Expectation(drawn=False)),
+    Row("ring 0.5 % larger, not stated", None, other_scale(ring=0.005), expected=Expectation(drawn=False)),
 )  # fmt: skip

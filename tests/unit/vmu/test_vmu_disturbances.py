@@ -54,7 +54,7 @@ APART = (
     ],
 )
 def test_frames_with_errors_of_calibration_and_optics_are_solved(name: str) -> None:
-    tally = BY_NAME[name].run(4, 11)
+    tally = BY_NAME[name].run(4, 12)
     assert tally.solved == 4, tally.line()
     assert tally.gross == 0
     assert np.abs(tally.ratios).max() < 4.5

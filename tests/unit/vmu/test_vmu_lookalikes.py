@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.vmu.unit import VisionUnit
-from tests.support.vmu_disturbances import VERY_GOOD, known_geometry, real_bench, somewhere
-from tests.support.vmu_lookalikes import LOOKALIKE_ROWS
+from tests.support.vmu_disturbances import USUAL, VERY_GOOD, Row, known_geometry, real_bench, somewhere
+from tests.support.vmu_lookalikes import LOOKALIKE_ROWS, other_scale
 from tests.support.vmu_pixels import Image, PixelOptics
 
 BY_NAME = {row.name: row for row in LOOKALIKE_ROWS}
@@ -34,6 +34,15 @@ def test_track_is_kept_while_its_own_leds_are_where_they_are_expected() -> None:
     tally = BY_NAME["reflection of 80 %, tracked"].run(4, 5)
     assert tally.solved == 4, tally.line()
     assert np.abs(tally.ratios).max() < 4.5
+
+
+@pytest.mark.parametrize("scale", [{"focal": 0.005}, {"focal": -0.005}, {"ring": 0.01}, {"ring": -0.01}])
+def test_common_scale_that_is_not_stated_is_within_the_default_tolerances(scale: dict[str, float]) -> None:
+    tally = Row("", None, other_scale(**scale)).run(6, 1)
+    assert tally.solved >= 5, tally.line()
+    assert np.abs(tally.ratios).max() < 5.0, tally.line()
+    exact = Row("", replace(USUAL, focal_scale=0.0, led_scale=0.0), other_scale(**scale)).run(6, 1)
+    assert np.abs(exact.ratios).max() > 1.5 * np.abs(tally.ratios).max()  # the tolerances are what covers it
 
 
 def with_clusters(image: Image, count: int, rng: np.random.Generator) -> Image:
