@@ -21,6 +21,7 @@ from tests.support.tv_pixels import TvCamera, TvTarget
 
 Array = npt.NDArray[np.float64]
 FRAMES = 10
+EXACT = CameraTolerances(focal_fraction=0.0, aspect_fraction=0.0, principal_point_px=0.0, distortion_px=0.0)
 GROSS_DEG, GROSS_SHARE, GROSS_SIGMAS = 3.0, 0.01, 4.0
 
 
@@ -97,7 +98,7 @@ class MonitorRow:
     def scene(self) -> Scene:
         """Return the scene file of the lab."""
         scene = load_scene("atv").value
-        camera = scene.camera.model_copy(update={"tolerances": self.stated or CameraTolerances()})
+        camera = scene.camera.model_copy(update={"tolerances": self.stated or EXACT})
         plate = scene.target.plate.model_copy(update={"offset_m": self.plate_m})  # type: ignore[union-attr]
         parts = {"plate": plate} | ({} if self.boxes else {"boxes": ()})
         target = scene.target.model_copy(update=parts)
@@ -191,6 +192,11 @@ def _truth(w: Array, t_s: float) -> Array:
     return np.array([*d, *phi, away, d @ rate / away, *angles, np.arctan2(x[0], x[2]), np.arctan2(x[1], x[2])])
 
 
+def _stated(**tolerances: float) -> CameraTolerances:
+    """Return the given tolerances and no others."""
+    return EXACT.model_copy(update=tolerances)
+
+
 def _always(**errors: float | str) -> Callable[[np.random.Generator], TvCamera]:
     return lambda _: TvCamera(**errors)  # type: ignore[arg-type]
 
@@ -215,8 +221,8 @@ def _film(rng: np.random.Generator) -> TvCamera:
     )
 
 
-_TONE = CameraTolerances(tone_px=0.2)
-_FILM = CameraTolerances(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
+_TONE = _stated(tone_px=0.2)
+_FILM = _stated(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
 _SAME = Expectation(drawn=False)
 _NO_PART, _NO_ROLL = Expectation(refused=("rejected_boxes",)), Expectation(drawn=False)
 
@@ -227,16 +233,16 @@ MONITOR_ROWS = (
     MonitorRow("gamma 0.6", _always(gamma=0.6), _TONE, expected=_SAME),
     MonitorRow("gamma 1.6", _always(gamma=1.6), _TONE, expected=_SAME),
     MonitorRow("S-curve", _always(s_curve=0.8), _TONE, expected=_SAME),
-    MonitorRow("distortion, 2 px at the corner", _normal(distortion=0.0219), CameraTolerances(distortion_px=2.0)),
-    MonitorRow("focal length 1 %", _normal(f_share=0.01), CameraTolerances(focal_fraction=0.01)),
-    MonitorRow("focal length 3 %", _normal(f_share=0.03), CameraTolerances(focal_fraction=0.03)),
-    MonitorRow("aspect 1 %", _normal(aspect=0.01), CameraTolerances(aspect_fraction=0.01)),
-    MonitorRow("aspect 3 %", _normal(aspect=0.03), CameraTolerances(aspect_fraction=0.03)),
+    MonitorRow("distortion, 2 px at the corner", _normal(distortion=0.0219), _stated(distortion_px=2.0)),
+    MonitorRow("focal length 1 %", _normal(f_share=0.01), _stated(focal_fraction=0.01)),
+    MonitorRow("focal length 3 %", _normal(f_share=0.03), _stated(focal_fraction=0.03)),
+    MonitorRow("aspect 1 %", _normal(aspect=0.01), _stated(aspect_fraction=0.01)),
+    MonitorRow("aspect 3 %", _normal(aspect=0.03), _stated(aspect_fraction=0.03)),
     MonitorRow("lost frames", _always(), lost=2),
     MonitorRow("30 % of the frames lost", _always(), lost=4),
     MonitorRow("video frozen for 5 of 10 frames", _always(), frozen=5),
     MonitorRow("vertical sync lost in 3 of 10 frames", _always(), unsynced=3),
-    MonitorRow("half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02), expected=_SAME),
+    MonitorRow("half a field of time", _always(fields="upper_first"), _stated(time_s=0.02), expected=_SAME),
     MonitorRow("wrong field order", _always(fields="lower_first"), said_fields="upper_first"),
     MonitorRow("vibration of 0.5 px", _always(jitter_px=0.5)),
     MonitorRow("shadow next to an arm", _always(shadow=0.4)),
@@ -244,6 +250,8 @@ MONITOR_ROWS = (
     MonitorRow("low noise, edges off by 0.02 px", _always(noise_levels=0.5, coarse=True), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc", _always(plate_behind_m=0.001), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc, stated", _always(), plate_m=-0.001),
+    MonitorRow("focal length 0.5 %, not stated", _always(f_share=0.005), CameraTolerances(), expected=_SAME),
+    MonitorRow("1 px at the corner, not stated", _always(distortion=0.011), CameraTolerances(), expected=_SAME),
     MonitorRow("ship rolled by 60 deg", _always(), roll_deg=60.0, roll_max_deg=180.0, expected=_NO_PART),
     MonitorRow("ship rolled by 90 deg", _always(), roll_deg=90.0, roll_max_deg=180.0, expected=_NO_PART),
     MonitorRow("ship rolled by 180 deg", _always(), roll_deg=180.0, roll_max_deg=180.0, expected=_NO_ROLL),
