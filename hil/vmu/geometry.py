@@ -65,8 +65,8 @@ def considered_covariance(geometry: VmuGeometry) -> Array:
     focal[[0, 1, 9, 10]] = geometry.left.fx, geometry.left.fy, geometry.right.fx, geometry.right.fy
     found += stated.focal_scale**2 * np.outer(focal, focal)
     leds = led_positions(geometry)
-    size = np.concatenate([np.zeros(SHARED), (leds - leds.mean(axis=0)).ravel()])
-    found += stated.led_scale**2 * np.outer(size, size)
+    ring = np.concatenate([np.zeros(SHARED), (leds - leds.mean(axis=0)).ravel()])
+    found += stated.led_scale**2 * np.outer(ring, ring)
     if geometry.calibration is not None:
         rows = geometry.calibration.covariance
         covered = np.zeros((len(rows), len(rows)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
-from hil.vmu.kernels.records import View
+from hil.vmu.kernels.records import FIT, View
 from hil.vmu.pose import (
     OPTICS_PX,
     Prediction,
@@ -132,8 +132,8 @@ class Identifier:
                 return LedIdentification(apart, candidates=alone.candidates)
             if not all_kept and int(alone.fit["points"]) < 2 * len(self._solver.scene.leds) - 1:
                 alone = LedIdentification(AMBIGUOUS, candidates=alone.candidates)  # another one may not have been tried
-            elif (second := self._second_pattern(view, alone.fit)) is not None:
-                alone = LedIdentification(AMBIGUOUS, candidates=[alone.fit, second])
+            elif len(second := self._second_pattern(view, alone.candidates[0])):
+                alone = LedIdentification(AMBIGUOUS, candidates=[*alone.candidates, *second])
         elif (apart := self._apart(view, fits, alone.candidates[0])) != OK:
             alone = LedIdentification(apart, candidates=alone.candidates)
         if prediction is None or (alone.fit is not None and not mature):
@@ -151,22 +151,23 @@ class Identifier:
             return tracked
         return LedIdentification(AMBIGUOUS, candidates=[alone.fit], jump=True)
 
-    def _second_pattern(self, view: View, best: np.void) -> np.void | None:
-        """Return another pose of at least four LEDs by the lights that ``best`` does not use; None without one.
+    def _second_pattern(self, view: View, best: np.void) -> np.ndarray:
+        """Return the poses of at least four LEDs by the lights that ``best`` does not use, (n,) of FIT.
 
         A reflection of the ring, or a second ring, is a pattern like the ring itself, and may be the more complete one.
         """
         rest = without_spots(view, best)
         if rest.counts.min() < _SECOND and rest.counts.max() < _OWN:
-            return None
+            return np.zeros(0, FIT)
         fits, _ = self._solver.hypotheses(rest, level=_SECOND)
-        for fit in fits[np.argsort(fits["score"])[::-1]]:
-            leds = int((fit["spot"] >= 0).any(axis=0).sum())
-            if leds < _SECOND or not self._possible(fit):
-                continue
-            if self._log_false_alarms(rest, fit, None) <= math.log(self._settings.false_alarms):
-                return fit
-        return None
+        leds = (fits["spot"] >= 0).any(axis=1).sum(axis=1)
+        most = math.log(self._settings.false_alarms)
+        return fits[
+            [
+                bool(n >= _SECOND and self._possible(fit) and self._log_false_alarms(rest, fit, None) <= most)
+                for fit, n in zip(fits, leds, strict=True)
+            ]
+        ]
 
     def _with_predicted(self, view: View, fits: np.ndarray, prediction: Prediction) -> np.ndarray:
         """Return ``fits`` and, if none of them continues the track, the poses by the lights where it expects its LEDs.
