@@ -199,7 +199,8 @@ class FrameTracker:
         self._last = (frame.t_s, x.copy())
         if not tracked:
             self._excluded[:] = False
-        self._excluded |= validation.excluded_turns(model, verdict, labels, noise, float(x[2] / model.lens[0]))
+        if self._is_roll_open(x):
+            self._excluded |= validation.excluded_turns(model, verdict, labels, noise, float(x[2] / model.lens[0]))
         return self._measured(frame, x, mode, tracked, samples, noise)
 
     def _is_roll_open(self, x: Floats) -> bool:
