@@ -4,7 +4,7 @@ python benchmarks/vmu.py [images]
 
 One thread, processor time. tracked: in windows about the predicted LEDs. full frame: the whole images,
 without a predicted pose. OpenCV gets the identities of the blobs from the truth and starts at the true pose; left
-camera only, as in solvePnP. Freed memory stays with the process: else the buffers that OpenCV allocates anew for each
+camera only, as in solvePnP. Freed memory stays with the process: else the buffers that OpenCV allocates for each
 image cost seven times as much as its computation.
 """
 
