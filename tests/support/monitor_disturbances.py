@@ -224,7 +224,7 @@ def _film(rng: np.random.Generator) -> TvCamera:
 _TONE = _stated(tone_px=0.2)
 _FILM = _stated(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
 _SAME = Expectation(drawn=False)
-_NO_PART, _NO_ROLL = Expectation(refused=("rejected_boxes",)), Expectation(drawn=False)
+_NO_PART, _NO_ROLL = Expectation(refused=("rejected_boxes", "rejected_cross")), Expectation(drawn=False)
 
 MONITOR_ROWS = (
     MonitorRow("clean", _always()),

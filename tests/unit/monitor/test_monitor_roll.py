@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_scene
-from hil.config.scene import Labels, Scene, Target
+from hil.config.scene import Box, Labels, Scene, Target
 from hil.monitor.features import target_features
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import ANY_ROLL_QUANTITIES, QUANTITIES, Result
@@ -63,6 +63,26 @@ def test_labels_tell_rolls_apart() -> None:
     assert hidden.status == "ambiguous"
     assert np.isnan(hidden.values[UNSEEN]).all()
     assert abs(hidden.value("range_m") - np.linalg.norm([0.05, 0.03, 4.0])) < 5.0 * hidden.sigma("range_m")
+
+
+def test_roll_that_a_box_has_told_is_known_while_the_target_is_followed_without_it() -> None:
+    """From 3.4 m the only box is outside of the image."""
+    scene = load_scene("atv").value
+    box = Box(x_m=1.3, y_m=0.0, width_m=0.14, height_m=0.7)
+    target = scene.target.model_copy(update={"boxes": (box,), "outline": None})
+    scene = scene.model_copy(update={"roll_max_deg": 180.0, "target": target})
+    rng, real = np.random.default_rng(3), TvTarget(scene, TvCamera())
+    monitor, fresh, still_open = DockingMonitor(scene), DockingMonitor(scene), []
+    for number, d3 in enumerate((4.0, 3.9, 3.8, 3.7, 3.6, 3.5, 3.4)):
+        image = real.frame(lambda _, d3=d3: (np.array([0.05, 0.0, d3]), np.array([0.0, 0.0, 0.02])), 0.0, rng)
+        monitor.feed(VideoFrame(number, number / scene.fps, image))
+        assert monitor.last is not None
+        assert monitor.last.status == "near"
+        still_open.append(monitor.last.roll_open)
+    fresh.feed(VideoFrame(0, 0.0, image))
+    assert fresh.last is not None
+    assert fresh.last.status == "near"
+    assert (any(still_open), fresh.last.roll_open) == (False, True)
 
 
 def test_turn_shows_in_the_parts_that_it_moves() -> None:
