@@ -205,6 +205,8 @@ class FrameTracker:
 
     def _is_roll_open(self, x: Floats) -> bool:
         """Return whether another roll within that of the scene shows the same cross, and no part excludes it."""
+        if self._roll_max + abs(float(x[5])) < 0.5 * math.pi:
+            return False
         others = np.abs(np.remainder(x[5] + _TURNS + math.pi, 2.0 * math.pi) - math.pi)
         return bool(np.any((others <= self._roll_max) & ~self._excluded))
 
