@@ -39,15 +39,18 @@ class PixelNoise(ConfigModel):
 
 
 class CameraTolerances(ConfigModel):
-    """Errors of camera and optics, 1 sigma, that the sigmas of the results include; 0: exact."""
+    """Errors of camera and optics, 1 sigma, that the sigmas of the results include; 0: exact, as of rendered images.
 
-    focal_fraction: Tolerance = 0.0
+    By default those of a television camera whose focal length has been measured once, without a calibration.
+    """
+
+    focal_fraction: Tolerance = 2e-3
     """Focal length, relative."""
-    aspect_fraction: Tolerance = 0.0
+    aspect_fraction: Tolerance = 1e-3
     """Height of a pixel, relative to its width."""
-    principal_point_px: Tolerance = 0.0
+    principal_point_px: Tolerance = 0.5
     """Principal point, along u and v."""
-    distortion_px: Tolerance = 0.0
+    distortion_px: Tolerance = 0.5
     """Radial distortion at the image's corner."""
     tone_px: Tolerance = 0.0
     """Shift of an edge of half the grey range towards its darker side by the camera's tone curve; above 0 the curve is
@@ -356,6 +359,9 @@ class Scene(ConfigModel):
     """Images per second; determines all times."""
     fields: Literal["whole", "upper_first", "lower_first"] = "whole"
     """Whole frames, or half frames: which field is exposed first, the other half a period later."""
+    roll_max_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 180.0
+    """Largest roll of the ship in the image, either way. The cross looks the same when rolled by 90 deg: a roll up to
+    this one that no other part excludes makes a portion ``ambiguous``."""
     target: Target
     """The target; disc and cross (near), the outline (far), or all three."""
     backup: Target | None = None

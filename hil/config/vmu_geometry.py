@@ -52,6 +52,8 @@ class Tolerances(ConfigModel):
     """Principal point of each camera, along u and v."""
     focal_fraction: NotNegative = 1e-3
     """Focal length of each camera, relative."""
+    focal_scale: NotNegative = 1e-3
+    """Focal lengths of both cameras alike, relative: a chessboard of another pitch, focus, temperature."""
     distortion_px: NotNegative = 0.2
     """Lens distortion at the image's corner."""
     rotation_deg: NotNegative = 0.02
@@ -60,6 +62,8 @@ class Tolerances(ConfigModel):
     """Position of the right camera, along each axis."""
     led_m: NotNegative = 1e-4
     """Position of each LED, along each axis."""
+    led_scale: NotNegative = 3e-3
+    """Size of the ring, relative: all LEDs alike about their centre."""
     spot_px: NotNegative = 0.01
     """Least error of a spot beyond its noise; a larger one is estimated from the residuals."""
     sync_s: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0

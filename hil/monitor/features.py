@@ -41,7 +41,8 @@ class TargetFeatures:
 
     lens: (5,): f, cx, cy, width, height, px. circles, lines: measured edges. borders: (n,) LINE, all straight
     borders: measurements keep a distance from other borders. feature_count: number of feature numbers. cross: (3,):
-    offset, arm length, arm width, m; zeros without a cross.
+    offset, arm length, arm width, m; zeros without a cross. partner_m: (3, circles + lines), distance of each measured
+    edge, m, from the nearest equal one of the target rolled by 90, 180 and 270 deg: 0 if that does not show in it.
     """
 
     lens: Floats
@@ -51,6 +52,7 @@ class TargetFeatures:
     feature_count: int
     cross: Floats
     target: Target
+    partner_m: Floats
 
 
 def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
@@ -92,9 +94,22 @@ def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
         ]
     lens = np.array([camera.f, camera.cx, camera.cy, camera.width, camera.height], float)
     features = BOX + len(target.boxes)
-    return TargetFeatures(
-        lens, _table(circles, CIRCLE), _table(lines, LINE), _table(borders, LINE), features, cross, target
-    )  # fmt: skip
+    tables = _table(circles, CIRCLE), _table(lines, LINE), _table(borders, LINE)
+    return TargetFeatures(lens, *tables, features, cross, target, _partners(*tables[:2]))
+
+
+def _partners(circles: NDArray[np.void], lines: NDArray[np.void]) -> Floats:
+    """Return ``partner_m`` of TargetFeatures."""
+    ends = np.array([[row["a1"] + 1j * row["a2"], row["b1"] + 1j * row["b2"]] for row in lines]).reshape(-1, 2)
+    centres = np.array([[row["y1"] + 1j * row["y2"], row["radius"]] for row in circles], complex).reshape(-1, 2)
+    apart = [
+        [
+            abs(part[:, None, 0] - turn * part[None, :, 0]) + abs(part[:, None, 1] - other * part[None, :, 1])
+            for part, other in ((centres, 1.0), (ends, turn))
+        ]
+        for turn in (1j, -1.0, -1j)
+    ]
+    return np.array([np.concatenate([each.min(axis=1, initial=np.inf) for each in kinds]) for kinds in apart])
 
 
 def _rectangle(x: float, y: float, width: float, height: float, y3: float, feature: int) -> list[tuple[float, ...]]:

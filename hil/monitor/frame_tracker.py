@@ -22,7 +22,7 @@ from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
 from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import LOWER, UPPER, VideoFrame, lines_of
+from hil.monitor.sources import LOWER, UPPER, Image, VideoFrame, lines_of
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ _FEWEST_AGREEING: Final = 12
 _MOST_AGREE: Final = 0.7  # fraction of the edges
 _TRIED: Final = 5  # hypotheses per frame
 _MARGIN_PX: Final = 24.0
+_TURNS: Final = np.array([0.5, 1.0, 1.5]) * math.pi  # in which a cross looks the same
 
 
 class FrameTracker:
@@ -54,6 +55,9 @@ class FrameTracker:
         self._far[[ACROSS, UPRIGHT, LABEL]] = 0
         self._whole = Region(0, 0, scene.camera.width, scene.camera.height)
         self._search: Region | None = None
+        self._shown: list[Image | None] = [None, None, None]  # the last image of each field
+        self._roll_max = math.radians(scene.roll_max_deg)
+        self._excluded = np.zeros(len(_TURNS), bool)  # turns that the parts seen so far exclude
 
     def expect(self, motion: Motion | None) -> None:
         """Predict the pose of the next frames by ``motion``, None: as that of the last one."""
@@ -76,6 +80,9 @@ class FrameTracker:
         patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
         if int(patch.max()) - int(patch.min()) < LEAST_CONTRAST:
             return self._no_result(frame, NO_TARGET, "black")
+        before, self._shown[frame.field] = self._shown[frame.field], image
+        if before is not None and np.array_equal(before[::16], image[::16]) and np.array_equal(before, image):
+            return self._no_result(frame, "rejected_frozen", "equal to the image before")
         followed = self._follow(frame)
         if followed is not None and followed.used:
             return followed
@@ -178,8 +185,8 @@ class FrameTracker:
         samples = self._samples[:count]
         noise = math.sqrt(float(state["noise_0"] + 100.0 * state["noise_1"]))
         verdict = validation.Validation(model, samples, self._left[:count], noise)
+        labels = np.full(len(model.circles), np.nan)
         if mode == NEAR:
-            labels = np.empty(len(model.circles))
             measure.label_contrasts(
                 frame.image, float(frame.first_line), float(frame.line_step), model.lens, x, model.circles, labels
             )
@@ -190,7 +197,18 @@ class FrameTracker:
             return self._no_result(frame, f"rejected_{why}", f"{mode}: {why}")
         self._state = state
         self._last = (frame.t_s, x.copy())
+        if not tracked:
+            self._excluded[:] = False
+        if self._is_roll_open(x):
+            self._excluded |= validation.excluded_turns(model, verdict, labels, noise, float(x[2] / model.lens[0]))
         return self._measured(frame, x, mode, tracked, samples, noise)
+
+    def _is_roll_open(self, x: Floats) -> bool:
+        """Return whether another roll within that of the scene shows the same cross, and no part excludes it."""
+        if self._roll_max + abs(float(x[5])) < 0.5 * math.pi:
+            return False
+        others = np.abs(np.remainder(x[5] + _TURNS + math.pi, 2.0 * math.pi) - math.pi)
+        return bool(np.any((others <= self._roll_max) & ~self._excluded))
 
     def field_difference(self, frame: VideoFrame, result: FrameResult) -> FieldDifference | None:
         """Return the difference of the poses by the odd and the even lines of a whole frame, measured as ``result``.
@@ -235,7 +253,7 @@ class FrameTracker:
         )  # fmt: skip
         return FrameResult(
             detection, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
-            paper_frame(self._features.lens, samples) if in_paper_mode else None,
+            paper_frame(self._features.lens, samples) if in_paper_mode else None, self._is_roll_open(x),
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:

@@ -16,17 +16,29 @@ from numpy.typing import NDArray
 
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
+from hil.monitor.displacement import DISPLACED, displaced
 from hil.monitor.field_check import FieldCheck
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
 from hil.monitor.paper.motion import PaperMotionFit
 from hil.monitor.preprocess import Region
-from hil.monitor.results import FAR, FAR_QUANTITIES, NEAR, NO_TARGET, QUANTITIES, FrameResult, Result
+from hil.monitor.results import (
+    AMBIGUOUS,
+    ANY_ROLL_QUANTITIES,
+    FAR,
+    FAR_QUANTITIES,
+    NEAR,
+    NO_TARGET,
+    QUANTITIES,
+    FrameResult,
+    Result,
+)
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame, exposures_of
 
 REJECTED_FIELDS: Final = "rejected_fields"
+REJECTED_DISPLACED: Final = "rejected_displaced"
 TWO_FIELDS: Final = "two fields"
 _EACH_CHECKED: Final = 2  # of the frames of a portion
 _NAN: Final = np.full(len(QUANTITIES), np.nan)
@@ -105,6 +117,7 @@ class DockingMonitor:
     def _close(self) -> Result:
         frames, self._frames = self._frames, []
         t_s = frames[-1].detection.t_s
+        frames = self._without_displaced(frames)
         near = [result for result in frames if result.status == NEAR]
         far = [result for result in frames if result.status == FAR]
         both = [result for result in frames if result.used]
@@ -131,10 +144,18 @@ class DockingMonitor:
         late = np.zeros(12)
         late[0::2] = self.scene.camera.tolerances.time_s * fit.motion.w[1::2]
         covariance = fit.motion.covariance + np.outer(late, late)
+        if 2 * sum(result.roll_open for result in used) > len(used):
+            status = AMBIGUOUS
         portion = _result(frames, fit, status, covariance)
         if self.warning:
             portion = replace(portion, timing=", ".join(text for text in (portion.timing, TWO_FIELDS) if text))
         return portion
+
+    def _without_displaced(self, frames: list[FrameResult]) -> list[FrameResult]:
+        """Return ``frames`` with those as not used whose image is displaced."""
+        used = [result for result in frames if result.used]
+        wrong = {id(result) for result, off in zip(used, displaced(used, self.scene.camera.f), strict=True) if off}
+        return [_unsuited(one, DISPLACED, REJECTED_DISPLACED) if id(one) in wrong else one for one in frames]
 
     @property
     def _fields_are_stated(self) -> bool:
@@ -158,11 +179,11 @@ def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:
     return tuple(Counter(result.reason for result in frames if not result.used).most_common())
 
 
-def _unsuited(result: FrameResult, why: str) -> FrameResult:
+def _unsuited(result: FrameResult, why: str, status: str = REJECTED_FIELDS) -> FrameResult:
     """Return a frame that was measured under a wrong assumption as not used."""
     if not result.used:
         return result
-    detection = replace(result.detection, status=REJECTED_FIELDS)
+    detection = replace(result.detection, status=status)
     return replace(result, detection=detection, reason=why, pose=np.full_like(result.pose, np.nan))
 
 
@@ -177,11 +198,12 @@ def _nothing(frames: list[FrameResult], t_s: float, status: str | None = None) -
 
 def _result(frames: list[FrameResult], fit: MotionSolution, status: str, covariance: NDArray[np.float64]) -> Result:
     values, sigmas = derive(fit.motion.w, covariance)
-    if status == FAR:
+    observed = {FAR: FAR_QUANTITIES, AMBIGUOUS: ANY_ROLL_QUANTITIES}.get(status)
+    if observed is not None:
         # two uncertain angles rotate the image by half their product, an effect of second order
         roll, one, two = (QUANTITIES.index(f"phi{i}_rad") for i in (3, 1, 2))
         sigmas[roll] = np.hypot(sigmas[roll], sigmas[one] * sigmas[two])
-        hidden = [name not in FAR_QUANTITIES for name in QUANTITIES]
+        hidden = [name not in observed for name in QUANTITIES]
         values[hidden] = np.nan
         sigmas[hidden] = np.nan
     return Result(

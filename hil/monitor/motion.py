@@ -47,6 +47,7 @@ _BETTER: Final = 12.0  # of twice the log-likelihood: about the number of explan
 _TIMING: Final = 24.0  # the same, of images lost at up to two places
 _LARGE_SCATTER: Final = 3.0  # of the frames, relative to their noise: images may have been lost
 _DROPPED: Final = 30.0  # the same, of a frame left out
+_MOST_LOST: Final = 6  # images in one portion
 _CHANGES: Final = 3  # explanations in one portion
 NOT_ESTIMATED: Final = 1e-6
 """Prior of an unknown of the camera that is not estimated, px or relative."""
@@ -181,7 +182,7 @@ class MotionFit:
         for _ in range(_CHANGES):
             if found is None or not found.scattered:
                 break
-            others = [(self._solve(one, t_s), one, charge) for one, charge in self._others(chosen, found)]
+            others = [(self._solve(one, t_s), one, charge) for one, charge in self._others(chosen, found, t_s)]
             rated = [
                 (fit.cost + charge * max(fit.scatter, 1.0), k)
                 for k, (fit, one, charge) in enumerate(others)
@@ -195,7 +196,7 @@ class MotionFit:
         self._carried = found.carried
         return found.solution
 
-    def _others(self, chosen: _Hypothesis, found: _Fit) -> Iterator[tuple[_Hypothesis, float]]:
+    def _others(self, chosen: _Hypothesis, found: _Fit, t_s: float) -> Iterator[tuple[_Hypothesis, float]]:
         """Yield other explanations of the frames, each with the gain of -2 ln of the likelihood that it needs."""
         if chosen.jitter_px == 0.0:
             yield from ((replace(chosen, jitter_px=jitter), _BETTER) for jitter in _JITTERS_PX)
@@ -211,13 +212,30 @@ class MotionFit:
                 if k and not (self._interlaced and frame.detection.number % 2)
             ]
             for lost in [(gap,) for gap in gaps] + list(combinations_with_replacement(gaps, 2)):
-                times = (t - self._period_s * sum(k < gap for gap in lost) for k, t in enumerate(chosen.times))
-                yield replace(chosen, times=tuple(times), lost=len(lost)), _TIMING
+                yield self._with_gaps(chosen, lost), _TIMING
+            yield from ((one, _TIMING) for one in self._many_lost(chosen, gaps, t_s))
         worst = int(np.argmax(found.squares))
         if len(chosen.frames) > 3 and found.squares[worst] > max(_WILD_FRAME, 8.0 * float(np.median(found.squares))):
             kept = [k for k in range(len(chosen.frames)) if k != worst]
             frames, at = tuple(chosen.frames[k] for k in kept), tuple(chosen.times[k] for k in kept)
             yield replace(chosen, frames=frames, times=at), _DROPPED
+
+    def _with_gaps(self, chosen: _Hypothesis, lost: Sequence[int]) -> _Hypothesis:
+        """Return ``chosen`` with an image lost before each frame of ``lost``."""
+        times = (t - self._period_s * sum(k < gap for gap in lost) for k, t in enumerate(chosen.times))
+        return replace(chosen, times=tuple(times), lost=chosen.lost + len(lost))
+
+    def _many_lost(self, chosen: _Hypothesis, gaps: Sequence[int], t_s: float) -> Iterator[_Hypothesis]:
+        """Yield explanations with one more image lost each, at the place where that explains most."""
+        for _ in range(_MOST_LOST):
+            rated = [
+                (fit.cost, k) for k in gaps if (fit := self._solve(self._with_gaps(chosen, (k,)), t_s)) is not None
+            ]
+            if not rated:
+                return
+            chosen = self._with_gaps(chosen, (min(rated)[1],))
+            if chosen.lost > 2:
+                yield chosen
 
     def _solve(self, chosen: _Hypothesis, t_s: float) -> _Fit | None:
         frames = chosen.frames

@@ -18,10 +18,13 @@ Floats = NDArray[np.float64]
 
 NEAR: Final = "near"
 FAR: Final = "far"
+AMBIGUOUS: Final = "ambiguous"
 NO_TARGET: Final = "no_target"
 
 FAR_QUANTITIES: Final = frozenset(("phi3_rad", "range_m", "range_rate_mps", "los_right_rad", "los_up_rad"))
 """Observable from the ship's outline and boxes; the rest requires the cross."""
+ANY_ROLL_QUANTITIES: Final = FAR_QUANTITIES - {"phi3_rad"}
+"""The same at each roll of the ship that its image allows."""
 
 QUANTITY_FIELDS: Final = (
     Field(
@@ -44,7 +47,7 @@ QUANTITIES: Final = tuple(field.name for field in QUANTITY_FIELDS)
 PORTION_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "time of the portion's last frame"),
     Field("frames", "i8", (), "1", "", "number of frames that were used"),
-    Field("status", "S24", (), "1", "", "near, far, no_target or rejected_<reason>"),
+    Field("status", "S24", (), "1", "", "near, far, ambiguous, no_target or rejected_<reason>"),
     *QUANTITY_FIELDS,
     *(
         Field(f"sigma_{field.name}", "f8", (), field.unit, "", f"standard deviation of {field.name}")
@@ -131,6 +134,7 @@ class FrameResult:
     reason: why it was not used, as text. pose: (15,), d, m, phi, rad, and the unknowns of the camera
     (``kernels/pose.py``). normal: (15, 15), of the edges alone; prior: (15,), the diagonal of the prior on the pose.
     sums: (4,) of ``measure.square_sums``. noise: grey values, 1 sigma of a pixel at grey value 100.
+    roll_open: whether another roll of the ship fits as well.
     """
 
     detection: FrameDetection
@@ -144,6 +148,7 @@ class FrameResult:
     noise: float = float("nan")
 
     paper: PaperFrame | None = None
+    roll_open: bool = False
 
     @property
     def status(self) -> str:

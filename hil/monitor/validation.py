@@ -25,6 +25,9 @@ _FARTHEST_M: Final = 500.0
 _LARGEST_GROWTH_PX: Final = 0.5
 _CAMERA_SIGMAS: Final = 5.0
 _LEAST_STEP: Final = 4.0  # height of a step in noise sigmas
+_TURNED_PX: Final = 5.0  # displacement of an edge by a turn of the ship that shows
+_FEWEST_TURNED: Final = 8  # samples of such edges
+_VISIBLE: Final = 6  # samples of a part that has to be found
 
 
 class Validation:
@@ -34,7 +37,7 @@ class Validation:
         n = features.feature_count
         feature = samples["feature"]
         used = samples["good"] == 1
-        self._samples, self._used, self._left = samples, used, left
+        self.samples, self.used, self._left = samples, used, left
         self.placed = np.bincount(feature, minlength=n)
         self.good = np.bincount(feature[used], minlength=n)
         step = samples["high"] - samples["low"]
@@ -52,18 +55,40 @@ class Validation:
 
     def _of_better_border(self, features: TargetFeatures, bar: int, share: float) -> float:
         """Return the fraction of agreeing samples of the border that has more of them: a shadow may hide the other."""
-        chosen = self._samples["feature"] == bar
-        side = (self._samples["cluster"] - ARCS * len(features.circles)) % SIDES
+        chosen = self.samples["feature"] == bar
+        side = (self.samples["cluster"] - ARCS * len(features.circles)) % SIDES
         placed = np.bincount(side[chosen], minlength=SIDES)
-        good = np.bincount(side[chosen & self._used], minlength=SIDES)
+        good = np.bincount(side[chosen & self.used], minlength=SIDES)
         enough = placed > 0.5 * placed.max(initial=0)
         return max(share, float((good[enough] / placed[enough]).max())) if enough.any() else share
 
     def scatter_px(self) -> float:
         """Return the RMS of the used points' residuals, px, in excess of their own noise."""
-        samples, used = self._samples, self._used
+        samples, used = self.samples, self.used
         square = np.mean(self._left[used] ** 2) - np.mean(samples["variance"][used])
         return float(np.sqrt(max(square, 0.0)))
+
+
+def excluded_turns(
+    features: TargetFeatures, verdict: Validation, labels: Floats, noise: float, metres_per_px: float
+) -> NDArray[np.bool_]:
+    """Return whether the ship is not rolled by 90, 180 and 270 deg more (3,), where its cross would look the same.
+
+    A roll is excluded by edges, or by a label, that would be elsewhere. labels: contrasts, grey values, nan
+    for other circles.
+    """
+    n = len(features.circles)
+    cluster = verdict.samples["cluster"]
+    edge = np.where(cluster < ARCS * n, cluster // ARCS, n + (cluster - ARCS * n) // SIDES)
+    confirmed = verdict.supported[verdict.samples["feature"]]
+    shown = np.zeros(features.partner_m.shape[1], bool)
+    shown[:n] = np.abs(np.nan_to_num(labels)) > _LEAST_STEP * noise
+    out = np.zeros(3, bool)
+    for k, apart in enumerate(features.partner_m > _TURNED_PX * metres_per_px):
+        here = apart[edge] & confirmed
+        good = np.count_nonzero(here & verdict.used)
+        out[k] = (good >= _FEWEST_TURNED and good >= _SUPPORT * np.count_nonzero(here)) or bool((apart & shown).any())
+    return out
 
 
 def is_implausible(x: Floats, sigmas: Floats) -> bool:
@@ -88,6 +113,8 @@ def near_rejection(features: TargetFeatures, verdict: Validation, labels: Floats
         return "disc"
     if verdict.scatter_px() > _LARGEST_SCATTER_PX:
         return "scatter"
+    if np.sum(placed[BOX:]) >= _VISIBLE and not np.any(supported[BOX:]):
+        return "boxes"
     shown = labels[np.isfinite(labels)]
     confirmed = False
     if len(shown) >= 2:

@@ -19,7 +19,7 @@ from hil.vmu.kernels.measure import LIMITS
 from hil.vmu.kernels.records import SPOT
 from hil.vmu.kernels.search import TOO_MANY, detect
 
-_MOST_COMPONENTS: Final = 128
+_MOST_COMPONENTS: Final = 512
 _MOST_TRIES: Final = 6
 _NO_WINDOWS: Final = np.empty((0, 4), dtype=np.int64)
 _PRIOR_PER_LEVEL: Final = 0.01  # levels^2 of variance per level: 100 electrons per level
@@ -61,6 +61,8 @@ class SpotDetector:
         self._noise = np.zeros((_MOST_COMPONENTS, 2))
         self._given_per_level = 1.0 / sensor.electrons_per_level if sensor else None
         self._noise_sums = np.zeros(2)
+        self.overfull = False
+        """Whether the last image had more lights than can be measured, and therefore no spots."""
 
     @property
     def variance_per_level(self) -> float:
@@ -102,6 +104,7 @@ class SpotDetector:
             )
             if count != TOO_MANY:
                 break
+        self.overfull = count == TOO_MANY
         found = self._spots[: max(count, 0)].copy()
         if len(found) > chosen.most_spots:
             brightest = np.argsort(found["flux"])[-chosen.most_spots :]

@@ -61,6 +61,12 @@ def considered_covariance(geometry: VmuGeometry) -> Array:
     index = np.arange(len(found))
     rest = [np.radians(stated.rotation_deg)] * 3 + [stated.baseline_m] * 3 + [stated.led_m] * (3 * n)
     found[index[18:], index[18:]] = np.square(rest)
+    focal = np.zeros(len(found))
+    focal[[0, 1, 9, 10]] = geometry.left.fx, geometry.left.fy, geometry.right.fx, geometry.right.fy
+    found += stated.focal_scale**2 * np.outer(focal, focal)
+    leds = led_positions(geometry)
+    ring = np.concatenate([np.zeros(SHARED), (leds - leds.mean(axis=0)).ravel()])
+    found += stated.led_scale**2 * np.outer(ring, ring)
     if geometry.calibration is not None:
         rows = geometry.calibration.covariance
         covered = np.zeros((len(rows), len(rows)))

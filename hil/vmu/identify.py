@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
-from hil.vmu.kernels.records import View
+from hil.vmu.kernels.records import FIT, View
 from hil.vmu.pose import (
     OPTICS_PX,
     Prediction,
@@ -40,6 +40,7 @@ _BRIGHTER = 1.3
 _SHIFTED = 4.5  # sigmas between the two images
 _APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
 _OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
+_SECOND = 4  # LEDs, all of other lights, that make a second pattern
 _LIGHTS = 4  # in an image in which as many LEDs should be seen
 _EDGE_PX = 4.0
 _EPIPOLAR_PX = 3.0
@@ -131,20 +132,55 @@ class Identifier:
                 return LedIdentification(apart, candidates=alone.candidates)
             if not all_kept and int(alone.fit["points"]) < 2 * len(self._solver.scene.leds) - 1:
                 alone = LedIdentification(AMBIGUOUS, candidates=alone.candidates)  # another one may not have been tried
+            elif len(second := self._second_pattern(view, alone.candidates[0])):
+                alone = LedIdentification(AMBIGUOUS, candidates=[*alone.candidates, *second])
         elif (apart := self._apart(view, fits, alone.candidates[0])) != OK:
             alone = LedIdentification(apart, candidates=alone.candidates)
         if prediction is None or (alone.fit is not None and not mature):
             return alone
-        tracked = self._by_track(view, fits, prediction)
+        tracked = self._by_track(view, self._with_predicted(view, fits, prediction), prediction)
         if alone.fit is None:
             if tracked.fit is not None and self._apart(view, fits, tracked.fit) == OK:
                 return tracked
             return tracked if tracked.on_track else alone
         if distance_square(alone.fit, prediction) < _GATE_6:
             return alone
-        if tracked.fit is not None and tracked.fit["score"] > alone.fit["score"] - _NEAR_TRACK:
+        if tracked.fit is not None and (
+            tracked.fit["score"] > alone.fit["score"] - _NEAR_TRACK or not shares_spots(tracked.fit, alone.fit)
+        ):
             return tracked
         return LedIdentification(AMBIGUOUS, candidates=[alone.fit], jump=True)
+
+    def _second_pattern(self, view: View, best: np.void) -> np.ndarray:
+        """Return the poses of at least four LEDs by the lights that ``best`` does not use, (n,) of FIT.
+
+        A reflection of the ring, or a second ring, is a pattern like the ring itself, and may be the more complete one.
+        """
+        rest = without_spots(view, best)
+        if rest.counts.min() < _SECOND and rest.counts.max() < _OWN:
+            return np.zeros(0, FIT)
+        fits, _ = self._solver.hypotheses(rest, level=_SECOND)
+        leds = (fits["spot"] >= 0).any(axis=1).sum(axis=1)
+        most = math.log(self._settings.false_alarms)
+        return fits[
+            [
+                bool(n >= _SECOND and self._possible(fit) and self._log_false_alarms(rest, fit, None) <= most)
+                for fit, n in zip(fits, leds, strict=True)
+            ]
+        ]
+
+    def _with_predicted(self, view: View, fits: np.ndarray, prediction: Prediction) -> np.ndarray:
+        """Return ``fits`` and, if none of them continues the track, the poses by the lights where it expects its LEDs.
+
+        The search keeps the poses with the most spots only, which may be those of a reflection.
+        """
+        if any(distance_square(fit, prediction) < _GATE_6 for fit in fits):
+            return fits
+        r = matrix_of(prediction.q_vt)
+        spots, _ = self._solver.expected(view, r, prediction.t_v, prediction.covariance, _TRACK_REACH_PX)
+        if (spots >= 0).sum() < 3:
+            return fits
+        return np.concatenate([fits, self._solver.from_start(view, r, prediction.t_v, spots)])
 
     def _apart(self, view: View, fits: np.ndarray, best: np.void) -> str:
         """Return OK, or a status if the two images do not belong together.
@@ -158,7 +194,8 @@ class Identifier:
         least = min(_OWN, len(self._solver.scene.leds) - 1)
         singles = []
         for c in range(2):
-            more = np.flatnonzero((own[:, c] >= least) & (own[:, c] >= (best["spot"][c] >= 0).sum() + _MORE))
+            here = (own[:, c] >= least) & (own[:, 1 - c] < _SECOND)  # a pattern in both is a second one
+            more = np.flatnonzero(here & (own[:, c] >= (best["spot"][c] >= 0).sum() + _MORE))
             if len(more):
                 singles.append((c, fits[more[np.argmax(fits["score"][more])]]))
         if not singles:
@@ -209,6 +246,8 @@ class Identifier:
             counts[c] = view.counts[c]
             fits, _ = self._solver.hypotheses(view._replace(counts=counts))
             fits = fits[[bool((fit["spot"] >= 0).sum() >= _OWN and self._possible(fit)) for fit in fits]]
+            if both is not None:  # a pattern of other lights does not count
+                fits = fits[[shares_spots(fit, both) for fit in fits]]
             if not len(fits):
                 return OK
             singles.append(fits[np.argmax(fits["score"])])
@@ -362,6 +401,23 @@ def apart_ratio(both: np.void, singles: Sequence[np.void]) -> float:
     alone, degrees = sum(float(fit["misfit"]) for fit in singles), 2 * points - 6 * len(singles)
     added = 2 * int(both["points"]) - 6 - degrees
     return (float(both["misfit"]) - alone) / added / max(alone / degrees, 1.0)
+
+
+def without_spots(view: View, fit: np.void) -> View:
+    """Return ``view`` without the spots that ``fit`` uses."""
+    spots, order, counts = view.spots.copy(), view.order.copy(), view.counts.copy()
+    for c in range(2):
+        rest = np.setdiff1d(np.arange(view.counts[c]), fit["spot"][c])
+        counts[c] = len(rest)
+        spots[c, : len(rest)], order[c, : len(rest)] = view.spots[c, rest], view.order[c, rest]
+    return View(spots, counts, order)
+
+
+def shares_spots(fit: np.void, other: np.void) -> bool:
+    """Return whether two poses have a spot in common."""
+    used = (set(pose["spot"][c][pose["spot"][c] >= 0].tolist()) for c in range(2) for pose in (fit, other))
+    of_left, other_left, of_right, other_right = used
+    return bool(of_left & other_left or of_right & other_right)
 
 
 def covers(fit: np.void, rival: np.void) -> bool:

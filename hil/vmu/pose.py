@@ -126,12 +126,13 @@ class Solver:
             order[c, : len(chosen)] = chosen
         return View(rays, counts, order)
 
-    def hypotheses(self, view: View, prediction: Prediction | None = None) -> tuple[np.ndarray, bool]:
+    def hypotheses(self, view: View, prediction: Prediction | None = None, level: int = 0) -> tuple[np.ndarray, bool]:
         """Return all distinct poses (FIT) that the spots allow, and whether none was dropped for lack of capacity.
 
-        The prediction only admits hypotheses that are not significant without it: three spots of a single camera.
+        level: above 0, only poses by this number of spots of one camera or more are searched, which costs less. The
+        prediction only admits hypotheses that are not significant without it: three spots of a single camera.
         """
-        self._search.predicted = 0
+        self._search.predicted, self._search.level = 0, level
         if prediction is not None:
             sigma = np.sqrt(np.diag(prediction.covariance))
             angle = min(_COARSE * float(np.linalg.norm(sigma[3:])), math.pi)

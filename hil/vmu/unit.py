@@ -36,6 +36,7 @@ PREDICTED: Final = "predicted"
 WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
 BRIGHT: Final = "rejected_bright"
+CROWDED: Final = "rejected_crowded"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
@@ -234,7 +235,8 @@ class VisionUnit:
     ) -> Solution:
         spots = self._detect(images, (None, None))
         if not any(len(found) for found in spots):
-            return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else DARK)
+            overfull = CROWDED if any(detector.overfull for detector in self._detectors) else DARK
+            return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else overfull)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
         if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):

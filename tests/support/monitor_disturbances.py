@@ -21,6 +21,7 @@ from tests.support.tv_pixels import TvCamera, TvTarget
 
 Array = npt.NDArray[np.float64]
 FRAMES = 10
+EXACT = CameraTolerances(focal_fraction=0.0, aspect_fraction=0.0, principal_point_px=0.0, distortion_px=0.0)
 GROSS_DEG, GROSS_SHARE, GROSS_SIGMAS = 3.0, 0.01, 4.0
 
 
@@ -76,7 +77,9 @@ class MonitorTally:
 class MonitorRow:
     """One row. draw: the real camera of a portion. stated: tolerances of the scene file. lost: frames left out.
 
-    plate_m: place of the plate along y3 in the scene file.
+    plate_m: place of the plate along y3 in the scene file. roll_deg: of the real ship, beyond its usual few degrees.
+    roll_max_deg: in the scene file; None: as shipped. boxes: whether the ship has its boxes, in the scene file too.
+    frozen: number of images that are the one before, unsynced: that begin at another line.
     """
 
     name: str
@@ -85,15 +88,24 @@ class MonitorRow:
     lost: int = 0
     said_fields: str = "whole"
     plate_m: float = 0.0
+    roll_deg: float = 0.0
+    roll_max_deg: float | None = None
+    boxes: bool = True
+    frozen: int = 0
+    unsynced: int = 0
     expected: Expectation = USUAL_ROW
 
     def scene(self) -> Scene:
         """Return the scene file of the lab."""
         scene = load_scene("atv").value
-        camera = scene.camera.model_copy(update={"tolerances": self.stated or CameraTolerances()})
+        camera = scene.camera.model_copy(update={"tolerances": self.stated or EXACT})
         plate = scene.target.plate.model_copy(update={"offset_m": self.plate_m})  # type: ignore[union-attr]
-        target = scene.target.model_copy(update={"plate": plate})
-        return scene.model_copy(update={"camera": camera, "fields": self.said_fields, "target": target})
+        parts = {"plate": plate} | ({} if self.boxes else {"boxes": ()})
+        target = scene.target.model_copy(update=parts)
+        changed = {"camera": camera, "fields": self.said_fields, "target": target}
+        if self.roll_max_deg is not None:
+            changed["roll_max_deg"] = self.roll_max_deg
+        return scene.model_copy(update=changed)
 
     def run(self, portions: int, seed: int) -> MonitorTally:
         """Return the tally of ``portions`` portions, each of a new monitor."""
@@ -106,8 +118,15 @@ class MonitorRow:
         """Measure one portion by a new monitor."""
         scene, rng = self.scene(), np.random.default_rng([seed, number])
         camera, w = self.draw(rng), _motion(rng)
+        if self.roll_deg:
+            _turn_ship(w, np.radians(self.roll_deg))
         target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
-        left_out = set(rng.choice(np.arange(2, FRAMES), self.lost, replace=False)) if self.lost else set()
+        left_out = (
+            set(rng.choice(np.arange(2, FRAMES + self.lost - 2), self.lost, replace=False)) if self.lost else set()
+        )
+        still = int(rng.integers(1, FRAMES - self.frozen + 1)) if self.frozen else FRAMES
+        rolled = set(rng.choice(FRAMES, self.unsynced, replace=False).tolist()) if self.unsynced else set()
+        held: Array | None = None
         shown, found = 0, []
         last_s, cost_s = 0.0, 0.0
         for k in range(FRAMES + self.lost):
@@ -115,6 +134,11 @@ class MonitorRow:
                 continue
             t_s = k / scene.fps
             image = target.frame(lambda t, w=w: (w[0:6:2] + t * w[1:6:2], w[6::2] + t * w[7::2]), t_s, rng)
+            if held is not None and still <= k < still + self.frozen:
+                image = held
+            elif k in rolled:
+                image = np.roll(image, int(rng.integers(image.shape[0])), axis=0)
+            held = image
             start = time.process_time()
             found += (
                 monitor.feed(image)
@@ -128,6 +152,15 @@ class MonitorRow:
         found += monitor.finish()
         end_s = last_s if self.said_fields == "whole" else found[0].t_s
         tally.add(found[0], _truth(w, end_s), cost_s)
+
+
+def _turn_ship(w: Array, roll: float) -> None:
+    """Turn the ship in ``w`` (12,) about its axis y3, without a rotation of its own."""
+    turn = Rotation.from_rotvec([0.0, 0.0, -roll]).as_matrix()
+    w[0:6:2], w[1:6:2] = turn @ w[0:6:2], turn @ w[1:6:2]
+    flip = np.diag([1.0, -1.0, -1.0])
+    rotation = flip @ turn @ flip @ Rotation.from_rotvec(w[6::2]).as_matrix()
+    w[6::2], w[7::2] = Rotation.from_matrix(rotation).as_rotvec(), 0.0
 
 
 def _motion(rng: np.random.Generator) -> Array:
@@ -159,6 +192,11 @@ def _truth(w: Array, t_s: float) -> Array:
     return np.array([*d, *phi, away, d @ rate / away, *angles, np.arctan2(x[0], x[2]), np.arctan2(x[1], x[2])])
 
 
+def _stated(**tolerances: float) -> CameraTolerances:
+    """Return the given tolerances and no others."""
+    return EXACT.model_copy(update=tolerances)
+
+
 def _always(**errors: float | str) -> Callable[[np.random.Generator], TvCamera]:
     return lambda _: TvCamera(**errors)  # type: ignore[arg-type]
 
@@ -183,9 +221,10 @@ def _film(rng: np.random.Generator) -> TvCamera:
     )
 
 
-_TONE = CameraTolerances(tone_px=0.2)
-_FILM = CameraTolerances(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
+_TONE = _stated(tone_px=0.2)
+_FILM = _stated(focal_fraction=0.01, aspect_fraction=0.01, distortion_px=1.0, tone_px=0.2)
 _SAME = Expectation(drawn=False)
+_NO_PART, _NO_ROLL = Expectation(refused=("rejected_boxes", "rejected_cross")), Expectation(drawn=False)
 
 MONITOR_ROWS = (
     MonitorRow("clean", _always()),
@@ -194,13 +233,16 @@ MONITOR_ROWS = (
     MonitorRow("gamma 0.6", _always(gamma=0.6), _TONE, expected=_SAME),
     MonitorRow("gamma 1.6", _always(gamma=1.6), _TONE, expected=_SAME),
     MonitorRow("S-curve", _always(s_curve=0.8), _TONE, expected=_SAME),
-    MonitorRow("distortion, 2 px at the corner", _normal(distortion=0.0219), CameraTolerances(distortion_px=2.0)),
-    MonitorRow("focal length 1 %", _normal(f_share=0.01), CameraTolerances(focal_fraction=0.01)),
-    MonitorRow("focal length 3 %", _normal(f_share=0.03), CameraTolerances(focal_fraction=0.03)),
-    MonitorRow("aspect 1 %", _normal(aspect=0.01), CameraTolerances(aspect_fraction=0.01)),
-    MonitorRow("aspect 3 %", _normal(aspect=0.03), CameraTolerances(aspect_fraction=0.03)),
+    MonitorRow("distortion, 2 px at the corner", _normal(distortion=0.0219), _stated(distortion_px=2.0)),
+    MonitorRow("focal length 1 %", _normal(f_share=0.01), _stated(focal_fraction=0.01)),
+    MonitorRow("focal length 3 %", _normal(f_share=0.03), _stated(focal_fraction=0.03)),
+    MonitorRow("aspect 1 %", _normal(aspect=0.01), _stated(aspect_fraction=0.01)),
+    MonitorRow("aspect 3 %", _normal(aspect=0.03), _stated(aspect_fraction=0.03)),
     MonitorRow("lost frames", _always(), lost=2),
-    MonitorRow("half a field of time", _always(fields="upper_first"), CameraTolerances(time_s=0.02), expected=_SAME),
+    MonitorRow("30 % of the frames lost", _always(), lost=4),
+    MonitorRow("video frozen for 5 of 10 frames", _always(), frozen=5),
+    MonitorRow("vertical sync lost in 3 of 10 frames", _always(), unsynced=3),
+    MonitorRow("half a field of time", _always(fields="upper_first"), _stated(time_s=0.02), expected=_SAME),
     MonitorRow("wrong field order", _always(fields="lower_first"), said_fields="upper_first"),
     MonitorRow("vibration of 0.5 px", _always(jitter_px=0.5)),
     MonitorRow("shadow next to an arm", _always(shadow=0.4)),
@@ -208,5 +250,16 @@ MONITOR_ROWS = (
     MonitorRow("low noise, edges off by 0.02 px", _always(noise_levels=0.5, coarse=True), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc", _always(plate_behind_m=0.001), expected=_SAME),
     MonitorRow("plate 1 mm behind the disc, stated", _always(), plate_m=-0.001),
+    MonitorRow("focal length 0.5 %, not stated", _always(f_share=0.005), CameraTolerances(), expected=_SAME),
+    MonitorRow("1 px at the corner, not stated", _always(distortion=0.011), CameraTolerances(), expected=_SAME),
+    MonitorRow("ship rolled by 60 deg", _always(), roll_deg=60.0, roll_max_deg=180.0, expected=_NO_PART),
+    MonitorRow("ship rolled by 90 deg", _always(), roll_deg=90.0, roll_max_deg=180.0, expected=_NO_PART),
+    MonitorRow("ship rolled by 180 deg", _always(), roll_deg=180.0, roll_max_deg=180.0, expected=_NO_ROLL),
+    MonitorRow("ship without boxes, any roll", _always(), roll_max_deg=180.0, boxes=False, expected=_NO_ROLL),
+    MonitorRow(
+        "ship without boxes, rolled by 90 deg", _always(), roll_deg=90.0, roll_max_deg=180.0, boxes=False,
+        expected=_NO_ROLL,
+    ),
+    MonitorRow("ship without boxes, roll stated", _always(), boxes=False),
     MonitorRow("television film", _film, _FILM, said_fields="upper_first"),
-)
+)  # fmt: skip

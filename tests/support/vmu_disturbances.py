@@ -32,7 +32,8 @@ class CalibrationErrors:
     """Standard deviations of a calibration: of each principal point, focal length, rotation, baseline and LED.
 
     distortion_px: at the image's corner. spot_px: least error of a spot that the geometry file states. sync_s: time
-    between the exposures of both cameras that it states.
+    between the exposures of both cameras that it states. focal_scale, led_scale: of both focal lengths
+    alike, and of the ring.
     """
 
     principal_point_px: float = 0.0
@@ -43,11 +44,13 @@ class CalibrationErrors:
     led_m: float = 0.0
     spot_px: float = 0.0
     sync_s: float = 0.0
+    focal_scale: float = 0.0
+    led_scale: float = 0.0
 
 
 EXACT = CalibrationErrors()
 VERY_GOOD = CalibrationErrors(0.05, 0.0002, 0.05, 0.003, 0.00003, 0.00005, 0.01)
-USUAL = CalibrationErrors(0.2, 0.001, 0.2, 0.02, 0.0001, 0.0001, 0.01)
+USUAL = CalibrationErrors(0.2, 0.001, 0.2, 0.02, 0.0001, 0.0001, 0.01, focal_scale=0.001, led_scale=0.003)
 
 
 def ring_m(radius_m: float = 0.12, raised_m: float = 0.06) -> Array:
@@ -75,8 +78,9 @@ def real_bench(errors: CalibrationErrors, rng: np.random.Generator, optics: Pixe
     """Return the real cameras and LEDs behind ``known_geometry`` with random errors of that calibration."""
     corner = np.hypot(512.0, 512.0) / 1200.0
     cameras = []
+    focal = 1200.0 * (1.0 + errors.focal_scale * rng.standard_normal()) if errors.focal_scale else 1200.0
     for side in range(2):
-        f = 1200.0 * (1.0 + errors.focal_fraction * rng.standard_normal())
+        f = focal * (1.0 + errors.focal_fraction * rng.standard_normal())
         cx, cy = np.array(CENTRES[side]) + errors.principal_point_px * rng.standard_normal(2)
         k1, k2, p1, p2, k3 = LENS["distortion"]  # type: ignore[misc]
         k1 += errors.distortion_px / (1200.0 * corner**3) * rng.standard_normal()
@@ -86,6 +90,8 @@ def real_bench(errors: CalibrationErrors, rng: np.random.Generator, optics: Pixe
     right = turned(cameras[1], np.radians(errors.rotation_deg) * rng.standard_normal(3))
     right = replace(right, place=tuple(float(x) for x in np.array(right.place) + shift))
     leds = ring_m() + errors.led_m * rng.standard_normal((6, 3))
+    if errors.led_scale:
+        leds *= 1.0 + errors.led_scale * rng.standard_normal()
     return PixelScene(cameras[0], right, leds, optics)
 
 

@@ -55,8 +55,9 @@ class CameraFit:
         return float(self.focal_px[0] / self.focal_px[1])
 
     def scene_table(self, scene: Scene) -> dict[str, Any]:
-        """Return the keys of ``[camera]`` for ``scene``, with tolerances of at least those of the scene."""
-        given = scene.camera.tolerances
+        """Return the keys of ``[camera]`` for ``scene``, with tolerances of at least those that it states."""
+        tolerances = scene.camera.tolerances
+        stated = {name: float(getattr(tolerances, name)) for name in tolerances.model_fields_set}
         focal = self.sigma_px[:2] / self.focal_px
         return {
             "camera": {
@@ -64,10 +65,12 @@ class CameraFit:
                 "cx": float(self.centre_px[0]),
                 "cy": float(self.centre_px[1]),
                 "tolerances": {
-                    "focal_fraction": max(given.focal_fraction, float(focal.max())),
-                    "aspect_fraction": max(given.aspect_fraction, abs(self.aspect - 1.0), float(np.hypot(*focal))),
-                    "principal_point_px": max(given.principal_point_px, float(self.sigma_px[2:].max())),
-                    "distortion_px": max(given.distortion_px, self.corner_px),
+                    "focal_fraction": max(stated.get("focal_fraction", 0.0), float(focal.max())),
+                    "aspect_fraction": max(
+                        stated.get("aspect_fraction", 0.0), abs(self.aspect - 1.0), float(np.hypot(*focal))
+                    ),
+                    "principal_point_px": max(stated.get("principal_point_px", 0.0), float(self.sigma_px[2:].max())),
+                    "distortion_px": max(stated.get("distortion_px", 0.0), self.corner_px),
                 },
             }
         }

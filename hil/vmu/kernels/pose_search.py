@@ -32,6 +32,7 @@ SEARCH = np.dtype(
         ("gate_px", "f8"),  # and from that of a refined pose
         ("normal", "f8", 3),  # of the LEDs' best-fit plane, in t
         ("centre", "f8", 3),  # m, of the LEDs, in t
+        ("level", "i8"),  # above 0: only hypotheses that explain this number of spots of one camera, or more
         ("predicted", "i8"),  # 1: three spots of a single camera are valid near the following pose
         ("r", "f8", (3, 3)),
         ("t", "f8", 3),  # m
@@ -232,11 +233,18 @@ def search(scene, view, settings, starts, fits, state):
     n = scene.leds.shape[0]
     for k in range(STATE_WIDTH):
         state[k] = 0
-    first = 0 if view.counts[0] >= 3 else 1
+    first = 0 if view.counts[0] >= max(3, settings.level) else 1
     other = 1 - first
     allowed = np.empty((MAX_SPOTS, MAX_SPOTS, n, n), np.uint8)
     some, index = np.empty((MAX_SPOTS, MAX_SPOTS), np.uint8), np.empty(MAX_SPOTS, np.int64)
     paired = allow_pairs(scene, view, first, settings.near, settings.far, allowed, some, index)
+    if settings.level > 0:
+        lights = paired if paired >= settings.level else view.counts[first]
+        search_level(
+            scene, view, settings, first, settings.level, index, lights, allowed, some, starts, fits, state
+        )  # fmt: skip
+        drop_poor(fits, state)
+        return state[STATE_FITS]
     if paired >= n - 1 and paired < view.counts[first]:
         search_camera(
             scene, view, settings, first, min(paired, n), n - 1, index, paired, allowed, some, starts, fits, state

@@ -10,7 +10,7 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import CameraTolerances
 from tests.support.disturbance_verdicts import Expectation, SeedResult, judge
-from tests.support.monitor_disturbances import MONITOR_ROWS, MonitorRow, MonitorTally
+from tests.support.monitor_disturbances import EXACT, MONITOR_ROWS, MonitorRow, MonitorTally
 
 BY_NAME = {row.name: row for row in MONITOR_ROWS}
 
@@ -28,8 +28,18 @@ def test_error_of_the_focal_length_that_is_not_stated_is_beyond_the_sigmas() -> 
     assert np.abs(np.concatenate(tally.ratios)).max() > 8.0
 
 
-def test_tolerances_of_a_camera_are_zero_unless_stated() -> None:
-    assert load_scene("atv").value.camera.tolerances == CameraTolerances()
+@pytest.mark.parametrize("name", ["focal length 0.5 %, not stated", "1 px at the corner, not stated"])
+def test_usual_errors_that_are_not_stated_are_within_the_default_tolerances(name: str) -> None:
+    tally = BY_NAME[name].run(1, 4)
+    assert (tally.measured, tally.gross) == (1, 0), tally.line()
+    assert np.abs(np.concatenate(tally.ratios)).max() < 4.5
+    assert np.abs(np.concatenate(replace(BY_NAME[name], stated=None).run(1, 4).ratios)).max() > 4.5
+
+
+def test_shipped_scenes_state_the_exact_camera_of_their_images() -> None:
+    for name in ("atv", "bright-cross"):
+        assert load_scene(name).value.camera.tolerances == EXACT
+    assert CameraTolerances() != EXACT
 
 
 def test_clipped_pixels_displace_no_edge() -> None:

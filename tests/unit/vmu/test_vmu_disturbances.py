@@ -25,6 +25,7 @@ from tests.support.vmu_disturbances import (
     real_bench,
     somewhere,
 )
+from tests.support.vmu_lookalikes import LOOKALIKE_ROWS
 from tests.support.vmu_pixels import PixelOptics
 
 BY_NAME = {row.name: row for row in ROWS}
@@ -53,7 +54,7 @@ APART = (
     ],
 )
 def test_frames_with_errors_of_calibration_and_optics_are_solved(name: str) -> None:
-    tally = BY_NAME[name].run(4, 11)
+    tally = BY_NAME[name].run(4, 12)
     assert tally.solved == 4, tally.line()
     assert tally.gross == 0
     assert np.abs(tally.ratios).max() < 4.5
@@ -173,7 +174,7 @@ def calibration_of(covariance: np.ndarray) -> dict[str, object]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [*ROWS, *LOOKALIKE_ROWS], ids=lambda row: row.name)
 def test_every_row_is_as_expected(row: Row) -> None:
     """The table of ``python sims/disturbances.py vmu``."""
     verdict = judge(row.expected, [row.run(40, seed).result() for seed in range(3)])
