@@ -41,6 +41,7 @@ COMMANDS: Final = {
     "thresholds.",
     "margins": "Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign "
     "fails.",
+    "benchmark": "Fly all scenarios, dispersion sets and single faults with one GNC, and write one table and one page.",
     "emulate": "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
     "preflight": "Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.",
     "identify": "Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and "

@@ -328,6 +328,11 @@ def apply_settings(
             _note_origin(value, ".".join((*parents, last)), "--set", origin)
 
 
+def parsed_settings(settings: Sequence[str]) -> dict[str, Any]:
+    """Return dotted keys and values of ``key=value`` texts. Raises BadInput."""
+    return {".".join(path): value for path, value in (_parse_setting(text, "") for text in settings)}
+
+
 def _parse_setting(text: str, prefix: str) -> tuple[list[str], Any]:
     """Return the path and the value of ``key=value``; raise BadInput."""
     key, equals, value_text = text.partition("=")

@@ -1,0 +1,165 @@
+"""A fixed set of campaigns that any GNC can fly: scenarios, dispersion sets and single faults."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from hil.api.campaigns import Campaign, campaign
+from hil.api.jobs import job_of
+from hil.errors import BadInput
+from hil.monte_carlo.case_runner import CaseRunner
+from hil.monte_carlo.statistics import wilson
+from hil.monte_carlo.store import TABLE, parquet
+
+SCENARIOS: Final = (
+    "scheme-1", "scheme-2", "scheme-3", "scheme-1-printed", "leo-vbar", "geo", "inspection", "departure", "limit-cycle",
+    "tumbling-1", "tumbling-3", "tumbling-5",
+)  # fmt: skip
+RESULT: Final = "benchmark.json"
+_CYCLES: Final = 5000
+_TIMED: Final = 3
+
+
+class Row(NamedTuple):
+    """A campaign of the set. name: also that of its folder. faults: as of ``[[faults]]``."""
+
+    name: str
+    scenario: str
+    dispersions: str | None = None
+    faults: tuple[dict[str, Any], ...] = ()
+
+
+def _fault(device: str, kind: str, at_s: float, **rest: Any) -> tuple[dict[str, Any], ...]:
+    return ({"device": device, "kind": kind, "at_s": at_s, **rest},)
+
+
+ROWS: Final = (
+    *(Row(f"{name}", name) for name in SCENARIOS),
+    *(Row(f"{name}-data-sheet", name, "data-sheet") for name in ("scheme-1", "scheme-2")),
+    *(Row(f"{name}-stress", name, "stress") for name in ("scheme-1", "scheme-2", "leo-vbar", "geo")),
+    *(Row(f"tumbling-{n}-stress", f"tumbling-{n}", "tumbling-stress") for n in (1, 3, 5)),
+    Row("vision-lost", "scheme-1", faults=_fault("vmu", "dropout", 100.0, until_s=105.0)),
+    Row("vision-offset", "scheme-1", faults=_fault("vmu", "offset", 100.0, value=[0.0, 0.1, 0.0])),
+    Row("imu-lost", "scheme-1", faults=_fault("imu", "dropout", 100.0, until_s=105.0)),
+    Row("thruster-dead", "scheme-1", faults=_fault("thruster.3", "dead", 60.0)),
+    Row("thruster-open", "scheme-1", faults=_fault("thruster.3", "stuck_open", 60.0)),
+)
+"""The set; with a single fault a GNC is to end without coming nearer than the keep-out and without misleading."""
+
+
+def rows_of(only: str) -> list[Row]:
+    """Return the rows whose name matches the pattern ``only``. Raises BadInput if there is none."""
+    found = [row for row in ROWS if fnmatchcase(row.name, only)]
+    if not found:
+        names = ", ".join(row.name for row in ROWS)
+        raise BadInput.single("--only", "", f"{only!r:.60}: matches no row, allowed: a pattern for {names}")
+    return found
+
+
+def fly(
+    rows: Iterable[Row],
+    runs: int,
+    out: str | Path,
+    seed: int = 0,
+    overrides: dict[str, Any] | None = None,
+    workers: int = 0,
+    progress: Callable[[str], object] = lambda _: None,
+) -> dict[str, Any]:
+    """Return the numbers of the rows, each of ``runs`` cases, kept in folders under ``out``, where they are resumed.
+
+    overrides: the GNC, by the keys of a scenario, as ``{"gnc.control.backend": "law.py:lqr"}``. progress: called with
+    the name of each row. Raises BadInput.
+    """
+    found, given = [], overrides or {}
+    for row in rows:
+        progress(row.name)
+        options: dict[str, Any] = {} if row.dispersions is None else {"dispersions": row.dispersions}
+        faults = {"faults": list(row.faults)} if row.faults else {}
+        flown = campaign(
+            row.scenario, runs, Path(out) / row.name, seed, overrides=given | faults, workers=workers, **options
+        )
+        found.append({"row": row.name, "scenario": row.scenario} | numbers_of(flown))
+    progress("cost of a cycle")
+    return {"gnc": given, "runs": runs, "seed": seed, "cycle_us": cycle_us(given), "rows": found}
+
+
+def numbers_of(flown: Campaign) -> dict[str, Any]:
+    """Return the numbers of one campaign; shares with Wilson's 95 % interval."""
+    flags = {key: flown.summary["pass_rate"][key] for key in ("accepted", "passed", "passed_all_parts")}
+    propellant, share = flown.column("propellant_kg"), flown.column("propellant_share")
+    return flags | {
+        "propellant_kg": _percentiles(propellant),
+        "propellant_over_least": _percentiles(share),
+        "firings": _percentiles(flown.column("firings")),
+        "decision_errors": int(np.count_nonzero(flown.column("decision_error"))),
+        "misleading": int(np.count_nonzero(flown.column("hmi_cycles"))),
+        "false_alerts": int(np.count_nonzero(flown.column("false_alerts"))),
+        "aborts": int(sum(1 for cause in flown.column("abort") if cause)),
+        "nearest_m": float(np.nanmin(flown.column("nearest_m"))),
+    }
+
+
+def _percentiles(values: Any) -> dict[str, float | None]:
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    if not len(known):
+        return dict.fromkeys(("p5", "median", "p95"))
+    return dict(zip(("p5", "median", "p95"), (float(x) for x in np.percentile(known, (5, 50, 95))), strict=True))
+
+
+def cycle_us(overrides: dict[str, Any]) -> float:
+    """Return the time of a cycle of scheme 1 with plant and mock devices on one core, us: the least of three."""
+    job = job_of("scheme-1", "mock", overrides, 0, None)
+    scenario, rig = job.scenario.value, job.rig.value
+    runner, times = CaseRunner(scenario, rig, _CYCLES * scenario.step_s), []
+    for seed in range(_TIMED + 1):
+        start = time.perf_counter()
+        runner.run(scenario, seed)
+        times.append(time.perf_counter() - start)
+    return 1e6 * min(times[1:]) / _CYCLES
+
+
+def compare(first: Path, second: Path, rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Return, for each row that both folders hold, the cases that only one of two GNCs has flown to acceptance.
+
+    Cases of one number have the same dispersions and noise. Raises BadInput if no row is in both.
+    """
+    found = []
+    for row in rows:
+        tables = [_table(folder / row.name) for folder in (first, second)]
+        if any(table is None for table in tables):
+            continue
+        a, b = ({case: (ok, kg) for case, ok, kg in table} for table in tables)  # type: ignore[union-attr]
+        both = sorted(set(a) & set(b))
+        better = sum(a[case][0] and not b[case][0] for case in both)
+        worse = sum(b[case][0] and not a[case][0] for case in both)
+        saved = [b[case][1] - a[case][1] for case in both if a[case][0] and b[case][0]]
+        found.append(
+            {
+                "row": row.name,
+                "cases": len(both),
+                "only_first": better,
+                "only_second": worse,
+                "first": wilson(better, better + worse) if better + worse else None,
+                "saved_kg": float(np.median(saved)) if saved else None,
+            }
+        )
+    if not found:
+        raise BadInput.single("--against", "", f"{second}: holds no row of this benchmark")
+    return found
+
+
+def _table(folder: Path) -> list[tuple[int, bool, float]] | None:
+    """Return number, acceptance and propellant of each case of the campaign in ``folder``; None without one."""
+    path = folder / TABLE
+    if not path.is_file():
+        return None
+    _, pq = parquet()
+    table = pq.read_table(path, columns=["case", "accepted", "propellant_kg"])
+    return list(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))

@@ -1,0 +1,69 @@
+"""Page of a benchmark: a table of all rows, and the comparison with another one."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Final
+
+from hil.report import html
+
+HEAD: Final = (
+    "row", "cases", "accepted", "95 % interval", "Table III", "all parts", "propellant, kg", "over least",
+    "95th percentile", "firings", "aborts", "decision errors", "misleading", "nearest, m",
+)  # fmt: skip
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def cells_of(row: dict[str, Any]) -> tuple[str, ...]:
+    """Return the cells of a row, in the order of ``HEAD``."""
+    accepted = row["accepted"]
+    return (
+        row["row"],
+        str(accepted["runs"]),
+        f"{100 * accepted['rate']:.1f} %",
+        f"{100 * accepted['low']:.1f} to {100 * accepted['high']:.1f}",
+        f"{100 * row['passed']['rate']:.1f} %",
+        f"{100 * row['passed_all_parts']['rate']:.1f} %",
+        _number(row["propellant_kg"]["median"], 3),
+        _number(row["propellant_over_least"]["median"], 2),
+        _number(row["propellant_over_least"]["p95"], 2),
+        _number(row["firings"]["median"], 0),
+        str(row["aborts"]),
+        str(row["decision_errors"]),
+        str(row["misleading"]),
+        _number(row["nearest_m"], 2),
+    )
+
+
+def page_of(found: dict[str, Any]) -> str:
+    """Return the page of the numbers of ``hil.api.benchmark.fly``."""
+    gnc = ", ".join(f"{key} = {value}" for key, value in found["gnc"].items()) or "the GNC of each scenario"
+    body = [
+        html.heading(1, "Benchmark"),
+        html.paragraph(f"{gnc}. {found['runs']} cases a row, seed {found['seed']}."),
+        html.paragraph(
+            "Propellant is the median, over least divided by the impulsive least of the plan. Decision errors: docking "
+            "a go with the truth outside the requirement. Misleading: cases with an error beyond the alert limit that "
+            "was not announced in time."
+        ),
+        html.table(HEAD, [cells_of(row) for row in found["rows"]], "Campaigns"),
+        html.paragraph(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core."),
+    ]
+    if "against" in found:
+        rows = [
+            (
+                row["row"],
+                str(row["cases"]),
+                str(row["only_first"]),
+                str(row["only_second"]),
+                "-" if row["saved_kg"] is None else f"{1e3 * row['saved_kg']:+.1f}",
+            )
+            for row in found["against"]["rows"]
+        ]
+        head = ("row", "cases", "accepted here alone", "accepted there alone", "propellant saved, g, median")
+        body.append(html.table(head, rows, f"Case by case against {found['against']['folder']}"))
+    body.append(html.folded("Numbers", json.dumps(found, indent=1)))
+    return html.page("Benchmark", body)

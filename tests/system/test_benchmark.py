@@ -1,0 +1,51 @@
+"""``hil benchmark``: rows, numbers, page, and two GNCs case by case."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hil.api import benchmark
+from hil.cli.main import execute
+from hil.config.load import load_scenario
+from hil.errors import BadInput
+
+pytestmark = pytest.mark.xdist_group("campaign")
+LQR = Path(__file__).parents[2] / "examples/backends/lqr.py"
+
+
+def test_every_row_names_a_shipped_scenario_and_its_own_folder() -> None:
+    rows = benchmark.rows_of("*")
+    assert len({row.name for row in rows}) == len(rows)
+    assert {row.scenario for row in rows} == set(benchmark.SCENARIOS)
+    for name in benchmark.SCENARIOS:
+        assert load_scenario(name).value.name == name
+
+
+def test_pattern_without_a_row_is_refused() -> None:
+    with pytest.raises(BadInput, match="--only: 'scheme-9': matches no row, allowed: a pattern for scheme-1, "):
+        benchmark.rows_of("scheme-9")
+
+
+def test_two_laws_are_compared_case_by_case(tmp_path: Path) -> None:
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    rows = ["--only", "scheme-1", "--runs", "2", "--workers", "1"]
+    assert execute(["benchmark", "--out", str(other), *rows, "--json", str(tmp_path / "a.json")]) == 0
+    assert execute(["benchmark", f"{LQR}:lqr", "--out", str(mine), *rows, "--against", str(other)]) == 0
+    found = json.loads((mine / benchmark.RESULT).read_text())
+    assert found["gnc"] == {"gnc.control.backend": f"{LQR}:lqr"}
+    (row,), (pair,) = found["rows"], found["against"]["rows"]
+    assert (row["accepted"]["runs"], pair["cases"]) == (2, 2)
+    theirs = json.loads((tmp_path / "a.json").read_text())["rows"][0]
+    assert row["propellant_kg"]["median"] != theirs["propellant_kg"]["median"]
+    assert pair["only_first"] - pair["only_second"] == row["accepted"]["passed"] - theirs["accepted"]["passed"]
+    page = (mine / "benchmark.html").read_text()
+    assert "Case by case against" in page
+    assert f"{row['propellant_kg']['median']:.3f}" in page
+
+
+def test_folder_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="holds no row of this benchmark"):
+        benchmark.compare(tmp_path, tmp_path, benchmark.rows_of("*"))
