@@ -20,6 +20,7 @@ from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params.control_rule import nominal_leads
 
 _SAMPLES_OF_A_LINE = 17
 _SAMPLES_OF_THE_SLEW = 9
@@ -132,10 +133,11 @@ def _drift(scenario: Scenario) -> list[PlanSample]:
         return []
     control = gnc_params.gnc(scenario).control
     motion = np.array([*initial.velocity_mps, *np.radians(initial.rate_degps)])
-    travel = control.lead * motion + motion * np.abs(motion) / (2.0 * control.acceleration)
+    lead = nominal_leads(control)
+    travel = lead * motion + motion * np.abs(motion) / (2.0 * control.acceleration)
     start = np.array(initial.position_m)
     rotation = gnc_params.initial_rotation_vector(scenario)
-    t_s = float((control.lead + np.abs(motion) / control.acceleration)[motion != 0.0].max())
+    t_s = float((lead + np.abs(motion) / control.acceleration)[motion != 0.0].max())
     moved = start + travel[:3], np.zeros(3), rotation + travel[3:]
     key = "initial.velocity_mps"
     rotation_key = "initial.rate_degps" if travel[3:].any() else "initial.attitude_deg"

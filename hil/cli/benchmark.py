@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from hil.cli.options import Integer, Output, Settings, at_least, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.output import print_columns
 from hil.errors import BadInput
 
 
@@ -16,14 +16,12 @@ def benchmark(
     /,
     *,
     out: str,
-    navigation: str = "builtin",
     runs: Integer = 100,
     seed: Integer = 0,
     only: str = "*",
     against: Output = None,
     settings: Settings = (),
     workers: Integer = 0,
-    json: Output = None,
 ) -> int:
     """Fly all scenarios, dispersion sets and single faults with one GNC, and write one table and one page.
 
@@ -33,22 +31,18 @@ def benchmark(
         Backend of control: builtin, file.py:name, package:name, a shared library or an FMU.
     out
         Folder for benchmark.json, benchmark.html and the campaigns, which are resumed.
-    navigation
-        Backend of navigation; builtin leaves each scenario its own.
     runs
         Number of cases of each row.
     seed
-        Seed of all campaigns; a date as 20261125 draws a second set that nobody has tuned on.
+        Seed of all campaigns; a date as 20261125 draws a second set, which is new to each GNC.
     only
         Pattern of the rows that are flown, as "scheme-*" or "*-stress".
     against
         Folder of an earlier benchmark: cases are compared one by one.
     workers
         Number of processes on this computer; 0: one per core.
-    json
-        File for the numbers, - for standard output.
     """
-    refuse(at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0)) + check_json_path("--json", json))
+    refuse(at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0)))
 
     from hil.api import benchmark as api
     from hil.config.load import parsed_settings
@@ -57,9 +51,8 @@ def benchmark(
     from hil.report.benchmark_page import HEAD, cells_of, page_of
 
     rows, overrides = api.rows_of(only), parsed_settings(settings)
-    for part, backend in (("control", control), ("navigation", navigation)):
-        if backend != "builtin":
-            overrides[f"gnc.{part}.backend"] = backend
+    if control != "builtin":
+        overrides["gnc.control.backend"] = control
     if against is not None and not Path(against).is_dir():
         raise BadInput.single("--against", "", f"{against}: is no folder")
     folder, console = Path(out), Console(stderr=True)
@@ -69,9 +62,6 @@ def benchmark(
         found["against"] = {"folder": str(against), "rows": api.compare(folder, Path(against), rows)}
     write_summary(folder / api.RESULT, found)
     write_text(page_of(found), folder / "benchmark.html")
-    if json is not None:
-        write_json(found, json)
-    if json != "-":
-        print_columns(HEAD, [cells_of(row) for row in found["rows"]])
-        Console().print(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core")
+    print_columns(HEAD, [cells_of(row) for row in found["rows"]])
+    Console().print(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core")
     return 0

@@ -252,7 +252,7 @@ def _remember(params, state, thrust):
 
 @kernel
 def _measure_pulse(params, state, thrust, since, rate):
-    """Measure for how long the valves of a single firing were open, if it is short enough to tell of the least time.
+    """Measure for how long the valves of a single firing were open, if it is one of the shortest.
 
     thrust: expected in the last cycle (n,). since: cycles since the firing before. rate: mean of the cycle.
     """

@@ -17,7 +17,7 @@ from hil.gnc.thruster_monitor import DELAYS
 
 _LONGEST_DELAY: Final = DELAYS - 2
 """Cycles: the longest delay of a valve that is found, and taken into account, in flight."""
-_LEAST_LEAD: Final = 8.0
+_LEAST_LEAD: Final = 6.0
 """Periods in the shortest lead."""
 _LEAD_MAX_S: Final = 20.0
 _COAST_OF_TOLERANCE: Final = 0.25
@@ -41,6 +41,14 @@ class ControlRule(NamedTuple):
     """m, rad"""
 
 
+def nominal_leads(params: np.record) -> Array:
+    """Return the lead of each axis, (6,), s, for CONTROL_PARAMS: as set, else for noise that is unknown, or none."""
+    bounds = params.lead_bounds
+    by_rule = np.where(params.deadband_sigmas > 0.0, np.sqrt(bounds[:, 0] * bounds[:, 1]), bounds[:, 0])
+    leads: Array = np.where(params.lead > 0.0, params.lead, by_rule)
+    return leads
+
+
 def control_rule(scenario: Scenario, strength: Array) -> ControlRule:
     """Return the rule for ``scenario``; strength: (9,), N and N m, of the demands and of full thrust."""
     step_s, chaser, required = scenario.step_s, scenario.chaser, scenario.requirements
@@ -60,6 +68,6 @@ def control_rule(scenario: Scenario, strength: Array) -> ControlRule:
         acceleration,
         period_s,
         np.array([[_LEAST_LEAD * period_s, _LEAD_MAX_S]] * 6),
-        1.0 / (4.0 * of_axis),
+        1.0 / np.maximum(4.0 * of_axis, 1e-300),
         _COAST_OF_TOLERANCE * tolerance,
     )

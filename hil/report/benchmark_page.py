@@ -43,7 +43,7 @@ def page_of(found: dict[str, Any]) -> str:
     gnc = ", ".join(f"{key} = {value}" for key, value in found["gnc"].items()) or "the GNC of each scenario"
     body = [
         html.heading(1, "Benchmark"),
-        html.paragraph(f"{gnc}. {found['runs']} cases a row, seed {found['seed']}."),
+        html.paragraph(f"{gnc}. {found['runs']} cases per row, seed {found['seed']}."),
         html.paragraph(
             "Propellant is the median, over least divided by the impulsive least of the plan. Decision errors: docking "
             "a go with the truth outside the requirement. Misleading: cases with an error beyond the alert limit that "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,10 +87,15 @@ def run(job: Job, folder: Path, compiled: bool, prepare: Prepare = lambda _: Non
         taken.finish(summary)
     with io.BytesIO(taken.path.read_bytes()) as file:
         messages = [
-            (channel.topic, message.log_time, message.sequence, message.data)
+            (channel.topic, message.log_time, message.sequence, _without_digest(channel.topic, message.data))
             for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False)
         ]
     return Evidence(outcome, summary, messages)
+
+
+def _without_digest(topic: str, data: bytes) -> bytes:
+    """Return a message without its digest in the audit, which begins with the header of its own recording."""
+    return re.sub(rb', ?"digest": ?"[0-9a-f]{64}"', b"", data) if topic == "/log" else data
 
 
 def assert_equal(one: Evidence, other: Evidence) -> None:

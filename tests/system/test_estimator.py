@@ -26,6 +26,7 @@ VISION = (
     f"{KEY}.vision_bias_sigma_m=[0.002, 0.0005, 0.001]",
     f"{KEY}.vision_misalignment_sigma_deg=0.05",
     f"{KEY}.vision_scale_sigma=0.002",
+    "gnc.navigation.thrust.enabled=true",
 )
 ALL = (
     *VISION,

@@ -155,7 +155,7 @@ def test_fault_is_detected_as_the_table_states(name: str) -> None:
     row = row_of(stats, stop, scenario, scenario)
     assert row["detected_by"] == RESPONSES[name].detected_by
     assert RESPONSES[name].reaction.startswith(row["reaction"])
-    assert onset_s <= row["detected_s"] <= onset_s + 10.0
+    assert onset_s <= row["detected_s"] <= onset_s + 15.0  # a thruster fault is found when the thruster is used
 
 
 def during(rows: np.ndarray) -> np.ndarray:

@@ -58,5 +58,5 @@ def test_attitude_beyond_both_names_the_axis_value_limit_and_the_manipulator_s_a
 
 def test_whole_attitude_shown_by_the_manipulator_moves_the_rails_by_the_range() -> None:
     (problem,) = problems("scheme-1", BOTH, *NARROW)
-    assert "rails.y would go to -1.755 m" in problem.message
+    assert "rails.y would go to -1.750 m" in problem.message
     assert "with rotary_manipulator at roll 0.0, pitch 0.0, yaw -15.0 deg, allowed -1.5 to 1.5 m" in problem.message

@@ -268,7 +268,7 @@ def test_plan_that_the_rig_cannot_realise_fails_with_its_problems() -> None:
     settings = ("rig.rails.x.rate_max_mps=0.035",)
     check = reachability_check(load_scenario("scheme-1", settings), load_rig("mock", settings))
     assert check.passed is False
-    assert "rails.x would go at up to 0.0412 m/s" in check.value
+    assert "rails.x would go at up to 0.04 m/s" in check.value
     assert reachability_check(load_scenario("scheme-1"), load_rig("mock")).passed is True
 
 
