@@ -111,7 +111,9 @@ def test_no_spoilt_frame_moves_an_axis_or_shows_a_place_where_it_is_not(driver):
                 break  # a burst
             gap_s = seen.t_s - before_s
             if gap_s > 0.0:  # a new sample: after a pause of the machine the axis could have moved
-                allowed_deg = UNNOTICED_DEG + (REACHED_DEGPS * gap_s if gap_s > PAUSE_S else 0.0)
+                # until the device has checked it, which is later than its time
+                checked_s = clock.now_s() - before_s
+                allowed_deg = UNNOTICED_DEG + (REACHED_DEGPS * checked_s if gap_s > PAUSE_S else 0.0)
                 before_s = seen.t_s
             assert np.abs(np.degrees(seen.position - start)).max() < allowed_deg
             time.sleep(0.002)
