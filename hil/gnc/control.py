@@ -84,6 +84,17 @@ def dead_band(lead, noise, coast, pulse):
 
 
 @kernel
+def rule_of(params, axis, sigma, sigma_rate, pulse):
+    """Return lead, s, and noise, coast and dead band of s, m or rad, of an axis; arguments as of ``lead_time``."""
+    lead = lead_time(params, axis, sigma, sigma_rate, pulse)
+    noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
+    if not noise > 0.0:
+        noise = 0.0
+    coast = coast_of(params, axis, pulse)
+    return lead, noise, coast, dead_band(lead, noise, coast, pulse)
+
+
+@kernel
 def burn_time(error, rate, acceleration, lead, band, shortest):
     """Return for how long to fire, s, negative against a positive s; 0 in the dead band.
 
@@ -129,14 +140,11 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, reference_ac
         period, least, extra = params.period[axis], params.pulse_s, feed.extra_s
         shortest = least + extra
         pulse = acceleration * max(shortest, feed.pulse_s)
-        lead = lead_time(params, axis, sigma, sigma_rate, pulse)
-        noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
-        if command.boost != 0 or not noise > 0.0:
-            noise = 0.0
-        coast = coast_of(params, axis, pulse)
+        lead, _, coast, band = rule_of(params, axis, sigma, sigma_rate, pulse)
+        if command.boost != 0:
+            band = dead_band(lead, 0.0, coast, pulse)
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))
-        band = dead_band(lead, noise, coast, pulse)
         time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
         feedback = 0.0
         if time != 0.0:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.gnc.control import coast_of, dead_band, lead_time
+from hil.gnc.control import rule_of
 from hil.params import gnc as gnc_params
 
 _AXES: Final = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -28,10 +28,7 @@ def control_numbers(history: np.ndarray, scenario: Scenario) -> dict[str, Any] |
     sigma_rate = [*last["sigma_v_mps"], 0.0, 0.0, 0.0]
     for axis, name in enumerate(_AXES):
         pulse = float(params.acceleration[axis] * params.pulse_s)
-        lead_s = float(lead_time(params, axis, sigma[axis], sigma_rate[axis], pulse))
-        noise = float(params.deadband_sigmas[axis] * math.hypot(sigma[axis], lead_s * sigma_rate[axis]))
-        coast = float(coast_of(params, axis, pulse))
-        band = float(dead_band(lead_s, noise, coast, pulse))
+        lead_s, noise, coast, band = rule_of(params, axis, float(sigma[axis]), float(sigma_rate[axis]), pulse)
         numbers = {"smallest_change": pulse, "noise": noise, "coast": coast, "dead_band": band}
         unit, scale = ("mm", 1e3) if axis < 3 else ("deg", math.degrees(1.0))
         rows.append(
