@@ -251,17 +251,23 @@ def _remember(params, state, thrust):
 
 
 @kernel
+def _least_time(params):
+    """Return the least time, s, for which valves are commanded to open, or open by the data sheet."""
+    return max(params.minimum_on_s, params.dt_s)
+
+
+@kernel
 def _measure_pulse(params, state, thrust, since, rate):
     """Measure for how long the valves of a single firing were open, if it is one of the shortest.
 
     thrust: expected in the last cycle (n,). since: cycles since the firing before. rate: mean of the cycle.
     """
     count, largest = 0, 0.0
-    for j in range(params.n):
-        if thrust[j] > 0.0:
-            count += 1
-            largest = max(largest, thrust[j])
-    if count > 0:
+    if state.open_cycles == 0:
+        for j in range(params.n):
+            if thrust[j] > 0.0:
+                count += 1
+                largest = max(largest, thrust[j])
         if state.firing_cycles == 0 and since > params.settle_cycles:
             state.firing_cycles, state.firing_thrusters, state.firing_s = 1, count, 0.0
             fill(state.firing_expected, 0.0)
@@ -299,7 +305,7 @@ def _learn_pulse(params, state):
     if square < (0.5 * state.firing_cycles) ** 2:
         return
     commanded_s = state.firing_s
-    if commanded_s < max(params.minimum_on_s, params.dt_s) + 0.5 * params.dt_s:  # the shortest that is commanded
+    if commanded_s < _least_time(params) + 0.5 * params.dt_s:  # the shortest that is commanded
         open_s = min(_PULSE_MAX_S, max(0.25 * params.dt_s, product / square * commanded_s))
         known_s = state.pulse_s if state.firings > 0 else commanded_s
         state.firings += 1
@@ -322,7 +328,7 @@ def shortest_firing(params, state):
     Until it is measured with an IMU, it is taken to be larger than that of the data sheet: pulses that drive each
     other across a dead band that is too small leave no time to measure any.
     """
-    least_s = max(params.minimum_on_s, params.dt_s)
+    least_s = _least_time(params)
     if state.firings > 0:
         return state.pulse_s, state.pulse_s - least_s
     return (_UNMEASURED * least_s if state.calls >= 2 and state.imu_suspect == 0 else least_s), 0.0
