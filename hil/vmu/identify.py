@@ -415,9 +415,7 @@ def without_spots(view: View, fit: np.void) -> View:
 
 def shares_spots(fit: np.void, other: np.void) -> bool:
     """Return whether two poses have a spot in common."""
-    used = (set(pose["spot"][c][pose["spot"][c] >= 0].tolist()) for c in range(2) for pose in (fit, other))
-    of_left, other_left, of_right, other_right = used
-    return bool(of_left & other_left or of_right & other_right)
+    return any(bool(np.isin(a[a >= 0], b).any()) for a, b in zip(fit["spot"], other["spot"], strict=True))
 
 
 def covers(fit: np.void, rival: np.void) -> bool:
