@@ -14,8 +14,8 @@ from hil.api.campaigns import Campaign, campaign
 from hil.api.jobs import job_of
 from hil.errors import BadInput
 from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.statistics import wilson
-from hil.monte_carlo.store import TABLE, parquet
+from hil.monte_carlo.explain import Cases
+from hil.monte_carlo.statistics import paired_rates, percentiles
 
 SCENARIOS: Final = (
     "scheme-1", "scheme-2", "scheme-3", "scheme-1-printed", "leo-vbar", "geo", "inspection", "departure", "limit-cycle",
@@ -40,14 +40,14 @@ def _fault(device: str, kind: str, at_s: float, **rest: Any) -> tuple[dict[str, 
 
 
 ROWS: Final = (
-    *(Row(f"{name}", name) for name in SCENARIOS),
+    *(Row(name, name) for name in SCENARIOS),
     *(Row(f"{name}-data-sheet", name, "data-sheet") for name in ("scheme-1", "scheme-2")),
     *(Row(f"{name}-stress", name, "stress") for name in ("scheme-1", "scheme-2", "leo-vbar", "geo")),
     *(Row(f"tumbling-{n}-stress", f"tumbling-{n}", "tumbling-stress") for n in (1, 3, 5)),
-    Row("vision-lost", "scheme-1", faults=_fault("vmu", "dropout", 100.0, until_s=105.0)),
+    Row("vision-lost", "scheme-1", faults=_fault("vmu", "no_pose", 100.0, until_s=105.0)),
     Row("vision-offset", "scheme-1", faults=_fault("vmu", "offset", 100.0, value=[0.0, 0.1, 0.0])),
     Row("imu-lost", "scheme-1", faults=_fault("imu", "dropout", 100.0, until_s=105.0)),
-    Row("thruster-dead", "scheme-1", faults=_fault("thruster.3", "dead", 60.0)),
+    Row("thruster-dead", "scheme-1", faults=_fault("thruster.3", "stuck_closed", 60.0)),
     Row("thruster-open", "scheme-1", faults=_fault("thruster.3", "stuck_open", 60.0)),
 )
 """The set; with a single fault a GNC is to end without coming nearer than the keep-out and without misleading."""
@@ -94,23 +94,20 @@ def numbers_of(flown: Campaign) -> dict[str, Any]:
     flags = {key: flown.summary["pass_rate"][key] for key in ("accepted", "passed", "passed_all_parts")}
     propellant, share = flown.column("propellant_kg"), flown.column("propellant_share")
     return flags | {
-        "propellant_kg": _percentiles(propellant),
-        "propellant_over_least": _percentiles(share),
-        "firings": _percentiles(flown.column("firings")),
+        "propellant_kg": _spread(propellant),
+        "propellant_over_least": _spread(share),
+        "firings": _spread(flown.column("firings")),
         "decision_errors": int(np.count_nonzero(flown.column("decision_error"))),
         "misleading": int(np.count_nonzero(flown.column("hmi_cycles"))),
         "false_alerts": int(np.count_nonzero(flown.column("false_alerts"))),
-        "aborts": int(sum(1 for cause in flown.column("abort") if cause)),
+        "aborts": int(np.count_nonzero(flown.column("abort") != "")),
         "nearest_m": float(np.nanmin(flown.column("nearest_m"))),
     }
 
 
-def _percentiles(values: Any) -> dict[str, float | None]:
-    known = np.asarray(values, float)
-    known = known[np.isfinite(known)]
-    if not len(known):
-        return dict.fromkeys(("p5", "median", "p95"))
-    return dict(zip(("p5", "median", "p95"), (float(x) for x in np.percentile(known, (5, 50, 95))), strict=True))
+def _spread(values: Any) -> dict[str, float | int | None]:
+    found = percentiles(values)
+    return {"p5": found.get("p5"), "median": found.get("p50"), "p95": found.get("p95")}
 
 
 def cycle_us(overrides: dict[str, Any]) -> float:
@@ -128,38 +125,33 @@ def cycle_us(overrides: dict[str, Any]) -> float:
 def compare(first: Path, second: Path, rows: Iterable[Row]) -> list[dict[str, Any]]:
     """Return, for each row that both folders hold, the cases that only one of two GNCs has flown to acceptance.
 
-    Cases of one number have the same dispersions and noise. Raises BadInput if no row is in both.
+    Cases of one number have the same dispersions and noise. Raises BadInput if no row is in both, or seed or number of
+    cases differ.
     """
     found = []
     for row in rows:
-        tables = [_table(folder / row.name) for folder in (first, second)]
-        if any(table is None for table in tables):
+        if not (second / row.name).is_dir():
             continue
-        a, b = ({case: (ok, kg) for case, ok, kg in table} for table in tables)  # type: ignore[union-attr]
-        both = sorted(set(a) & set(b))
-        better = sum(a[case][0] and not b[case][0] for case in both)
-        worse = sum(b[case][0] and not a[case][0] for case in both)
-        saved = [b[case][1] - a[case][1] for case in both if a[case][0] and b[case][0]]
+        here, there = (Cases(folder / row.name, "--against") for folder in (first, second))
+        for name, mine, theirs in (
+            ("seed", here.identity["seed"], there.identity["seed"]),
+            ("runs", here.table.num_rows, there.table.num_rows),
+        ):
+            if mine != theirs:
+                text = f"{there.folder}: has {name} {theirs}, this one {mine}: cases can only be paired if equal"
+                raise BadInput.single("--against", "", text)
+        rates = paired_rates(here, there, "accepted")
+        both = here.column("accepted") & there.column("accepted")
+        saved = (there.column("propellant_kg") - here.column("propellant_kg"))[both]
         found.append(
             {
                 "row": row.name,
                 "cases": len(both),
-                "only_first": better,
-                "only_second": worse,
-                "first": wilson(better, better + worse) if better + worse else None,
-                "saved_kg": float(np.median(saved)) if saved else None,
+                "only_first": rates["first_alone"],
+                "only_second": rates["second_alone"],
+                "saved_kg": float(np.median(saved)) if len(saved) else None,
             }
         )
     if not found:
         raise BadInput.single("--against", "", f"{second}: holds no row of this benchmark")
     return found
-
-
-def _table(folder: Path) -> list[tuple[int, bool, float]] | None:
-    """Return number, acceptance and propellant of each case of the campaign in ``folder``; None without one."""
-    path = folder / TABLE
-    if not path.is_file():
-        return None
-    _, pq = parquet()
-    table = pq.read_table(path, columns=["case", "accepted", "propellant_kg"])
-    return list(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))

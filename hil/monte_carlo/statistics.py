@@ -65,7 +65,7 @@ def summarise(store: Store, scenario: str) -> dict[str, Any]:
         "pass_rate": {flag: wilson(int(np.count_nonzero(store.column(flag))), runs) for flag in FLAGS},
         "stops": _stops(store),
         "worst": _worst(store, scenario, case),
-        "percentiles": {name: _percentiles(store.column(name)) for name in SPREAD_OF},
+        "percentiles": {name: percentiles(store.column(name)) for name in SPREAD_OF},
         "least_margin_cases": _least(store, case),
     }
 
@@ -103,7 +103,8 @@ def _worst(store: Store, scenario: str, case: Array) -> dict[str, list[dict[str,
     return found
 
 
-def _percentiles(values: Array) -> dict[str, float | int | None]:
+def percentiles(values: Array) -> dict[str, float | int | None]:
+    """Return number, extremes and ``PERCENTILES`` of ``values`` (n,), without those that are missing."""
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known)]
     if not len(known):
@@ -142,8 +143,8 @@ def compare(first: HasColumns, second: HasColumns, names: tuple[str, str]) -> di
         "second": names[1],
         "runs": len(first.column("passed")),
         "confidence": CONFIDENCE,
-        "pass_rate": _paired_rates(first, second, "passed"),
-        "accepted_rate": _paired_rates(first, second, "accepted"),
+        "pass_rate": paired_rates(first, second, "passed"),
+        "accepted_rate": paired_rates(first, second, "accepted"),
         "difference": {},
     }
     for name in COMPARED:
@@ -154,7 +155,7 @@ def compare(first: HasColumns, second: HasColumns, names: tuple[str, str]) -> di
     return found
 
 
-def _paired_rates(first: HasColumns, second: HasColumns, flag: str) -> dict[str, Any]:
+def paired_rates(first: HasColumns, second: HasColumns, flag: str) -> dict[str, Any]:
     """Return the rates of ``flag`` in both campaigns, and the number of cases that have it in one alone."""
     a, b = (np.asarray(store.column(flag), dtype=bool) for store in (first, second))
     return {

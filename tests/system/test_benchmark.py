@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hil.api import benchmark
+from hil.api.jobs import job_of
 from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.errors import BadInput
@@ -22,6 +23,12 @@ def test_every_row_names_a_shipped_scenario_and_its_own_folder() -> None:
     assert {row.scenario for row in rows} == set(benchmark.SCENARIOS)
     for name in benchmark.SCENARIOS:
         assert load_scenario(name).value.name == name
+
+
+@pytest.mark.parametrize("row", [row for row in benchmark.ROWS if row.faults], ids=lambda row: row.name)
+def test_single_fault_can_be_injected(row: benchmark.Row) -> None:
+    (fault,) = job_of(row.scenario, "mock", {"faults": list(row.faults)}, 0, None).scenario.value.faults
+    assert (fault.device, fault.kind) == (row.faults[0]["device"], row.faults[0]["kind"])
 
 
 def test_pattern_without_a_row_is_refused() -> None:
@@ -44,6 +51,7 @@ def test_two_laws_are_compared_case_by_case(tmp_path: Path) -> None:
     page = (mine / "benchmark.html").read_text()
     assert "Case by case against" in page
     assert f"{row['propellant_kg']['median']:.3f}" in page
+    assert execute(["benchmark", "--out", str(tmp_path / "c"), "--seed", "1", *rows, "--against", str(other)]) == 2
 
 
 def test_folder_of_another_kind_is_refused(tmp_path: Path) -> None:
