@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
     from hil.core.build_info import VERSION
-    from hil.gnc_backends.backend import Setting
+    from hil.core.settings import Setting
     from hil.gnc_backends.kernel_backend import kernel_backend
     from hil.monitor.monitor import DockingMonitor
     from hil.vmu.unit import VisionUnit
@@ -79,7 +79,7 @@ _MODULES = {
     "Run": "hil.api.results",
     "RunRequirement": "hil.api.requirements",
     "Scenario": "hil.config.scenario",
-    "Setting": "hil.gnc_backends.backend",
+    "Setting": "hil.core.settings",
     "StudyResults": "hil.api.studies",
     "SweepResults": "hil.api.comparisons",
     "VisionUnit": "hil.vmu.unit",

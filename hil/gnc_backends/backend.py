@@ -6,14 +6,12 @@ Kinds: a kernel (``kernel_backend``), a Python class or object (``python_backend
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from hil.core.backend_records import MAX_SETTINGS
+from hil.core.settings import Setting
 from hil.errors import DeviceError, ProtocolError
 from hil.gnc import backend_step
 from hil.gnc_backends.external import printable, raised_text
@@ -27,50 +25,6 @@ _VECTORS: Final = {
     backend_step.RATE: "w_CH_C",
     backend_step.BIAS: "bias_mps2",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """A number that a backend declares: a key of the scenario, ``gnc.control.settings.NAME``, in ``unit``.
-
-    low, high: range of the value, both included. Raises ValueError if the declaration contradicts itself.
-    """
-
-    name: str
-    default: float
-    unit: str = "1"
-    low: float = -math.inf
-    high: float = math.inf
-    doc: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.name.isidentifier():
-            raise ValueError(f"setting {self.name!r}: must be an identifier")
-        if not self.low <= self.default <= self.high:
-            raise ValueError(f"setting {self.name}: default {self.default:g}, allowed {self.allowed}")
-
-    @property
-    def allowed(self) -> str:
-        """Range as text."""
-        if math.isinf(self.low) and math.isinf(self.high):
-            return "any number"
-        if math.isinf(self.high):
-            return f"{self.low:g} or more"
-        return f"{self.high:g} or less" if math.isinf(self.low) else f"{self.low:g} to {self.high:g}"
-
-
-def checked_settings(declared: Any) -> tuple[Setting, ...]:
-    """Return the declared settings. Raises ValueError for anything but a sequence of Setting with different names."""
-    settings = tuple(declared) if isinstance(declared, Sequence) else (declared,)
-    for setting in settings:
-        if not isinstance(setting, Setting):
-            raise ValueError(f"settings: {setting!r:.60} is no hil.Setting")
-    names = [setting.name for setting in settings]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"settings: {twice[0]} is declared twice")
-    if len(settings) > MAX_SETTINGS:
-        raise ValueError(f"settings: {len(settings)} are declared, allowed {MAX_SETTINGS}")
-    return settings
 
 
 class BackendInstance:

@@ -12,8 +12,9 @@ import numpy as np
 
 from hil.core.backend_records import BACKEND_PROTOCOL, MAX_SETTINGS
 from hil.core.gnc_records import REASON_BYTES
+from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput
-from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
+from hil.gnc_backends.backend import BackendInstance
 from hil.gnc_backends.external import printable
 from hil.gnc_backends.shared_library import loaded_library
 

@@ -19,8 +19,9 @@ from hil.config.live_tunable import BACKEND_SETTINGS
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import BUILT_IN, Scenario
 from hil.core.backend_records import MAX_IMU_SAMPLES
+from hil.core.settings import Setting
 from hil.errors import BadInput, Problem, one_line
-from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends, Setting
+from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
 from hil.gnc_backends.backend_library import LibraryBackend
 from hil.gnc_backends.kernel_backend import CompiledKernel, KernelBackend
 from hil.gnc_backends.python_backend import PythonBackend
@@ -100,17 +101,9 @@ def _settings_of(
         if name not in declared:
             known = ", ".join(declared) or "none"
             problems.append(Problem(scenario.where(key), key, f"unknown key: known here: {known}"))
-        elif text := problem_of(declared[name], value):
+        elif text := declared[name].problem(value):
             problems.append(Problem(scenario.where(key), key, text))
     return {name: given.get(name, setting.default) for name, setting in declared.items()}, problems
-
-
-def problem_of(setting: Setting, value: float) -> str:
-    """Return why ``value`` is not allowed, "" if it is."""
-    if setting.low <= value <= setting.high:
-        return ""
-    unit = f" {setting.unit}" if setting.unit not in ("", "1") else ""
-    return f"{value:g}: must be {setting.allowed}{unit}"
 
 
 def backends_of(

@@ -22,13 +22,14 @@ from hil.core.backend_records import (
 )
 from hil.core.fields import Fields, record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GNC_SETUP_FIELDS
+from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError
 from hil.fmi import step
 from hil.fmi.archive import FmuError
 from hil.fmi.binary import Fmu
 from hil.fmi.description import FmiVariable
 from hil.fmi.mapping import MappedElement, map_record
-from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
+from hil.gnc_backends.backend import BackendInstance
 from hil.gnc_backends.shared_library import Instance
 
 KEY: Final = "gnc.fmu"

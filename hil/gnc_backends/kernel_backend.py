@@ -18,8 +18,9 @@ from numba.np.numpy_support import carray
 
 from hil.core.backend_records import INPUTS, OUTPUTS
 from hil.core.jit import c_function, kernel
+from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, one_line
-from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
+from hil.gnc_backends.backend import BackendInstance
 
 _ARGUMENTS: Final = ("settings", "inp", "out", "memory")
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from hil.core.backend_records import OBJECTS, OUTPUT_FIELDS, OUTPUTS, TEXT_BYTES
 from hil.core.fields import described
+from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError
-from hil.gnc_backends.backend import BackendInstance, Setting, checked_settings
+from hil.gnc_backends.backend import BackendInstance
 from hil.gnc_backends.external import raised_text
 
 _STEP: Final = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)

@@ -12,8 +12,9 @@ import hil
 from hil.config.load import load_scenario
 from hil.core.gnc_records import GNC_SETUP
 from hil.core.messages import new
+from hil.core.settings import Setting
 from hil.errors import BadInput
-from hil.gnc_backends.backend import OwnBackends, Setting
+from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import backends_of, named
 from tests.support.backends import LQR, kernel_file
 
