@@ -142,9 +142,11 @@ class Dispersions(ConfigModel):
     """Distributions of keys in `[imu]`."""
     vmu: Table = Field(default_factory=dict)
     """Distributions of keys in `[vmu]`."""
+    sensors: Table = Field(default_factory=dict)
+    """Distributions of keys of `[[sensors]]`, by their names: the filters keep the nominal ones."""
     faults: FaultDispersion = FaultDispersion()
     gnc: Table = Field(default_factory=dict)
     """Distributions of keys in `[gnc]`: of the parameters of the GNC itself, and of injected events."""
 
 
-TABLES = ("orbit", "target", "truth", "initial", "chaser", "imu", "vmu", "gnc")
+TABLES = ("orbit", "target", "truth", "initial", "chaser", "imu", "vmu", "sensors", "gnc")

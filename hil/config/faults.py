@@ -109,6 +109,18 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
                                  0.0, 100.0),
     },
     "monitor": {},
+    "sensor": {
+        "no_sample": ErrorTerm("measures nothing"),
+        "frozen": ErrorTerm("repeats its last measurement, with fresh time stamps"),
+        "offset": ErrorTerm("components one to three are displaced; a single number: the first one", 3,
+                            "of the component", "", 0.0, 1e6),
+        "drift": ErrorTerm("the displacement grows from 0 at this rate per second", 3, "of the component per s", "",
+                           0.0, 1e6),
+        "outlier": ErrorTerm("this fraction of the measurements is displaced by 30 reported standard deviations", 1,
+                             "1", "", 1e-6, 1.0),
+        "noise_scale": ErrorTerm("the noise is this multiple of the reported one, which does not change", 1, "1", "",
+                                 1.0, FACTOR_MAX),
+    },
     "target": {
         "jump": ErrorTerm("the target is displaced", 3, "m", "H", 0.0, 10.0),
         "drift": ErrorTerm("the target moves at this velocity", 3, "m/s", "H", 0.0, 1.0),
@@ -140,6 +152,10 @@ _WITHIN: Final = "tests/system/test_faults.py::test_fault_that_is_not_detected_f
 
 def _navigation(detection: str, reaction: str) -> FaultResponse:
     return FaultResponse("navigation", f"health: {detection}", reaction, _TEST)
+
+
+def _excluded(detection: str) -> FaultResponse:
+    return FaultResponse("navigation", f"health: {detection}", "the sensor is excluded", _TEST)
 
 
 def _within(detection: str) -> FaultResponse:
@@ -195,6 +211,12 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "axis.slow": _guard("axis against the demand, once slower than demanded"),
     "axis.offset": _guard("axis against the demand as the reading steps; later pose against encoders"),
     "axis.oscillation": _guard("axis against the demand, from amplitudes of 0.6 mm or 0.03 deg on"),
+    "sensor.no_sample": _within("none: the others carry on, and the protection level grows by what it gave"),
+    "sensor.frozen": _excluded("sensor suspect, by its innovations once the chaser has moved"),
+    "sensor.offset": _excluded("sensor suspect, by rejections or the CUSUM of its innovations"),
+    "sensor.drift": _excluded("sensor suspect, by the CUSUM of its innovations"),
+    "sensor.outlier": _within("the gate rejects outliers; sensor suspect if they are many"),
+    "sensor.noise_scale": _within("sensor suspect, by its mean NIS, if much larger than reported"),
     "target.jump": _guard("axis against the demand, if farther than the axes move in three cycles"),
     "target.drift": _both("axis against the demand, if faster than the axes can follow"),
     "target.plume": _within("none: control allows for it as for stronger or weaker thrusters"),
@@ -213,7 +235,7 @@ class TimedFault(ConfigModel):
     """End; unless set, that of the run."""
     device: str
     """`vmu`, `imu`, `thruster.1` and so on in the scenario's order, `rails.x`, `turntable.roll`, ..., `monitor`,
-    `target`."""
+    `sensor.NAME`, `target`."""
     kind: str
     """Kind of fault: see [Faults](faults.md)."""
     value: float | Vector | None = None
@@ -270,13 +292,18 @@ class TimedFault(ConfigModel):
         return _family_of(self.device)
 
     @property
+    def member(self) -> str:
+        """What follows the family in the name of the device: name of a sensor."""
+        return self.device.partition(".")[2]
+
+    @property
     def number(self) -> int:
         """Index of a thruster or an axis, from 0; -1 if it is no number."""
         if self.family == "axis":
             return AXES.index(self.device)
         if self.family != "thruster":
             return 0
-        digits = self.device.partition(".")[2]
+        digits = self.member
         return int(digits) - 1 if digits.isascii() and digits.isdigit() and len(digits) < 4 else -1
 
     @property
@@ -285,7 +312,10 @@ class TimedFault(ConfigModel):
         if self.value is None:
             default = TERMS[self.family][self.kind].default
             return () if default is None else (default,)
-        return self.value if isinstance(self.value, tuple) else (self.value,)
+        if isinstance(self.value, tuple):
+            return self.value
+        is_first = self.family == "sensor" and TERMS["sensor"][self.kind].values == 3
+        return (self.value, 0.0, 0.0) if is_first else (self.value,)
 
     @property
     def end_s(self) -> float:
@@ -297,7 +327,7 @@ def _family_of(device: str) -> str:
     if device in AXES:
         return "axis"
     name, dot, _ = device.partition(".")
-    return name if (dot != "") == (name == "thruster") else device
+    return name if (dot != "") == (name in ("thruster", "sensor")) else device
 
 
 def _is_number(value: Any) -> bool:
@@ -306,4 +336,4 @@ def _is_number(value: Any) -> bool:
 
 def devices() -> tuple[str, ...]:
     """Return the names of all devices that can have faults."""
-    return ("vmu", "imu", "thruster.1, thruster.2 ...", *AXES, "monitor", "target")
+    return ("vmu", "imu", "thruster.1, thruster.2 ...", *AXES, "monitor", "sensor.NAME", "target")

@@ -25,6 +25,7 @@ from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.sensors import by_name
 from hil.config.units import converted
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
@@ -217,6 +218,8 @@ def read_with_bases(
     _find_files_beside(table, path.parent)
     if model is Scenario and isinstance(table.get("requirements"), list):
         table["requirements"] = {"probabilistic": table["requirements"]}
+    if model is Scenario and "sensors" in table:
+        table["sensors"] = by_name(table["sensors"], str(path))
     chosen_set = table.pop("dispersions") if _names_dispersion_set(model, table) else None
     base_name = table.pop("extends", None)
     base: Table = {}

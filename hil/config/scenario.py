@@ -18,10 +18,12 @@ from hil.config.live_tunable import LiveTuning
 from hil.config.model import AngleTriple, ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.model_fmu import ModelFmu, ThrusterModel
 from hil.config.required_parts import PART_COLUMNS
+from hil.config.sensors import SensorConfig
 from hil.config.target import KnownTarget, MovingTarget
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.backend_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
+from hil.core.sensor_records import MAX_SENSORS
 
 DURATION_MAX_S = 1e6
 CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
@@ -207,6 +209,19 @@ class CommandedThrust(ConfigModel):
     """Rate at the start, 1 sigma, of navigation without an IMU."""
 
 
+class Handover(ConfigModel):
+    """Start of the filters by what an earlier navigation hands over, instead of by the first pose of the vision unit.
+
+    They start at the planned start with these standard deviations; `gnc.pkf.initial_velocity_sigma_mps` is that of the
+    velocity.
+    """
+
+    sigma_m: Positive
+    """Standard deviation of the position, per axis."""
+    sigma_deg: Positive
+    """Standard deviation of the attitude, per axis."""
+
+
 class Navigation(ConfigModel):
     """Backend of navigation, and the gate of the innovations of the built-in ones."""
 
@@ -222,6 +237,7 @@ class Navigation(ConfigModel):
     memory_s: Positive = 1.28
     """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
     budget: ErrorBudget = ErrorBudget()
+    handover: Handover | None = None
     """Sizes of the sensors' errors, for the filters."""
     thrust: CommandedThrust = CommandedThrust()
     """Use of the commanded thrust."""
@@ -411,6 +427,8 @@ class NavigationIntegrity(ConfigModel):
     """Of the requirements, within which the encoders must be for a go; the rest is for the control error after it."""
     go_cusum_sigmas: Positive = 12.0
     """Docking is no go while a sum of the CUSUM is larger."""
+    vision_range_m: Positive | None = None
+    """Range up to which poses are expected: farther out vision cannot be lost; unless set, everywhere."""
     pose_range_max_m: Positive = 100.0
     """A pose farther from the target is none."""
     pose_sigma_max_m: Positive = 1.0
@@ -479,6 +497,8 @@ class Reactions(ConfigModel):
     """A variance of the filters is not finite or not positive."""
     bench_disagrees: PhaseReactions = _HOLD
     """The encoders of the bench contradict the estimate."""
+    sensor_suspect: PhaseReactions = _CONTINUE
+    """A further sensor contradicts the others and is excluded."""
     unprotected: PhaseReactions = PhaseReactions()
     """The protection level exceeds the alert limit for `integrity.time_to_alert_s`."""
     hold_max_s: Positive = 60.0
@@ -494,6 +514,7 @@ class Reactions(ConfigModel):
             self.monitor_disagrees,
             self.covariance_invalid,
             self.bench_disagrees,
+            self.sensor_suspect,
             self.unprotected,
         )
 
@@ -751,6 +772,8 @@ class Scenario(ConfigModel):
     integrity: Integrity = Integrity()
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
+    sensors: Annotated[dict[str, SensorConfig], Field(max_length=MAX_SENSORS)] = Field(default_factory=dict)
+    """Sensors beside vision unit, IMU and docking monitor, by name."""
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
     """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()
@@ -764,6 +787,14 @@ class Scenario(ConfigModel):
                 raise ValueError(
                     f"{name}.fmu: faults of family {family} are of the built-in model: put them into the FMU"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _sensors_with_faults_exist(self) -> Self:
+        for fault in self.faults:
+            if fault.family == "sensor" and fault.member not in self.sensors:
+                known = ", ".join(f"sensor.{name}" for name in self.sensors) or "none"
+                raise ValueError(f'faults: device = "{fault.device}": the scenario\'s sensors are {known}')
         return self
 
     @model_validator(mode="after")

@@ -82,6 +82,7 @@ class GncHealth(IntFlag):
     MONITOR_DISAGREES = 16, "the docking monitor measures another pose"
     COVARIANCE_INVALID = 32, "a covariance of the filters is not finite or not positive definite"
     BENCH_DISAGREES = 64, "the bench's encoders contradict the estimate"
+    SENSOR_SUSPECT = 128, "a further sensor contradicts the others and is excluded"
 
 
 GNC_ORBIT_FIELDS: Final = (

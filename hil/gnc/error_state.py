@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.core.sensor_records import ERROR_STATES_MAX
 from hil.gnc.akf import AKF_STATE
 from hil.gnc.pkf import PKF_STATE
 
@@ -53,6 +54,7 @@ PARAMETER_BLOCKS: Final = (
     _block("bias", 3, "m", BlockMotion.CONSTANT, False),  # of a pose, in c
     _block("scale", 1, "1", BlockMotion.CONSTANT, False),  # of the distance
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
+    _block("sensor_errors", ERROR_STATES_MAX, "as of the sensor", BlockMotion.MARKOV, True),  # as many as are declared
     _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force apart from the thrust, in c
     _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
     _block("gyro_misalignment", 3, "rad", BlockMotion.CONSTANT, False),

@@ -19,13 +19,22 @@ import numpy as np
 
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.gnc import body_frame, joint_filter, pose_model, thrust_model
+from hil.gnc import body_frame, joint_filter, pose_model, sensor_fusion, thrust_model
 from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
 from hil.gnc.integrity import pose_sigmas
 from hil.gnc.pkf import PKF_PARAMS
-from hil.gnc.step_memory import DOUBTS, POSES_PER_STEP, copy_pose, keep_predicted, return_to, step_at
+from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE
+from hil.gnc.step_memory import (
+    DOUBTS,
+    POSES_PER_STEP,
+    copy_pose,
+    keep_predicted,
+    return_to,
+    sensor_step_at,
+    step_at,
+)
 from hil.gnc.step_memory import new_memory as new_memory
 from hil.gnc.target_orbit import TARGET_ORBIT, move_hill_frame
 from hil.gnc.thrust_model import QUIET, THRUST_PARAMS, THRUST_STATE
@@ -48,6 +57,7 @@ FUSION_PARAMS = np.dtype(
         ("pkf", PKF_PARAMS),
         ("errors", ERROR_STATE),
         ("thrust", THRUST_PARAMS),
+        ("sensors", SENSOR_FUSION_PARAMS),
     ],
     align=True,
 )
@@ -91,6 +101,7 @@ FUSION_STATE = np.dtype(
         ("found_attitude", INNOVATION),
         ("found_position", INNOVATION),
         ("axes", AXES_STEP),  # of a target that tumbles
+        ("sensors", SENSOR_FUSION_STATE),
     ],
     align=True,
 )
@@ -361,11 +372,13 @@ def _fuse_bias(params, state, memory, cycle):
 
 @kernel
 def _fuse_step(params, state, memory, step, cycle):
-    """Fuse what step number ``cycle`` has measured: quiet readings of the accelerometer, then poses."""
+    """Fuse what step number ``cycle`` has measured: quiet readings of the accelerometer, poses, then other sensors."""
     _fuse_bias(params, state, memory, cycle)
     moment_s = cycle * params.pkf.dt_s
     for k in range(step.is_start, step.n_poses):
         step.gated[k] = _fuse_pose(params, state, step.poses[k], moment_s, step.gated[k])
+    if params.sensors.n > 0:
+        sensor_fusion.fuse_samples(params, state, memory, cycle)
 
 
 @entry
@@ -391,6 +404,8 @@ def begin_step(params, state, memory, imu):
         state.corrected[i] *= 1.0 - params.pkf.dt_s / thrust_model.MEMORY_S
     move_hill_frame(params.orbit, (state.cycle - 1) * params.pkf.dt_s, params.pkf.dt_s, step.hill)
     step.n_poses = 0
+    if params.sensors.n > 0:
+        sensor_step_at(params, memory, state.cycle).n = 0
     step.is_start = 0
     state.nis_position = np.nan
     state.nis_attitude = np.nan
@@ -414,6 +429,20 @@ def fuse(params, state, memory, pose):
     if first < 0:
         return
     _compare(state, pose)
+    _fuse_again(params, state, memory, first)
+
+
+@entry
+def fuse_sensors(params, state, memory):
+    """Fuse the samples of the sensors that came in this cycle at their own times, once over all of them."""
+    first = sensor_fusion.place_samples(params, state, memory)
+    if first >= 0:
+        _fuse_again(params, state, memory, first)
+
+
+@kernel
+def _fuse_again(params, state, memory, first):
+    """Return to step number ``first`` and fuse what it and all later ones have measured."""
     if first == state.cycle:
         predict_step(params, state, memory)
     return_to(params, state.filters, memory, first)

@@ -15,9 +15,10 @@ import numpy as np
 
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
-from hil.gnc import thrust_model
+from hil.gnc import sensor_fusion, thrust_model
 from hil.gnc.approach_monitor import LEVEL_TERMS
 from hil.gnc.error_state import V
+from hil.gnc.missed_fault import largest_missed
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import is_covariance_3
 
@@ -52,6 +53,7 @@ INTEGRITY_PARAMS = np.dtype(
         ("gate", "f8"),  # standard deviations of one component that the gate passes
         ("sigmas", "f8"),  # in a protection level, from the integrity risk
         ("sigmas_go", "f8"),  # in the level that a go needs, from the certificate's risk
+        ("vision_range", "f8"),  # m, up to which vision is expected
         ("cusum_go", "f8"),  # largest sum of the CUSUM with which there is one, standard deviations
     ],
     align=True,
@@ -169,10 +171,10 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
 
 
 @kernel
-def vision_health(params, state, age_s, rejected_in_a_row):
-    """Return the bits of the vision unit. age_s: of the last accepted pose."""
+def vision_health(params, state, age_s, rejected_in_a_row, distance):
+    """Return the bits of the vision unit. age_s: of the last accepted pose. distance: of the target, m."""
     health = 0
-    if age_s > params.lost_after_s:
+    if age_s > params.lost_after_s and distance <= params.vision_range:
         health |= VISION_LOST
     noisy = state.monitored * params.nis_weight >= 1.0 and max(state.mean_nis[0], state.mean_nis[1]) > params.nis_limit
     if max(rejected_in_a_row, state.refused_in_a_row) >= params.suspect_after or noisy or state.biased != 0:
@@ -195,33 +197,6 @@ def missed_shift(params, accepted):
 
 
 @kernel
-def _largest_missed(params, fusion, n, limit, kind, most):
-    """Return the largest position error to which a fault of the poses leads until it is found, and its size.
-
-    In standard deviations of an innovation. kind: 0 a step, 1 a ramp of so much per pose. limit: of the CUSUM. n:
-    poses. most: largest fault.
-    Position and velocity follow the fault by the gains of FUSION_STATE ``fusion``, and the innovations fade as they do;
-    it is found when its normalised innovations have passed the gate or summed up to the limit.
-    """
-    gain, gain_speed = fusion.gain_position, fusion.gain_velocity * fusion.interval_s
-    r, v, total, missed, largest = 0.0, 0.0, 0.0, np.inf, 0.0
-    for j in range(1, int(n) + 1):
-        fault = 1.0 if kind == 0 else float(j)
-        r += v
-        innovation = fault - r
-        r += gain * innovation
-        v += gain_speed * innovation
-        total += innovation
-        size = (params.mean_shift * j + limit) / total if total > 0.0 else np.inf
-        if innovation > 0.0:
-            size = min(size, params.gate / innovation)
-        if size < missed or most < missed:  # one that was found before has ended
-            missed = min(missed, size)
-            largest = max(largest, min(size, most) * abs(r))
-    return largest, min(missed, most)
-
-
-@kernel
 def follow(params, state, fusion, dt_s):
     """Write ``followed``, ``followed_speed`` and ``followed_go``, of the largest faults of the poses that are missed.
 
@@ -236,13 +211,14 @@ def follow(params, state, fusion, dt_s):
     most = np.inf  # ramp that corrections of the velocity do not show, per pose
     if fusion.noise_m > 0.0:
         most = _SPREADS * state.spread_mps * fusion.interval_s / fusion.noise_m
-    step, _ = _largest_missed(params, fusion, n, params.cusum_limit, 0, np.inf)
-    ramp, speed = _largest_missed(params, fusion, n, params.cusum_limit, 1, most)
+    gain, gain_speed = fusion.gain_position, fusion.gain_velocity * fusion.interval_s
+    step, _ = largest_missed(params, gain, gain_speed, n, params.cusum_limit, 0, np.inf)
+    ramp, speed = largest_missed(params, gain, gain_speed, n, params.cusum_limit, 1, most)
     state.followed = max(step, ramp)
     state.followed_speed = speed / fusion.interval_s if fusion.interval_s > 0.0 else 0.0
     n = min(n, params.cusum_go / params.mean_shift)
-    step, _ = _largest_missed(params, fusion, n, params.cusum_go, 0, np.inf)
-    ramp, _ = _largest_missed(params, fusion, n, params.cusum_go, 1, most)
+    step, _ = largest_missed(params, gain, gain_speed, n, params.cusum_go, 0, np.inf)
+    ramp, _ = largest_missed(params, gain, gain_speed, n, params.cusum_go, 1, most)
     state.followed_go = max(step, ramp)
 
 
@@ -298,8 +274,10 @@ def _write_terms(state, i, noise, bias, grown, jump, other):
 
 
 @entry
-def protect(params, state, fusion, t_s, out):
+def protect(params, sensors, state, fusion, t_s, out):
     """Write the protection levels of ``out`` (NAVIGATION) at ``t_s``, from its sigmas and FUSION_STATE ``fusion``.
+
+    sensors: SENSOR_FUSION_PARAMS. One fault at a time: of the poses, or of one of the sensors.
 
     ``K sigma`` and the error to which an undetected fault of the poses has led, as a velocity error since the last pose
     as well; and the jump of a gate that was opened again. After a gap the level is not above that of its end. A bias
@@ -323,16 +301,20 @@ def protect(params, state, fusion, t_s, out):
         copy_into(state.cap, state.level)
     largest = 0.0
     for i in range(3):
-        noise = params.sigmas * out.sigma_r_m[i]
+        noise, of_sensors = params.sigmas * out.sigma_r_m[i], sensor_fusion.missed(sensors, fusion.sensors, i)
         other = max(noise + shift * fusion.noise_m, second + fusion.jump_m[i])
-        level = min(noise + bias + fusion.jump_m[i], other)
+        level = min(noise + max(bias, of_sensors) + fusion.jump_m[i], other)
         if state.cap_s > 0.0 and t_s - state.cap_s < _CAP_S and state.biased == 0:
             level = min(level, state.cap[i] + velocity * (t_s - state.cap_s) + fusion.jump_m[i])
-        _write_terms(state, i, noise, bias, velocity * age_s, fusion.jump_m[i], other)
+        _write_terms(state, i, noise, max(bias, of_sensors), velocity * age_s, fusion.jump_m[i], other)
         out.protection_level_m[i] = state.level[i] = level
-        state.go_m[i] = params.sigmas_go * out.sigma_r_m[i] + min(doubt, second) + fusion.jump_m[i]
+        fault = min(max(doubt, of_sensors), second)
+        state.go_m[i] = params.sigmas_go * out.sigma_r_m[i] + fault + fusion.jump_m[i]
         largest = max(largest, out.sigma_attitude_rad[i])
     state.age_s = age_s
-    out.protection_level_rad = params.sigmas * largest + shift * fusion.noise_rad * n * fusion.gain_attitude
+    turned = max(
+        shift * fusion.noise_rad * n * fusion.gain_attitude, sensor_fusion.missed_rotation(sensors, fusion.sensors)
+    )
+    out.protection_level_rad = params.sigmas * largest + turned
     if state.biased != 0:
         out.protection_level_rad = np.inf

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
-from hil.gnc import akf, fusion, integrity, joint_filter, parameter_doubts, thrust_model
+from hil.core.messages import POSE
+from hil.gnc import akf, fusion, integrity, joint_filter, parameter_doubts, sensor_fusion, thrust_model
 from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
@@ -15,6 +19,7 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.kalman import normalised_square
 
+SENSOR_SUSPECT = GncHealth.SENSOR_SUSPECT.value
 VISION_AND_IMU = 0
 VISION_ALONE = 1
 
@@ -24,6 +29,8 @@ NAVIGATION_PARAMS = np.dtype(
         ("fusion", FUSION_PARAMS),
         ("dt_s", "f8"),  # of a cycle
         ("integrity", INTEGRITY_PARAMS),
+        ("has_start", "i8"),  # 1: the filters start from ``start`` instead of the first pose
+        ("start", POSE),
     ],
     align=True,
 )
@@ -76,6 +83,8 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     n = samples.shape[0]
     for i in range(0 if fused.cycle > 0 else n - 1, n):
         fusion.begin_step(params.fusion, fused, memory, samples[i])
+        if fused.cycle == 0 and params.has_start != 0:
+            fusion.fuse(params.fusion, fused, memory, params.start)
         if i < n - 1 or n_poses == 0:  # a late pose carries the filters over the last step as well
             fusion.predict_step(params.fusion, fused, memory)
         fused.cycle += 1
@@ -85,13 +94,19 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
             accepted = fused.accepted
             fusion.fuse(params.fusion, fused, memory, poses[i])
             _watch_update(params, state, accepted)
+    if params.fusion.sensors.n > 0:
+        fusion.fuse_sensors(params.fusion, fused, memory)
     fusion.predict_step(params.fusion, fused, memory)
     fused.cycle += 1
     age_s = state.t_s - fused.last_accepted_s
-    out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row)
+    x = fused.filters.pkf.x
+    distance = math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+    out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row, distance)
+    if params.fusion.sensors.n > 0 and sensor_fusion.is_suspect(params.fusion.sensors, fused.sensors):
+        out.health |= SENSOR_SUSPECT
     if fused.started != 0:
         _write_filters(fused.filters, out)
-        integrity.protect(params.integrity, state.integrity, fused, state.t_s, out)
+        integrity.protect(params.integrity, params.fusion.sensors, state.integrity, fused, state.t_s, out)
     out.nis_position = fused.nis_position
     out.nis_attitude = fused.nis_attitude
     out.valid = fused.started

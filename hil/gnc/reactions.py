@@ -20,11 +20,12 @@ from hil.gnc.approach_monitor import (
     HELD_TOO_LONG,
     LEVEL_TERMS,
     NOT_ABORTED,
+    SENSOR_SUSPECT,
     UNPROTECTED,
 )
 
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
-HEALTH_BITS = 7
+HEALTH_BITS = 8
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
 KINDS = 6  # of phases
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
@@ -134,8 +135,10 @@ def _wanted(params, state, kind, t_s, health, cause):
         if applies and params.table[condition, kind] > strongest:
             strongest = params.table[condition, kind]
             cause[0] = FIRST_HEALTH_CAUSE + condition
-            if condition == HEALTH_BITS - 1:
+            if condition == HEALTH_BITS - 2:
                 cause[0] = BENCH_DISAGREES
+            elif condition == HEALTH_BITS - 1:
+                cause[0] = SENSOR_SUSPECT
             elif condition == HEALTH_BITS:
                 cause[0] = UNPROTECTED
     return strongest

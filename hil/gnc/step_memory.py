@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import POSE
+from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.gnc.akf import AKF_STATE
 from hil.gnc.error_state import LANES
 from hil.gnc.pkf import PKF_STATE
@@ -18,6 +19,8 @@ from hil.maths.arrays import copy_into
 from hil.maths.record_view import copy_eight, record_at
 
 POSES_PER_STEP = 2
+SAMPLES_PER_STEP = 4
+"""Samples of all sensors together."""
 
 DOUBTS = np.dtype(
     [
@@ -51,13 +54,26 @@ STEP = np.dtype(
     ],
     align=True,
 )
-"""A step in the memory; parameters and covariance, as many as the error state has, follow it there."""
+"""A step in the memory; parameters and covariance, as many as the error state has, follow it there, then SENSOR_STEP if
+there are sensors."""
 _STEP_WORDS = STEP.itemsize // 8
+
+SENSOR_STEP = np.dtype(
+    [
+        ("n", "i8"),
+        ("sample", SENSOR_SAMPLE, SAMPLES_PER_STEP),
+        ("result", "i8", SAMPLES_PER_STEP),  # as of ``sensor_records``, ``sensor_fusion.NEW`` before it is gated
+        ("arrival", "i8", SAMPLES_PER_STEP),  # place among the arrivals of the cycle in which it came
+    ],
+    align=True,
+)
+"""Samples of a step."""
+_SENSOR_WORDS = SENSOR_STEP.itemsize // 8
 
 
 def new_memory(params: np.record) -> np.ndarray:
     """Return the zeroed memory of filters with FUSION_PARAMS ``params``, an array of floats for ``step_at``."""
-    return np.zeros(int(params.memory) * _words(int(params.errors.n)))
+    return np.zeros(int(params.memory) * _words(params))
 
 
 def memory_steps(params: np.record, memory: np.ndarray) -> np.ndarray:
@@ -67,16 +83,29 @@ def memory_steps(params: np.record, memory: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _words(n):
-    """Return the length in the memory of a step of ``n`` errors: STEP, parameters, a triangle of the covariance."""
-    blocks = (n + 7) // 8
+def _filter_words(params):
+    """Return the length in the memory of the filters in a step: STEP, parameters, a triangle of the covariance."""
+    blocks = (params.errors.n + 7) // 8
     return _STEP_WORDS + 8 * blocks + 64 * (blocks * (blocks + 1) // 2)
+
+
+@kernel
+def _words(params):
+    """Return the length in the memory of a step."""
+    words = _filter_words(params)
+    return words + _SENSOR_WORDS if params.sensors.n > 0 else words
 
 
 @kernel
 def step_at(params, memory, cycle):
     """Return the STEP of step number ``cycle``, which is in the memory."""
-    return record_at(memory, (cycle % params.memory) * _words(params.errors.n), STEP)
+    return record_at(memory, (cycle % params.memory) * _words(params), STEP)
+
+
+@kernel
+def sensor_step_at(params, memory, cycle):
+    """Return the SENSOR_STEP of step number ``cycle``, which is in the memory. There are sensors."""
+    return record_at(memory, (cycle % params.memory) * _words(params) + _filter_words(params), SENSOR_STEP)
 
 
 @kernel
@@ -87,7 +116,7 @@ def keep_predicted(params, filters, memory, cycle):
     copy_into(step.akf.x, filters.akf.x)
     copy_into(step.akf.w_CH_C, filters.akf.w_CH_C)
     copy_into(step.pkf.x, filters.pkf.x)
-    at = (cycle % params.memory) * _words(n) + _STEP_WORDS
+    at = (cycle % params.memory) * _words(params) + _STEP_WORDS
     for j in range(0, n, 8):
         copy_eight(memory, at, filters.parameters, j)
         at += 8
@@ -105,7 +134,7 @@ def return_to(params, filters, memory, cycle):
     copy_into(filters.akf.x, step.akf.x)
     copy_into(filters.akf.w_CH_C, step.akf.w_CH_C)
     copy_into(filters.pkf.x, step.pkf.x)
-    at = (cycle % params.memory) * _words(n) + _STEP_WORDS
+    at = (cycle % params.memory) * _words(params) + _STEP_WORDS
     for j in range(0, n, 8):
         copy_eight(filters.parameters, j, memory, at)
         at += 8

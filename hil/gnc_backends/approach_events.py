@@ -40,6 +40,7 @@ ABORT_CAUSES = (
     "the protection level exceeds the alert limit",
     "a hold lasted too long",
     "the encoders contradict the estimate",
+    "a further sensor is suspect",
 )
 _ESCAPE = ("brake", "retreat", "hold")
 DOCKING_GO = "docking: go"

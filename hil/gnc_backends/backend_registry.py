@@ -25,6 +25,7 @@ from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
 from hil.gnc_backends.backend_library import LibraryBackend
 from hil.gnc_backends.kernel_backend import CompiledKernel, KernelBackend
 from hil.gnc_backends.python_backend import PythonBackend
+from hil.sensors.registry import with_sensor_settings
 
 OBJECT: Final = "object"
 """Prefix of the name of a backend that the caller gives as a Python object: ``object:Ekf``."""
@@ -33,11 +34,12 @@ _KINDS: Final = "package:name of an entry point, file.py:name, a shared library 
 
 
 def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
-    """Return ``scenario`` with the names of the caller's backends and every setting that a backend declares.
+    """Return ``scenario`` with the names of the caller's backends and every setting that a backend or sensor declares.
 
-    A backend's settings stand in the order of their declaration. Raises BadInput for a backend that cannot be loaded, a
-    setting that it does not have, or one outside its range.
+    A backend's settings stand in the order of their declaration. Raises BadInput for a backend or sensor that cannot be
+    loaded, a setting that it does not have, or one outside its range.
     """
+    scenario = with_sensor_settings(scenario)
     value = scenario.value
     table: dict[str, Any] = {part: getattr(value.gnc, part) for part in PARTS}
     for part, given in zip(PARTS, own, strict=True):

@@ -37,6 +37,7 @@ from hil.models.camera_timing import TIME_SLACK_S
 from hil.models.faults import FAULTS
 from hil.models.frame_transit import next_arrival
 from hil.models.mounting import MOUNTING, chaser_pose
+from hil.sensors.measurement import SENSOR_PARAMS, SENSOR_STATE
 
 _COMPARED_S = 2.0  # for which estimate and encoders are compared before a go relies on it
 
@@ -58,6 +59,7 @@ LOOP_PARAMS = np.dtype(
         ("ready", READY_PARAMS),
         ("integrity", INTEGRITY_PARAMS),
         ("monitor", MONITOR_PARAMS),
+        ("sensors", SENSOR_PARAMS),
         ("vmu_faults", FAULTS),
         ("mock", MOCK_PARAMS),  # used by the bench in memory alone
     ],
@@ -85,6 +87,8 @@ LOOP_STATE = np.dtype(
         ("limited", "i8"),  # setpoints that were limited
         ("limited_in_row", "i8"),  # setpoints in a row, the last one included
         ("monitor", MONITOR_STATE),
+        ("sensors", SENSOR_STATE),
+        ("sensors_logged", "i8"),  # rows of SENSOR_ARRIVAL written
         ("gnc", GNC_STATE),
         ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
         ("disagreed_before", "i8"),  # the interlock of the cycle before the last one

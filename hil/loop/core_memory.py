@@ -19,6 +19,7 @@ from hil.params import dynamics as dynamics_params
 from hil.params import monitor as monitor_params
 from hil.params import vision as vision_params
 from hil.params.faults import fault_rows
+from hil.params.sensors import sensor_sources
 
 _TRANSIT_MAX_S: Final = 3.0  # longest delay of a frame: latency, jitter and a fault's latency, at most 1 s each
 
@@ -127,6 +128,7 @@ def set_truth(params: np.record, scenario: Scenario, truth: Scenario, seed: int,
     params.mock.vision = vision_params.vision(truth, seed)
     params.mock.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
     params.monitor = monitor_record(scenario, truth, seed)
+    params.sensors = sensor_sources(truth, seed)
     params.vmu_faults, params.mock.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)
 
 

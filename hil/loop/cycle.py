@@ -20,6 +20,7 @@ from hil.loop.core_memory import CoreMemory, CycleData
 from hil.loop.monitor_stage import MonitorStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
+from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import FixedTarget, TargetStage
 from hil.safety.condition_alarms import HealthAlarms
@@ -48,6 +49,8 @@ class Loop:
     """Applies the faults of axes in memory that act at a time of the run; None if there are none."""
     monitor: MonitorStage | None = None
     """Docking monitor with its interlock; None without one."""
+    sensors: SensorStage | None = None
+    """Further sensors of the scenario; None without any."""
     now: CycleData = field(init=False)
     done: int = 0
     """Completed cycles of the run."""
@@ -116,7 +119,11 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.vision.receive(bench_s, run_zero_s)  # 3  poses from the vision unit
     if loop.monitor is not None:
         loop.monitor.check(t_s, loop.gnc)  #    docking monitor against navigation
+    if loop.sensors is not None:
+        loop.sensors.receive(t_s, bench_s, run_zero_s)  #    further sensors
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
+    if loop.sensors is not None:
+        loop.sensors.record(k)
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s

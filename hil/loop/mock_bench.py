@@ -10,6 +10,7 @@ import numpy as np
 from hil.bench import kinematics
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
+from hil.dynamics.truth import rate_against_hill
 from hil.dynamics.vision import VISION_PARAMS, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.loop.monitor_kernel import is_measured, measure_bench
@@ -21,6 +22,7 @@ from hil.models.faults import FAULTS
 from hil.models.frame_transit import FRAME_TRANSIT, put_exposure
 from hil.models.frame_transit import receive_frames as receive_from
 from hil.models.servo import SERVO, move_servo, send_to_servo, servo_step_of_two
+from hil.sensors.measurement import deliver, is_any_due, measure
 
 MOCK_PARAMS = np.dtype(
     [
@@ -119,6 +121,17 @@ def measure_monitor(params, state, t_s, noise, first):
         r, q = stack.vector(3), stack.vector(4)
         kinematics.pose_of_axes(params.bench, state.mock.rails.position, state.mock.turntable.position, r, q)
         measure_bench(params.monitor, state.monitor, t_s, r, q, noise, first)
+
+
+@kernel
+def measure_sensors(params, state, t_s):
+    """Let the modelled sensors measure that are due, and pass what has arrived on to the navigation."""
+    if is_any_due(params.sensors, state.sensors, t_s):
+        r, q, rate = stack.vector(3), stack.vector(4), stack.vector(3)
+        kinematics.pose_of_axes(params.bench, state.mock.rails.position, state.mock.turntable.position, r, q)
+        rate_against_hill(state.now.truth, rate)
+        measure(params.sensors, state.sensors, t_s, state.now.truth, rate, r, q)
+    deliver(state.sensors, t_s, state.gnc.navigation.fusion.sensors)
 
 
 @kernel

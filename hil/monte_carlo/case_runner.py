@@ -16,6 +16,7 @@ from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
+from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.dynamics.imu import IMU_NOISE
@@ -51,6 +52,7 @@ from hil.setup.gnc_setup import gnc_setup
 
 _NO_HISTORY = np.zeros(0, CYCLE)
 _NO_AXES_SAMPLES = np.zeros(0, AXES_SAMPLE)
+_NO_SENSOR_ARRIVALS = np.zeros(0, SENSOR_ARRIVAL).view(np.recarray)
 _NO_IMU_SAMPLES = np.zeros(0, IMU_SAMPLE)
 
 
@@ -192,6 +194,7 @@ class CaseRunner:
             self._arrivals,
             _NO_AXES_SAMPLES,
             _NO_IMU_SAMPLES,
+            _NO_SENSOR_ARRIVALS,
         )
 
     def _drawn_monitor_noise(self, seed: int) -> np.ndarray:

@@ -197,7 +197,7 @@ class _Gpu:
         for name in _BY_CASE:
             shape, dtype = self._shape_of(name)
             self._on_gpu[name] = self._cuda.device_array((cases, *shape), dtype)
-        for name in ("leds", "history", "arrivals", "axes_log", "samples_log"):
+        for name in ("leds", "history", "arrivals", "axes_log", "samples_log", "sensor_log"):
             self._on_gpu[name] = self._cuda.to_device(np.ascontiguousarray(self._example[name]))
         self._uploaded: dict[str, np.ndarray] = {}
         for name in _UPLOADED:

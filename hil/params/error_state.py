@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
+from hil.params.sensors import SensorErrorState, error_states
 
 
-def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
+def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState]) -> dict[str, Array]:
     """Return the standard deviations at the start of the states of each block that a scenario may add."""
     given, thrust = scenario.gnc.navigation.budget, scenario.gnc.navigation.thrust
     rad, one, three = math.radians, np.ones(1), np.ones(3)
@@ -21,6 +23,7 @@ def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
         "bias": np.array(given.vision_bias_sigma_m),
         "scale": given.vision_scale_sigma * one,
         "correlated": float(is_correlated) * np.ones(6),
+        "sensor_errors": np.array([error.sigma for error in sensor_errors]),
         "disturbance": float(thrust.enabled) * thrust.disturbance_mps2 * three,
         "gyro_scale": given.gyro_scale_sigma * three,
         "gyro_misalignment": rad(given.gyro_misalignment_sigma_deg) * three,
@@ -33,7 +36,8 @@ def _initial_sigmas(scenario: Scenario) -> dict[str, Array]:
 
 def error_state(scenario: Scenario) -> np.record:
     """Return ERROR_STATE: blocks whose states have no spread are left out."""
-    given, params, sigmas = scenario.gnc.navigation.budget, new(ERROR_STATE), _initial_sigmas(scenario)
+    given, params, of_sensors = scenario.gnc.navigation.budget, new(ERROR_STATE), error_states(scenario)
+    sigmas = _initial_sigmas(scenario, of_sensors)
     times_s = {
         "correlated": given.vision_correlation_time_s,
         "gyro_instability": given.gyro_instability_time_s,
@@ -44,15 +48,19 @@ def error_state(scenario: Scenario) -> np.record:
     for block in PARAMETER_BLOCKS:
         if not np.any(sigmas[block.name]):
             continue
-        here = slice(n, n + block.size)
+        size = len(sigmas[block.name])
+        here = slice(n, n + size)
         params[block.name] = n
         params.variance[here] = sigmas[block.name] ** 2
         params.estimated[here] = block.estimated
-        if block.motion is BlockMotion.MARKOV:
+        if block.name == "sensor_errors":
+            params.kept[here] = [math.exp(-scenario.sample_s / error.time_s) for error in of_sensors]
+            params.moves = params.moves or any(math.isfinite(error.time_s) for error in of_sensors)
+        elif block.motion is BlockMotion.MARKOV:
             params.kept[here], params.moves = math.exp(-scenario.sample_s / times_s[block.name]), 1
         if block.name.startswith(("disturbance", "gyro", "accelerometer")) and params.imu == 0:
             params.imu = n
-        n += block.size
+        n += size
     params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, LANES) if lanes >= n)
     params.imu = params.imu or n
     params.fraction = given.vision_correlated_fraction

@@ -14,6 +14,7 @@ from hil.dynamics import imu_faults, target_faults, thruster_faults, vision_faul
 from hil.models import axis_faults
 from hil.models.faults import AT, FAULTS, KIND, NUMBER, OPTION, SIZE, UNTIL, VALUE
 from hil.params.errors import SEED_BITS, least_light
+from hil.sensors import measurement
 
 _KERNELS: Final = {
     "vmu": vision_faults,
@@ -21,6 +22,7 @@ _KERNELS: Final = {
     "thruster": thruster_faults,
     "axis": axis_faults,
     "monitor": vision_faults,
+    "sensor": measurement,
     "target": target_faults,
 }
 CODES: Final = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.config import scenario as config
 from hil.config.scenario import REACTION_NAMES, Chaser, Scenario, Thrusters
-from hil.core.messages import MAX_THRUSTERS, Array, new
+from hil.core.messages import MAX_THRUSTERS, POSE, Array, new
 from hil.dynamics.hill import input_response, transition
 from hil.gnc.allocation import (
     AXES_OF_A_BODY,
@@ -35,6 +35,7 @@ from hil.params.bodies import bodies as bodies_on
 from hil.params.control_rule import control_rule
 from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_state import error_state
+from hil.params.sensors import sensor_fusion
 from hil.params.target import known_tumble
 
 _NIS_TAIL = 1e-10  # false-alarm probability of a mean
@@ -105,7 +106,7 @@ def navigation(scenario: Scenario) -> np.record:
     akf.rate_noise = akf.rate_sigma * math.sqrt(growth / scenario.sample_s)
     akf.sigma_drift = math.radians(gnc.akf.gyro_drift_noise_degps2)
     akf.initial_drift = np.radians(gnc.akf.gyro_drift_degps)
-    akf.gate = _gate(gnc.navigation.gate_sigma)
+    akf.gate = _gate(scenario)
     akf.initial_drift_sigma = math.radians(gnc.akf.initial_drift_sigma_degps)
     pkf = fusion.pkf
     pkf.dt_s = scenario.sample_s
@@ -120,11 +121,25 @@ def navigation(scenario: Scenario) -> np.record:
     pkf.initial_bias_sigma = gnc.pkf.initial_bias_sigma_mps2
     fusion.errors = error_state(scenario)
     fusion.thrust = _thrust_model(scenario)
+    fusion.sensors = sensor_fusion(scenario, int(fusion.errors.sensor_errors), _gate_tail(scenario))
     if params.sensors == VISION_ALONE:  # the drift is the error of a rate that starts from zero
         akf.initial_drift, akf.initial_drift_sigma = np.zeros(3), math.radians(gnc.navigation.thrust.rate_sigma_degps)
     params.dt_s = scenario.step_s
     params.integrity = integrity(scenario)
+    if gnc.navigation.handover is not None:
+        params.has_start, params.start = 1, handover_pose(scenario)
     return params
+
+
+def handover_pose(scenario: Scenario) -> np.record:
+    """Return the POSE from which the navigation starts: the planned start, with the standard deviations handed over."""
+    pose, given = new(POSE), scenario.gnc.navigation.handover
+    assert given is not None
+    pose.q_CH = quat.from_rotation_vector(initial_rotation_vector(scenario))
+    pose.z_TC_C = -quat.transform(pose.q_CH, np.array(scenario.initial.position_m))
+    pose.covariance_position = given.sigma_m**2 * np.eye(3)
+    pose.covariance_attitude = math.radians(given.sigma_deg) ** 2 * np.eye(3)
+    return pose
 
 
 def _thrust_model(scenario: Scenario) -> np.record:
@@ -156,7 +171,8 @@ def integrity(scenario: Scenario) -> np.record:
     # an exponential mean with weight 1/n has the variance of one over 2 n - 1
     n = 2 * settings.nis_window - 1
     params.nis_limit = chi_square.upper_quantile(_NIS_TAIL, 3 * n) / n
-    params.gate = math.sqrt(_gate(scenario.gnc.navigation.gate_sigma))
+    params.gate = math.sqrt(_gate(scenario))
+    params.vision_range = math.inf if settings.vision_range_m is None else settings.vision_range_m
     params.sigmas = protection_sigmas(scenario)
     params.sigmas_go = math.sqrt(chi_square.upper_quantile(settings.go_risk_probability, 1))
     params.cusum_go = min(settings.go_cusum_sigmas, settings.cusum_limit_sigmas)
@@ -243,9 +259,14 @@ def target_orbit(scenario: Scenario) -> np.record:
     return params
 
 
-def _gate(sigma: float) -> float:
-    """Return the NIS of three components with the tail probability of ``sigma`` standard deviations of one."""
-    return chi_square.upper_quantile(chi_square.two_sided_tail(sigma), 3)
+def _gate_tail(scenario: Scenario) -> float:
+    """Return the probability with which the gate rejects a sound innovation."""
+    return chi_square.two_sided_tail(scenario.gnc.navigation.gate_sigma)
+
+
+def _gate(scenario: Scenario) -> float:
+    """Return the largest NIS of three components that the gate passes."""
+    return chi_square.upper_quantile(_gate_tail(scenario), 3)
 
 
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}

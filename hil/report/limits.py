@@ -17,7 +17,7 @@ from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.rig import BENCH_AXES
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
-from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, ORDERED
+from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, ORDERED, SENSOR_SUSPECT
 from hil.gnc.ready_phase import DEVIATIONS
 from hil.maths.limits import finite_or_none
 from hil.params.ready import all_tolerances
@@ -37,9 +37,12 @@ TERMS: Final = (
     "navigation error", "control error", "protection level",
 )  # fmt: skip
 _HEALTH: Final = tuple(bit.name.lower() for bit in GncHealth if bit.value)
-_CAUSES: Final = {ORDERED: "ordered_abort", HELD_TOO_LONG: "hold_time", BENCH_DISAGREES: "bench_disagrees"} | {
-    FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:-1])
-}
+_CAUSES: Final = {
+    ORDERED: "ordered_abort",
+    HELD_TOO_LONG: "hold_time",
+    BENCH_DISAGREES: "bench_disagrees",
+    SENSOR_SUSPECT: "sensor_suspect",
+} | {FIRST_HEALTH_CAUSE + k: name for k, name in enumerate(_HEALTH[:-2])}
 _PARTS: Final = (
     dict.fromkeys(("corridor", "closing_rate"), "security")
     | dict.fromkeys((*(f"error_{d}" for d in _DIRECTIONS), "keep_out"), "integrity")

@@ -47,6 +47,7 @@ class HealthAlarms:
                 "beyond its own bounds",
                 "within rig.guard.estimate_error_max_m and its protection level",
             ),
+            GncHealth.SENSOR_SUSPECT: ("sensors", "innovations", "not those of their covariance", "consistent"),
         }
         reactions = scenario.gnc.reactions.conditions()
         self._priorities = {

@@ -49,6 +49,7 @@ from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
+from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_stage import FixedTarget, PlacedTarget, TargetStage
 from hil.maths.random_streams import NormalRows, noise_source
@@ -213,6 +214,7 @@ def assemble(
         bench_now_s=rate.now_s,
         health_alarms=HealthAlarms(safety.alarms, scenario, monitor.disagreement if monitor else None),
         monitor=monitor,
+        sensors=_sensors(devices, stage, memory),
     )
     if loop.gnc.filter_monitor is not None:
         loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
@@ -283,6 +285,16 @@ def _docking_monitor(job: Job, devices: Devices, bench: BenchStage, memory: Core
     if not memory.params.monitor.acts:
         return None
 
+    return MonitorStage(memory, _seen_axes(devices, bench), monitor_noise(job.seed))
+
+
+def _sensors(devices: Devices, bench: BenchStage, memory: CoreMemory) -> SensorStage | None:
+    """Return the further sensors of a scenario, None without any."""
+    return SensorStage(memory, _seen_axes(devices, bench)) if memory.params.sensors.n else None
+
+
+def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:
+    """Return what gives the positions of rails and turntable, m and rad, that a modelled sensor on the bench sees."""
     target, rotated = devices.target, bench.manipulator
 
     def axes() -> tuple[Array, Array]:
@@ -295,7 +307,7 @@ def _docking_monitor(job: Job, devices: Devices, bench: BenchStage, memory: Core
             return relative_axes(bench.params, rotated.params, *found, at)
         return found
 
-    return MonitorStage(memory, axes, monitor_noise(job.seed))
+    return axes
 
 
 def _backend(job: Job, rig: Rig, rate: Rate, memory: CoreMemory) -> GncBackend:

@@ -13,6 +13,7 @@ from typing import Final, NamedTuple, NoReturn, Protocol
 import numpy as np
 
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, new
+from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_ARRIVAL
 from hil.drivers.io.mock import MockIo
 from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.frmn.ring import NoTelemetry
@@ -27,6 +28,7 @@ _BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctr
 _NO_MONITOR_NOISE: Final = np.zeros((0, MONITOR_NOISE))
 _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
 _NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
+_NO_SENSOR_ARRIVALS: Final = np.zeros(0, SENSOR_ARRIVAL).view(np.recarray)
 _NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
 
 
@@ -79,11 +81,11 @@ class CompiledCycles:
         self._params, self._state = loop.memory.params, loop.memory.state
         self._state.opened = self._params.reports = 1
         self._ticks, self._n_samples = int(self._params.ticks), len(loop.now.samples)
-        self._axes_log, self._samples_log = _NO_AXES_SAMPLES, _NO_IMU_SAMPLES
+        self._axes_log, self._samples_log, self._sensor_log = _NO_AXES_SAMPLES, _NO_IMU_SAMPLES, _NO_SENSOR_ARRIVALS
         self._stats = new(RUN_STATS)
         self._arrivals = _NO_ARRIVALS
         self._last_arrivals: dict[int, int] = {}
-        self._sent_arrivals = self._sent_axes = self._sent_samples = self._begun = 0
+        self._sent_arrivals = self._sent_axes = self._sent_samples = self._sent_sensors = self._begun = 0
         self._tick: Tick
         self._block = max(1, round(_BLOCK_S / float(self._params.step_s)))
 
@@ -136,7 +138,7 @@ class CompiledCycles:
         loop.vision.set_run_zero(tick.run_zero_s)
         loop.safety_io.check(tick.now_s)
         state.mock.lines, state.mock.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
-        state.logged = state.axes_logged = state.samples_logged = 0
+        state.logged = state.axes_logged = state.samples_logged = state.sensors_logged = 0
 
     def _run(self, first: int, end: int) -> int:
         """Run the cycles ``first`` to ``end`` - 1; return the code of ``run_cycles``."""
@@ -151,6 +153,8 @@ class CompiledCycles:
             self._arrivals = np.zeros(most, ARRIVAL).view(np.recarray)
         if loop.axes_sink is not None:
             self._axes_log = np.zeros((end - first) * self._ticks, AXES_SAMPLE)
+        if loop.sensors is not None and loop.sensors.sink is not None:
+            self._sensor_log = np.zeros((end - first) * SAMPLES_PER_CYCLE, SENSOR_ARRIVAL).view(np.recarray)
         if loop.dss.sample_sink is not None:
             self._samples_log = np.zeros((end - first) * self._n_samples, IMU_SAMPLE)
         code: int = run_cycles.run_cycles(
@@ -172,10 +176,11 @@ class CompiledCycles:
             self._arrivals,
             self._axes_log,
             self._samples_log,
+            self._sensor_log,
         )
         used_in = self._arrivals["cycle"][: state.logged]
         self._last_arrivals = {int(cycle): i + 1 for i, cycle in enumerate(used_in) if cycle >= 0}
-        self._sent_arrivals = self._sent_axes = self._sent_samples = 0
+        self._sent_arrivals = self._sent_axes = self._sent_samples = self._sent_sensors = 0
         loop.dss.noise.skip((int(state.cycle) - first + (code == run_cycles.NOT_FINITE)) * self._n_samples)
         for rows in (mocks.vision_noise, mocks.travel_draws):
             rows.skip(int(transit.next_exposure) - next_exposure)
@@ -214,7 +219,7 @@ class CompiledCycles:
         rows = loop.history[first - loop.first : end - loop.first]
         has_poses = rows["pose"]["fresh"] > 0
         due = has_poses.copy()
-        is_sampled = loop.axes_sink is not None or loop.dss.sample_sink is not None
+        is_sampled = loop.axes_sink is not None or loop.dss.sample_sink is not None or loop.sensors is not None
         if is_sampled or loop.vision.frame_sink is not None or not isinstance(loop.telemetry, NoTelemetry):
             due[:] = True
         due[-1:] = True
@@ -233,6 +238,7 @@ class CompiledCycles:
             loop.health_alarms.update(self._tick.now_s, int(health[i]))
             loop.telemetry.put(rows[i : i + 1])
             self._send_samples()
+            self._send_sensors(k)
             self._send_axes(k * self._ticks + 1)
             loop.done = k + 1
         self._send_axes(end * self._ticks)
@@ -254,6 +260,15 @@ class CompiledCycles:
         for _ in range(self._n_samples):
             sink.put(log[self._sent_samples : self._sent_samples + 1])
             self._sent_samples += 1
+
+    def _send_sensors(self, cycle: int) -> None:
+        """Send the samples of further sensors that arrived up to ``cycle``."""
+        if self._loop.sensors is None or self._loop.sensors.sink is None:
+            return
+        log = self._sensor_log
+        while self._sent_sensors < int(self._state.sensors_logged) and log[self._sent_sensors].cycle <= cycle:
+            self._loop.sensors.sink.put(log[self._sent_sensors : self._sent_sensors + 1])
+            self._sent_sensors += 1
 
     def _begin(self, cycle: int) -> None:
         """Set the clock to ``cycle`` and send its frames."""

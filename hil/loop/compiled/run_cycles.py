@@ -23,6 +23,7 @@ from hil.maths.record_view import copy_record
 from hil.models.axis_faults import set_axis_faults
 from hil.models.camera_timing import TIME_SLACK_S, first_exposure
 from hil.models.frame_transit import forget_frames
+from hil.sensors.measurement import log_arrivals
 
 COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS, EVENT = range(8)
 """Reasons for a return of ``run_cycles``; the second and third have their numbers in ``hil.bench.guard``, and those of
@@ -110,7 +111,7 @@ def _has_event(state):
 @kernel
 def run_cycles(
     params, field, leds, imu_noise, vision_noise, travel_draws, monitor_noise, state, samples, memory, poses, frames,
-    delayed, stats, history, arrivals, axes_log, samples_log,
+    delayed, stats, history, arrivals, axes_log, samples_log, sensor_log,
 ):  # fmt: skip
     """Run the cycles from ``state.cycle`` to ``state.end``; return why it ended.
 
@@ -129,7 +130,7 @@ def run_cycles(
     ``fusion.new_memory``. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and
     SPARE_FRAMES more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles
     from here. arrivals: of ARRIVAL, filled from ``state.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of
-    IMU_SAMPLE, likewise; (0,) for none.
+    IMU_SAMPLE, sensor_log: of SENSOR_ARRIVAL, likewise; (0,) for none.
     """
     now, mock, transit = state.now, state.mock, state.mock.transit
     if state.opened == 0:
@@ -163,8 +164,13 @@ def run_cycles(
             if params.monitor.acts != 0:
                 mock_bench.measure_monitor(params, state, t_s, monitor_noise, first_measured)
                 core.compare_monitor(params, state, t_s)
+            if params.sensors.n != 0:
+                mock_bench.measure_sensors(params, state, t_s)
             if not _run_gnc(params, state, memory, samples, poses, arrived, t_s):
                 return GNC_FAILED
+            if params.sensors.n != 0:
+                of_sensors = state.gnc.navigation.fusion.sensors
+                state.sensors_logged = log_arrivals(of_sensors, k, sensor_log, state.sensors_logged)
             mock_bench.mirror_thrusters(params, state, now_s)
             core.command(params, state)
             core.check_consistency(params, state)

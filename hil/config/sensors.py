@@ -1,0 +1,71 @@
+"""Sensors that a scenario adds to vision unit, IMU and docking monitor: tables ``[[sensors]]``, by their name.
+
+The keys beyond those of every sensor are declared by its module, which checks them (``hil.sensors.registry``).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from hil.config.model import ConfigModel, Positive
+from hil.errors import BadInput
+
+DELAY_MAX_S = 1.0
+
+
+class SensorConfig(ConfigModel):
+    """A sensor beside vision unit and IMU; its module declares further keys, see [Sensors](sensors.md)."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: Annotated[str, Field(min_length=1)]
+    """Kind of sensor: that of a shipped module, or of a package with an entry point of the group `hil.sensors`."""
+    enabled: bool = True
+    """Whether its measurements are used; false: they are made and recorded alone."""
+    rate_hz: Positive | None = None
+    """Measurements per second, at most one per cycle; unless set, the module's."""
+    latency_s: Annotated[float, Field(ge=0.0, le=DELAY_MAX_S)] = 0.0
+    """From the measurement to its arrival in the loop."""
+    loss_probability: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    """Of a measurement that never arrives."""
+    source: Literal["model", "udp"] = "model"
+    """Modelled, or datagrams from a program of your own: see [Sensors](../../how-to/add-a-sensor.md)."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """UDP port of this computer on which datagrams arrive, for `source = "udp"`."""
+    host: str = "127.0.0.1"
+    """Address of this computer on which they are received."""
+    stamp: Literal["capture", "receipt"] | None = None
+    """What the time of a datagram means: the moment of the measurement on the bench's clock, or nothing, and
+    `latency_s` before its receipt is taken. For `source = "udp"` it must be given."""
+
+    @model_validator(mode="after")
+    def _source_is_complete(self) -> Self:
+        if self.source == "model":
+            return self
+        for key in ("port", "stamp"):
+            if getattr(self, key) is None:
+                raise ValueError(f'source = "udp" needs {key}: ' + ("a port" if key == "port" else "capture, receipt"))
+        return self
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keys that the module declares."""
+        return dict(self.model_extra or {})
+
+
+def by_name(tables: Any, source: str) -> Any:
+    """Return the tables ``[[sensors]]`` of a file as one table by name. Raises BadInput for two of one name."""
+    if not isinstance(tables, list):
+        return tables
+    found: dict[str, Any] = {}
+    for number, table in enumerate(tables, start=1):
+        name = table.get("name") if isinstance(table, dict) else None
+        if not (isinstance(name, str) and name.isidentifier()):
+            text = f"{number}: needs a name of letters, digits and _, as the key of its columns"
+            raise BadInput.single(source, "sensors", text)
+        if name in found:
+            raise BadInput.single(source, "sensors", f'name = "{name}": two sensors have it')
+        found[name] = {key: value for key, value in table.items() if key != "name"}
+    return found

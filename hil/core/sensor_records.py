@@ -1,0 +1,111 @@
+"""Records of sensors: what a module measures from, what the filters expect of it, and the samples between both.
+
+The same bytes are the arguments of the two kernels of a sensor module, ``measure`` and ``innovate``
+(``hil.sensors.module``). SI; H is Hill's frame of the target, c the chaser's body frame, quaternions have the scalar
+last and ``q_CH`` takes components in H to components in c.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from hil.core.fields import Field, record_dtype
+
+MAX_SENSORS: Final = 8
+"""Sensors that a scenario can add."""
+COMPONENTS_MAX: Final = 6
+"""Components of a measurement."""
+SENSOR_ERRORS_MAX: Final = 6
+"""Error states of one sensor."""
+ERROR_STATES_MAX: Final = 12
+"""Error states of all of them."""
+NORMALS: Final = 16
+MEMORY: Final = 16
+SAMPLES_PER_CYCLE: Final = 16
+"""Samples of all sensors that the navigation takes in one cycle."""
+
+SENSOR_SAMPLE_FIELDS: Final = (
+    Field("sensor", "i8", (), "1", "", "number of the sensor in the scenario, from 0"),
+    Field("number", "i8", (), "1", "", "number of the measurement of that sensor, from 0"),
+    Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
+    Field("received_s", "f8", (), "s", "", "when the loop received it, time of the run"),
+    Field("value", "f8", COMPONENTS_MAX, "SI", "", "components as the module declares them; the others are zero"),
+    Field(
+        "covariance", "f8", (COMPONENTS_MAX, COMPONENTS_MAX), "SI", "",
+        "of the noise, as the sensor reports it; zero if it does not",
+    ),
+    Field("status", "i8", (), "1", "", "status that the sensor reported, 0 good"),
+)  # fmt: skip
+SENSOR_SAMPLE = record_dtype(SENSOR_SAMPLE_FIELDS)
+
+NOT_USED, REJECTED, ACCEPTED, EXCLUDED, LATE = range(5)
+"""What became of a sample. EXCLUDED: its sensor is suspect; LATE: older than the memory of the filters, or too many."""
+SENSOR_RESULTS: Final = ("not used", "rejected", "accepted", "excluded", "too late")
+
+SENSOR_ARRIVAL_FIELDS: Final = (
+    Field("cycle", "i8", (), "1", "", "number of the cycle in which the loop received it"),
+    Field("sample", SENSOR_SAMPLE_FIELDS),
+    Field("result", "i8", (), "1", "", "0 not used, 1 rejected, 2 accepted, 3 sensor excluded, 4 too late"),
+    Field("innovation", "f8", COMPONENTS_MAX, "1", "", "each component over its standard deviation", math.nan),
+    Field("nis", "f8", (), "1", "", "normalised innovation squared", math.nan),
+)
+SENSOR_ARRIVAL = record_dtype(SENSOR_ARRIVAL_FIELDS)
+"""A sample as the loop received it, and what the navigation made of it: the row that is recorded."""
+
+SENSOR_TRUTH = np.dtype(
+    [
+        ("t_s", "f8"),  # moment of the measurement, time of the run
+        ("r_CT_H", "f8", 3),  # m, chaser's reference point from the target's
+        ("v_CT_H", "f8", 3),  # m/s, as seen in H
+        ("q_CH", "f8", 4),
+        ("w_CH_C", "f8", 3),  # rad/s, chaser against H
+        ("r_T_I", "f8", 3),  # m, target from the centre of the central body
+        ("v_T_I", "f8", 3),  # m/s
+        ("q_HI", "f8", 4),
+        ("dt_s", "f8"),  # since the measurement before, 0 for the first
+        ("normal", "f8", NORMALS),  # independent standard normals
+        ("memory", "f8", MEMORY),  # of the module's own, zeroed before the run
+    ],
+    align=True,
+)
+"""What ``measure`` reads: the truth, or the bench in its place, with random numbers; ``memory`` is the module's."""
+
+SENSOR_ESTIMATE = np.dtype(
+    [
+        ("t_s", "f8"),
+        ("r_CT_H", "f8", 3),  # m
+        ("v_CT_H", "f8", 3),  # m/s
+        ("q_CH", "f8", 4),
+        ("w_CH_C", "f8", 3),  # rad/s
+    ],
+    align=True,
+)
+"""What ``innovate`` reads: the estimate at the moment of the measurement."""
+
+STATES: Final = 9
+"""Errors to which an innovation may be sensitive: of r_CT_H, of v_CT_H, and the rotation theta of c, in c, with which
+``u_true = u_estimated - theta x u`` for the components in c of a vector."""
+
+SENSOR_OUTPUT = np.dtype(
+    [
+        ("valid", "i8"),  # 1; a module sets 0 if there is no measurement
+        ("sample", SENSOR_SAMPLE),
+    ],
+    align=True,
+)
+"""What ``measure`` writes."""
+
+SENSOR_INNOVATION = np.dtype(
+    [
+        ("sample", SENSOR_SAMPLE),  # measured
+        ("value", "f8", COMPONENTS_MAX),  # measured minus expected
+        ("h", "f8", (COMPONENTS_MAX, STATES)),  # its sensitivity to the errors of the estimate
+        ("h_errors", "f8", (COMPONENTS_MAX, SENSOR_ERRORS_MAX)),  # and to the sensor's own; preset: 1 on its component
+        ("noise", "f8", (COMPONENTS_MAX, COMPONENTS_MAX)),  # covariance of the white noise
+    ],
+    align=True,
+)
+"""What ``innovate`` writes."""

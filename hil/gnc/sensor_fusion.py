@@ -1,0 +1,353 @@
+"""Fusion of the samples of sensor modules, each at its own time, with the gate and the monitor of each sensor.
+
+A module's ``innovate`` is called by its address and gives the innovation, its sensitivity to the errors of the estimate
+and of the sensor itself, and its noise; gate, update and monitors are the same for all. Components are fused in groups
+of three. A sensor whose innovations have a mean, by the CUSUM of each (Page 1954), or are rejected too often in a row,
+is suspect and excluded: what it may have done to the position until then is added to the covariance. It is compared
+further, and used again once the sums of its CUSUM have fallen to half their limit. docs/explanation/sensors.md
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.backend_records import MAX_SETTINGS
+from hil.core.foreign_call import call_address
+from hil.core.jit import entry, kernel
+from hil.core.sensor_records import (
+    ACCEPTED,
+    COMPONENTS_MAX,
+    EXCLUDED,
+    LATE,
+    MAX_SENSORS,
+    NOT_USED,
+    REJECTED,
+    SAMPLES_PER_CYCLE,
+    SENSOR_ARRIVAL,
+    SENSOR_ERRORS_MAX,
+    SENSOR_ESTIMATE,
+    SENSOR_INNOVATION,
+)
+from hil.gnc import joint_filter
+from hil.gnc.error_state import FILTER_ERRORS, ROTATION, R, V
+from hil.gnc.missed_fault import largest_missed
+from hil.gnc.step_memory import SAMPLES_PER_STEP, sensor_step_at
+from hil.maths import quat, stack
+from hil.maths.arrays import fill, fill_matrix
+from hil.maths.limits import to_integer
+from hil.maths.record_view import copy_record
+
+NEW = -1
+"""Result in the memory of a sample that was not gated yet."""
+_INTERVAL_WEIGHT = 0.1  # of an interval in the mean of those between samples
+_MISSED_EACH = 8  # accepted samples: gains change slowly
+_NO_CHANGE = 1e-12  # m: sensitivity below which a component does not measure the position
+
+SENSOR_SLOT = np.dtype(
+    [
+        ("settings", "f8", MAX_SETTINGS),  # nominal, as the module declares them; first: the argument of ``innovate``
+        ("innovate", "i8"),  # address
+        ("enabled", "i8"),
+        ("n", "i8"),  # components
+        ("gate", "f8", 2),  # largest NIS of the first three components, and of the others
+        ("errors", "i8"),
+        ("component", "i8", SENSOR_ERRORS_MAX),  # of each error
+        ("state", "i8", SENSOR_ERRORS_MAX),  # its index in the error state, 0: it is left out
+    ],
+    align=True,
+)
+SENSOR_FUSION_PARAMS = np.dtype(
+    [
+        ("n", "i8"),
+        ("slot", SENSOR_SLOT, MAX_SENSORS),
+        ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
+        ("cusum_limit", "f8"),
+        ("nis_weight", "f8"),  # of a sample in the mean NIS
+        ("nis_limit", "f8"),  # largest mean of a component
+        ("suspect_after", "i8"),  # consecutive rejections
+        ("gate", "f8"),  # standard deviations of one component that the gate passes
+    ],
+    align=True,
+)
+
+SENSOR_MONITOR = np.dtype(
+    [
+        ("accepted", "i8"),
+        ("rejected", "i8"),
+        ("excluded", "i8"),
+        ("late", "i8"),
+        ("rejected_in_a_row", "i8"),
+        ("suspect", "i8"),  # 1: excluded
+        ("suspected", "i8"),  # how often
+        ("high", "f8", COMPONENTS_MAX),  # CUSUM of each normalised innovation upwards
+        ("low", "f8", COMPONENTS_MAX),  # and downwards
+        ("mean_nis", "f8"),  # per component
+        ("total_nis", "f8"),
+        ("judged", "i8"),  # components in ``total_nis``
+        ("last_s", "f8"),  # newest accepted sample
+        ("interval_s", "f8"),  # between accepted samples
+        ("missed_m", "f8", 3),  # error of the position by the largest fault that is not found, in H
+        ("missed_rad", "f8"),
+    ],
+    align=True,
+)
+"""What is known of one sensor."""
+SENSOR_FUSION_STATE = np.dtype(
+    [
+        ("arrived", "i8"),  # samples of this cycle
+        ("arrival", SENSOR_ARRIVAL, SAMPLES_PER_CYCLE),
+        ("monitor", SENSOR_MONITOR, MAX_SENSORS),
+        ("estimate", SENSOR_ESTIMATE),
+        ("innovation", SENSOR_INNOVATION),
+    ],
+    align=True,
+)
+
+
+@kernel
+def clear_arrivals(state):
+    """Forget the samples of the cycle before. state: SENSOR_FUSION_STATE."""
+    state.arrived = 0
+
+
+@entry
+def place_samples(params, state, memory):
+    """Put the samples of this cycle into the steps nearest to their times; return the first of these, -1 for none.
+
+    params, state: FUSION_PARAMS, FUSION_STATE.
+    """
+    sensors, first = state.sensors, -1
+    for k in range(sensors.arrived):
+        arrival = sensors.arrival[k]
+        sample = arrival.sample
+        arrival.result, arrival.nis = NOT_USED, np.nan
+        fill(arrival.innovation, np.nan)
+        if params.sensors.slot[sample.sensor].enabled == 0 or state.started == 0:
+            continue
+        cycle = to_integer(math.floor(sample.t_s / params.pkf.dt_s + 0.5))
+        oldest = max(state.start_cycle, state.cycle - params.memory + 1)
+        arrival.result = LATE
+        if cycle > state.cycle + params.ahead or cycle < oldest or not math.isfinite(sample.t_s):
+            sensors.monitor[sample.sensor].late += 1
+            continue
+        cycle = min(cycle, state.cycle)
+        step = sensor_step_at(params, memory, cycle)
+        if step.n == SAMPLES_PER_STEP:
+            sensors.monitor[sample.sensor].late += 1
+            continue
+        copy_record(sample, step.sample[step.n])
+        step.result[step.n], step.arrival[step.n] = NEW, k
+        step.n += 1
+        arrival.result = NOT_USED
+        first = cycle if first < 0 else min(first, cycle)
+    return first
+
+
+@entry
+def fuse_samples(params, state, memory, cycle):
+    """Fuse the samples of step number ``cycle``. params, state: FUSION_PARAMS, FUSION_STATE."""
+    step = sensor_step_at(params, memory, cycle)
+    for k in range(step.n):
+        sample = step.sample[k]
+        if step.result[k] == NEW:
+            step.result[k] = _judge(params, state, sample, cycle, state.sensors.arrival[step.arrival[k]])
+        elif step.result[k] == ACCEPTED:
+            for group in range((params.sensors.slot[sample.sensor].n + 2) // 3):
+                _innovate(params, state, sample, cycle, group)
+                joint_filter.update(params.errors, state.filters, state.found_position)
+
+
+@kernel
+def _innovate(params, state, sample, cycle, group):
+    """Write innovation and gain of a group of components into ``state.found_position``; return the NIS."""
+    sensors, filters, found = state.sensors, state.filters, state.found_position
+    slot, estimate, innovation = params.sensors.slot[sample.sensor], sensors.estimate, sensors.innovation
+    delta_s = sample.t_s - cycle * params.pkf.dt_s
+    turn, rotation = stack.vector(3), stack.vector(4)
+    estimate.t_s = sample.t_s
+    for i in range(3):
+        estimate.r_CT_H[i] = filters.pkf.x[i] + delta_s * filters.pkf.x[3 + i]
+        estimate.v_CT_H[i] = filters.pkf.x[3 + i]
+        estimate.w_CH_C[i] = filters.akf.w_CH_C[i]
+        turn[i] = delta_s * filters.akf.w_CH_C[i]
+    quat.from_rotation_vector_into(turn, rotation)
+    quat.multiply_into(rotation, filters.akf.x[0:4], estimate.q_CH)
+    copy_record(sample, innovation.sample)
+    fill(innovation.value, 0.0)
+    fill_matrix(innovation.h, 0.0)
+    fill_matrix(innovation.h_errors, 0.0)
+    for k in range(slot.errors):
+        innovation.h_errors[slot.component[k], k] = 1.0
+    for i in range(COMPONENTS_MAX):
+        for j in range(COMPONENTS_MAX):
+            innovation.noise[i, j] = sample.covariance[i, j]
+    call_address(slot.innovate, estimate, innovation, slot)
+    first = 3 * group
+    fill_matrix(found.h, 0.0)
+    fill_matrix(found.noise, 0.0)
+    for i in range(3):
+        found.value[i], found.noise[i, i] = 0.0, 1.0  # of a component that there is not: no information
+        if first + i >= slot.n:
+            continue
+        found.value[i] = innovation.value[first + i]
+        for j in range(3):
+            if first + j < slot.n:
+                found.noise[i, j] = innovation.noise[first + i, first + j]
+            found.h[i, R + j] = innovation.h[first + i, j]
+            found.h[i, V + j] = innovation.h[first + i, 3 + j] + delta_s * innovation.h[first + i, j]
+            found.h[i, ROTATION + j] = innovation.h[first + i, 6 + j]
+        for k in range(slot.errors):
+            if slot.state[k] != 0:
+                found.h[i, slot.state[k]] += innovation.h_errors[first + i, k]
+    return joint_filter.innovate(params.errors, filters, 0, FILTER_ERRORS, found)
+
+
+@kernel
+def _judge(params, state, sample, cycle, arrival):
+    """Gate a new sample and fuse it if it is accepted; return the result, also in ``arrival`` (SENSOR_ARRIVAL)."""
+    sensors, filters, found = state.sensors, state.filters, state.found_position
+    slot, monitor = params.sensors.slot[sample.sensor], sensors.monitor[sample.sensor]
+    passes, arrival.nis = True, 0.0
+    groups = (slot.n + 2) // 3
+    for group in range(groups):
+        nis = _innovate(params, state, sample, cycle, group)
+        passes = passes and 0.0 <= nis <= slot.gate[group]
+        arrival.nis += nis
+        for i in range(3):
+            if 3 * group + i < slot.n:
+                arrival.innovation[3 * group + i] = found.value[i] / math.sqrt(found.s[i, i])
+    passes = passes and math.isfinite(arrival.nis)
+    _watch(params.sensors, monitor, slot.n, arrival, passes)
+    if monitor.suspect == 1:
+        monitor.suspect = 2  # from now on
+        for i in range(3):
+            filters.p[R + i, R + i] += monitor.missed_m[i] ** 2
+    if not passes:
+        arrival.result = REJECTED
+        monitor.rejected += 1
+        return REJECTED
+    if monitor.suspect != 0:
+        arrival.result = EXCLUDED
+        monitor.excluded += 1
+        return EXCLUDED
+    _count(monitor, sample.t_s)
+    if monitor.accepted % _MISSED_EACH == 1:
+        fill(monitor.missed_m, 0.0)
+        monitor.missed_rad = 0.0
+    for group in range(groups):
+        _innovate(params, state, sample, cycle, group)
+        if monitor.accepted % _MISSED_EACH == 1:
+            _bound_missed(params.sensors, state, monitor, min(3, slot.n - 3 * group))
+        joint_filter.update(params.errors, filters, found)
+    arrival.result = ACCEPTED
+    return ACCEPTED
+
+
+@kernel
+def _count(monitor, t_s):
+    monitor.accepted += 1
+    if t_s > monitor.last_s and monitor.accepted > 1:
+        interval_s = t_s - monitor.last_s
+        if monitor.interval_s == 0.0:
+            monitor.interval_s = min(interval_s, 1.0)
+        monitor.interval_s += _INTERVAL_WEIGHT * (min(interval_s, 2.0 * monitor.interval_s) - monitor.interval_s)
+    monitor.last_s = max(monitor.last_s, t_s)
+
+
+@kernel
+def _watch(params, monitor, n, arrival, passes):
+    """Take the innovations of a sample into the monitors of its sensor: suspect, or no longer.
+
+    params: SENSOR_FUSION_PARAMS. A suspicion is lifted once all sums are half their limit or less and the mean NIS is
+    that of the covariance.
+    """
+    largest = 0.0
+    if math.isfinite(arrival.nis):
+        for i in range(n):
+            value = max(-params.gate, min(params.gate, arrival.innovation[i]))
+            monitor.high[i] = min(2.0 * params.cusum_limit, max(0.0, monitor.high[i] + value - params.mean_shift))
+            monitor.low[i] = min(2.0 * params.cusum_limit, max(0.0, monitor.low[i] - value - params.mean_shift))
+            largest = max(largest, max(monitor.high[i], monitor.low[i]))
+        seen = monitor.judged // n
+        weight = max(params.nis_weight, 1.0 / (seen + 1))
+        per_component = min(arrival.nis / n, params.gate**2)
+        monitor.mean_nis += weight * (per_component - monitor.mean_nis)
+        monitor.judged += n
+        monitor.total_nis += arrival.nis
+    monitor.rejected_in_a_row = 0 if passes else monitor.rejected_in_a_row + 1
+    noisy = monitor.judged * params.nis_weight >= n and monitor.mean_nis > params.nis_limit
+    if monitor.suspect == 0:
+        if largest > params.cusum_limit or monitor.rejected_in_a_row >= params.suspect_after or noisy:
+            monitor.suspect = 1
+            monitor.suspected += 1
+    elif passes and largest <= 0.5 * params.cusum_limit and not noisy:
+        monitor.suspect = 0
+
+
+@kernel
+def _bound_missed(params, state, monitor, n):
+    """Raise ``missed_m`` and ``missed_rad`` by what a fault of one component leads to before it is found.
+
+    The innovation is in ``state.found_position``. The fault is a step or a ramp of the component; position and velocity
+    follow it by their gains.
+    """
+    found = state.found_position
+    for c in range(n):
+        follows, speeds, turns = 0.0, 0.0, 0.0
+        for i in range(3):
+            follows += found.h[c, R + i] * found.gain[c, R + i]
+            speeds += found.h[c, R + i] * found.gain[c, V + i]
+            turns += found.h[c, ROTATION + i] * found.gain[c, ROTATION + i]
+        sigma = math.sqrt(found.s[c, c])
+        if follows > _NO_CHANGE:
+            largest = _missed(params, monitor, follows, speeds)
+            for i in range(3):
+                size = largest * sigma * abs(found.gain[c, R + i]) / follows
+                monitor.missed_m[i] = max(monitor.missed_m[i], size)
+        if turns > _NO_CHANGE:
+            largest = _missed(params, monitor, turns, 0.0)
+            for i in range(3):
+                size = largest * sigma * abs(found.gain[c, ROTATION + i]) / turns
+                monitor.missed_rad = max(monitor.missed_rad, size)
+
+
+@kernel
+def _missed(params, monitor, gain, gain_speed):
+    """Return the largest error, in standard deviations of the innovation, of a step or a ramp that is not found."""
+    n = params.cusum_limit / params.mean_shift
+    speed = gain_speed * monitor.interval_s
+    step, _ = largest_missed(params, gain, speed, n, params.cusum_limit, 0, np.inf)
+    ramp, _ = largest_missed(params, gain, speed, n, params.cusum_limit, 1, np.inf)
+    return max(step, ramp)
+
+
+@kernel
+def missed(params, state, i):
+    """Return the error of the position along axis ``i`` by an undetected fault of one sensor, m.
+
+    params, state: SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE.
+    """
+    largest = 0.0
+    for k in range(params.n):
+        largest = max(largest, state.monitor[k].missed_m[i])
+    return largest
+
+
+@kernel
+def missed_rotation(params, state):
+    """Return the same of the attitude, rad."""
+    largest = 0.0
+    for k in range(params.n):
+        largest = max(largest, state.monitor[k].missed_rad)
+    return largest
+
+
+@kernel
+def is_suspect(params, state):
+    """Return whether a sensor is excluded."""
+    suspects = 0
+    for k in range(params.n):
+        suspects += state.monitor[k].suspect
+    return suspects != 0

@@ -1,0 +1,203 @@
+"""Check of a sensor module: its Jacobian against differences, its noise, and that measurement and innovation agree."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from scipy.special import chdtri
+
+from hil.core.messages import Array, new
+from hil.core.sensor_records import (
+    MEMORY,
+    NORMALS,
+    SENSOR_ESTIMATE,
+    SENSOR_INNOVATION,
+    SENSOR_OUTPUT,
+    SENSOR_TRUTH,
+    STATES,
+)
+from hil.maths import quat
+from hil.sensors.compiled import addresses
+from hil.sensors.module import Sensor
+
+_STEPS: Final = np.array([1e-5] * 3 + [1e-6] * 3 + [1e-6] * 3)  # m, m/s, rad
+_TOLERANCE: Final = 1e-3  # of the largest entry of a row
+_POSES: Final = 40
+_SAMPLES: Final = 400
+_TAIL: Final = 1e-6
+_RANGES_M: Final = (0.4, 1.0, 3.0, 8.0, 30.0, 90.0)
+
+
+class Trial:
+    """A module called from Python, as the loop calls it. values: of the settings, in the order of their declaration."""
+
+    def __init__(self, found: Sensor, values: Array) -> None:
+        import ctypes
+
+        self._found = found
+        self._values = np.ascontiguousarray(values if len(values) else np.zeros(1), float)
+        kind = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_void_p] * 3)
+        self._measure, self._innovate = (kind(address) for address in addresses(found))
+        self.truth, self.output = new(SENSOR_TRUTH), new(SENSOR_OUTPUT)
+        self.estimate, self.innovation = new(SENSOR_ESTIMATE), new(SENSOR_INNOVATION)
+
+    def measure(self) -> bool:
+        """Measure ``truth`` into ``output``; return whether there is a measurement."""
+        self.output.valid = 1
+        for name in ("value", "covariance"):
+            self.output.sample[name] = 0.0
+        self._call(self._measure, self.truth, self.output)
+        return bool(self.output.valid)
+
+    def innovate(self) -> Array:
+        """Compare ``output`` with ``estimate``; return the innovation (n,), with the others in ``innovation``."""
+        found, n = self.innovation, len(self._found.components)
+        found.sample = self.output.sample
+        found.value, found.h, found.h_errors = 0.0, 0.0, 0.0
+        for k, error in enumerate(self._found.module.errors):
+            found.h_errors[error.component, k] = 1.0
+        found.noise = self.output.sample.covariance
+        self._call(self._innovate, self.estimate, found)
+        value: Array = found.value[:n].copy()
+        return value
+
+    def _call(self, function: Any, first: np.record, second: np.record) -> None:
+        function(_address(first), _address(second), self._values.ctypes.data)
+
+
+def _address(record: np.record) -> int:
+    return int(np.asarray(record).__array_interface__["data"][0])
+
+
+def problems(found: Sensor, values: Array | None = None, seed: int = 0) -> list[str]:
+    """Return what is wrong with the kernels of a module, one line each; [] if nothing is.
+
+    values: of the settings; None: the defaults. Raises BadInput if a kernel does not compile.
+    """
+    nominal = np.array([setting.default for setting in found.settings]) if values is None else values
+    trial, random = Trial(found, nominal), np.random.default_rng(seed)
+    lines: list[str] = []
+    seen = 0
+    for _ in range(_POSES):
+        _place(trial, random)
+        trial.truth.normal, trial.truth.memory = 0.0, 0.0
+        if not trial.measure():
+            continue
+        seen += 1
+        lines += _finite(found, trial) or _jacobian(found, trial) or _covariance(found, trial)
+        if lines:
+            return lines
+    if seen == 0:
+        return [f"measure: has no measurement at any of {_POSES} places from {_RANGES_M[0]:g} to {_RANGES_M[-1]:g} m"]
+    return _noise(found, trial, random)
+
+
+def _place(trial: Trial, random: np.random.Generator) -> None:
+    """Put truth and estimate at the same random place in front of the target."""
+    truth = trial.truth
+    distance = float(random.choice(_RANGES_M))
+    truth.t_s = random.uniform(0.0, 100.0)
+    truth.r_CT_H = distance * np.array([1.0, *random.uniform(-0.1, 0.1, 2)])
+    truth.v_CT_H = random.normal(0.0, 0.02, 3)
+    truth.q_CH = quat.from_rotation_vector(random.normal(0.0, 0.03, 3))
+    truth.w_CH_C = random.normal(0.0, 1e-3, 3)
+    truth.r_T_I, truth.v_T_I, truth.q_HI = (1.9e6, 1e5, 2e5), (0.0, 1.6e3, 10.0), (0.0, 0.0, 0.0, 1.0)
+    truth.dt_s = 0.1
+    for name in SENSOR_ESTIMATE.names or ():
+        trial.estimate[name] = truth[name]
+
+
+def _finite(found: Sensor, trial: Trial) -> list[str]:
+    value = trial.innovate()
+    if not np.isfinite(value).all():
+        return ["innovate: value is not finite"]
+    for name in ("h", "h_errors", "noise"):
+        if not np.isfinite(trial.innovation[name]).all():
+            return [f"innovate: {name} is not finite"]
+    return []
+
+
+def _jacobian(found: Sensor, trial: Trial) -> list[str]:
+    """Compare ``h`` with central differences of the innovation by the estimate."""
+    trial.innovate()
+    n = len(found.components)
+    stated = trial.innovation.h[:n].copy()
+    measured = np.empty((n, STATES))
+    nominal = {name: np.copy(trial.estimate[name]) for name in SENSOR_ESTIMATE.names or ()}
+    for j, step in enumerate(_STEPS):
+        sides = []
+        for sign in (1.0, -1.0):
+            _shift(trial.estimate, nominal, j, sign * step)
+            sides.append(trial.innovate())
+        measured[:, j] = (sides[1] - sides[0]) / (2.0 * step)
+    for name, value in nominal.items():
+        trial.estimate[name] = value
+    names = [f"{part}[{i}]" for part in ("r", "v", "theta") for i in range(3)]
+    for i, component in enumerate(found.components):
+        largest = max(np.abs(measured[i]).max(), np.abs(stated[i]).max())
+        j = int(np.argmax(np.abs(measured[i] - stated[i])))
+        if abs(measured[i, j] - stated[i, j]) > _TOLERANCE * largest:
+            at = np.linalg.norm(trial.truth.r_CT_H)
+            text = f"innovate: h of {component.name} by {names[j]} is {stated[i, j]:.6g}, by differences"
+            return [f"{text} {measured[i, j]:.6g} (at {at:.1f} m)"]
+    return []
+
+
+def _shift(estimate: np.record, nominal: dict[str, Any], state: int, step: float) -> None:
+    """Move one error state of the estimate from its nominal value by ``step``."""
+    for name, value in nominal.items():
+        estimate[name] = value
+    if state < 3:
+        estimate.r_CT_H[state] += step
+    elif state < 6:
+        estimate.v_CT_H[state - 3] += step
+    else:
+        turn = np.zeros(3)
+        turn[state - 6] = step
+        estimate.q_CH = quat.multiply(quat.from_rotation_vector(turn), nominal["q_CH"])
+
+
+def _covariance(found: Sensor, trial: Trial) -> list[str]:
+    trial.innovate()
+    n = len(found.components)
+    noise = trial.innovation.noise[:n, :n]
+    if np.abs(noise - noise.T).max() > 1e-9 * np.abs(noise).max():
+        return ["innovate: noise is not symmetric"]
+    for first in range(0, n, 3):
+        if np.linalg.eigvalsh(noise[first : first + 3, first : first + 3]).min() <= 0.0:
+            where = f"components {first + 1} to {min(first + 3, n)}"
+            return [f"innovate: noise of {where} is no covariance: give it there, or out.sample.covariance in measure"]
+    if n > 3 and np.abs(noise[:3, 3:]).max() > 0.0:
+        return ["innovate: noise of components one to three and of the others must be independent"]
+    return []
+
+
+def _noise(found: Sensor, trial: Trial, random: np.random.Generator) -> list[str]:
+    """Measure many times with noise: the innovations must be as large as noise and errors that the module states."""
+    n = len(found.components)
+    sigmas = {setting.name: setting.default for setting in found.settings}
+    square, count, total = 0.0, 0, np.zeros(n)
+    for _ in range(_SAMPLES):
+        _place(trial, random)
+        trial.truth.normal, trial.truth.memory = random.standard_normal(NORMALS), np.zeros(MEMORY)
+        if not trial.measure():
+            continue
+        value = trial.innovate()
+        covariance = trial.innovation.noise[:n, :n].copy()
+        for k, error in enumerate(found.module.errors):
+            if error.time_s is not None:  # processes are drawn by measure, constant errors are settings
+                h = trial.innovation.h_errors[:n, k]
+                covariance += sigmas[error.sigma] ** 2 * np.outer(h, h)
+        square += float(value @ np.linalg.solve(covariance, value))
+        total += value / np.sqrt(np.diag(covariance))
+        count += 1
+    low, high = chdtri(count * n, 1.0 - _TAIL) / count, chdtri(count * n, _TAIL) / count
+    if not low <= square / count <= high:
+        text = f"measure and innovate: mean NIS {square / count:.3g} over {count} measurements"
+        return [f"{text}, allowed {low:.3g} to {high:.3g}: noise is not what is stated"]
+    worst = int(np.argmax(np.abs(total)))
+    if abs(total[worst]) > 5.5 * np.sqrt(count):
+        mean = total[worst] / count
+        return [f"measure and innovate: {found.components[worst].name} is off by {mean:.2f} sigma on average"]
+    return []

@@ -1,0 +1,63 @@
+"""The two kernels of a sensor module as C functions, which the loop calls by their addresses.
+
+The machine code is kept in the cache of the bench's kernels, as that of a backend.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.core.errors import NumbaError
+from numba.np.numpy_support import carray
+
+from hil.core.jit import c_function, kernel
+from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
+from hil.core.settings import Setting
+from hil.errors import BadInput, one_line
+from hil.sensors.module import Sensor, SensorModule
+
+_ARGUMENTS: Final = {"measure": (SENSOR_TRUTH, SENSOR_OUTPUT), "innovate": (SENSOR_ESTIMATE, SENSOR_INNOVATION)}
+
+
+class Addresses(NamedTuple):
+    """Addresses of ``int f(first record, second record, settings)``."""
+
+    measure: int
+    innovate: int
+
+
+def addresses(found: Sensor) -> Addresses:
+    """Return the addresses of the compiled kernels of a module. Raises BadInput if one does not compile."""
+    return _addresses(found.module, found.settings)
+
+
+@cache
+def _addresses(module: type[SensorModule], settings: tuple[Setting, ...]) -> Addresses:
+    layout = np.dtype([(setting.name, "f8") for setting in settings] or [("none", "f8")], align=True)
+    return Addresses(*(_address(module, name, layout) for name in _ARGUMENTS))
+
+
+def _address(module: type[SensorModule], name: str, settings: np.dtype) -> int:
+    function: Callable[..., Any] = kernel(getattr(module, name))
+    first_layout, second_layout = _ARGUMENTS[name]
+
+    def call(first, second, values):  # type: ignore[no-untyped-def]
+        function(
+            carray(values, (1,), settings)[0], carray(first, (1,), first_layout)[0],
+            carray(second, (1,), second_layout)[0],
+        )  # fmt: skip
+        return 0
+
+    try:
+        return c_function(call, types.int32(types.voidptr, types.voidptr, types.voidptr))
+    except NumbaError as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        text = f"{module.__name__}.{name} does not compile: {one_line(lines[-1], 200)}"
+        raise BadInput.single("hil sensors", module.kind, text) from error
+    except KeyError as error:  # numba's for a field that a record does not have
+        text = f"{module.__name__}.{name} does not compile: a record has no field {error}"
+        raise BadInput.single("hil sensors", module.kind, text) from error

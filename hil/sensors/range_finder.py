@@ -1,0 +1,83 @@
+"""Laser range finder: distance from an aperture on the chaser to a reflector on the target.
+
+Noise and offset of an industrial phase-comparison sensor: 1 mm repeatability and +-2 mm accuracy to 100 m on a
+reflector, 10 Hz to 250 Hz (data sheet of the Dimetix DxE series: repeatability 0.3 to 0.5 mm, accuracy 1 to 3 mm at
+2 sigma).
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.core.jit import kernel
+from hil.core.settings import Setting
+from hil.maths import quat, stack
+from hil.sensors.module import Component, SensorError, SensorModule
+
+
+@kernel
+def line_of_sight(settings, r_CT_H, q_CH, line):
+    """Write the vector from the reflector to the aperture into ``line`` (3,), m, in H."""
+    arm = stack.vector(3)
+    arm[0], arm[1], arm[2] = settings.aperture_x_m, settings.aperture_y_m, settings.aperture_z_m
+    quat.transform_back_into(q_CH, arm, line)
+    line[0] += r_CT_H[0] - settings.reflector_x_m
+    line[1] += r_CT_H[1] - settings.reflector_y_m
+    line[2] += r_CT_H[2] - settings.reflector_z_m
+
+
+class RangeFinder(SensorModule):
+    """Laser range finder: distance from its aperture to a reflector on the target."""
+
+    kind = "range_finder"
+    components = (Component("range_m", "m", "from the aperture to the reflector"),)
+    settings = (
+        Setting("sigma_m", 5e-4, "m", 1e-6, 10.0, "noise of a measurement, 1 sigma"),
+        Setting("bias_m", 0.0, "m", -1.0, 1.0, "true offset"),
+        Setting("bias_sigma_m", 1e-3, "m", 0.0, 1.0, "its standard deviation, as the filters know it"),
+        Setting("aperture_x_m", 0.3, "m", -10.0, 10.0, "aperture from the chaser's reference point, in c"),
+        Setting("aperture_y_m", 0.0, "m", -10.0, 10.0),
+        Setting("aperture_z_m", 0.0, "m", -10.0, 10.0),
+        Setting("reflector_x_m", 0.0, "m", -10.0, 10.0, "reflector from the target's reference point, in H"),
+        Setting("reflector_y_m", 0.0, "m", -10.0, 10.0),
+        Setting("reflector_z_m", 0.0, "m", -10.0, 10.0),
+        Setting("range_min_m", 0.05, "m", 0.0, 1e3, "shortest distance that is measured"),
+        Setting("range_max_m", 100.0, "m", 0.1, 1e5, "longest distance that is measured"),
+    )
+    errors = (SensorError("bias", 0, "bias_sigma_m"),)
+    faults = {
+        "no_sample": "no measurement: known at once; nothing is unseen",
+        "frozen": "a distance that stands still: gate and CUSUM of the innovations once the chaser has moved by sigmas",
+        "offset": "gate beyond its sigmas; below, the CUSUM of the innovations: unseen up to what the level has",
+        "drift": "CUSUM of the innovations: unseen up to what the level has",
+        "outlier": "the gate",
+        "noise_scale": "mean NIS",
+    }
+
+    @staticmethod
+    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+        """Write the true distance with offset and noise."""
+        line = stack.vector(3)
+        line_of_sight(settings, truth.r_CT_H, truth.q_CH, line)
+        distance = math.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2)
+        if not settings.range_min_m <= distance <= settings.range_max_m:
+            out.valid = 0
+        out.sample.value[0] = distance + settings.bias_m + settings.sigma_m * truth.normal[0]
+        out.sample.covariance[0, 0] = settings.sigma_m**2
+
+    @staticmethod
+    def innovate(settings, estimate, out):  # type: ignore[no-untyped-def]
+        """Distance ``d = |r + A.T a - b|``: ``dd = u . dr + u . A.T (theta x a)``, u the line of sight in H."""
+        line, arm, in_c = stack.vector(3), stack.vector(3), stack.vector(3)
+        line_of_sight(settings, estimate.r_CT_H, estimate.q_CH, line)
+        distance = max(1e-9, math.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2))
+        arm[0], arm[1], arm[2] = settings.aperture_x_m, settings.aperture_y_m, settings.aperture_z_m
+        out.value[0] = out.sample.value[0] - distance
+        for i in range(3):
+            line[i] /= distance
+            out.h[0, i] = line[i]
+        quat.transform_into(estimate.q_CH, line, in_c)
+        # u_c . (theta x a) = theta . (a x u_c)
+        out.h[0, 6] = arm[1] * in_c[2] - arm[2] * in_c[1]
+        out.h[0, 7] = arm[2] * in_c[0] - arm[0] * in_c[2]
+        out.h[0, 8] = arm[0] * in_c[1] - arm[1] * in_c[0]

@@ -1,0 +1,165 @@
+"""Sensor modules by their kind: those of this package, and those of others by entry points.
+
+A package declares the entry point of a module, named as its kind:
+
+    [project.entry-points."hil.sensors"]
+    bearing_camera = "acme_bearing:BearingCamera"
+
+A scenario may also name a class in a file: ``kind = "sensors/altimeter.py:Altimeter"``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any, Final
+
+from hil.config.load import Loaded, check_table
+from hil.config.scenario import Scenario
+from hil.config.sensors import SensorConfig
+from hil.core.sensor_records import ERROR_STATES_MAX
+from hil.core.settings import Setting
+from hil.errors import BadInput, Problem, one_line
+from hil.sensors.module import COMMON, Sensor, checked
+
+GROUP: Final = "hil.sensors"
+SHIPPED: Final = {
+    "range_finder": "hil.sensors.range_finder:RangeFinder",
+    "relative_gnss": "hil.sensors.relative_gnss:RelativeGnss",
+    "lidar": "hil.sensors.lidar:Lidar",
+    "star_tracker": "hil.sensors.star_tracker:StarTracker",
+    "pose": "hil.sensors.pose:Pose",
+}
+"""Kind -> module and class."""
+
+
+def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor:
+    """Return the sensor module ``kind``. Raises BadInput, by ``refuse``, if it is none or its declaration is wrong."""
+    refuse = refuse or (lambda text: BadInput.single("hil sensors", "kind", f"{kind}: {text}"))
+    try:
+        if ".py:" in kind:
+            return checked(_of_file(kind, refuse), Path(kind.rpartition(":")[0]).name)
+        if kind in SHIPPED:
+            where, _, name = SHIPPED[kind].partition(":")
+            return checked(getattr(importlib.import_module(where), name))
+        points = {point.name: point for point in entry_points(group=GROUP)}
+        if kind not in points:
+            known = [*SHIPPED, *points]
+            close = difflib.get_close_matches(kind, known, n=1)
+            hint = f"did you mean {close[0]}? " if close else ""
+            raise refuse(f"no such sensor: {hint}known are {', '.join(known)}, or a class in a file, FILE.py:NAME")
+        point = points[kind]
+        return checked(point.load(), point.dist.name if point.dist else "")
+    except BadInput:
+        raise
+    except ValueError as error:
+        raise refuse(str(error)) from error
+    except Exception as error:
+        raise refuse(f"cannot be imported: {one_line(f'{type(error).__name__}: {error}', 200)}") from error
+
+
+def kinds() -> dict[str, Sensor | str]:
+    """Return each kind of sensor, or why its module cannot be used."""
+    found: dict[str, Sensor | str] = {}
+    for kind in [*SHIPPED, *(point.name for point in entry_points(group=GROUP) if point.name not in SHIPPED)]:
+        try:
+            found[kind] = sensor(kind)
+        except BadInput as error:
+            found[kind] = error.problems[0].message
+    return found
+
+
+def sensors_of(scenario: Scenario) -> dict[str, Sensor]:
+    """Return the modules of the scenario's sensors by their names. Raises BadInput."""
+    return {name: sensor(config.kind) for name, config in scenario.sensors.items()}
+
+
+def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:
+    """Return ``scenario`` with every setting that the modules of its sensors declare.
+
+    Raises BadInput for a sensor that cannot be loaded, a setting that it does not have, or one outside its range.
+    """
+    if not scenario.value.sensors:
+        return scenario
+    problems: list[Problem] = []
+    tables: dict[str, Any] = {}
+    states = 0
+    for name, config in scenario.value.sensors.items():
+        key = f"sensors.{name}"
+        try:
+            found = sensor(config.kind, lambda text, k=key, c=config: _refusal(scenario, k, c, text))  # type: ignore[misc]
+        except BadInput as error:
+            problems += error.problems
+            continue
+        values = _settings_of(found, key, config, scenario, problems)
+        states += sum(1 for error in found.module.errors if values[error.sigma] > 0.0)
+        tables[name] = config.model_dump(mode="json", exclude_none=True) | values
+    if states > ERROR_STATES_MAX:
+        text = f"{states} errors with a sigma above 0, at most {ERROR_STATES_MAX} are states of the filters"
+        problems.append(Problem(scenario.where("sensors"), "sensors", text))
+    if problems:
+        raise BadInput(problems)
+    table = scenario.value.model_dump(mode="json", exclude_none=True)
+    return check_table(table | {"sensors": tables}, Scenario, scenario.source, dict(scenario.origin))
+
+
+def _refusal(scenario: Loaded[Scenario], key: str, config: SensorConfig, text: str) -> BadInput:
+    return BadInput.single(scenario.where(f"{key}.kind"), f"{key}.kind", f'"{config.kind}": {text}')
+
+
+def _settings_of(
+    found: Sensor, key: str, config: SensorConfig, scenario: Loaded[Scenario], problems: list[Problem]
+) -> dict[str, float]:
+    """Return the value of each declared setting; add the problems of the given ones."""
+    declared = {setting.name: setting for setting in found.settings}
+    given = config.settings
+    for name, value in given.items():
+        where, here = scenario.where(f"{key}.{name}"), f"{key}.{name}"
+        if name not in declared:
+            problems.append(Problem(where, here, _unknown(name, declared)))
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            problems.append(Problem(where, here, f"{value!r:.60}: must be a number, {declared[name].allowed}"))
+        elif text := declared[name].problem(float(value)):
+            problems.append(Problem(where, here, text))
+    return {
+        name: float(value) if isinstance(value := given.get(name, setting.default), int | float) else setting.default
+        for name, setting in declared.items()
+    }
+
+
+def _unknown(name: str, declared: dict[str, Setting]) -> str:
+    known = [*declared, *(key for key in COMMON if key not in ("kind", "name"))]
+    stem = name.rpartition("_")[0] or name
+    close = [key for key in known if key.startswith((f"{name}_", f"{stem}_"))]
+    close = close or difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {close[0]}? " if close else ""
+    return f"unknown key: {hint}known here: {', '.join(known)}"
+
+
+def _of_file(kind: str, refuse: Callable[[str], BadInput]) -> Any:
+    path, _, name = kind.rpartition(":")
+    file = Path(path).absolute()
+    if not file.is_file():
+        raise refuse("no such file: give FILE.py:NAME")
+    module = _executed(file, hashlib.sha256(file.read_bytes()).hexdigest()[:16])
+    if not hasattr(module, name):
+        raise refuse(f"the file has no {name}")
+    return getattr(module, name)
+
+
+@lru_cache(maxsize=32)
+def _executed(file: Path, digest: str) -> Any:
+    """Return the module of ``file``, executed once for each of its contents."""
+    spec = spec_from_file_location(f"hil_sensor_{digest}", file)
+    assert spec is not None
+    module = module_from_spec(spec)
+    sys.modules[module.__name__] = module
+    exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)
+    return module
