@@ -123,6 +123,12 @@ class BuiltinGnc(Approach):
         known = self.state.navigation.integrity
         known.second_m, known.second_s = bound_m, measured_s
 
+    def set_sensor_arrivals(self, arrivals: np.ndarray) -> None:
+        """Take the samples of further sensors of the next cycle, (n,) of SENSOR_ARRIVAL."""
+        found = self.state.navigation.fusion.sensors
+        found.arrived = len(arrivals)
+        found.arrival[: len(arrivals)] = arrivals
+
     def navigate(self, samples: np.ndarray, vision: Poses, estimate: np.record, command: np.record | None) -> None:
         """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION.
 

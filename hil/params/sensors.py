@@ -22,10 +22,10 @@ from hil.sensors.registry import sensors_of
 
 
 class SensorErrorState(NamedTuple):
-    """An error of a sensor as a state of the filters. index: of the error in its module. time_s: inf if constant."""
+    """An error of a sensor as a state of the filters. number: of the error in its module. time_s: inf if constant."""
 
     sensor: int
-    index: int
+    number: int
     sigma: float
     time_s: float
 
@@ -95,6 +95,6 @@ def sensor_fusion(scenario: Scenario, first_state: int, gate: float) -> np.recor
         slot.component[: slot.errors] = [error.component for error in sensor.module.errors]
         for k, state in enumerate(states):
             if state.sensor == number:
-                slot.state[state.index] = first_state + k
+                slot.state[state.number] = first_state + k
     params.n = len(scenario.sensors)
     return params

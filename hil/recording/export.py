@@ -25,10 +25,11 @@ TABLES: Final = {
     "/imu": "imu",
     "/axes": "axes",
     schema.MANIPULATOR: "manipulator",
+    schema.SENSORS: "sensors",
     foxglove.LOG_TOPIC: "log",
 }
 """Topic -> name of its table; the cycles go to the given file, the others next to it."""
-_OPTIONAL: Final = ("/monitor/portions", "/imu", "/axes", schema.MANIPULATOR)  # most runs have none of these
+_OPTIONAL: Final = ("/monitor/portions", "/imu", "/axes", *schema.OPTIONAL)  # most runs have none of these
 
 _CSV_ROWS: Final = 1000
 
@@ -53,22 +54,47 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
 
     ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, results of a docking
     monitor in ``OUT-portions``, samples of IMU and axes that are faster than the cycle in ``OUT-imu`` and
-    ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``. Works on recordings of any
+    ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``, each further sensor in
+    ``OUT-sensor-NAME``. Works on recordings of any
     version, by the layout in their schemas. Raises BadInput.
     """
     if form == "parquet":
         _pyarrow()
     found = contents(path, frozenset(TABLES))
     written = []
-    for topic, name in TABLES.items():
-        table = _table(found, topic)
-        if table is None:
-            continue
+    for name, table, units in _tables(found):
         target = out if name == "cycles" else out.with_name(f"{out.stem}-{name}{out.suffix}")
-        units = _units(found, topic)
         _write_file(form, table, units, target)
         written.append((target, len(next(iter(table.values())))))
     return written
+
+
+def _tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+    """Yield name, columns and units of each table that the recording has; of further sensors one each."""
+    for topic, name in TABLES.items():
+        if topic == schema.SENSORS:
+            yield from _sensor_tables(found)
+        elif (table := _table(found, topic)) is not None:
+            yield name, table, _units(found, topic)
+
+
+def _sensor_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+    """Yield the table of each further sensor, ``sensor-NAME``, with the columns that its module declares."""
+    if not found.records.get(schema.SENSORS) or schema.SENSORS_FILE not in found.files:
+        return
+    flat = found.flat(schema.SENSORS)
+    for number, (name, sensor) in enumerate(json.loads(found.files[schema.SENSORS_FILE]).items()):
+        rows = flat[flat["sample.sensor"] == number]
+        table = {"t_s": rows["sample.t_s"], "received_s": rows["sample.received_s"], "cycle": rows["cycle"],
+                 "result": rows["result"], "nis": rows["nis"]}  # fmt: skip
+        units = {"t_s": "s", "received_s": "s"}
+        for i, component in enumerate(sensor["components"]):
+            column = component["name"]
+            table[column], units[column] = rows["sample.value"][:, i], component["unit"]
+            table[f"sigma_{column}"] = np.sqrt(rows["sample.covariance"][:, i, i])
+            units[f"sigma_{column}"] = component["unit"]
+            table[f"innovation_{column}"] = rows["innovation"][:, i]
+        yield f"sensor-{name}", table, units
 
 
 def write_cycles(history: np.ndarray, out: Path) -> None:

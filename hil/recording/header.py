@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import platform
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,14 @@ from typing import Any
 from hil.cameras.pose_sensor import calibrated_geometry
 from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
+from hil.config.scenario import Scenario
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
 from hil.recording import audit
-from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, VERSION
+from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE, VERSION
 from hil.recording.writer import RecordingHeader
+from hil.sensors.registry import sensors_of
 from hil.setup.assembly import Job
 
 
@@ -59,7 +62,17 @@ def _calibrations(job: Job) -> dict[str, str]:
         files[GEOMETRY_FILE] = calibrated_geometry(rig).model_dump_json()
     if scenario.monitor.has_images:
         files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
+    if scenario.sensors:
+        files[SENSORS_FILE] = json.dumps(sensor_columns(scenario))
     return files
+
+
+def sensor_columns(scenario: Scenario) -> dict[str, Any]:
+    """Return kind and components of each further sensor, by name: what its rows in a recording mean."""
+    return {
+        name: {"kind": sensor.kind, "components": [{"name": c.name, "unit": c.unit} for c in sensor.components]}
+        for name, sensor in sensors_of(scenario).items()
+    }
 
 
 def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:

@@ -27,6 +27,7 @@ from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
+from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
 from hil.recording.earlier_names import present_key, with_present_names
@@ -51,7 +52,7 @@ _UNPACKED_FREE: Final = 8 * MIB
 _UNPACKED_RATIO: Final = 50  # of a file's blocks together, beyond _UNPACKED_FREE; recorded cycles have 3 to 10
 _BATCH_ROWS: Final = 5000
 _AHEAD_ROWS: Final = 6000  # read beyond a batch: rows of other topics may be written that much later, 5 s of the rings
-_REPLAYED: Final = ("/cycle", "/vmu/frames", "/imu")
+_REPLAYED: Final = ("/cycle", "/vmu/frames", "/imu", schema.SENSORS)
 _NOTE_TEXTS: Final = ("message", "name", "kind")
 _NOTE_NUMBERS: Final = ("t_s", "bench_s", "cycle")
 
@@ -255,11 +256,15 @@ def _table(path: Path, what: str, text: str | bytes) -> dict[str, Any]:
 
 
 class RowBatch(NamedTuple):
-    """Rows of successive cycles, (n,) of CYCLE, with the arrivals and the samples of the IMU that these used."""
+    """Rows of successive cycles, (n,) of CYCLE, with the arrivals and the samples of the IMU that these used.
+
+    sensor_arrivals: those of further sensors, of SENSOR_ARRIVAL.
+    """
 
     cycles: np.ndarray
     arrivals: np.ndarray
     imu_samples: np.ndarray
+    sensor_arrivals: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -268,7 +273,8 @@ class Recorded:
 
     cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. imu_samples, axes_samples: of
     IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. manipulator_samples: of
-    MANIPULATOR_SAMPLE, empty without a rotary manipulator. log: entries of the log as recorded. summary: as of
+    MANIPULATOR_SAMPLE, empty without a rotary manipulator. sensor_arrivals: of SENSOR_ARRIVAL, empty without further
+    sensors. log: entries of the log as recorded. summary: as of
     ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
     """
 
@@ -288,12 +294,13 @@ class Recorded:
     imu_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, IMU_SAMPLE))
     axes_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, AXES_SAMPLE))
     manipulator_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, MANIPULATOR_SAMPLE))
+    sensor_arrivals: np.ndarray = field(default_factory=lambda: np.zeros(0, SENSOR_ARRIVAL))
     absent: frozenset[str] = frozenset()
     """Dotted names of the fields of CYCLE that the recording lacks."""
 
     def as_batch(self) -> RowBatch:
         """Return all rows as one batch."""
-        return RowBatch(self.cycles, self.arrivals, self.imu_samples)
+        return RowBatch(self.cycles, self.arrivals, self.imu_samples, self.sensor_arrivals)
 
     def calibration(self, name: str, model: type[_Model]) -> _Model:
         """Return the attachment ``name``: cameras and target as assumed in the run. Raises BadInput."""
@@ -327,6 +334,7 @@ def _recorded(found: Contents) -> Recorded:
         _rows(found, "/imu"),
         _rows(found, "/axes"),
         _rows(found, schema.MANIPULATOR),
+        _rows(found, schema.SENSORS),
         _absent(found, "/cycle"),
     )
 

@@ -20,6 +20,7 @@ from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
+from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
 from hil.frmn.ring import Reader, Ring
@@ -42,6 +43,7 @@ RING_DTYPES: Final = {
     "portions": PORTION,
     "imu_samples": IMU_SAMPLE,
     "axes_samples": AXES_SAMPLE,
+    "sensor_samples": SENSOR_ARRIVAL,
     "manipulator_samples": MANIPULATOR_SAMPLE,
 }
 """Name of a ring in ``RecordingSinks`` -> its record."""

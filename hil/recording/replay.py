@@ -90,6 +90,21 @@ class _Poses:
         return self.arrived
 
 
+class _SensorArrivals:
+    """Samples of further sensors of one cycle."""
+
+    def begin(self, arrivals: np.ndarray, first: int, cycles: int) -> None:
+        """Use ``arrivals`` (n,) of SENSOR_ARRIVAL for ``cycles`` cycles from ``first`` on."""
+        self._arrivals, self._begin = arrivals, first
+        self._first = np.searchsorted(arrivals["cycle"], np.arange(first, first + cycles + 1))
+
+    def load(self, k: int, gnc: GncBackend) -> None:
+        """Give those of cycle ``k`` to ``gnc``, if it is the built-in one: others have none."""
+        if len(self._arrivals) and isinstance(gnc, BuiltinGnc):
+            i = k - self._begin
+            gnc.set_sensor_arrivals(self._arrivals[self._first[i] : self._first[i + 1]])
+
+
 class _Samples:
     """Samples of the IMU of one cycle: those recorded, or the one in the row of the cycle."""
 
@@ -154,7 +169,7 @@ class _OpenLoop:
         self.ended = ""
         self.now = CycleData(scenario.imu_samples)
         self._gnc, self._step_s = gnc, scenario.step_s
-        self._poses, self._samples = _Poses(), _Samples()
+        self._poses, self._samples, self._sensors = _Poses(), _Samples(), _SensorArrivals()
         self._orders, self._settings = _orders(recorded), _Settings(recorded, scenario)
         self._on: np.ndarray | None = None  # thrusters that were commanded in the cycle before
 
@@ -163,6 +178,7 @@ class _OpenLoop:
         rows = batch.cycles.copy()
         self._poses.begin(batch.arrivals)
         self._samples.begin(batch.imu_samples, self.cycles, len(rows))
+        self._sensors.begin(batch.sensor_arrivals, self.cycles, len(rows))
         for i, row in enumerate(batch.cycles):
             if self.ended or self._end(row):
                 return rows[:i]
@@ -179,6 +195,7 @@ class _OpenLoop:
         if not self.ended:
             _send_orders(self._gnc, self._orders.get(k, ()))
             self._settings.apply(self._gnc, k)
+            self._sensors.load(k, self._gnc)
             if self._on is not None:  # the IMU has measured what was commanded then, not what the replay would command
                 now.row["command"]["on"] = self._on
             self.ended = _cycle(self._gnc, self._poses, row, now)

@@ -39,10 +39,10 @@ def record_channel(topic: str) -> tuple[str, str, MessageSchema]:
 def fixed_channels() -> Iterator[tuple[str, str, MessageSchema]]:
     """Yield topic, encoding and schema of each channel that every run has; those of images come with their images.
 
-    That of a rotary manipulator is opened for a rig with one.
+    Those of a rotary manipulator and of further sensors are opened for a run with them.
     """
     for topic in schema.RECORDS:
-        if topic != schema.MANIPULATOR:
+        if topic not in schema.OPTIONAL:
             yield record_channel(topic)
     for topic, table in (*foxglove.SCHEMAS.items(), (foxglove.SCENE_TOPIC, foxglove_scene.SCENE_SCHEMA)):
         yield topic, "json", json_schema(table)
@@ -91,6 +91,7 @@ class RunMessages(ABC):
             "portions": self.write_portions,
             "imu_samples": lambda rows: self._write_samples("/imu", rows),
             "axes_samples": lambda rows: self._write_samples("/axes", rows),
+            "sensor_samples": self.write_sensor_samples,
             "manipulator_samples": lambda rows: self._write_samples(schema.MANIPULATOR, rows),
         }
 
@@ -103,6 +104,8 @@ class RunMessages(ABC):
         self._json_each_s = _telemetry_period_s(rig)
         if (rig.get("rotary_manipulator") or {}).get("driver", "none") != "none":
             self._open_channel(*record_channel(schema.MANIPULATOR))
+        if schema.SENSORS_FILE in files:
+            self._open_channel(*record_channel(schema.SENSORS))
         time_ns = self._time_ns(0.0)
         if (scene := foxglove_scene.scene_of(files, time_ns)) is not None:
             self._add(foxglove.SCENE_TOPIC, foxglove.encoded(scene), time_ns)
@@ -164,6 +167,11 @@ class RunMessages(ABC):
     def write_portions(self, rows: np.ndarray) -> None:
         """Write results of the docking monitor, (n,) of PORTION."""
         self._write_samples("/monitor/portions", rows)
+
+    def write_sensor_samples(self, rows: np.ndarray) -> None:
+        """Write samples of further sensors, (n,) of SENSOR_ARRIVAL, each at its arrival."""
+        for row in rows:
+            self._add(schema.SENSORS, row.tobytes(), self._time_ns(float(row["sample"]["received_s"])))
 
     def _write_samples(self, topic: str, rows: np.ndarray) -> None:
         """Write samples, each at its time of the run."""

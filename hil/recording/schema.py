@@ -17,6 +17,7 @@ from hil.core.fields import Fields, leaf_fields, record_dtype
 from hil.core.files import parse_json
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE_FIELDS
 from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, IMU_SAMPLE_FIELDS
+from hil.core.sensor_records import SENSOR_ARRIVAL_FIELDS
 from hil.errors import BadInput
 from hil.monitor.results import PORTION_FIELDS
 
@@ -45,10 +46,14 @@ during which it happened, -1 before the run. kind: event, alarm, alarm state, mo
 operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as of
 ``audit``."""
 
-GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
-"""Attachments: cameras and targets as assumed by vision unit and docking monitor."""
+GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE = "vmu_geometry.json", "monitor_scene.json", "sensors.json"
+"""Attachments: cameras and targets as assumed by vision unit and docking monitor; further sensors by name, with kind
+and the components of a measurement: their names and units."""
 
 MANIPULATOR: Final = "/manipulator"
+SENSORS: Final = "/sensors"
+OPTIONAL: Final = (MANIPULATOR, SENSORS)
+"""Topics that runs without a rotary manipulator, or without further sensors, lack."""
 RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),
     "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),
@@ -56,8 +61,9 @@ RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/imu": ("hil.ImuSample", IMU_SAMPLE_FIELDS),
     "/axes": ("hil.AxesSample", AXES_SAMPLE_FIELDS),
     MANIPULATOR: ("hil.ManipulatorSample", MANIPULATOR_SAMPLE_FIELDS),
+    SENSORS: ("hil.SensorArrival", SENSOR_ARRIVAL_FIELDS),
 }
-"""Topic -> name of its schema and fields of its messages. A run without a rotary manipulator lacks its topic."""
+"""Topic -> name of its schema and fields of its messages."""
 
 
 def flat_fields(dtype: np.dtype, prefix: str = "", start: int = 0) -> Iterator[dict[str, Any]]:

@@ -163,6 +163,8 @@ def required_sinks(job: Job) -> set[str]:
         required.add("imu_samples")
     if job.ticks > 1:
         required.add("axes_samples")
+    if scenario.sensors:
+        required.add("sensor_samples")
     if job.rig.value.rotated_target is not None:
         required.add("manipulator_samples")
     if scenario.vmu.source == "rendered" and wanted:
@@ -178,6 +180,7 @@ def ring_slots(job: Job) -> dict[str, int]:
     return {
         "cycles": cycles,
         "manipulator_samples": cycles,
+        "sensor_samples": cycles,
         "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
         "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),
         **SLOTS,

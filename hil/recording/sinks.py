@@ -91,7 +91,8 @@ class RecordingSinks:
     """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE, PORTION and sample rows, each with one writer.
 
     images: of the vision unit; monitor_images, portions: of the docking monitor; imu_samples, axes_samples: of an IMU
-    and of axes that are faster than the cycle; manipulator_samples: of all axes of a rig whose target is rotated.
+    and of axes that are faster than the cycle; manipulator_samples: of all axes of a rig whose target is rotated;
+    sensor_samples: of further sensors.
     run_time: receives the relation of the run's time to bench time, for sources that have bench time only. audit: of
     the log.
     """
@@ -105,6 +106,7 @@ class RecordingSinks:
     imu_samples: Telemetry = field(default_factory=NoTelemetry)
     axes_samples: Telemetry = field(default_factory=NoTelemetry)
     manipulator_samples: Telemetry = field(default_factory=NoTelemetry)
+    sensor_samples: Telemetry = field(default_factory=NoTelemetry)
     run_time: RunTime | None = None
     audit: AuditChain = field(default_factory=AuditChain, init=False)
 
@@ -120,6 +122,8 @@ class RecordingSinks:
             loop.axes_sink = self.axes_samples
         if isinstance(loop.target, RotatedTarget):
             loop.target.sink = self.manipulator_samples
+        if loop.sensors is not None:
+            loop.sensors.sink = self.sensor_samples
         if self.run_time is not None:
             loop.vision.on_run_zero = self.run_time.set_zero
         for events in (*loop.gnc.event_logs, runner.events):

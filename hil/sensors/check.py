@@ -45,8 +45,7 @@ class Trial:
     def measure(self) -> bool:
         """Measure ``truth`` into ``output``; return whether there is a measurement."""
         self.output.valid = 1
-        for name in ("value", "covariance"):
-            self.output.sample[name] = 0.0
+        self.output.sample.value, self.output.sample.covariance = 0.0, 0.0
         self._call(self._measure, self.truth, self.output)
         return bool(self.output.valid)
 
@@ -54,12 +53,13 @@ class Trial:
         """Compare ``output`` with ``estimate``; return the innovation (n,), with the others in ``innovation``."""
         found, n = self.innovation, len(self._found.components)
         found.sample = self.output.sample
-        found.value, found.h, found.h_errors = 0.0, 0.0, 0.0
+        for name in ("value", "h", "h_errors"):
+            found[name][...] = 0.0
         for k, error in enumerate(self._found.module.errors):
-            found.h_errors[error.component, k] = 1.0
+            found["h_errors"][error.component, k] = 1.0
         found.noise = self.output.sample.covariance
         self._call(self._innovate, self.estimate, found)
-        value: Array = found.value[:n].copy()
+        value: Array = found["value"][:n].copy()
         return value
 
     def _call(self, function: Any, first: np.record, second: np.record) -> None:

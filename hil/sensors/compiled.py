@@ -16,7 +16,6 @@ from numba.np.numpy_support import carray
 
 from hil.core.jit import c_function, kernel
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
-from hil.core.settings import Setting
 from hil.errors import BadInput, one_line
 from hil.sensors.module import Sensor, SensorModule
 
@@ -30,13 +29,10 @@ class Addresses(NamedTuple):
     innovate: int
 
 
+@cache
 def addresses(found: Sensor) -> Addresses:
     """Return the addresses of the compiled kernels of a module. Raises BadInput if one does not compile."""
-    return _addresses(found.module, found.settings)
-
-
-@cache
-def _addresses(module: type[SensorModule], settings: tuple[Setting, ...]) -> Addresses:
+    module, settings = found.module, found.settings
     layout = np.dtype([(setting.name, "f8") for setting in settings] or [("none", "f8")], align=True)
     return Addresses(*(_address(module, name, layout) for name in _ARGUMENTS))
 

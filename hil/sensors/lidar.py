@@ -72,7 +72,7 @@ class Lidar(SensorModule):
     rate_hz = 5.0
 
     @staticmethod
-    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+    def measure(settings, truth, out):
         """Write range and bearings with offsets and noise."""
         sight = stack.vector(3)
         _sight(settings, truth.r_CT_H, truth.q_CH, sight)
@@ -93,7 +93,7 @@ class Lidar(SensorModule):
         out.sample.covariance[1, 1] = out.sample.covariance[2, 2] = bearing * bearing
 
     @staticmethod
-    def innovate(settings, estimate, out):  # type: ignore[no-untyped-def]
+    def innovate(settings, estimate, out):
         """With ``s = A (b - r) - a``: ``ds = -A dr - theta x (s + a)``; range, azimuth, elevation by the chain rule."""
         sight, g = stack.vector(3), stack.matrix(3, 3)
         a = stack.matrix(3, 3)

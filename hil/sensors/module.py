@@ -36,8 +36,8 @@ class SensorError:
     """An error of a sensor that the filters know of, as a state: by default added to ``component``.
 
     sigma: name of the setting with its standard deviation, in the unit of the component; 0 leaves it out. time_s: name
-    of the setting with its correlation time: a first-order Gauss-Markov process; None: constant. Updates estimate it, so
-    that the innovations of a sound sensor have no mean.
+    of the setting with its correlation time: a first-order Gauss-Markov process; None: constant. Updates estimate it,
+    so that the innovations of a sound sensor have no mean.
     """
 
     name: str

@@ -42,7 +42,7 @@ class Pose(SensorModule):
     }
 
     @staticmethod
-    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+    def measure(settings, truth, out):
         """Write position of the tracked point and rotation with noise."""
         point, arm, turn, rotation, q = (
             stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(4), stack.vector(4),
@@ -62,7 +62,7 @@ class Pose(SensorModule):
             out.sample.value[3 + i] = turn[i]
 
     @staticmethod
-    def innovate(settings, estimate, out):  # type: ignore[no-untyped-def]
+    def innovate(settings, estimate, out):
         """Point ``r + A.T p``: ``dr + A.T (theta x p)``; rotation: the small one between both attitudes."""
         point, arm, turn, q = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(4)
         a = stack.matrix(3, 3)

@@ -55,7 +55,7 @@ class RangeFinder(SensorModule):
     }
 
     @staticmethod
-    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+    def measure(settings, truth, out):
         """Write the true distance with offset and noise."""
         line = stack.vector(3)
         line_of_sight(settings, truth.r_CT_H, truth.q_CH, line)
@@ -66,7 +66,7 @@ class RangeFinder(SensorModule):
         out.sample.covariance[0, 0] = settings.sigma_m**2
 
     @staticmethod
-    def innovate(settings, estimate, out):  # type: ignore[no-untyped-def]
+    def innovate(settings, estimate, out):
         """Distance ``d = |r + A.T a - b|``: ``dd = u . dr + u . A.T (theta x a)``, u the line of sight in H."""
         line, arm, in_c = stack.vector(3), stack.vector(3), stack.vector(3)
         line_of_sight(settings, estimate.r_CT_H, estimate.q_CH, line)

@@ -48,7 +48,7 @@ class RelativeGnss(SensorModule):
     rate_hz = 1.0
 
     @staticmethod
-    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+    def measure(settings, truth, out):
         """Write position and velocity; ``memory``: 1 once started, then the correlated error of each axis, m."""
         kept = math.exp(-truth.dt_s / settings.correlation_time_s) if truth.memory[0] != 0.0 else 0.0
         fresh = settings.correlated_sigma_m * math.sqrt(1.0 - kept * kept)
@@ -69,7 +69,7 @@ class RelativeGnss(SensorModule):
             out.valid = 0
 
     @staticmethod
-    def innovate(settings, estimate, out):  # type: ignore[no-untyped-def]
+    def innovate(settings, estimate, out):
         """Position and velocity are those of the estimate."""
         for i in range(3):
             out.value[i] = out.sample.value[i] - estimate.r_CT_H[i]

@@ -40,7 +40,7 @@ class StarTracker(SensorModule):
     rate_hz = 2.0
 
     @staticmethod
-    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+    def measure(settings, truth, out):
         """Write the attitude, turned by misalignment and noise."""
         turn, rotation, q = stack.vector(3), stack.vector(4), stack.vector(4)
         turn[0] = settings.misalignment_x_rad + settings.sigma_rad * truth.normal[0]
@@ -55,7 +55,7 @@ class StarTracker(SensorModule):
         out.sample.covariance[2, 2] = settings.sigma_boresight_rad**2
 
     @staticmethod
-    def innovate(settings, estimate, out):  # type: ignore[no-untyped-def]
+    def innovate(settings, estimate, out):
         """The innovation is the small rotation from the estimated to the measured attitude, three components."""
         q, turn = stack.vector(4), stack.vector(3)
         quat.from_rotation_vector_into(out.sample.value[0:3], q)
