@@ -14,19 +14,19 @@ _FILES: Final = ("scenarios", "rigs", "dispersions", "targets", "bodies", "frame
 
 
 def list(kind: str | None = None, /, *, json: Output = None) -> int:
-    """List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends of the GNC.
+    """List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends, sensors.
 
     Parameters
     ----------
     kind
-        One of the kinds: scenarios, rigs, dispersions, targets, bodies, frames, protocols, drivers, backends; by
-        default all.
+        One of the kinds: scenarios, rigs, dispersions, targets, bodies, frames, protocols, drivers, backends,
+        sensors; by default all.
     json
         File for the entries, - for standard output.
     """
     refuse(check_json_path("--json", json))
     kinds: dict[str, Callable[[], dict[str, str]]] = {each: _of_files(each) for each in _FILES}
-    kinds |= {"drivers": _drivers, "backends": _backends}
+    kinds |= {"drivers": _drivers, "backends": _backends, "sensors": _sensors}
     if kind is not None and kind not in kinds:
         close = difflib.get_close_matches(kind, kinds, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
@@ -79,3 +79,9 @@ def _backends() -> dict[str, str]:
             package = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
             found[f"gnc.{part}.backend={point.module}:{point.name}"] = package
     return found
+
+
+def _sensors() -> dict[str, str]:
+    from hil.sensors.registry import kinds
+
+    return {kind: found if isinstance(found, str) else found.summary for kind, found in kinds().items()}

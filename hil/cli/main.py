@@ -58,7 +58,7 @@ COMMANDS: Final = {
     "export": "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
     "fmu-export": "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
     "warm-up": "Compile all kernels for this computer, and print the time that each group of them takes.",
-    "list": "List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends of the GNC.",
+    "list": "List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends, sensors.",
     "keys": "List the keys of scenario and rig files that --set takes, with unit, range, default and meaning.",
     "report": "Write a self-contained HTML report of a run, of a campaign, or a comparison of several runs.",
 }
@@ -69,6 +69,7 @@ GROUPS: Final = {
     "disconnects.",
     "operators": "Keys of the operators of a console.",
     "recordings": "Recorded runs.",
+    "sensors": "Sensor modules that a scenario can add: list them, check one.",
 }
 """Command with commands of its own -> summary: ``app`` in the module of that name."""
 _EARLIER_NAMES: Final = {

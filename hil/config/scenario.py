@@ -773,7 +773,7 @@ class Scenario(ConfigModel):
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
     sensors: Annotated[dict[str, SensorConfig], Field(max_length=MAX_SENSORS)] = Field(default_factory=dict)
-    """Sensors beside vision unit, IMU and docking monitor, by name."""
+    """Sensors other than vision unit, IMU and docking monitor, by name."""
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
     """Faults of devices, in the run's time."""
     dispersions: Dispersions = Dispersions()

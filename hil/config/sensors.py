@@ -16,7 +16,10 @@ DELAY_MAX_S = 1.0
 
 
 class SensorConfig(ConfigModel):
-    """A sensor beside vision unit and IMU; its module declares further keys, see [Sensors](sensors.md)."""
+    """A sensor other than vision unit, IMU and docking monitor; its module declares further keys.
+
+    They are those of [Sensors](sensors.md).
+    """
 
     model_config = ConfigDict(extra="allow")
 
@@ -44,9 +47,10 @@ class SensorConfig(ConfigModel):
     def _source_is_complete(self) -> Self:
         if self.source == "model":
             return self
-        for key in ("port", "stamp"):
-            if getattr(self, key) is None:
-                raise ValueError(f'source = "udp" needs {key}: ' + ("a port" if key == "port" else "capture, receipt"))
+        if self.port is None:
+            raise ValueError('source = "udp" needs port: on which datagrams are received')
+        if self.stamp is None:
+            raise ValueError('source = "udp" needs stamp: "capture" or "receipt", what the time of a datagram means')
         return self
 
     @property

@@ -432,6 +432,8 @@ class Runner:
                 stop.remove_torque()
                 self._powered = False
             self.source.close()
+            if self.loop.sensors is not None:
+                self.loop.sensors.close()
             self.loop.bench.close()
             self.loop.target.close()
             self.loop.safety_io.stop(self.rate.now_s())

@@ -31,12 +31,20 @@ class SampleSource(Protocol):
 
 
 class SensorStage:
-    """Sensors of a scenario. axes: returns the positions of rails and turntable, m and rad, that modelled ones see."""
+    """Sensors of a scenario, by ``names`` in its order.
+
+    axes: returns the positions of rails and turntable, m and rad, that modelled ones see. sources: of those that are
+    not modelled.
+    """
 
     def __init__(
-        self, memory: CoreMemory, axes: Callable[[], tuple[Array, Array]], sources: Sequence[SampleSource] = ()
+        self,
+        memory: CoreMemory,
+        names: Sequence[str],
+        axes: Callable[[], tuple[Array, Array]],
+        sources: Sequence[SampleSource] = (),
     ) -> None:
-        self._memory, self._axes, self.sources = memory, axes, tuple(sources)
+        self._memory, self._names, self._axes, self.sources = memory, tuple(names), axes, tuple(sources)
         self._params, self._state = kernel_record(memory.params.sensors), memory.view("sensors")
         self._bench = kernel_record(memory.params.bench)
         self.arrivals = kernel_record(memory.state.gnc.navigation.fusion.sensors)
@@ -64,6 +72,21 @@ class SensorStage:
             return
         for i in range(log_arrivals(self.arrivals, cycle, self._log, 0)):
             self.sink.put(self._log[i : i + 1])
+
+    def numbers(self) -> dict[str, dict[str, float | int | None]]:
+        """Return for JSON what became of the samples of each sensor, by name, and its mean NIS per component."""
+        found = {}
+        for name, monitor in zip(self._names, self.arrivals.monitor, strict=False):
+            judged = int(monitor.judged)
+            found[name] = {
+                "accepted": int(monitor.accepted),
+                "rejected": int(monitor.rejected),
+                "excluded": int(monitor.excluded),
+                "too_late": int(monitor.late),
+                "suspected": int(monitor.suspected),
+                "mean_nis": float(monitor.total_nis) / judged if judged else None,
+            }
+        return found
 
     def close(self) -> None:
         """Release the wires of all sources."""

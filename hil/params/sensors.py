@@ -17,7 +17,7 @@ from hil.params.errors import SEED_BITS
 from hil.params.faults import fault_rows
 from hil.sensors.compiled import addresses
 from hil.sensors.measurement import SENSOR_PARAMS
-from hil.sensors.module import Sensor
+from hil.sensors.module import SensorKind
 from hil.sensors.registry import sensors_of
 
 
@@ -42,7 +42,7 @@ def error_states(scenario: Scenario) -> list[SensorErrorState]:
     return found
 
 
-def settings_row(sensor: Sensor, config: SensorConfig) -> Array:
+def settings_row(sensor: SensorKind, config: SensorConfig) -> Array:
     """Return the settings of a sensor in the order of their declaration."""
     values = config.settings
     return np.array([values[setting.name] for setting in sensor.settings], float)

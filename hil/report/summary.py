@@ -105,6 +105,7 @@ def summarise(
         },
         "clocks": outcome.measured.get("clocks"),
         "manipulator": outcome.measured.get("manipulator"),
+        "sensors": outcome.measured.get("sensors"),
         "sign_off": sign_off_summary(rig),
         "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],

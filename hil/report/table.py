@@ -32,6 +32,8 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     _print_times(summary, paper.ready_time_s if paper else None, console)
     _print_library(summary.get("gnc", {"library": None}), console)
     _print_navigation(summary["navigation"], console)
+    for name, found in (summary.get("sensors") or {}).items():
+        console.print(f"Sensor      {name}: {_sensor_text(found)}", highlight=False, soft_wrap=True, markup=False)
     thrusters = summary["thrusters"]
     console.print(
         f"Thrusters   force demand {_three(thrusters['force_on_time_s'], '.1f')} s, "
@@ -56,6 +58,13 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
     text = f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']} {beside}".rstrip() + given_up
     console.print(text, highlight=False, soft_wrap=True)
+
+
+def _sensor_text(found: dict[str, Any]) -> str:
+    counts = [f"{found[key]} {key.replace('_', ' ')}" for key in ("accepted", "rejected", "excluded", "too_late")]
+    nis = "" if found["mean_nis"] is None else f", mean NIS per component {found['mean_nis']:.2f}"
+    suspect = f", suspect {found['suspected']} times" if found["suspected"] else ""
+    return f"{', '.join(counts)}{nis}{suspect}"
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:

@@ -19,7 +19,7 @@ from hil.core.sensor_records import (
 )
 from hil.maths import quat
 from hil.sensors.compiled import addresses
-from hil.sensors.module import Sensor
+from hil.sensors.module import SensorKind
 
 _STEPS: Final = np.array([1e-5] * 3 + [1e-6] * 3 + [1e-6] * 3)  # m, m/s, rad
 _TOLERANCE: Final = 1e-3  # of the largest entry of a row
@@ -32,7 +32,7 @@ _RANGES_M: Final = (0.4, 1.0, 3.0, 8.0, 30.0, 90.0)
 class Trial:
     """A module called from Python, as the loop calls it. values: of the settings, in the order of their declaration."""
 
-    def __init__(self, found: Sensor, values: Array) -> None:
+    def __init__(self, found: SensorKind, values: Array) -> None:
         import ctypes
 
         self._found = found
@@ -70,7 +70,7 @@ def _address(record: np.record) -> int:
     return int(np.asarray(record).__array_interface__["data"][0])
 
 
-def problems(found: Sensor, values: Array | None = None, seed: int = 0) -> list[str]:
+def problems(found: SensorKind, values: Array | None = None, seed: int = 0) -> list[str]:
     """Return what is wrong with the kernels of a module, one line each; [] if nothing is.
 
     values: of the settings; None: the defaults. Raises BadInput if a kernel does not compile.
@@ -108,7 +108,7 @@ def _place(trial: Trial, random: np.random.Generator) -> None:
         trial.estimate[name] = truth[name]
 
 
-def _finite(found: Sensor, trial: Trial) -> list[str]:
+def _finite(found: SensorKind, trial: Trial) -> list[str]:
     value = trial.innovate()
     if not np.isfinite(value).all():
         return ["innovate: value is not finite"]
@@ -118,7 +118,7 @@ def _finite(found: Sensor, trial: Trial) -> list[str]:
     return []
 
 
-def _jacobian(found: Sensor, trial: Trial) -> list[str]:
+def _jacobian(found: SensorKind, trial: Trial) -> list[str]:
     """Compare ``h`` with central differences of the innovation by the estimate."""
     trial.innovate()
     n = len(found.components)
@@ -158,7 +158,7 @@ def _shift(estimate: np.record, nominal: dict[str, Any], state: int, step: float
         estimate.q_CH = quat.multiply(quat.from_rotation_vector(turn), nominal["q_CH"])
 
 
-def _covariance(found: Sensor, trial: Trial) -> list[str]:
+def _covariance(found: SensorKind, trial: Trial) -> list[str]:
     trial.innovate()
     n = len(found.components)
     noise = trial.innovation.noise[:n, :n]
@@ -173,7 +173,7 @@ def _covariance(found: Sensor, trial: Trial) -> list[str]:
     return []
 
 
-def _noise(found: Sensor, trial: Trial, random: np.random.Generator) -> list[str]:
+def _noise(found: SensorKind, trial: Trial, random: np.random.Generator) -> list[str]:
     """Measure many times with noise: the innovations must be as large as noise and errors that the module states."""
     n = len(found.components)
     sigmas = {setting.name: setting.default for setting in found.settings}

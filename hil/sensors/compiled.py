@@ -17,7 +17,7 @@ from numba.np.numpy_support import carray
 from hil.core.jit import c_function, kernel
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
 from hil.errors import BadInput, one_line
-from hil.sensors.module import Sensor, SensorModule
+from hil.sensors.module import SensorKind, SensorModule
 
 _ARGUMENTS: Final = {"measure": (SENSOR_TRUTH, SENSOR_OUTPUT), "innovate": (SENSOR_ESTIMATE, SENSOR_INNOVATION)}
 
@@ -30,7 +30,7 @@ class Addresses(NamedTuple):
 
 
 @cache
-def addresses(found: Sensor) -> Addresses:
+def addresses(found: SensorKind) -> Addresses:
     """Return the addresses of the compiled kernels of a module. Raises BadInput if one does not compile."""
     module, settings = found.module, found.settings
     layout = np.dtype([(setting.name, "f8") for setting in settings] or [("none", "f8")], align=True)

@@ -44,7 +44,7 @@ class Lidar(SensorModule):
         Setting("bias_range_m", 0.0, "m", -10.0, 10.0, "true offset of the range"),
         Setting("bias_azimuth_rad", 0.0, "rad", -0.1, 0.1, "true misalignment"),
         Setting("bias_elevation_rad", 0.0, "rad", -0.1, 0.1),
-        Setting("bias_range_sigma_m", 0.01, "m", 0.0, 10.0, "their standard deviations, as the filters know them"),
+        Setting("bias_range_sigma_m", 0.01, "m", 0.0, 10.0, "their standard deviations, as the filters assume them"),
         Setting("bias_bearing_sigma_rad", 8e-4, "rad", 0.0, 0.1),
         Setting("aperture_x_m", 0.0, "m", -10.0, 10.0, "lidar from the chaser's reference point, in c"),
         Setting("aperture_y_m", 0.0, "m", -10.0, 10.0),

@@ -71,7 +71,7 @@ SENSOR_STATE = np.dtype(
         ("truth", SENSOR_TRUTH),
         ("output", SENSOR_OUTPUT),
         ("waiting", "i8"),
-        ("lost", "i8"),  # samples for which there was no room
+        ("lost", "i8"),  # samples that did not fit
         ("sample", SENSOR_SAMPLE, _WAITING_MAX),
     ],
     align=True,
@@ -193,7 +193,7 @@ def _disturb(params, state, sample):
 def deliver(state, t_s, inbox):
     """Move the samples that have arrived by ``t_s`` of the run to ``inbox``, in the order of arrival.
 
-    inbox: SENSOR_FUSION_STATE. Those for which there is no room wait for the next cycle.
+    inbox: SENSOR_FUSION_STATE. Those that do not fit wait for the next cycle.
     """
     inbox.arrived = 0
     while inbox.arrived < SAMPLES_PER_CYCLE:

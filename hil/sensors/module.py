@@ -33,7 +33,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class SensorError:
-    """An error of a sensor that the filters know of, as a state: by default added to ``component``.
+    """An error of a sensor that is a state of the filters: by default added to ``component``.
 
     sigma: name of the setting with its standard deviation, in the unit of the component; 0 leaves it out. time_s: name
     of the setting with its correlation time: a first-order Gauss-Markov process; None: constant. Updates estimate it,
@@ -51,8 +51,8 @@ class SensorModule:
 
     kind: its name in a scenario. components: of a measurement, up to six; components one to three and four to six are
     fused one after the other and have independent noise. settings: numbers, keys of the scenario. errors: those of the
-    sensor that the filters know of. faults: kind of fault -> what a monitor sees of it and how large it can be unseen;
-    kinds are those of the table of faults for sensors. sees: where the measurement comes from in a simulation: the
+    sensor that are states of the filters. faults: kind of fault -> what a monitor sees of it and how large it can be
+    unseen; kinds are those of the table of faults for sensors. sees: where the measurement comes from in a simulation: the
     bench by its axes, as a device on the bench does, or the truth, for what is not on the bench.
     """
 
@@ -63,7 +63,7 @@ class SensorModule:
     faults: ClassVar[Mapping[str, str]] = {}
     sees: ClassVar[Literal["bench", "truth"]] = "bench"
     rate_hz: ClassVar[float] = 10.0
-    """Measurements per second unless the scenario says otherwise."""
+    """Measurements per second unless the scenario sets another rate."""
 
     @staticmethod
     def measure(settings: Any, truth: Any, out: Any) -> None:
@@ -83,7 +83,7 @@ class SensorModule:
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorKind:
     """A checked sensor module. distribution: the package that it comes from, "" for this one."""
 
     module: type[SensorModule]
@@ -105,12 +105,28 @@ class Sensor:
         """First line of its documentation."""
         return (self.module.__doc__ or "").strip().partition("\n")[0]
 
+    def as_json(self) -> dict[str, Any]:
+        """Return the declaration for JSON: components, settings, errors, faults."""
+        return {
+            "summary": self.summary,
+            "package": self.distribution or "hil",
+            "components": [{"name": c.name, "unit": c.unit, "meaning": c.doc} for c in self.components],
+            "settings": [
+                {"name": s.name, "unit": s.unit, "default": s.default, "allowed": s.allowed, "meaning": s.doc}
+                for s in self.settings
+            ],
+            "errors": list(self.error_columns()),
+            "faults": dict(self.module.faults),
+            "sees": self.module.sees,
+            "rate_hz": self.module.rate_hz,
+        }
+
     def error_columns(self) -> tuple[str, ...]:
         """Return the names of the error states, ``bias_range_m``."""
         return tuple(f"{error.name}_{self.components[error.component].name}" for error in self.module.errors)
 
 
-def checked(module: Any, distribution: str = "") -> Sensor:
+def checked(module: Any, distribution: str = "") -> SensorKind:
     """Return ``module`` as a sensor. Raises ValueError with what its declaration lacks or contradicts."""
     if not (isinstance(module, type) and issubclass(module, SensorModule)):
         raise ValueError("is no subclass of hil.SensorModule")
@@ -127,13 +143,13 @@ def checked(module: Any, distribution: str = "") -> Sensor:
     if unknown := sorted(set(module.faults) - set(TERMS[FAMILY])):
         raise ValueError(f"faults: {unknown[0]} is no kind of fault of sensors, which are {', '.join(TERMS[FAMILY])}")
     if empty := [kind for kind, text in module.faults.items() if not text.strip()]:
-        raise ValueError(f"faults: {empty[0]} must say what a monitor sees of it, and how large it can be unseen")
+        raise ValueError(f"faults: {empty[0]} must state what a monitor sees of it, and how large it can be unseen")
     for name in ("measure", "innovate"):
         if getattr(module, name) is getattr(SensorModule, name):
             raise ValueError(f"{name} is missing: it must be a static method")
     if module.sees not in ("bench", "truth"):
         raise ValueError(f'sees = {module.sees!r}: must be "bench" or "truth"')
-    return Sensor(module, settings, distribution)
+    return SensorKind(module, settings, distribution)
 
 
 def _check_components(module: type[SensorModule]) -> None:

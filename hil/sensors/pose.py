@@ -1,4 +1,4 @@
-"""Poses of another estimator or of a motion capture, as a sensor beside the vision unit.
+"""Poses of another estimator or of a motion capture, in addition to the vision unit.
 
 Its datagrams carry position and attitude with a covariance. A modelled one has the noise of the settings, so that a
 scenario can be tried before the other program is there. What a time stamp means is the key ``stamp`` of every sensor;
@@ -12,7 +12,7 @@ from hil.maths import quat, stack
 from hil.sensors.module import Component, SensorError, SensorModule
 
 
-class Pose(SensorModule):
+class ExternalPose(SensorModule):
     """Pose of another estimator or of a motion capture: position in H and rotation from H to c, with covariance."""
 
     kind = "pose"
@@ -26,7 +26,7 @@ class Pose(SensorModule):
         Setting("bias_x_m", 0.0, "m", -1.0, 1.0, "true error of a modelled position"),
         Setting("bias_y_m", 0.0, "m", -1.0, 1.0),
         Setting("bias_z_m", 0.0, "m", -1.0, 1.0),
-        Setting("bias_sigma_m", 0.001, "m", 0.0, 1.0, "its standard deviation, as the filters know it"),
+        Setting("bias_sigma_m", 0.001, "m", 0.0, 1.0, "its standard deviation, as the filters assume it"),
         Setting("point_x_m", 0.0, "m", -10.0, 10.0, "tracked point from the chaser's reference point, in c"),
         Setting("point_y_m", 0.0, "m", -10.0, 10.0),
         Setting("point_z_m", 0.0, "m", -10.0, 10.0),

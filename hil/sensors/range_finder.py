@@ -34,7 +34,7 @@ class RangeFinder(SensorModule):
     settings = (
         Setting("sigma_m", 5e-4, "m", 1e-6, 10.0, "noise of a measurement, 1 sigma"),
         Setting("bias_m", 0.0, "m", -1.0, 1.0, "true offset"),
-        Setting("bias_sigma_m", 1e-3, "m", 0.0, 1.0, "its standard deviation, as the filters know it"),
+        Setting("bias_sigma_m", 1e-3, "m", 0.0, 1.0, "its standard deviation, as the filters assume it"),
         Setting("aperture_x_m", 0.3, "m", -10.0, 10.0, "aperture from the chaser's reference point, in c"),
         Setting("aperture_y_m", 0.0, "m", -10.0, 10.0),
         Setting("aperture_z_m", 0.0, "m", -10.0, 10.0),

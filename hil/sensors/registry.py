@@ -1,4 +1,4 @@
-"""Sensor modules by their kind: those of this package, and those of others by entry points.
+"""SensorKind modules by their kind: those of this package, and those of others by entry points.
 
 A package declares the entry point of a module, named as its kind:
 
@@ -27,7 +27,7 @@ from hil.config.sensors import SensorConfig
 from hil.core.sensor_records import ERROR_STATES_MAX
 from hil.core.settings import Setting
 from hil.errors import BadInput, Problem, one_line
-from hil.sensors.module import COMMON, Sensor, checked
+from hil.sensors.module import COMMON, SensorKind, checked
 
 GROUP: Final = "hil.sensors"
 SHIPPED: Final = {
@@ -35,12 +35,12 @@ SHIPPED: Final = {
     "relative_gnss": "hil.sensors.relative_gnss:RelativeGnss",
     "lidar": "hil.sensors.lidar:Lidar",
     "star_tracker": "hil.sensors.star_tracker:StarTracker",
-    "pose": "hil.sensors.pose:Pose",
+    "pose": "hil.sensors.pose:ExternalPose",
 }
 """Kind -> module and class."""
 
 
-def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor:
+def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> SensorKind:
     """Return the sensor module ``kind``. Raises BadInput, by ``refuse``, if it is none or its declaration is wrong."""
     refuse = refuse or (lambda text: BadInput.single("hil sensors", "kind", f"{kind}: {text}"))
     try:
@@ -65,9 +65,9 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
         raise refuse(f"cannot be imported: {one_line(f'{type(error).__name__}: {error}', 200)}") from error
 
 
-def kinds() -> dict[str, Sensor | str]:
+def kinds() -> dict[str, SensorKind | str]:
     """Return each kind of sensor, or why its module cannot be used."""
-    found: dict[str, Sensor | str] = {}
+    found: dict[str, SensorKind | str] = {}
     for kind in [*SHIPPED, *(point.name for point in entry_points(group=GROUP) if point.name not in SHIPPED)]:
         try:
             found[kind] = sensor(kind)
@@ -76,7 +76,7 @@ def kinds() -> dict[str, Sensor | str]:
     return found
 
 
-def sensors_of(scenario: Scenario) -> dict[str, Sensor]:
+def sensors_of(scenario: Scenario) -> dict[str, SensorKind]:
     """Return the modules of the scenario's sensors by their names. Raises BadInput."""
     return {name: sensor(config.kind) for name, config in scenario.sensors.items()}
 
@@ -115,7 +115,7 @@ def _refusal(scenario: Loaded[Scenario], key: str, config: SensorConfig, text: s
 
 
 def _settings_of(
-    found: Sensor, key: str, config: SensorConfig, scenario: Loaded[Scenario], problems: list[Problem]
+    found: SensorKind, key: str, config: SensorConfig, scenario: Loaded[Scenario], problems: list[Problem]
 ) -> dict[str, float]:
     """Return the value of each declared setting; add the problems of the given ones."""
     declared = {setting.name: setting for setting in found.settings}

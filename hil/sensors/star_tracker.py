@@ -27,7 +27,7 @@ class StarTracker(SensorModule):
         Setting("misalignment_x_rad", 0.0, "rad", -0.1, 0.1, "true misalignment about the axes of c"),
         Setting("misalignment_y_rad", 0.0, "rad", -0.1, 0.1),
         Setting("misalignment_z_rad", 0.0, "rad", -0.1, 0.1),
-        Setting("misalignment_sigma_rad", 1e-4, "rad", 0.0, 0.1, "its standard deviation, as the filters know it"),
+        Setting("misalignment_sigma_rad", 1e-4, "rad", 0.0, 0.1, "its standard deviation, as the filters assume it"),
     )
     errors = tuple(SensorError("misalignment", i, "misalignment_sigma_rad") for i in range(3))
     faults = {

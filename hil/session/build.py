@@ -30,6 +30,7 @@ from hil.checks.compatibility import (
 from hil.checks.faults import check_faults
 from hil.checks.lock_step import check_lock_step
 from hil.checks.preflight_record import check_preflight
+from hil.checks.sensors import check_sensors
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -73,6 +74,7 @@ def check(job: Job) -> None:
         *(check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
         *check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
+        *check_sensors(job.scenario, job.rig),
         *check_drift_views(job.rig),
         *_rig_problems(job),
     ]

@@ -62,6 +62,7 @@ from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
 from hil.setup.plant_models import plant_models
+from hil.setup.sample_sources import sample_sources
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
@@ -214,7 +215,7 @@ def assemble(
         bench_now_s=rate.now_s,
         health_alarms=HealthAlarms(safety.alarms, scenario, monitor.disagreement if monitor else None),
         monitor=monitor,
-        sensors=_sensors(devices, stage, memory),
+        sensors=_sensors(job, devices, stage, memory),
     )
     if loop.gnc.filter_monitor is not None:
         loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
@@ -254,6 +255,8 @@ def assemble(
         context.on_progress,
         context.operator,
     )
+    if loop.sensors is not None:
+        runner.meters["sensors"] = loop.sensors.numbers
     if isinstance(moved, RotatedTarget):
         runner.meters["manipulator"] = moved.numbers
     return runner
@@ -288,9 +291,12 @@ def _docking_monitor(job: Job, devices: Devices, bench: BenchStage, memory: Core
     return MonitorStage(memory, _seen_axes(devices, bench), monitor_noise(job.seed))
 
 
-def _sensors(devices: Devices, bench: BenchStage, memory: CoreMemory) -> SensorStage | None:
+def _sensors(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> SensorStage | None:
     """Return the further sensors of a scenario, None without any."""
-    return SensorStage(memory, _seen_axes(devices, bench)) if memory.params.sensors.n else None
+    if not memory.params.sensors.n:
+        return None
+    scenario = job.scenario.value
+    return SensorStage(memory, tuple(scenario.sensors), _seen_axes(devices, bench), sample_sources(scenario))
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:

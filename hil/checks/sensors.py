@@ -1,0 +1,38 @@
+"""Checks of a scenario's further sensors against its GNC, its memory and the rig."""
+
+from __future__ import annotations
+
+from hil.config.load import Loaded
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.errors import Problem
+from hil.sensors.registry import sensors_of
+
+
+def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each sensor that GNC or rig cannot use: none is left out without notice."""
+    value, problems = scenario.value, []
+
+    def problem(key: str, text: str) -> None:
+        problems.append(Problem(scenario.where(f"sensors.{key}"), f"sensors.{key}", text))
+
+    elsewhere = value.gnc.foreign.get("navigation") or value.gnc.binary
+    if rig.value.flight_computer.command_words != "none":
+        elsewhere = f"rig.flight_computer.command_words = {rig.value.flight_computer.command_words}"
+    for name, sensor in sensors_of(value).items():
+        config = value.sensors[name]
+        if elsewhere is not None:
+            problem(name, f"not available: the navigation is elsewhere ({elsewhere}), only the built-in one uses it")
+        rate_hz = config.rate_hz or sensor.module.rate_hz
+        if config.rate_hz is not None and rate_hz * value.step_s > 1.0 + 1e-9:
+            problem(f"{name}.rate_hz", f"{rate_hz:g}: at most one measurement per cycle, {1.0 / value.step_s:g}")
+        oldest_s = config.latency_s + 2.0 * value.step_s
+        if oldest_s > value.gnc.navigation.memory_s:
+            memory_s = value.gnc.navigation.memory_s
+            problem(f"{name}.latency_s", f"{config.latency_s:g}: the filters remember {memory_s:g} s, two cycles more")
+        in_simulated_time = rig.value.kind == "mock" or rig.value.host.time == "lock_step"
+        if config.source == "udp" and in_simulated_time:
+            problem(f"{name}.source", f'"udp": needs the wall clock, which rig "{rig.value.name}" does not follow')
+        if config.source == "model" and rig.value.kind == "hardware" and sensor.module.sees == "bench":
+            problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')
+    return problems
