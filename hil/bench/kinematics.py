@@ -14,8 +14,10 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import AXES
 from hil.maths import euler, quat, stack
+from hil.maths.arrays import copy_into
 from hil.maths.record_view import copy_record
 
+_BLEND_M = 1.0  # over which the bench goes from full scale to its scale
 SETPOINTS_KEPT = 512
 """Setpoints of an axis that a limit of its jerk can average."""
 
@@ -30,6 +32,8 @@ BENCH_PARAMS = np.dtype(
         ("acceleration_max", "f8", 6),
         ("lead", "f8", 6),  # s, by which each axis is commanded ahead of its time
         ("averaged", "i8", 6),  # setpoints whose mean is sent, which limits the jerk; below 2: off
+        ("scaled_beyond", "f8"),  # m, distance beyond which the bench is scaled; 0: nowhere
+        ("scale", "f8"),  # part of the additional distance that it moves
     ],
     align=True,
 )
@@ -52,8 +56,65 @@ SPAN = np.dtype([("known", "i8"), ("begin", AXES), ("end", AXES)], align=True)
 
 
 @kernel
+def is_scaled(params, square):
+    """Return whether the bench is scaled at a distance whose ``square`` is given, m^2."""
+    return params.scaled_beyond > 0.0 and square > params.scaled_beyond**2
+
+
+@kernel
+def shown_distance(params, distance, out):
+    """Write the distance at which the bench shows ``distance``, m, and its derivative, into ``out`` (2,).
+
+    The derivative falls from 1 to the scale over the first metre: ``x - (1 - s) x^2 / (2 w)`` for x up to w.
+    """
+    x, lost = distance - params.scaled_beyond, 1.0 - params.scale
+    if x <= 0.0:
+        out[0], out[1] = distance, 1.0
+    elif x < _BLEND_M:
+        out[0], out[1] = distance - lost * x * x / (2.0 * _BLEND_M), 1.0 - lost * x / _BLEND_M
+    else:
+        out[0], out[1] = distance - lost * (x - 0.5 * _BLEND_M), params.scale
+
+
+@kernel
+def true_distance(params, shown):
+    """Return the distance, m, that the bench shows at the distance ``shown``, m."""
+    y, lost = shown - params.scaled_beyond, 1.0 - params.scale
+    if y <= 0.0 or lost == 0.0:
+        return shown
+    if y < _BLEND_M * (1.0 - 0.5 * lost):
+        return params.scaled_beyond + _BLEND_M / lost * (1.0 - math.sqrt(1.0 - 2.0 * lost * y / _BLEND_M))
+    return params.scaled_beyond + (y - 0.5 * lost * _BLEND_M) / params.scale
+
+
+@kernel
+def show(params, r_CT_H, v_CT_H, r, v):
+    """Write position and velocity (3,) at which the bench shows those of the chaser: on the same line of sight."""
+    square, product, out = 0.0, 0.0, stack.vector(2)
+    for i in range(3):
+        square += r_CT_H[i] ** 2
+        product += r_CT_H[i] * v_CT_H[i]
+    copy_into(r, r_CT_H)
+    copy_into(v, v_CT_H)
+    if not is_scaled(params, square):
+        return
+    distance = math.sqrt(square)
+    shown_distance(params, distance, out)
+    part = out[0] / distance
+    change = (out[1] - part) * product / square
+    for i in range(3):
+        r[i] = part * r_CT_H[i]
+        v[i] = part * v_CT_H[i] + change * r_CT_H[i]
+
+
+@kernel
 def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
-    """Write ``axes`` (AXES): positions and rates that put the chaser's reference point at this pose."""
+    """Write ``axes`` (AXES): positions and rates that put the chaser's reference point at this pose.
+
+    Of a pose beyond the distance from which the bench is scaled: where the bench shows it.
+    """
+    r, v = stack.vector(3), stack.vector(3)
+    show(params, r_CT_H, v_CT_H, r, v)
     arm, turning, arm_rate, angles = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
     a, jacobian = stack.matrix(3, 3), stack.matrix(3, 3)
     quat.transform_back_into(q_CH, params.lever_arm, arm)
@@ -65,8 +126,8 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
     euler.from_matrix_into(a, params.order, angles)
     euler.rate_jacobian_of_matrix_into(a, params.order, jacobian)
     for i in range(3):
-        axes.rail_m[i] = r_CT_H[i] - arm[i]
-        axes.rail_mps[i] = v_CT_H[i] - arm_rate[i]
+        axes.rail_m[i] = r[i] - arm[i]
+        axes.rail_mps[i] = v[i] - arm_rate[i]
         axes.gimbal_rad[i] = angles[i]
         axes.gimbal_radps[i] = 0.0
         for j in range(3):
@@ -75,11 +136,18 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
 
 @kernel
 def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
-    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) of a bench whose axes stand at the given positions."""
+    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) that a bench shows whose axes stand at the given positions."""
     euler.to_quaternion_into(gimbal_rad, params.order, q_CH)
     quat.transform_back_into(q_CH, params.lever_arm, r_CT_H)
+    square = 0.0
     for i in range(3):
         r_CT_H[i] += rail_m[i]
+        square += r_CT_H[i] ** 2
+    if is_scaled(params, square):
+        shown = math.sqrt(square)
+        part = true_distance(params, shown) / shown
+        for i in range(3):
+            r_CT_H[i] *= part
 
 
 @kernel

@@ -37,7 +37,7 @@ class PoseModel:
     """
 
     def __init__(self, scenario: Scenario, rig: Rig, seed: int, memory: np.record | None = None) -> None:
-        self._bench = bench_params.bench(rig, scenario.step_s)
+        self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
         self._mounting = vision_params.mounting(rig)
         self._vision = vision_params.vision(scenario, seed)
         self._camera, self.leds = vision_params.camera(rig)
@@ -82,7 +82,7 @@ def make_pose_sensor(
         return PoseModel(scenario, rig, seed, memory)
     from hil.cameras.rendered import RenderedCameras, RenderedPoseSensor
 
-    bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
+    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
     rng = stream(seed, "pictures")
     cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng)
     return RenderedPoseSensor(cameras, calibrated_geometry(rig), rng, shown, rig.vmu.covariance == "noise")

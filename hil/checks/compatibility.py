@@ -42,7 +42,7 @@ def axes_at(scenario: Scenario, rig: Rig, position_m: Sequence[float], attitude_
     if (params := bench_params.manipulator(rig)) is not None:
         angles = start_angles(params, bench_params.manipulator_limits(rig, scenario.step_s), q)
         r, _, q, _ = shown_motion(params, angles, rest, ChaserMotion(r, rest, q, rest))
-    axes_of_pose(bench_params.bench(rig, scenario.step_s), r, rest, q, rest, axes)
+    axes_of_pose(bench_params.bench(rig, scenario.step_s, scenario.bench), r, rest, q, rest, axes)
     return axes
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from hil.bench import manipulator, reachability
+from hil.bench.kinematics import show
 from hil.checks.planned_trajectory import PlanSample, control_bounds, moments
 from hil.config.load import Loaded
 from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, Rig
@@ -46,7 +47,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
 
     Raises ValueError where the thruster layout cannot move an axis.
     """
-    bench = bench_params.bench(rig, scenario.step_s)
+    bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
     relative, free = moments(scenario), control_bounds(scenario)
     plan, target_rad, swing = _divided(scenario, rig, relative)
     band = math.radians(scenario.reachability.attitude_margin_deg)
@@ -54,10 +55,22 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     attitudes = [known[tuple(m.rotation)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = position_margin(scenario, np.array([m.far_m for m in plan])) + band * swing[:, None]
+    r, v, margin = _shown(bench, r, v, margin)
     rate, slewing = float(np.linalg.norm(free.rate)), float(np.linalg.norm(free.slewing))
     free = replace(free, swing_mps=swing * rate, swing_mps2=swing * (slewing + rate * rate))
     axes = reachability.envelope(bench, attitudes, r, v, margin, free)
     return Demands(plan, attitudes, margin, axes, relative, target_rad)
+
+
+def _shown(bench: np.record, r: Array, v: Array, margin: Array) -> tuple[Array, Array, Array]:
+    """Return positions, velocities and margins (n, 3) as a bench shows them that is scaled at a distance."""
+    places, rates, margins = r.copy(), v.copy(), margin.copy()
+    for k in range(len(r)):
+        show(bench, r[k], v[k], places[k], rates[k])
+        distance = float(np.linalg.norm(r[k]))
+        if distance > 0.0:
+            margins[k] *= float(np.linalg.norm(places[k])) / distance
+    return places, rates, margins
 
 
 def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list[PlanSample], Array, Array]:
@@ -135,7 +148,7 @@ class _Findings:
         self.problems: list[Problem] = []
         self._scenario = scenario
         self._rig = rig
-        self._bench = bench_params.bench(rig, scenario.value.step_s)
+        self._bench = bench_params.bench(rig, scenario.value.step_s, scenario.value.bench)
         self._asked = asked
         self._plan = asked.plan
         self._in_abort = np.array([m.abort_s is not None for m in asked.plan])

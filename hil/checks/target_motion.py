@@ -69,7 +69,7 @@ def plan_accelerations(plan: Plan, rates: Array, changes: Array) -> tuple[Array,
 
 def _beyond_rig(scenario: Scenario, rig: Rig, plan: Plan, rates: Array) -> str:
     """Return what the rig cannot show of a chaser that coasts, "" if it can show all."""
-    bench = bench_params.bench(rig, scenario.step_s)
+    bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
     far_m = max(float(np.linalg.norm(r)) for r, _, _ in plan)
     fastest = rate = float(np.linalg.norm(rates, axis=1).max())
     beside = ""

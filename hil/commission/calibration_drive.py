@@ -47,7 +47,7 @@ def plan_drive(job: Job, setup: Setup, held: Prior, request: PlanRequest) -> Dri
     setup, held: as of ``plan_views``.
     """
     scenario = job.scenario.value
-    bench = bench_params.bench(job.rig.value, scenario.step_s)
+    bench = bench_params.bench(job.rig.value, scenario.step_s, scenario.bench)
     is_clear = Clearance(bench, bench_params.axis_guard(job.rig.value, scenario), _CLEARANCE_M)
     axes = plan_views(setup, bench, held, request, is_clear, np.random.default_rng(0))
     return DrivePlan(axes, is_clear, [(int(width), int(height)) for width, height in setup.sizes])

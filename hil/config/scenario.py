@@ -8,6 +8,7 @@ from typing import Annotated, Final, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hil.config.bench_scale import BenchScale
 from hil.config.dispersions import Dispersions
 from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.error_models import ErrorBudget, ImuErrors, ThrusterErrors, VisionErrors
@@ -772,6 +773,7 @@ class Scenario(ConfigModel):
     integrity: Integrity = Integrity()
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
+    bench: BenchScale = BenchScale()
     sensors: Annotated[dict[str, SensorConfig], Field(max_length=MAX_SENSORS)] = Field(default_factory=dict)
     """Sensors other than vision unit, IMU and docking monitor, by name."""
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()

@@ -86,7 +86,7 @@ class LiveView:
     def begin(self, job: Job) -> None:
         """Clear everything for a session of ``job``."""
         scenario, rig = job.scenario.value, job.rig.value
-        self._bench = bench_params.bench(rig, scenario.step_s)
+        self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
         self._places = mounting(scenario.monitor)
         self._cycles = rig.telemetry_cycles(scenario.step_s)
         self._taken = 0

@@ -207,7 +207,9 @@ class SessionManager:
     def warm_up(self) -> None:
         """Compile the kernels used while a bench moves, so that compilation never delays the presence reports."""
         job = self.choice.job()
-        console_rows(bench_params.bench(job.rig.value, job.scenario.value.step_s), np.zeros(2, CYCLE))
+        console_rows(
+            bench_params.bench(job.rig.value, job.scenario.value.step_s, job.scenario.value.bench), np.zeros(2, CYCLE)
+        )
 
     async def close(self) -> None:
         """End the session, with the bench stopped first."""

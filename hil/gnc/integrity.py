@@ -301,7 +301,8 @@ def protect(params, sensors, state, fusion, t_s, out):
         copy_into(state.cap, state.level)
     largest = 0.0
     for i in range(3):
-        noise, of_sensors = params.sigmas * out.sigma_r_m[i], sensor_fusion.missed(sensors, fusion.sensors, i)
+        noise = params.sigmas * out.sigma_r_m[i]
+        of_sensors = sensor_fusion.missed(sensors, fusion.sensors, t_s, i, out.sigma_r_m[i])
         other = max(noise + shift * fusion.noise_m, second + fusion.jump_m[i])
         level = min(noise + max(bias, of_sensors) + fusion.jump_m[i], other)
         if state.cap_s > 0.0 and t_s - state.cap_s < _CAP_S and state.biased == 0:
@@ -313,7 +314,8 @@ def protect(params, sensors, state, fusion, t_s, out):
         largest = max(largest, out.sigma_attitude_rad[i])
     state.age_s = age_s
     turned = max(
-        shift * fusion.noise_rad * n * fusion.gain_attitude, sensor_fusion.missed_rotation(sensors, fusion.sensors)
+        shift * fusion.noise_rad * n * fusion.gain_attitude,
+        sensor_fusion.missed_rotation(sensors, fusion.sensors, t_s, largest),
     )
     out.protection_level_rad = params.sigmas * largest + turned
     if state.biased != 0:

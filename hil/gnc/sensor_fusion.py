@@ -43,7 +43,10 @@ NEW = -1
 """Result in the memory of a sample that was not gated yet."""
 _INTERVAL_WEIGHT = 0.1  # of an interval in the mean of those between samples
 _MISSED_EACH = 8  # accepted samples: gains change slowly
-_NO_CHANGE = 1e-12  # m: sensitivity below which a component does not measure the position
+_CONFIRMED_FRACTION = 4  # of the accepted samples: the longest time over which a fault can have grown
+_SILENT_INTERVALS = 10.0  # after the last accepted sample
+_SHORTEST_S = 1.0
+_NO_CHANGE = 1e-12  # of a component that the estimate does not follow
 
 SENSOR_SLOT = np.dtype(
     [
@@ -290,57 +293,55 @@ def _watch(params, monitor, n, arrival, passes):
 def _bound_missed(params, state, monitor, n):
     """Raise ``missed_m`` and ``missed_rad`` by what a fault of one component leads to before it is found.
 
-    The innovation is in ``state.found_position``. The fault is a step or a ramp of the component; position and velocity
-    follow it by their gains.
+    The innovation is in ``state.found_position``. The fault is a step or a ramp of the component, which the expected
+    value follows by ``h K = 1 - R / S``, and position and attitude by their gains. It can have grown for a fraction of
+    the accepted samples at most.
     """
     found = state.found_position
+    steps = min(params.cusum_limit / params.mean_shift, max(1.0, monitor.accepted / _CONFIRMED_FRACTION))
     for c in range(n):
-        follows, speeds, turns = 0.0, 0.0, 0.0
+        follows, speed = 1.0 - found.noise[c, c] / found.s[c, c], 0.0
+        if not follows > _NO_CHANGE:
+            continue
         for i in range(3):
-            follows += found.h[c, R + i] * found.gain[c, R + i]
-            speeds += found.h[c, R + i] * found.gain[c, V + i]
-            turns += found.h[c, ROTATION + i] * found.gain[c, ROTATION + i]
-        sigma = math.sqrt(found.s[c, c])
-        if follows > _NO_CHANGE:
-            largest = _missed(params, monitor, follows, speeds)
-            for i in range(3):
-                size = largest * sigma * abs(found.gain[c, R + i]) / follows
-                monitor.missed_m[i] = max(monitor.missed_m[i], size)
-        if turns > _NO_CHANGE:
-            largest = _missed(params, monitor, turns, 0.0)
-            for i in range(3):
-                size = largest * sigma * abs(found.gain[c, ROTATION + i]) / turns
-                monitor.missed_rad = max(monitor.missed_rad, size)
+            speed += found.h[c, R + i] * found.gain[c, V + i] * monitor.interval_s
+        step, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 0, np.inf)
+        ramp, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 1, np.inf)
+        size = max(step, ramp) * math.sqrt(found.s[c, c]) / follows
+        for i in range(3):
+            monitor.missed_m[i] = max(monitor.missed_m[i], size * abs(found.gain[c, R + i]))
+            monitor.missed_rad = max(monitor.missed_rad, size * abs(found.gain[c, ROTATION + i]))
 
 
 @kernel
-def _missed(params, monitor, gain, gain_speed):
-    """Return the largest error, in standard deviations of the innovation, of a step or a ramp that is not found."""
-    n = params.cusum_limit / params.mean_shift
-    speed = gain_speed * monitor.interval_s
-    step, _ = largest_missed(params, gain, speed, n, params.cusum_limit, 0, np.inf)
-    ramp, _ = largest_missed(params, gain, speed, n, params.cusum_limit, 1, np.inf)
-    return max(step, ramp)
+def _left(params, monitor, found, t_s, sigma):
+    """Return what is left at ``t_s`` of the error ``found`` that a fault of a sensor has made.
+
+    Of one that has been silent for long the others leave as much as their gates pass, in standard deviations ``sigma``.
+    """
+    if t_s - monitor.last_s > _SILENT_INTERVALS * max(monitor.interval_s, _SHORTEST_S):
+        return min(found, params.gate * sigma)
+    return found
 
 
 @kernel
-def missed(params, state, i):
-    """Return the error of the position along axis ``i`` by an undetected fault of one sensor, m.
+def missed(params, state, t_s, i, sigma):
+    """Return the error of the position along axis ``i`` at ``t_s`` by an undetected fault of one sensor, m.
 
-    params, state: SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE.
+    params, state: SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE. sigma: of that component of the position, m.
     """
     largest = 0.0
     for k in range(params.n):
-        largest = max(largest, state.monitor[k].missed_m[i])
+        largest = max(largest, _left(params, state.monitor[k], state.monitor[k].missed_m[i], t_s, sigma))
     return largest
 
 
 @kernel
-def missed_rotation(params, state):
-    """Return the same of the attitude, rad."""
+def missed_rotation(params, state, t_s, sigma):
+    """Return the same of the attitude, rad. sigma: the largest of a component."""
     largest = 0.0
     for k in range(params.n):
-        largest = max(largest, state.monitor[k].missed_rad)
+        largest = max(largest, _left(params, state.monitor[k], state.monitor[k].missed_rad, t_s, sigma))
     return largest
 
 

@@ -191,6 +191,15 @@ def _record_newest(state, poses, arrived):
     now.pose.fresh = arrived
 
 
+@kernel
+def _shows_target(params, state):
+    """Return whether the bench is at full scale, so that the vision unit sees the target where it is."""
+    square = 0.0
+    for i in range(3):
+        square += state.now.truth.r_CT_H[i] ** 2
+    return not kinematics.is_scaled(params.bench, square)
+
+
 @entry
 def receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals):
     """Write the poses of the first ``n`` frames, in the order of arrival, into ``poses`` (MAX_POSES,); return how many.
@@ -201,6 +210,7 @@ def receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals):
     """
     arrived, taken, logged = 0, 0, state.logged
     has_faults = params.vmu_faults.n != 0 or params.dss.plume.dimming > 0.0
+    shows = _shows_target(params, state)
     if has_faults:
         _delay_frames(params, state, frames, n, delayed)
     while True:
@@ -212,7 +222,7 @@ def receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals):
         elif taken == n:
             break
         frame = delayed[i] if has_faults else frames[i]
-        used = frame.t_s >= state.not_before_s
+        used = shows and frame.t_s >= state.not_before_s
         if used:
             arrived = _write_pose(params, state, frame, arrived, poses)
         if state.logged < arrivals.shape[0]:

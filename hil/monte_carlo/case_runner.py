@@ -106,7 +106,7 @@ class CaseRunner:
     def _fixed_params(self) -> np.record:
         """Return LOOP_PARAMS with all parameters of the GNC and the rig."""
         scenario, rig = self.scenario, self.rig
-        bench = bench_params.bench(rig, scenario.step_s)
+        bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
         self._limits: SafetyLimits = safety_limits(rig, bench_params.axis_guard(rig, scenario))
         params = loop_params(scenario, rig, gnc_params.gnc(scenario), bench, self._limits.guard)
         params.counts = 1

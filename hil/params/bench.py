@@ -11,6 +11,7 @@ from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
+from hil.config.bench_scale import FULL_SCALE, BenchScale
 from hil.config.rig import GimbalAxis, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
@@ -20,9 +21,11 @@ _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caugh
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz
 
 
-def bench(rig: Rig, step_s: float) -> np.record:
-    """Return BENCH_PARAMS: geometry and limits of the six axes. step_s: period of the cycle."""
+def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
+    """Return BENCH_PARAMS: geometry and limits of the six axes. step_s: period of the cycle. shown: of the scenario."""
     params = new(BENCH_PARAMS)
+    params.scaled_beyond = shown.scaled_beyond_m or 0.0
+    params.scale = shown.scale
     params.dt_s = step_s / rig.ticks(step_s)
     params.lever_arm = rig.bench.lever_arm_m
     params.order = _order(rig.bench.gimbal_order)
@@ -92,7 +95,7 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     The keep-out by the encoders is off without the bench guard, and with a target that rotates on a manipulator: the
     axes of the chaser's rig alone do not show where its reference point is.
     """
-    axes, guard = bench(rig, scenario.step_s), new(GUARD)
+    axes, guard = bench(rig, scenario.step_s, scenario.bench), new(GUARD)
     geometry = rig.bench
     guard.following_max, guard.following_per_speed = following_limits(rig)
     guard.low, guard.high, guard.order = axes.low, axes.high, axes.order
@@ -111,7 +114,7 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
 def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     """Return BENCH_GUARD_PARAMS."""
     config, step_s = rig.guard, scenario.step_s
-    axes = bench(rig, step_s)
+    axes = bench(rig, step_s, scenario.bench)
     params = new(BENCH_GUARD_PARAMS)
     params.enabled = config.enabled
     params.zone = keep_out_zone(scenario)

@@ -26,7 +26,7 @@ def judge_energy_added(history: np.ndarray, scenario: Scenario, rig: Rig) -> dic
         wrenches = gnc_params.wrenches_of(scenario.chaser.thrusters)
         fraction = rows["truth"]["thrust_fraction"][:, : len(wrenches)]
         add_work(
-            bench_params.bench(rig, scenario.step_s),
+            bench_params.bench(rig, scenario.step_s, scenario.bench),
             fraction @ wrenches[:, :3],
             fraction @ wrenches[:, 3:],
             rail_m,

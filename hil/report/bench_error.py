@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.field_of_view import camera_errors
+from hil.config.bench_scale import FULL_SCALE, BenchScale
 from hil.config.rig import Rig
 from hil.core.messages import Array
 from hil.params import bench as bench_params
@@ -19,14 +20,16 @@ from hil.params import vision as vision_params
 _TIME_SLACK_S = 1e-6
 
 
-def judge_bench_error(history: np.ndarray, rig: Rig, step_s: float, settled_s: float) -> dict[str, Any]:
+def judge_bench_error(
+    history: np.ndarray, rig: Rig, step_s: float, settled_s: float, shown: BenchScale = FULL_SCALE
+) -> dict[str, Any]:
     """Return the pose error at the left camera, and its fraction of the navigation error.
 
     ``pose_error_mm`` and ``pose_error_deg``: rms and max over the run. ``share_of_navigation_error`` and
     ``share_of_attitude_error``: rms of the pose error over rms of the estimate's error, both from
     ``settled_s`` on (over all if the run ended before). None for quantities that the run does not have.
     """
-    rows, distance, angle = pose_errors(history, rig, step_s)
+    rows, distance, angle = pose_errors(history, rig, step_s, shown)
     if not len(rows):
         none = {"rms": None, "max": None}
         return {"pose_error_mm": none, "pose_error_deg": none} | _shares(None, None)
@@ -36,14 +39,16 @@ def judge_bench_error(history: np.ndarray, rig: Rig, step_s: float, settled_s: f
     } | _navigation_shares(rows, distance, angle, settled_s)
 
 
-def pose_errors(history: np.ndarray, rig: Rig, step_s: float) -> tuple[np.ndarray, Array, Array]:
+def pose_errors(
+    history: np.ndarray, rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE
+) -> tuple[np.ndarray, Array, Array]:
     """Return the rows (n,) with known encoders, and the left camera's errors in them: m, rad, (n,)."""
     rows, rail_m, gimbal_rad = encoders_at_truth(history)
     distance, angle = np.empty(len(rows)), np.empty(len(rows))
     if len(rows):
         truth = rows["truth"]
         camera_errors(
-            bench_params.bench(rig, step_s),
+            bench_params.bench(rig, step_s, shown),
             vision_params.mounting(rig),
             rail_m,
             gimbal_rad,

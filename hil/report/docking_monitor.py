@@ -122,7 +122,7 @@ class _Truth:
 
 def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> Floats:
     """Return QUANTITIES (n, 12), SI, of the camera by the encoders."""
-    track = EncoderTrack(bench_params.bench(rig, scenario.step_s), mounting(scenario.monitor))
+    track = EncoderTrack(bench_params.bench(rig, scenario.step_s, scenario.bench), mounting(scenario.monitor))
     track.add(history)
     found = np.empty((len(times), len(QUANTITIES)))
     for row, t_s in zip(found, times, strict=True):

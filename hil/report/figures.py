@@ -75,7 +75,7 @@ def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict)
         yield "Integrity: protection levels over their alert limits, and the largest term", svg_address(_levels(known))
     yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
     yield "Security: margins of the estimate", svg_address(_security(history))
-    rows, distance, angle = pose_errors(history, rig, scenario.step_s)
+    rows, distance, angle = pose_errors(history, rig, scenario.step_s, scenario.bench)
     if len(rows):
         yield "Bench: camera against the truth, by the encoders", svg_address(_bench(rows["t_s"], distance, angle))
     yield "Lateness of the cycles", svg_address(_lateness(history["lateness_s"]))

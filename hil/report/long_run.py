@@ -209,7 +209,7 @@ class LongRun:
         kept["passed"], kept["abort"] = is_secure(kept["corridor_margin_m"], kept["closing_margin_mps"]), found["abort"]
 
     def _add_view(self, rows: np.ndarray) -> None:
-        found, kept = judge_field_of_view(rows, self._rig, self._scenario.step_s), self._view
+        found, kept = judge_field_of_view(rows, self._rig, self._scenario.step_s, self._scenario.bench), self._view
         if not kept:
             self._view = found
             return
@@ -235,7 +235,7 @@ class LongRun:
             self._keep_largest(f"{name}_max_{unit}", axes.get(f"{name}_max_{unit}"))
         for name, joule in judge_energy_added(joined, self._scenario, self._rig).items():
             self._sums[name] = self._sums.get(name, 0.0) + joule
-        bench = judge_bench_error(rows, self._rig, self._scenario.step_s, summary.SETTLED_S)
+        bench = judge_bench_error(rows, self._rig, self._scenario.step_s, summary.SETTLED_S, self._scenario.bench)
         for name in ("pose_error_mm", "pose_error_deg"):
             squares.add(name, bench[name]["rms"], n)
             self._keep_largest(name, bench[name]["max"])

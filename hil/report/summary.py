@@ -170,14 +170,14 @@ def numbers_of(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[dict[
                 firings,
                 frame_delta_v(history, scenario),
             ),
-            "field_of_view": judge_field_of_view(history, rig, scenario.step_s),
+            "field_of_view": judge_field_of_view(history, rig, scenario.step_s, scenario.bench),
         },
         "integrity": integrity_of(judge_integrity(history, scenario, rig), scenario),
         "navigation": navigation_errors(history) | bound.as_json(),
         "thrusters": thrusters,
         "orbit": {"eclipse_s": eclipse_s(history, scenario.step_s)},
         "bench": axis_errors(history)
-        | judge_bench_error(history, rig, scenario.step_s, SETTLED_S)
+        | judge_bench_error(history, rig, scenario.step_s, SETTLED_S, scenario.bench)
         | {"energy": judge_energy_added(history, scenario, rig)},
         "latency": measure_latency(history, scenario.step_s, scenario.step_s / rig.ticks(scenario.step_s)),
         "timing": lateness_counts(history["lateness_s"], rig)

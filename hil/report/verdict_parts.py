@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.field_of_view import view_margins
+from hil.config.bench_scale import FULL_SCALE, BenchScale
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.truth import Orbit
@@ -199,7 +200,7 @@ def energy_part(line: float, scenario: Scenario, propellant_kg: float, firings: 
     }
 
 
-def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float) -> dict[str, Any]:
+def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> dict[str, Any]:
     """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
     if not len(history):
         return {"passed": False, "margin_px": None, "at_s": None, "range_m": None, "lost_s": None}
@@ -207,7 +208,7 @@ def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float) -> dict[st
     margins = np.empty(len(history))
     feedback = history["feedback"]
     view_margins(
-        bench_params.bench(rig, step_s),
+        bench_params.bench(rig, step_s, shown),
         vision_params.mounting(rig),
         camera,
         leds,

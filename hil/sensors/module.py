@@ -52,8 +52,8 @@ class SensorModule:
     kind: its name in a scenario. components: of a measurement, up to six; components one to three and four to six are
     fused one after the other and have independent noise. settings: numbers, keys of the scenario. errors: those of the
     sensor that are states of the filters. faults: kind of fault -> what a monitor sees of it and how large it can be
-    unseen; kinds are those of the table of faults for sensors. sees: where the measurement comes from in a simulation: the
-    bench by its axes, as a device on the bench does, or the truth, for what is not on the bench.
+    unseen; kinds are those of the table of faults for sensors. sees: source of a modelled measurement: the bench by its
+    axes, as a device on the bench sees it, or the truth, for what is not on the bench.
     """
 
     kind: ClassVar[str] = ""

@@ -183,8 +183,8 @@ class WiredBench:
         made.loop.telemetry = rates
         made.meters["exchanges"] = rates.numbers
         if self.board is not None:
-            step_s = self.job.scenario.value.step_s
-            watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, made.now_s, step_s)
+            step_s, shown = self.job.scenario.value.step_s, self.job.scenario.value.bench
+            watch = TrueAxesWatch(made.loop.telemetry, self.board, self.rig, made.now_s, step_s, shown)
             made.loop.telemetry = watch
             made.meters["bench"] = watch.numbers
         return made

@@ -97,8 +97,10 @@ def _compiler_of_the_gnc() -> Iterator[ChildProcess]:
 def warm_up(job: Job) -> None:
     """Call every kernel of the loop once, in memory."""
     scenario, rig = job.scenario.value, job.rig.value
-    Move(bench_params.bench(rig, scenario.step_s), new(AXES), start_axes(scenario, rig)).at(0.1, new(AXES))
-    brake_step(bench_params.bench(rig, scenario.step_s), new(MOTION), new(AXES))
+    Move(bench_params.bench(rig, scenario.step_s, scenario.bench), new(AXES), start_axes(scenario, rig)).at(
+        0.1, new(AXES)
+    )
+    brake_step(bench_params.bench(rig, scenario.step_s, scenario.bench), new(MOTION), new(AXES))
     _short_run(job).run()
 
 

@@ -180,7 +180,7 @@ def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
 def core_memory(job: Job, rig: Rig) -> CoreMemory:
     """Return the memory of the core for ``job`` on ``rig``, before its first cycle."""
     scenario = job.scenario.value
-    gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s)
+    gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s, scenario.bench)
     params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
     set_truth(params, scenario, job.truth, job.seed, dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
@@ -444,7 +444,7 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
     sensor = make_pose_sensor(scenario, rig, seed, images, mock.vision_memory)
 
     target = MockAxes("target", rig.target_axes) if rig.target_axes else None
-    bench, manipulator = bench_params.bench(rig, scenario.step_s), bench_params.manipulator(rig)
+    bench, manipulator = bench_params.bench(rig, scenario.step_s, scenario.bench), bench_params.manipulator(rig)
 
     def pose_at(t_s: float) -> PoseFrame | None:
         axes = rails.position_at(t_s), turntable.position_at(t_s)

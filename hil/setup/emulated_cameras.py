@@ -55,7 +55,7 @@ def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisSt
 
 def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
     """Return the renderer of the vision unit of ``rig``."""
-    bench, mounting = bench_params.bench(rig, scenario.step_s), vision_params.mounting(rig)
+    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
     return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, stream(seed, "pictures"))
 
 
@@ -70,7 +70,7 @@ def emulated_television(
     scene = load_scene(config.scene).value
     renderer = TargetRenderer(scene, scene.chosen(config.target), Conditions(blur_px=config.blur_px))
     bench, mounting, noise = (
-        bench_params.bench(rig, scenario.step_s),
+        bench_params.bench(rig, scenario.step_s, scenario.bench),
         monitor_params.mounting(config),
         stream(seed, "monitor"),
     )

@@ -36,7 +36,7 @@ class EmulatedVision(NamedTuple):
 
 def seen_axes(scenario: Scenario, rig: Rig, board: SharedAxisState) -> SeenAxes:
     """Return what the cameras of a bench see of the axes of ``board``, relative to the target where it is rotated."""
-    bench, manipulator = bench_params.bench(rig, scenario.step_s), bench_params.manipulator(rig)
+    bench, manipulator = bench_params.bench(rig, scenario.step_s, scenario.bench), bench_params.manipulator(rig)
 
     def seen(t_s: float) -> tuple[Array, Array]:
         rails, gimbals = board.read("rails", t_s)[0], board.read("turntable", t_s)[0]

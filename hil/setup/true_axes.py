@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.bench.field_of_view import camera_errors
 from hil.bench.manipulator import relative_axes
+from hil.config.bench_scale import FULL_SCALE, BenchScale
 from hil.config.rig import Rig
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE
@@ -26,10 +27,16 @@ class TrueAxesWatch:
     """
 
     def __init__(
-        self, rows: Telemetry, board: SharedAxisState, rig: Rig, now_s: Callable[[], float], step_s: float
+        self,
+        rows: Telemetry,
+        board: SharedAxisState,
+        rig: Rig,
+        now_s: Callable[[], float],
+        step_s: float,
+        shown: BenchScale = FULL_SCALE,
     ) -> None:
         self._rows, self._board, self._now_s = rows, board, now_s
-        self._bench = kernel_record(bench_params.bench(rig, step_s))
+        self._bench = kernel_record(bench_params.bench(rig, step_s, shown))
         self._mounting = kernel_record(vision_params.mounting(rig))
         self._manipulator = bench_params.manipulator(rig)
         self._errors = np.zeros(1), np.zeros(1)
