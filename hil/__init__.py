@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from hil.core.settings import Setting
     from hil.gnc_backends.kernel_backend import kernel_backend
     from hil.monitor.monitor import DockingMonitor
+    from hil.sensors.module import Component, SensorError, SensorModule
     from hil.vmu.unit import VisionUnit
 
     __version__ = VERSION
@@ -40,6 +41,7 @@ __all__ = [
     "Bench",
     "Campaign",
     "Comparison",
+    "Component",
     "DockingMonitor",
     "RecordGroup",
     "Recording",
@@ -48,6 +50,8 @@ __all__ = [
     "Run",
     "RunRequirement",
     "Scenario",
+    "SensorError",
+    "SensorModule",
     "Setting",
     "StudyResults",
     "SweepResults",
@@ -71,6 +75,7 @@ _MODULES = {
     "Bench": "hil.api.bench",
     "Campaign": "hil.api.campaigns",
     "Comparison": "hil.api.comparisons",
+    "Component": "hil.sensors.module",
     "DockingMonitor": "hil.monitor.monitor",
     "RecordGroup": "hil.api.results",
     "Recording": "hil.api.recordings",
@@ -79,6 +84,8 @@ _MODULES = {
     "Run": "hil.api.results",
     "RunRequirement": "hil.api.requirements",
     "Scenario": "hil.config.scenario",
+    "SensorError": "hil.sensors.module",
+    "SensorModule": "hil.sensors.module",
     "Setting": "hil.core.settings",
     "StudyResults": "hil.api.studies",
     "SweepResults": "hil.api.comparisons",
