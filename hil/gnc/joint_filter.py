@@ -43,6 +43,8 @@ def predict(params, filters, step):
         _carry_filters_24(errors, of_pkf, a, moved, phi, filters)
     elif errors.lanes == 32:
         _carry_filters_32(errors, of_pkf, a, moved, phi, filters)
+    elif errors.lanes == 40:
+        _carry_filters_40(errors, of_pkf, a, moved, phi, filters)
     else:
         _carry_filters(errors, of_pkf, a, moved, phi, filters)
     if errors.moves != 0:
@@ -79,6 +81,11 @@ def _carry_filters_24(errors, of_pkf, a, moved, phi, filters):
 @kernel
 def _carry_filters_32(errors, of_pkf, a, moved, phi, filters):
     carry_filters(errors, of_pkf, a, moved, phi, filters.p, 32)
+
+
+@kernel
+def _carry_filters_40(errors, of_pkf, a, moved, phi, filters):
+    carry_filters(errors, of_pkf, a, moved, phi, filters.p, 40)
 
 
 @kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
 from hil.params.sensors import SensorErrorState, error_states
+
+_OF_POSES: Final = ("bias", "scale")
 
 
 def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState]) -> dict[str, Array]:
@@ -52,7 +55,9 @@ def error_state(scenario: Scenario) -> np.record:
         here = slice(n, n + size)
         params[block.name] = n
         params.variance[here] = sigmas[block.name] ** 2
-        params.estimated[here] = block.estimated
+        # with further sensors bias and scale of the vision unit can be observed: unless estimated, its innovations have
+        # a mean
+        params.estimated[here] = block.estimated or (block.name in _OF_POSES and bool(scenario.sensors))
         if block.name == "sensor_errors":
             params.kept[here] = [math.exp(-scenario.sample_s / error.time_s) for error in of_sensors]
             params.moves = params.moves or any(math.isfinite(error.time_s) for error in of_sensors)
@@ -61,7 +66,7 @@ def error_state(scenario: Scenario) -> np.record:
         if block.name.startswith(("disturbance", "gyro", "accelerometer")) and params.imu == 0:
             params.imu = n
         n += size
-    params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, LANES) if lanes >= n)
+    params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, 40, LANES) if lanes >= n)
     params.imu = params.imu or n
     params.fraction = given.vision_correlated_fraction
     params.bench_variance = given.bench_sigma_m**2, math.radians(given.bench_sigma_deg) ** 2
