@@ -29,6 +29,7 @@ from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
+from hil.sensors.registry import SHIPPED, sensor
 
 FOLDER: Final = "reference/generated"
 
@@ -117,6 +118,7 @@ information and outside of the [keep-out](../../explanation/safety.md#what-is-mo
         "the interlock",
         "thruster": "`thruster.1` and so on, in the order of the scenario",
         "axis": "`rails.x`, `rails.y`, `rails.z`, `turntable.roll`, `turntable.pitch`, `turntable.yaw`",
+        "sensor": "`sensor.NAME`: a further sensor of the scenario, with the kinds of faults that its module declares",
         "target": "`target`: leaves the place where the approach expects it",
     }
     parts = [intro]
@@ -149,6 +151,30 @@ def _fault_range(term: ErrorTerm) -> str:
     if not term.values:
         return ""
     return f"{'magnitude ' if term.values == 3 else ''}{term.low:g} to {term.high:g}"
+
+
+def sensor_table() -> str:
+    """Return the page of the shipped sensor modules: components, settings, errors and faults."""
+    intro = """# Sensors
+
+Sensors that a scenario can add, `[[sensors]]`, with the keys that each declares in addition to those of
+[every sensor](scenario.md). [How to add one](../../how-to/add-a-sensor.md); [how they are
+fused](../../explanation/sensors.md).
+"""
+    parts = [intro]
+    for kind in SHIPPED:
+        found = sensor(kind)
+        parts.append(f"## {kind}\n\n{inspect.cleandoc(found.module.__doc__ or '')}\n")
+        sees = "where the bench is" if found.module.sees == "bench" else "the truth"
+        parts.append(f"A modelled one sees {sees}, {found.module.rate_hz:g} times per second.\n")
+        rows = [f"| `{c.name}` | {c.unit} | {c.doc} |" for c in found.components]
+        parts.append("| component | unit | meaning |\n|---|---|---|\n" + "\n".join(rows) + "\n")
+        rows = [f"| `{s.name}` | {s.default:g} | {s.unit} | {s.allowed} | {s.doc} |" for s in found.settings]
+        parts.append("| key | default | unit | allowed | meaning |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n")
+        parts.append(f"Errors that are states of the filters: {', '.join(f'`{c}`' for c in found.error_columns())}.\n")
+        rows = [f"| `{fault}` | {text} |" for fault, text in found.module.faults.items()]
+        parts.append("| fault | how it is seen |\n|---|---|\n" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
 
 
 def limit_table() -> str:
@@ -228,6 +254,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "scenario": scenario_keys,
     "faults": fault_table,
     "limits": limit_table,
+    "sensors": sensor_table,
     "hazards": hazards,
     "rig": rig_keys,
     "files": other_files,

@@ -35,4 +35,10 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
             problem(f"{name}.source", f'"udp": needs the wall clock, which rig "{rig.value.name}" does not follow')
         if config.source == "model" and rig.value.kind == "hardware" and sensor.module.sees == "bench":
             problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')
+    modules = sensors_of(value)
+    for index, fault in enumerate(value.faults):
+        if fault.family == "sensor" and fault.kind not in modules[fault.member].module.faults:
+            known = ", ".join(modules[fault.member].module.faults)
+            text = f'kind = "{fault.kind}": {modules[fault.member].kind} has {known}'
+            problems.append(Problem(scenario.where("faults"), f"faults[{index}]", text))
     return problems
