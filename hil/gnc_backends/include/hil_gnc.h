@@ -47,6 +47,7 @@ enum hil_gnc_health {
     HIL_GNC_MONITOR_DISAGREES = 16, /* the docking monitor measures another pose */
     HIL_GNC_COVARIANCE_INVALID = 32, /* a covariance of the filters is not finite or not positive definite */
     HIL_GNC_BENCH_DISAGREES = 64, /* the bench's encoders contradict the estimate */
+    HIL_GNC_SENSOR_SUSPECT = 128, /* a further sensor contradicts the others and is excluded */
 };
 
 typedef struct {

@@ -13,6 +13,7 @@ from hil.core.messages import NAVIGATION, POSE, new
 from hil.gnc import integrity
 from hil.gnc.fusion import FUSION_STATE
 from hil.gnc.integrity import INTEGRITY_STATE
+from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.params import gnc as gnc_params
 
 
@@ -87,7 +88,7 @@ def watched(params: np.record, innovations: np.ndarray) -> np.record:
 
 
 def health(params: np.record, state: np.record, age_s: float = 0.1, rejected: int = 0) -> int:
-    found: int = integrity.vision_health(params, state, age_s, rejected)
+    found: int = integrity.vision_health(params, state, age_s, rejected, 1.0)
     return found
 
 
@@ -137,7 +138,7 @@ def levels(params: np.record, state: np.record, t_s: float, **fields: float) -> 
     for name, value in fields.items():
         fused[name] = value
     out.sigma_r_m, out.sigma_attitude_rad = (0.001, 0.002, 0.003), 1e-4
-    integrity.protect(params, state, fused, t_s, out)
+    integrity.protect(params, new(SENSOR_FUSION_PARAMS), state, fused, t_s, out)
     return out
 
 

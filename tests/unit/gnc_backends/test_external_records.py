@@ -60,8 +60,8 @@ def test_estimate_that_is_marked_invalid_has_no_protection_level() -> None:
     [
         ("protection_level_m", (0.1, -0.2, 0.1), "protection_level_m[1] is -0.2, allowed 0 and more"),
         ("protection_level_rad", -1.0, "protection_level_rad is -1, allowed 0 and more"),
-        ("health", 128, "health 128, allowed 0 to 127"),
-        ("health", -1, "health -1, allowed 0 to 127"),
+        ("health", 256, "health 256, allowed 0 to 255"),
+        ("health", -1, "health -1, allowed 0 to 255"),
     ],
 )
 def test_impossible_protection_level_or_health_is_a_fault(field: str, value: object, text: str) -> None:
