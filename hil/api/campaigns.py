@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from hil.api.frames import library
-from hil.api.jobs import (
-    BackendArguments,
-    Overrides,
-    check_counts,
-    job_of,
-    named_as_argument,
-)
+from hil.api.jobs import BackendArguments, Overrides, check_count, named_as_argument, settings_of
 from hil.api.results import Run
 from hil.api.runs import RunRequest, log, run_or_raise
 from hil.config.scenario import Scenario
@@ -23,9 +15,8 @@ from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.maths.random_streams import MixedSeed
-from hil.monte_carlo.campaign import RIG, CampaignJob, Sweep, campaign_digest, write_summary
+from hil.monte_carlo.campaign import RIG, Sweep, campaign_digest
 from hil.monte_carlo.dispersions import Design, case_seed
-from hil.monte_carlo.engines import ENGINES, DaskEngine, engine_identity, engine_of
 from hil.monte_carlo.sobol_indices import sobol_point
 from hil.monte_carlo.stored_campaign import StoredCampaign
 from hil.session.warm_up import compile_kernels
@@ -47,13 +38,10 @@ class StudyArguments(CampaignArguments, total=False):
     """Arguments with which ``hil.campaign`` does what the command does with the option of that name."""
 
     against: str | Path | Scenario | None
-    sweep: str | None
+    sweep: str | Sweep | None
     rare: str | None
     method: str
     sobol: int | None
-
-
-_STUDIES: Final = ("against", "sweep", "rare", "sobol")
 
 
 @overload
@@ -131,76 +119,18 @@ def campaign(
     CampaignStopped
         The disk is full, or cases of a GPU differ from those of the CPU: completed cases are kept.
     """
-    study = [name for name in _STUDIES if options.get(name) is not None]
-    if study:
-        given = {name: value for name, value in options.items() if value is not None}
-        shared = {"out": out, "seed": seed, "duration_s": duration_s, "overrides": overrides, "workers": workers}
-        return _study_of(study, scenario, runs, shared | {"engine": engine} | given)
-    scheduler, dispersions = options.get("scheduler"), options.get("dispersions")
-    backends: BackendArguments = {}
-    for part in PARTS:
-        if part in options:
-            backends[part] = options[part]
-    if dispersions is not None:
+    from hil.api.campaign_request import CampaignRequest  # imports this module
+
+    for name, value, least in (("runs", runs, 1), ("workers", workers, 0), ("sobol", options.get("sobol"), 1)):
+        check_count(name, value, least)
+    given: dict[str, Any] = dict(options)
+    backends: Any = {part: given.pop(part) for part in PARTS if part in given}
+    if (dispersions := given.pop("dispersions", None)) is not None:
         overrides = {"dispersions": str(dispersions), **(overrides or {})}
-    if runs is None:
-        raise BadInput.single("runs", "", "must be given, unless sobol or rare is")
-    check_counts(runs, workers)
-    if scheduler is not None and (workers or engine != "cpu"):
-        raise BadInput.single("scheduler", "", "not together with workers or engine")
-    if engine not in ENGINES:
-        raise BadInput.single("engine", "", f"{engine!r:.60}: must be one of {', '.join(ENGINES)}")
+    given |= {"seed": seed, "duration_s": duration_s, "workers": workers, "engine": engine, "backends": backends}
     with named_as_argument():
-        job = job_of(scenario, RIG, overrides, seed, duration_s, **backends)
-        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
-    temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
-    folder = Path(temporary.name if temporary else str(out))
-    with ExitStack() as held:
-        if temporary:
-            held.callback(temporary.cleanup)
-        with named_as_argument("--engine", "engine"):
-            runner = DaskEngine(scheduler) if scheduler else engine_of(engine, workers, [checked.scenario])
-        held.callback(runner.close)
-        store = held.enter_context(checked.store(folder, more=engine_identity(engine)))
-        checked.warm_up()
-        summary = checked.run(store, runs, runner, lambda _: None)
-        if out is not None:
-            from hil.monte_carlo.page import write_page  # slow import
-
-            write_page(folder)
-        return Campaign(job, summary, store.table())
-
-
-def _study_of(names: list[str], scenario: str | Path | Scenario, runs: int | None, given: dict[str, Any]) -> Any:
-    """Return the results of the study that ``names`` the argument for. given: the other arguments. Raises BadInput."""
-    from hil.api import comparisons, studies
-
-    name, value = names[0], given.pop(names[0])
-    if len(names) > 1:
-        raise BadInput.single(names[1], "", f"not together with {name}")
-    method, out = given.pop("method", "subset"), given.pop("out")
-    if name in ("rare", "sobol"):
-        unused = [
-            key for key in given if key not in ("seed", "overrides", "workers") and given[key] not in (None, "cpu")
-        ]
-        if unused:
-            raise BadInput.single(unused[0], "", f"not together with {name}")
-        rest = {key: given[key] for key in ("seed", "overrides", "workers")}
-        if name == "sobol":
-            return studies.sobol_indices(scenario, value, out, **rest)
-        return studies.rare_event(scenario, value, out, method, runs, **rest)
-    if name == "sweep":
-        swept = Sweep.parse(value)
-        return comparisons.sweep(scenario, swept.key, swept.values, runs or 0, out, **given)
-    folders = (None, None) if out is None else (Path(out) / "first", Path(out) / "second")
-    both = [campaign(each, runs, folder, **given) for each, folder in zip((scenario, value), folders, strict=True)]
-    found = comparisons.compare(both[0], both[1])
-    if out is not None:
-        from hil.monte_carlo.page import write_page  # slow import
-
-        write_summary(Path(out) / "comparison.json", found.summary)
-        write_page(Path(out))
-    return found
+        folder = None if out is None else Path(out)
+        return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run()
 
 
 class Campaign:

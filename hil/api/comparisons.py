@@ -10,7 +10,7 @@ from hil.api.campaigns import Campaign, CampaignArguments, campaign
 from hil.api.jobs import Overrides
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import Sweep, sweep_summary, write_summary
+from hil.monte_carlo.campaign import Sweep, sweep_summary
 from hil.monte_carlo.statistics import compare as compare_columns
 
 if TYPE_CHECKING:
@@ -105,15 +105,6 @@ def sweep(
     swept = Sweep(key, tuple(float(value) for value in values))
     if not swept.values:
         raise BadInput.single("values", "", "must be one number or more")
-    folders = [None if out is None else Path(out) / f"sweep-{i:03d}" for i in range(len(swept.values))]
-    found = [
-        campaign(scenario, runs, folder, seed, overrides={**(overrides or {}), key: value}, **options)
-        for value, folder in zip(swept.values, folders, strict=True)
-    ]
-    results = SweepResults(swept, found)
-    if out is not None:
-        from hil.monte_carlo.page import write_page  # slow import
-
-        write_summary(Path(out) / "sweep.json", results.summary)
-        write_page(Path(out))
-    return results
+    more: Any = options
+    found: SweepResults = campaign(scenario, runs, out, seed, overrides=overrides, sweep=swept, **more)
+    return found

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.campaigns import job_of_stored_case
-from hil.api.jobs import Overrides, check_counts, job_of, named_as_argument
+from hil.api.campaigns import campaign, job_of_stored_case
+from hil.api.jobs import Overrides
 from hil.api.results import Run
 from hil.api.runs import RunRequest, log, run_job
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import RIG, CampaignJob
-from hil.monte_carlo.engines import Engine, LocalEngine
-from hil.monte_carlo.rare_events import RareEvent
-from hil.monte_carlo.rare_methods import settings_of
-from hil.monte_carlo.sobol_campaign import SobolCampaign
-from hil.monte_carlo.store import Store
+from hil.monte_carlo.campaign import RIG
 from hil.session.warm_up import compile_kernels
 from hil.setup.assembly import Job
 
@@ -97,15 +89,8 @@ def rare_event(
     BadInput
         Invalid arguments, with one line per error.
     """
-    check_counts(1 if runs is None else runs, workers)
-    with named_as_argument():
-        settings = settings_of(method, RareEvent.parse(event), runs)
-        job = job_of(scenario, RIG, overrides, seed)
-
-    def run(checked: CampaignJob, store: Store, engine: Engine) -> dict[str, Any]:
-        return settings.run(checked, store, engine, lambda _: None)
-
-    return _study(job, settings.identity(), settings.columns, (out, workers), run)
+    found: StudyResults = campaign(scenario, runs, out, seed, None, overrides, workers, rare=event, method=method)
+    return found
 
 
 def sobol_indices(
@@ -120,31 +105,5 @@ def sobol_indices(
 
     The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
-    check_counts(rows, workers)
-    with named_as_argument():
-        job = job_of(scenario, RIG, overrides, seed)
-
-    def run(checked: CampaignJob, store: Store, engine: Engine) -> dict[str, Any]:
-        return SobolCampaign(checked, rows).run(store, engine, lambda _: None)
-
-    return _study(job, SobolCampaign.identity(), (), (out, workers), run)
-
-
-def _study(
-    job: Job,
-    identity: dict[str, Any],
-    columns: Sequence[str],
-    where: tuple[str | Path | None, int],
-    run: Callable[[CampaignJob, Store, Engine], dict[str, Any]],
-) -> StudyResults:
-    """Run a study. where: folder, None for a temporary one, and number of workers."""
-    out, workers = where
-    with named_as_argument():
-        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
-    with tempfile.TemporaryDirectory(prefix="hil-study-") as temporary:
-        folder = Path(temporary if out is None else out)
-        with closing(LocalEngine(workers)) as engine, checked.store(folder, more=identity, columns=columns) as store:
-            checked.warm_up()
-            summary = run(checked, store, engine)
-            cases = store.table() if store.table_path.is_file() else None
-        return StudyResults(job, summary, cases, None if out is None else folder)
+    found: StudyResults = campaign(scenario, None, out, seed, None, overrides, workers, sobol=rows)
+    return found

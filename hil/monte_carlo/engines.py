@@ -63,11 +63,14 @@ class Engine(Protocol):
         """Release the workers."""
 
 
-def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]]) -> Engine:
+def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]], scheduler: str | None = None) -> Engine:
     """Return the engine ``name`` of ENGINES for cases of ``scenarios``. Raises BadInput if it cannot run here.
 
-    workers: processes, on a GPU threads that draw the noise; 0: one per core.
+    workers: processes, on a GPU threads that draw the noise; 0: one per core. scheduler: address of a Dask scheduler,
+    whose workers are used instead.
     """
+    if scheduler is not None:
+        return DaskEngine(scheduler)
     if name == "cpu":
         return LocalEngine(workers)
     from hil.monte_carlo.cuda_engine import CudaEngine  # imports this module
