@@ -29,10 +29,10 @@ def run_simulated(scenario: str, settings: Sequence[str], duration_s: float) -> 
 
 
 def _main(scenario: str, duration_s: str, *settings: str) -> None:
+    from hil.api.jobs import job_of
     from hil.loop.compiled.run_cycles import run_cycles
     from hil.monte_carlo import cuda_engine, cuda_kernel
     from hil.monte_carlo.batch import Case, DrawnCase, run_batch
-    from hil.api.jobs import job_of
     from hil.monte_carlo.campaign import RIG, CampaignJob
 
     def on_memory(*arguments: Any) -> int:
