@@ -74,7 +74,8 @@ def list_found(*, json: File = None) -> int:
     json
         File for the list, - for standard output.
     """
-    from hil.drivers.cameras.base import CameraInfo, list_cameras
+    from hil.drivers.cameras.base import CameraInfo
+    from hil.drivers.cameras.interfaces import list_cameras
 
     found = list_cameras()
     if json is not None:
@@ -220,7 +221,7 @@ def _size(options: CameraOptions) -> tuple[int, int]:
 
 def _open(camera: str, options: CameraOptions) -> Camera:
     from hil.config.cameras import VisionCameras
-    from hil.drivers.cameras.base import open_camera
+    from hil.drivers.cameras.interfaces import open_camera
 
     settings = VisionCameras.model_validate(
         {

@@ -49,7 +49,7 @@ def fusion(
 
     load_scenario("scheme-2", settings)  # report errors of the settings before the start
     load_rig("mock", settings)
-    from hil.monte_carlo.engines import worker_count
+    from hil.monte_carlo.batch import worker_count
     from hil.monte_carlo.fusion import Study, run_fusion
 
     console = Console(stderr=True)

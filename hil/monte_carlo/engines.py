@@ -28,12 +28,10 @@ from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.core.child_process import die_with_parent
 from hil.errors import BadInput, CampaignStopped
-from hil.monte_carlo.batch import Case, Rows, Spec, run_batch
+from hil.monte_carlo.batch import Batch, Case, Rows, Spec, run_batch, worker_count
 from hil.monte_carlo.dispersions import case_seed
 from hil.monte_carlo.outcome import failed_row
 
-Batch = tuple[int, int]
-"""First case, and how many."""
 ENGINES: Final = ("cpu", "cuda")
 """Engines of this computer: its cores, or a GPU of NVIDIA."""
 
@@ -73,7 +71,7 @@ def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]], sc
         return DaskEngine(scheduler)
     if name == "cpu":
         return LocalEngine(workers)
-    from hil.monte_carlo.cuda_engine import CudaEngine  # imports this module
+    from hil.monte_carlo.cuda_engine import CudaEngine  # needs a GPU
 
     return CudaEngine(workers, scenarios)
 
@@ -81,11 +79,6 @@ def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]], sc
 def engine_identity(name: str) -> dict[str, str]:
     """Return the part of a campaign's identity of its engine: results of a GPU are not mixed with those of a CPU."""
     return {} if name == "cpu" else {"engine": name}
-
-
-def worker_count(workers: int) -> int:
-    """Return ``workers``, for 0 one per core that this process may use."""
-    return workers or len(os.sched_getaffinity(0))
 
 
 class LocalEngine:
