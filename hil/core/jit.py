@@ -131,7 +131,7 @@ class KernelCache:
         _prepare(target_context)
         try:
             return CompileResult._rebuild(target_context, *pickle.loads(data))
-        except StaleCaller:
+        except (StaleCaller, ModuleNotFoundError):  # the latter: of a user's file that was edited or copied since
             return None
 
     def _read(self, path: Path) -> bytes | None:

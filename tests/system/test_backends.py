@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import traceback
 from dataclasses import replace
 from pathlib import Path
@@ -363,3 +364,13 @@ def test_ctrl_c_in_the_step_of_an_object_is_the_operators_stop() -> None:
             assert runner.run().stop == STOPPED_BY_OPERATOR
     with pytest.raises(KeyboardInterrupt):
         hil.run("scheme-1", duration_s=2.0, control=Interrupted)
+
+
+def test_kernel_of_a_file_that_was_edited_since_it_was_compiled_flies_in_another_process(tmp_path: Path) -> None:
+    path = tmp_path / "law.py"
+    law = "@hil.kernel_backend()\ndef idle(settings, inp, out, memory):\n    out.force[0] = 0\n"
+    for comment in ("# before\n", "# after\n"):
+        path.write_text(f"{comment}import hil\n\n\n{law}")
+        assert flown(named(control=f"{path}:idle"), 0.1).stop == COMPLETED
+        for name in [name for name in sys.modules if name.startswith("hil_own_")]:
+            del sys.modules[name]  # as in another process
