@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from hil.api.campaigns import Campaign
+from hil.api.campaign_results import Campaign
 from hil.api.comparisons import Comparison, SweepResults
 from hil.api.jobs import BackendArguments, Settings, job_of
 from hil.api.studies import StudyResults
