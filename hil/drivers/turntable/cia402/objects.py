@@ -72,7 +72,7 @@ class ObjectDictionary:
         self.object_dictionary = read_eds(SHIPPED)
         self.entries = {place: _object_of(variable) for place, variable in variables_of(self.object_dictionary).items()}
         self.entries[(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER)].value = watchdog_ms
-        self._server = _Server(self)
+        self._server = _SdoServer(self)
         self._operational = False
         self._written: int | None = None
 
@@ -142,7 +142,7 @@ class ObjectDictionary:
         return entry
 
 
-class _Server(SdoServer):
+class _SdoServer(SdoServer):
     """canopen's SDO server, whose reply is kept."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
