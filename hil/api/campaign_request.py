@@ -61,6 +61,8 @@ class CampaignRequest:
     method: str = "subset"
     sobol: int | None = None
     backends: BackendArguments = field(default_factory=BackendArguments)
+    figures: bool = False
+    """Draw the figures of each campaign, which take a second."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each argument that cannot be used, named as the option of the command."""
@@ -123,9 +125,10 @@ class CampaignRequest:
                 if self.rare is not None or self.sobol is not None:
                     return self._study_results(job, store, summary)
                 campaigns.append(Campaign(job.nominal, summary, store.table()))
-                if self.out is not None:
+                if self.out is not None and self.figures:
                     draw_percentiles(store, job.scenario.value, store.folder / "percentiles.png")
                     draw_integrity(store, store.folder / "stanford.png")
+                if self.out is not None:
                     write_page(store.folder)
             return self._joined(campaigns, sweep)
 

@@ -125,6 +125,7 @@ def campaign(
         **vars(study),
         **vars(workers),
         **vars(variation),
+        figures=True,
     )
     console = Console(stderr=True)
     with ProgressBar(console, "campaign") as bar:
