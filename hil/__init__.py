@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hil import errors
     from hil.api.bench import Bench
-    from hil.api.campaigns import Campaign, campaign
-    from hil.api.comparisons import Comparison, SweepResults, compare, sweep
+    from hil.api.campaign_results import Campaign
+    from hil.api.campaigns import campaign, rare_event, sobol_indices, sweep
+    from hil.api.comparisons import Comparison, SweepResults, compare
     from hil.api.jobs import load_rig, load_scenario
     from hil.api.margins import margins
     from hil.api.recordings import Recording, Replay
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from hil.api.requirements import RunRequirement
     from hil.api.results import RecordGroup, Run
     from hil.api.runs import run
-    from hil.api.studies import StudyResults, rare_event, sobol_indices
+    from hil.api.studies import StudyResults
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
     from hil.core.build_info import VERSION
@@ -73,7 +74,7 @@ __all__ = [
 
 _MODULES = {
     "Bench": "hil.api.bench",
-    "Campaign": "hil.api.campaigns",
+    "Campaign": "hil.api.campaign_results",
     "Comparison": "hil.api.comparisons",
     "Component": "hil.sensors.module",
     "DockingMonitor": "hil.monitor.monitor",
@@ -98,10 +99,10 @@ _MODULES = {
     "load_scenario": "hil.api.jobs",
     "margins": "hil.api.margins",
     "open": "hil.api.recordings:open_recording",
-    "rare_event": "hil.api.studies",
+    "rare_event": "hil.api.campaigns",
     "run": "hil.api.runs",
-    "sobol_indices": "hil.api.studies",
-    "sweep": "hil.api.comparisons",
+    "sobol_indices": "hil.api.campaigns",
+    "sweep": "hil.api.campaigns",
 }
 """Name -> module, and the name there if it is another one."""
 

@@ -1,39 +1,20 @@
-"""Campaigns: ``hil.campaign``, its results, and the job of one of its cases."""
+"""Campaigns and studies: ``hil.campaign``, ``hil.sweep``, ``hil.rare_event``, ``hil.sobol_indices``."""
 
 from __future__ import annotations
 
-import tempfile
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Unpack, overload
+from typing import Any, Unpack, overload
 
-from hil.api.frames import library
-from hil.api.jobs import (
-    BackendArguments,
-    Overrides,
-    check_counts,
-    job_of,
-    named_as_argument,
-)
-from hil.api.results import Run
-from hil.api.runs import RunRequest, log, run_or_raise
+from hil.api.campaign_request import CampaignRequest
+from hil.api.campaign_results import Campaign as Campaign
+from hil.api.comparisons import SweepResults
+from hil.api.jobs import BackendArguments, Overrides, check_count, named_as_argument, settings_of
+from hil.api.studies import StudyResults
 from hil.config.scenario import Scenario
-from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
-from hil.maths.random_streams import MixedSeed
-from hil.monte_carlo.campaign import RIG, CampaignJob, Sweep, campaign_digest, write_summary
-from hil.monte_carlo.dispersions import Design, case_seed
-from hil.monte_carlo.engines import ENGINES, DaskEngine, engine_identity, engine_of
-from hil.monte_carlo.sobol_indices import sobol_point
-from hil.monte_carlo.stored_campaign import StoredCampaign
-from hil.session.warm_up import compile_kernels
-from hil.setup.assembly import Job
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-    from matplotlib.figure import Figure
+from hil.monte_carlo.campaign import Sweep
 
 
 class CampaignArguments(BackendArguments, total=False):
@@ -47,13 +28,18 @@ class StudyArguments(CampaignArguments, total=False):
     """Arguments with which ``hil.campaign`` does what the command does with the option of that name."""
 
     against: str | Path | Scenario | None
-    sweep: str | None
+    sweep: str | Sweep | None
     rare: str | None
     method: str
     sobol: int | None
 
 
-_STUDIES: Final = ("against", "sweep", "rare", "sobol")
+class SweepArguments(CampaignArguments, total=False):
+    """Further arguments of ``hil.sweep``, as of ``hil.campaign``."""
+
+    duration_s: float | None
+    workers: int
+    engine: str
 
 
 @overload
@@ -131,194 +117,97 @@ def campaign(
     CampaignStopped
         The disk is full, or cases of a GPU differ from those of the CPU: completed cases are kept.
     """
-    study = [name for name in _STUDIES if options.get(name) is not None]
-    if study:
-        given = {name: value for name, value in options.items() if value is not None}
-        shared = {"out": out, "seed": seed, "duration_s": duration_s, "overrides": overrides, "workers": workers}
-        return _study_of(study, scenario, runs, shared | {"engine": engine} | given)
-    scheduler, dispersions = options.get("scheduler"), options.get("dispersions")
-    backends: BackendArguments = {}
-    for part in PARTS:
-        if part in options:
-            backends[part] = options[part]
-    if dispersions is not None:
+    for name, value, least in (("runs", runs, 1), ("workers", workers, 0), ("sobol", options.get("sobol"), 1)):
+        check_count(name, value, least)
+    given: dict[str, Any] = dict(options)
+    backends: Any = {part: given.pop(part) for part in PARTS if part in given}
+    if (dispersions := given.pop("dispersions", None)) is not None:
         overrides = {"dispersions": str(dispersions), **(overrides or {})}
-    if runs is None:
-        raise BadInput.single("runs", "", "must be given, unless sobol or rare is")
-    check_counts(runs, workers)
-    if scheduler is not None and (workers or engine != "cpu"):
-        raise BadInput.single("scheduler", "", "not together with workers or engine")
-    if engine not in ENGINES:
-        raise BadInput.single("engine", "", f"{engine!r:.60}: must be one of {', '.join(ENGINES)}")
+    given |= {"seed": seed, "duration_s": duration_s, "workers": workers, "engine": engine, "backends": backends}
     with named_as_argument():
-        job = job_of(scenario, RIG, overrides, seed, duration_s, **backends)
-        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
-    temporary = tempfile.TemporaryDirectory(prefix="hil-campaign-") if out is None else None
-    folder = Path(temporary.name if temporary else str(out))
-    with ExitStack() as held:
-        if temporary:
-            held.callback(temporary.cleanup)
-        with named_as_argument("--engine", "engine"):
-            runner = DaskEngine(scheduler) if scheduler else engine_of(engine, workers, [checked.scenario])
-        held.callback(runner.close)
-        store = held.enter_context(checked.store(folder, more=engine_identity(engine)))
-        checked.warm_up()
-        summary = checked.run(store, runs, runner, lambda _: None)
-        if out is not None:
-            from hil.monte_carlo.page import write_page  # slow import
-
-            write_page(folder)
-        return Campaign(job, summary, store.table())
+        folder = None if out is None else Path(out)
+        return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run()
 
 
-def _study_of(names: list[str], scenario: str | Path | Scenario, runs: int | None, given: dict[str, Any]) -> Any:
-    """Return the results of the study that ``names`` the argument for. given: the other arguments. Raises BadInput."""
-    from hil.api import comparisons, studies
+def sweep(
+    scenario: str | Path | Scenario,
+    key: str,
+    values: Sequence[float],
+    runs: int,
+    out: str | Path | None = None,
+    seed: int = 0,
+    overrides: Overrides | None = None,
+    **options: Unpack[SweepArguments],
+) -> SweepResults:
+    """Run a campaign for each of the ``values`` of ``key``, with the same seeds.
 
-    name, value = names[0], given.pop(names[0])
-    if len(names) > 1:
-        raise BadInput.single(names[1], "", f"not together with {name}")
-    method, out = given.pop("method", "subset"), given.pop("out")
-    if name in ("rare", "sobol"):
-        unused = [
-            key for key in given if key not in ("seed", "overrides", "workers") and given[key] not in (None, "cpu")
-        ]
-        if unused:
-            raise BadInput.single(unused[0], "", f"not together with {name}")
-        rest = {key: given[key] for key in ("seed", "overrides", "workers")}
-        if name == "sobol":
-            return studies.sobol_indices(scenario, value, out, **rest)
-        return studies.rare_event(scenario, value, out, method, runs, **rest)
-    if name == "sweep":
-        swept = Sweep.parse(value)
-        return comparisons.sweep(scenario, swept.key, swept.values, runs or 0, out, **given)
-    folders = (None, None) if out is None else (Path(out) / "first", Path(out) / "second")
-    both = [campaign(each, runs, folder, **given) for each, folder in zip((scenario, value), folders, strict=True)]
-    found = comparisons.compare(both[0], both[1])
-    if out is not None:
-        from hil.monte_carlo.page import write_page  # slow import
-
-        write_summary(Path(out) / "comparison.json", found.summary)
-        write_page(Path(out))
+    out: folder for the results, one of each value in it, ``sweep-000`` and so on. The others are those of
+    ``hil.campaign``. Raises BadInput.
+    """
+    swept = Sweep(key, tuple(float(value) for value in values))
+    if not swept.values:
+        raise BadInput.single("values", "", "must be one number or more")
+    more: Any = options
+    found: SweepResults = campaign(scenario, runs, out, seed, overrides=overrides, sweep=swept, **more)
     return found
 
 
-class Campaign:
-    """Results of a campaign.
+def rare_event(
+    scenario: str | Path | Scenario,
+    event: str,
+    out: str | Path | None = None,
+    method: str = "subset",
+    runs: int | None = None,
+    seed: int = 0,
+    overrides: Overrides | None = None,
+    workers: int = 0,
+) -> StudyResults:
+    """Estimate the probability of a rare event over the dispersions and all noise of a scenario.
 
-    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, causes.
-    cases: pyarrow table with one row per case: number, seed, sampled dispersions, verdict and outcomes, SI
-    (``cases.to_pandas()`` if pandas is installed). job: the nominal run.
+    Parameters
+    ----------
+    scenario
+        ``scheme-1``, ``scheme-2``, ``scheme-3``, the path of a TOML file, or a Scenario.
+    event
+        An outcome of a case, ``<`` or ``>``, and a number: ``"position_m_x > 0.0058"``.
+    out
+        Folder for the results, in which an interrupted study is resumed; None for a temporary one.
+    method
+        ``subset``: simulation in levels, of any outcome; ``importance``: sampling with weights, of largest deviations.
+    runs
+        Number of cases, by ``subset`` of each level; None for the method's own number.
+    seed
+        Seed of the study.
+    overrides
+        Dotted keys or nested tables to values, as for ``hil.run``.
+    workers
+        Number of processes; 0: one per core.
+
+    Returns
+    -------
+    StudyResults
+        ``summary["rare"]`` has ``probability``, ``cov``, ``low``, ``high``, ``verdict`` and the failing cases.
+
+    Raises
+    ------
+    BadInput
+        Invalid arguments, with one line per error.
     """
-
-    def __init__(self, job: Job, summary: dict[str, Any], cases: pa.Table) -> None:
-        self.job = job
-        self.summary = summary
-        self.cases = cases
-
-    @property
-    def accepted_rate(self) -> dict[str, float | int]:
-        """Fraction of the cases that are accepted: completed, not aborted, all parts that the scenario requires.
-
-        Keys as of ``pass_rate``.
-        """
-        found: dict[str, float | int] = self.summary["pass_rate"]["accepted"]
-        return found
-
-    @property
-    def pass_rate(self) -> dict[str, float | int]:
-        """Fraction of the cases that pass Table III.
-
-        rate: the fraction; low, high: Wilson's 95 % interval; passed, runs: the numbers.
-        """
-        found: dict[str, float | int] = self.summary["pass_rate"]["passed"]
-        return found
-
-    def column(self, name: str) -> Any:
-        """Return one column of the cases as a numpy array, (n,); missing numbers are nan. Raises BadInput."""
-        if name not in self.cases.column_names:
-            known = ", ".join(self.cases.column_names)
-            raise BadInput.single("campaign", name, f"no such column: give one of {known}")
-        return self.cases.column(name).to_numpy()
-
-    def why(self, case: int | None = None) -> dict[str, Any]:
-        """Return why cases fail, by the keys of ``hil explain --json``: ``causes``, ``drivers``, ``score`` and others.
-
-        case: number of a case; the result then has its margins and the nearest case that passes. Raises BadInput.
-        """
-        from hil.monte_carlo.explain import case_of, explain  # slow import
-
-        names = Design(self.job.scenario, self.job.seed).names
-        return explain(self.column, names) if case is None else case_of(self.cases, case, self.job.scenario.value.name)
-
-    def run_case(self, case: int) -> Run:
-        """Return case number ``case``, run again in full detail. Raises BadInput for a number that has no case."""
-        if case not in range(len(self.cases)):
-            raise BadInput.single("case", "", f"{case!r:.60}: must be 0 to {len(self.cases) - 1}")
-        job = job_of_case(self.job, case)
-        compile_kernels(job, log.warning)
-        return run_or_raise(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
-
-    def to_pandas(self) -> Any:
-        """Return a DataFrame of the cases, indexed by their number. Raises BadInput without pandas."""
-        library("pandas")
-        return self.cases.to_pandas().set_index("case")
-
-    def to_polars(self) -> Any:
-        """Return a polars DataFrame of the cases. Raises BadInput without polars."""
-        return library("polars").from_arrow(self.cases)
-
-    def to_xarray(self) -> Any:
-        """Return a Dataset of the cases, indexed by their number. Raises BadInput without xarray."""
-        library("xarray")
-        return self.to_pandas().to_xarray()
-
-    def figure(self) -> Figure:
-        """Return the distributions of the outcomes and the deviations against Table III."""
-        from hil.monte_carlo.figure import percentiles_figure  # slow import
-
-        return percentiles_figure(self.column, self.job.scenario.value)
-
-    def __repr__(self) -> str:
-        rate = self.accepted_rate
-        interval = f"{100.0 * rate['low']:.2f} .. {100.0 * rate['high']:.2f} %"
-        return f"<Campaign {self.summary['scenario']}: {rate['passed']} of {rate['runs']} accepted, {interval}>"
-
-    def _repr_html_(self) -> str:
-        """Return pass rate and figure for a notebook."""
-        from hil.report import html
-        from hil.report.figures import svg_address
-
-        why = "".join(html.paragraph(cause["text"]) for cause in self.summary["why"]["causes"][:3])
-        return html.paragraph(repr(self)[1:-1]) + why + html.image("outcomes of the cases", svg_address(self.figure()))
+    found: StudyResults = campaign(scenario, runs, out, seed, None, overrides, workers, rare=event, method=method)
+    return found
 
 
-def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None, unit: Array | None = None) -> Job:
-    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed.
+def sobol_indices(
+    scenario: str | Path | Scenario,
+    rows: int,
+    out: str | Path | None = None,
+    seed: int = 0,
+    overrides: Overrides | None = None,
+    workers: int = 0,
+) -> StudyResults:
+    """Compute Sobol' indices of the outcomes, of each dispersed number and the noise, from ``rows`` x (d + 3) cases.
 
-    mixed: that seed in a campaign of a rare event or of Sobol' indices. unit: in the latter, the point of the dispersed
-    numbers in the unit cube.
+    The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
-    design = Design(job.scenario, job.seed)
-    truth, known = design.apply(design.values(case, mixed, unit), design.fault(case))
-    known = known.model_copy(update={"faults": truth.faults})
-    seed = case_seed(job.seed, case) if mixed is None else mixed
-    return replace(job, scenario=replace(job.scenario, value=known), seed=seed, dispersed=truth)
-
-
-def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str]:
-    """Return the job of a case of the campaign in ``folder``, the campaign's seed, and a note if the scenario differs.
-
-    job: the nominal run; seed and duration are those of the campaign. Raises BadInput.
-    """
-    stored = StoredCampaign(folder)
-    job = replace(job, seed=stored.seed, duration_s=stored.duration_s)
-    if not stored.is_sample and job.rig.value.kind != "mock":
-        raise BadInput.single("--rig", job.rig.value.name, "a case of --rare or --sobol runs on the mock rig")
-    mixed, unit = stored.mixed_seed(case), None
-    if stored.is_sobol:
-        unit, mixed = sobol_point(stored.seed, case, len(Design(job.scenario, job.seed).names))
-    note = ""
-    if stored.digest != campaign_digest(job.scenario.value, job.rig.value):
-        note = f"{folder}: its campaign has another scenario, rig or settings: the run differs from its case {case}"
-    return job_of_case(job, case, mixed, unit), stored.seed, note
+    found: StudyResults = campaign(scenario, None, out, seed, None, overrides, workers, sobol=rows)
+    return found

@@ -1,28 +1,17 @@
-"""Comparisons of campaigns: ``hil.compare`` of two, ``hil.sweep`` of one key."""
+"""Results of several campaigns: of two that are compared, and along the values of one key."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
-from hil.api.campaigns import Campaign, CampaignArguments, campaign
-from hil.api.jobs import Overrides
-from hil.config.scenario import Scenario
+from hil.api.campaign_results import Campaign
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import Sweep, sweep_summary, write_summary
+from hil.monte_carlo.campaign import Sweep, sweep_summary
 from hil.monte_carlo.statistics import compare as compare_columns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class SweepArguments(CampaignArguments, total=False):
-    """Further arguments of ``hil.sweep``, as of ``hil.campaign``."""
-
-    duration_s: float | None
-    workers: int
-    engine: str
 
 
 class Comparison:
@@ -85,35 +74,3 @@ class SweepResults:
 
     def __repr__(self) -> str:
         return f"<SweepResults {self.key}: {len(self.values)} values, {len(self.campaigns[0].cases)} cases each>"
-
-
-def sweep(
-    scenario: str | Path | Scenario,
-    key: str,
-    values: Sequence[float],
-    runs: int,
-    out: str | Path | None = None,
-    seed: int = 0,
-    overrides: Overrides | None = None,
-    **options: Unpack[SweepArguments],
-) -> SweepResults:
-    """Run a campaign for each of the ``values`` of ``key``, with the same seeds.
-
-    out: folder for the results, one of each value in it, ``sweep-000`` and so on. The others are those of
-    ``hil.campaign``. Raises BadInput.
-    """
-    swept = Sweep(key, tuple(float(value) for value in values))
-    if not swept.values:
-        raise BadInput.single("values", "", "must be one number or more")
-    folders = [None if out is None else Path(out) / f"sweep-{i:03d}" for i in range(len(swept.values))]
-    found = [
-        campaign(scenario, runs, folder, seed, overrides={**(overrides or {}), key: value}, **options)
-        for value, folder in zip(swept.values, folders, strict=True)
-    ]
-    results = SweepResults(swept, found)
-    if out is not None:
-        from hil.monte_carlo.page import write_page  # slow import
-
-        write_summary(Path(out) / "sweep.json", results.summary)
-        write_page(Path(out))
-    return results

@@ -43,7 +43,7 @@ _Model = TypeVar("_Model", bound=ConfigModel)
 
 IN_LOCK_STEP: tuple[str, ...] = ('rig.host.time="lock_step"',)
 """Setting of a rig in lock-step."""
-_OPTION, _ARGUMENT = "--set", "overrides"
+_ARGUMENTS = {"set": "overrides", "duration": "duration_s"}  # options of other names
 
 
 def load_scenario(name: str | Path | Scenario, overrides: Overrides | None = None) -> Scenario:
@@ -106,7 +106,7 @@ def rig_name(rig: str | Path | Rig) -> str:
 def job_of(
     scenario: str | Path | Scenario,
     rig: str | Path | Rig,
-    overrides: Overrides | None,
+    overrides: Overrides | Settings | None,
     seed: int = 0,
     duration_s: float | None = None,
     speed: float = 1.0,
@@ -114,7 +114,7 @@ def job_of(
     faults: Faults | None = None,
     **backends: Unpack[BackendArguments],
 ) -> Job:
-    """Return the job of a run from the arguments of ``hil.run``. Raises BadInput."""
+    """Return the job of a run from the arguments of ``hil.run``; a tuple of overrides is of texts. Raises BadInput."""
     named, own = own_backends(**backends)
     settings = (*settings_of(overrides), *named)
     loaded = with_faults(loaded_scenario(scenario, settings), faults or ())
@@ -141,11 +141,10 @@ def with_faults(scenario: Loaded[Scenario], faults: Faults) -> Loaded[Scenario]:
     return load.check_table(table, Scenario, scenario.source, {**scenario.origin, "faults": "faults"})
 
 
-def check_counts(runs: int, workers: int) -> None:
-    """Raise BadInput unless ``runs`` is a number of cases, and ``workers`` one of processes, 0 for one per core."""
-    for name, value, least in (("runs", runs, 1), ("workers", workers, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
+def check_count(name: str, value: int | None, least: int) -> None:
+    """Raise BadInput unless the argument ``name`` is None or an integer, at least ``least``."""
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+        raise BadInput.single(name, "", f"{value!r:.60}: must be an integer, at least {least}")
 
 
 def make_job(
@@ -209,28 +208,32 @@ def is_positive(value: object) -> bool:
 
 
 @contextmanager
-def named_as_argument(option: str = _OPTION, argument: str = _ARGUMENT) -> Iterator[None]:
-    """Name the argument ``overrides``, or another one, in errors, not the option of the command line."""
+def named_as_argument() -> Iterator[None]:
+    """Name the arguments in errors, ``overrides`` and others, not the options of the command line."""
     try:
         yield
     except BadInput as error:
-        problems = [replace(p, source=argument) if p.source == option else p for p in error.problems]
-        raise BadInput(problems) from error.__cause__
+        raise BadInput([replace(p, source=_argument(p.source)) for p in error.problems]) from error.__cause__
 
 
-def settings_of(overrides: Overrides | None) -> tuple[str, ...]:
+def _argument(source: str) -> str:
+    name = source.removeprefix("--").replace("-", "_")
+    return _ARGUMENTS.get(name, name) if source.startswith("--") else source
+
+
+def settings_of(overrides: Overrides | Settings | None) -> tuple[str, ...]:
     """Return overrides as ``key=value`` texts, values in TOML. Raises BadInput for a value that TOML does not have."""
-    if overrides is None:
-        return ()
+    if overrides is None or isinstance(overrides, tuple):
+        return overrides or ()
     if not isinstance(overrides, Mapping):
-        raise BadInput.single(_ARGUMENT, "", f"{overrides!r:.60}: must be a dict of dotted keys")
+        raise BadInput.single("overrides", "", f"{overrides!r:.60}: must be a dict of dotted keys")
     return tuple(f"{key}={_toml(value, key)}" for key, value in _flat(overrides, ""))
 
 
 def _flat(table: Overrides, prefix: str) -> Iterator[tuple[str, Any]]:
     for key, value in table.items():
         if not isinstance(key, str) or not key.strip() or "=" in key:
-            raise BadInput.single(_ARGUMENT, f"{prefix}{key}", "keys must be dotted names")
+            raise BadInput.single("overrides", f"{prefix}{key}", "keys must be dotted names")
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{key}.")
         else:
@@ -252,4 +255,4 @@ def _toml(value: Any, key: str) -> str:
         return f"[{', '.join(_toml(item, key) for item in value)}]"
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{json.dumps(name)} = {_toml(item, key)}' for name, item in value.items())}}}"
-    raise BadInput.single(_ARGUMENT, key, f"{value!r:.60}: must be a number, text, bool, list or dict")
+    raise BadInput.single("overrides", key, f"{value!r:.60}: must be a number, text, bool, list or dict")

@@ -12,7 +12,7 @@ from hil.api.jobs import (
     Faults,
     Overrides,
     Settings,
-    check_counts,
+    check_count,
     loaded_rig,
     loaded_scenario,
     named_as_argument,
@@ -70,7 +70,8 @@ def margins(
     BadInput
         Invalid arguments, with one line per error.
     """
-    check_counts(runs, workers)
+    check_count("runs", runs, 1)
+    check_count("workers", workers, 0)
     with named_as_argument():
         settings = settings_of(overrides)
         flown, rig = loaded_scenario(scenario, settings).value, loaded_rig(RIG, settings).value

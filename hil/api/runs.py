@@ -126,7 +126,7 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
         if folder is not None:
             raise BadInput.single("campaign", "", "needs case")
         return job, {}
-    from hil.api.campaigns import job_of_case, job_of_stored_case  # which import this module
+    from hil.api.cases import job_of_case, job_of_stored_case  # slow import
 
     if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
         raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")

@@ -1,25 +1,15 @@
-"""Studies of a scenario by many cases: ``hil.rare_event`` and ``hil.sobol_indices``."""
+"""Results of studies of a scenario by many cases: of a rare event, and of Sobol' indices."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.campaigns import job_of_stored_case
-from hil.api.jobs import Overrides, check_counts, job_of, named_as_argument
+from hil.api.cases import job_of_stored_case
 from hil.api.results import Run
 from hil.api.runs import RunRequest, log, run_job
-from hil.config.scenario import Scenario
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import RIG, CampaignJob
-from hil.monte_carlo.engines import Engine, LocalEngine
-from hil.monte_carlo.rare_events import RareEvent
-from hil.monte_carlo.rare_methods import settings_of
-from hil.monte_carlo.sobol_campaign import SobolCampaign
-from hil.monte_carlo.store import Store
+from hil.monte_carlo.campaign import RIG
 from hil.session.warm_up import compile_kernels
 from hil.setup.assembly import Job
 
@@ -54,97 +44,3 @@ class StudyResults:
     def __repr__(self) -> str:
         number = 0 if self.cases is None else len(self.cases)
         return f"<StudyResults {self.summary['scenario']}: {number} cases>"
-
-
-def rare_event(
-    scenario: str | Path | Scenario,
-    event: str,
-    out: str | Path | None = None,
-    method: str = "subset",
-    runs: int | None = None,
-    seed: int = 0,
-    overrides: Overrides | None = None,
-    workers: int = 0,
-) -> StudyResults:
-    """Estimate the probability of a rare event over the dispersions and all noise of a scenario.
-
-    Parameters
-    ----------
-    scenario
-        ``scheme-1``, ``scheme-2``, ``scheme-3``, the path of a TOML file, or a Scenario.
-    event
-        An outcome of a case, ``<`` or ``>``, and a number: ``"position_m_x > 0.0058"``.
-    out
-        Folder for the results, in which an interrupted study is resumed; None for a temporary one.
-    method
-        ``subset``: simulation in levels, of any outcome; ``importance``: sampling with weights, of largest deviations.
-    runs
-        Number of cases, by ``subset`` of each level; None for the method's own number.
-    seed
-        Seed of the study.
-    overrides
-        Dotted keys or nested tables to values, as for ``hil.run``.
-    workers
-        Number of processes; 0: one per core.
-
-    Returns
-    -------
-    StudyResults
-        ``summary["rare"]`` has ``probability``, ``cov``, ``low``, ``high``, ``verdict`` and the failing cases.
-
-    Raises
-    ------
-    BadInput
-        Invalid arguments, with one line per error.
-    """
-    check_counts(1 if runs is None else runs, workers)
-    with named_as_argument():
-        settings = settings_of(method, RareEvent.parse(event), runs)
-        job = job_of(scenario, RIG, overrides, seed)
-
-    def run(checked: CampaignJob, store: Store, engine: Engine) -> dict[str, Any]:
-        return settings.run(checked, store, engine, lambda _: None)
-
-    return _study(job, settings.identity(), settings.columns, (out, workers), run)
-
-
-def sobol_indices(
-    scenario: str | Path | Scenario,
-    rows: int,
-    out: str | Path | None = None,
-    seed: int = 0,
-    overrides: Overrides | None = None,
-    workers: int = 0,
-) -> StudyResults:
-    """Compute Sobol' indices of the outcomes, of each dispersed number and the noise, from ``rows`` x (d + 3) cases.
-
-    The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
-    """
-    check_counts(rows, workers)
-    with named_as_argument():
-        job = job_of(scenario, RIG, overrides, seed)
-
-    def run(checked: CampaignJob, store: Store, engine: Engine) -> dict[str, Any]:
-        return SobolCampaign(checked, rows).run(store, engine, lambda _: None)
-
-    return _study(job, SobolCampaign.identity(), (), (out, workers), run)
-
-
-def _study(
-    job: Job,
-    identity: dict[str, Any],
-    columns: Sequence[str],
-    where: tuple[str | Path | None, int],
-    run: Callable[[CampaignJob, Store, Engine], dict[str, Any]],
-) -> StudyResults:
-    """Run a study. where: folder, None for a temporary one, and number of workers."""
-    out, workers = where
-    with named_as_argument():
-        checked = CampaignJob(job.scenario, job.rig, job.seed, job.duration_s, job.own)
-    with tempfile.TemporaryDirectory(prefix="hil-study-") as temporary:
-        folder = Path(temporary if out is None else out)
-        with closing(LocalEngine(workers)) as engine, checked.store(folder, more=identity, columns=columns) as store:
-            checked.warm_up()
-            summary = run(checked, store, engine)
-            cases = store.table() if store.table_path.is_file() else None
-        return StudyResults(job, summary, cases, None if out is None else folder)

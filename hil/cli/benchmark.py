@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hil.cli.options import Integer, Output, Settings, at_least, refuse
+from hil.cli.options import Output, Runs, Seed, Settings, Workers
 from hil.cli.output import print_columns
 from hil.errors import BadInput
 
@@ -16,12 +16,12 @@ def benchmark(
     /,
     *,
     out: str,
-    runs: Integer = 100,
-    seed: Integer = 0,
+    runs: Runs = 100,
+    seed: Seed = 0,
     only: str = "*",
     against: Output = None,
     settings: Settings = (),
-    workers: Integer = 0,
+    workers: Workers = 0,
 ) -> int:
     """Fly all scenarios, dispersion sets and single faults with one GNC, and write one table and one page.
 
@@ -42,8 +42,6 @@ def benchmark(
     workers
         Number of processes on this computer; 0: one per core.
     """
-    refuse(at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0)))
-
     from hil.api import benchmark as api
     from hil.config.load import parsed_settings
     from hil.core.text_files import write_text

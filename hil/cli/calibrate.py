@@ -6,19 +6,29 @@ import datetime
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Integer, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
-from hil.cli.output import (
-    base_of,
-    check_figure_path,
-    check_json_path,
-    check_rig_path,
-    write_json,
+from hil.cli.options import (
+    Check,
+    Figure,
+    File,
+    Flag,
+    Group,
+    Integer,
+    Names,
+    OptionalPositive,
+    Positive,
+    Settings,
+    TomlFile,
+    bounded,
+    refuse,
+    refuse_wires_in_use,
 )
+from hil.cli.output import base_of, say, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
@@ -30,72 +40,75 @@ _PASSED, _FAILED = 0, 1
 _PARTS: Final = ("left", "right", "stereo", "mounting", "leds")
 
 
+def _parts_problem(parts: tuple[str, ...]) -> str:
+    unknown = [part for part in parts if part not in _PARTS]
+    return f"{unknown[0]}: unknown, give {', '.join(_PARTS)}" if unknown else ""
+
+
+def _date_problem(text: str) -> str:
+    try:
+        datetime.date.fromisoformat(text)
+    except ValueError:
+        return f"{text}: must be a date like 2026-03-01"
+    return ""
+
+
+Parts = Annotated[Names, Check(_parts_problem)]
+
+
 @dataclass(frozen=True)
 class InitialGuessOptions:
     """Options of target and initial values."""
 
     board: str | None = None
     """Inner corners of the chessboard that is the target, 11x8; default: the LEDs."""
-    square_mm: float | None = None
+    square_mm: Positive | None = None
     """Side of a square of the board."""
     rig: str = "mock"
     """mock, emulated, or the path of a rig file: lever arm, gimbals, nominal mounting and LEDs."""
     geometry: str | None = None
     """Initial cameras and LEDs, instead of the rig file's."""
-    keep: Names = ()
+    keep: Parts = ()
     """left, right, stereo, mounting or leds: held at its initial value; may be given more than once."""
     scene: str | None = None
     """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
-        return _board_problems(self.board, self.square_mm) + [
-            Problem("--keep", "", f"{part}: unknown, give {', '.join(_PARTS)}")
-            for part in self.keep
-            if part not in _PARTS
-        ]
+        return _board_problems(self.board, self.square_mm)
 
 
 @dataclass(frozen=True)
 class ResultOptions:
     """Options of the results."""
 
-    out: Output = None
+    out: TomlFile = None
     """Geometry file (*.toml) to write."""
-    rig_out: Output = None
+    rig_out: TomlFile = None
     """Rig file (*.toml) to write: it extends this rig by the measured mounting."""
-    scene_out: Output = None
+    scene_out: TomlFile = None
     """Scene file (*.toml) to write: it extends --scene by the measured camera."""
-    json: Output = None
+    json: File = None
     """File for the numbers, - for standard output."""
-    figure: str | None = None
+    figure: Figure = None
     """Figure of residuals, views and errors in millimetres over range (PNG, PDF or SVG)."""
     id: str | None = None
     """Name of the calibration."""
-    date: str | None = None
+    date: Annotated[str | None, Check(_date_problem)] = None
     """Date of the calibration, 2026-03-01; default: today."""
-
-    def problems(self) -> list[Problem]:
-        """Return a problem for each option that cannot be used."""
-        problems = []
-        if self.date is not None and not _is_date(self.date):
-            problems.append(Problem("--date", "", f"{self.date}: must be a date like 2026-03-01"))
-        for option, path in (("--out", self.out), ("--rig-out", self.rig_out), ("--scene-out", self.scene_out)):
-            problems += check_rig_path(option, path)
-        return problems + check_json_path("--json", self.json) + check_figure_path("--figure", self.figure)
 
 
 @dataclass(frozen=True)
 class BenchSigmas:
     """Standard deviations of the bench and the target."""
 
-    rail_sigma_mm: float = 0.05
+    rail_sigma_mm: Positive = 0.05
     """Standard deviation of a rail's position error against its encoder."""
-    gimbal_sigma_deg: float = 0.005
+    gimbal_sigma_deg: Positive = 0.005
     """Standard deviation of a gimbal's error against its encoder."""
-    led_sigma_mm: float = 1.0
+    led_sigma_mm: Positive = 1.0
     """Standard deviation of the LEDs' nominal positions."""
-    square_sigma_percent: float = 0.1
+    square_sigma_percent: Positive = 0.1
     """Standard deviation of the nominal square size."""
 
 
@@ -103,19 +116,19 @@ class BenchSigmas:
 class LimitOptions:
     """Limits of a calibration."""
 
-    max_rms_px: float = 0.15
+    max_rms_px: Positive = 0.15
     """Limit of the residuals, RMS: with larger ones the vision unit loses the tilt of a distant ring."""
-    max_error_mm: float = 2.0
+    max_error_mm: Positive = 2.0
     """Limit of a point's position uncertainty from the calibration at --range-m, 1 sigma."""
-    range_m: float = 2.0
+    range_m: Positive = 2.0
     """Working range at which the errors are assessed."""
-    max_mounting_mm: float = 1.0
+    max_mounting_mm: Positive = 1.0
     """Limit of the standard deviation of the camera's position."""
-    max_mounting_deg: float = 0.05
+    max_mounting_deg: Positive = 0.05
     """Limit of the standard deviation of the camera's axes."""
-    max_square_percent: float = 0.3
+    max_square_percent: Positive = 0.3
     """Limit of the difference between the board's nominal size and its size measured by the rails."""
-    max_spot_px: float = 0.5
+    max_spot_px: Positive = 0.5
     """Limit of a spot's uncertainty from the calibration at --range-m, 1 sigma: beyond it the unit loses LEDs."""
 
 
@@ -127,9 +140,9 @@ class DriftOptions:
     """Geometry file of hil calibrate: check for drift since that calibration with a few views."""
     moved: Flag = False
     """With --check: the LED ring has been removed and remounted since."""
-    max_drift_px: float = 0.03
+    max_drift_px: Positive = 0.03
     """With --check: a smaller drift is accepted, RMS over all pixels."""
-    alarm: float = 1e-3
+    alarm: Positive = 1e-3
     """With --check: probability of a chance result below which a drift is significant."""
 
 
@@ -139,17 +152,17 @@ class DriveOptions:
 
     drive: Flag = False
     """Move the bench of --rig through a plan of views and write VIEWS, a new folder, before the calibration."""
-    count: Integer = 40
+    count: Annotated[Integer, bounded(2)] = 40
     """With --drive: number of views."""
-    near_m: float = 0.7
+    near_m: Positive = 0.7
     """With --drive: least range from camera to target."""
-    far_m: float = 4.0
+    far_m: Positive = 4.0
     """With --drive: largest range from camera to target."""
-    turn_deg: float = 20.0
+    turn_deg: Positive = 20.0
     """With --drive: largest angle of each gimbal."""
-    settle_s: float = 0.5
+    settle_s: Positive = 0.5
     """With --drive: time at rest before an exposure."""
-    speed: float = 1.0
+    speed: Positive = 1.0
     """With --drive: simulation speed relative to real time, on an emulated rig."""
     yes: Flag = False
     """With --drive: confirm that the bench is clear (required for hardware rigs)."""
@@ -186,8 +199,7 @@ def calibrate(
     views
         Folder with views.csv and the images (docs/how-to/calibrate-cameras.md), or the path of such a CSV file.
     """
-    problems = [problem for group in (start, sigmas, limits, drift, driving) for problem in _not_positive(group)]
-    problems += start.problems()
+    problems = start.problems()
     if drift.check is not None:
         given = {"geometry": start.geometry, "keep": start.keep, "out": result.out, "rig-out": result.rig_out}
         given["figure"] = result.figure
@@ -198,7 +210,7 @@ def calibrate(
     others["rig-out"] = result.rig_out
     others |= {"figure": result.figure, "check": drift.check, "drive": driving.drive}
     problems += _television_problems(start, result.scene_out, others)
-    refuse(problems + result.problems() + (_drive_problems(views, start, driving) if driving.drive else []))
+    refuse(problems + (_drive_problems(views, start, driving) if driving.drive else []))
     if start.scene is not None:
         return _calibrate_television(Path(views), start.scene, start, result, limits)
     if driving.drive:
@@ -212,8 +224,6 @@ def _drive_problems(views: str, start: InitialGuessOptions, driving: DriveOption
     problems = []
     if start.board is not None:
         problems.append(Problem("--drive", "", "goes without --board: the target is the LED ring"))
-    if driving.count < 2:
-        problems.append(Problem("--count", "", f"{driving.count}: must be at least 2"))
     if driving.near_m >= driving.far_m:
         problems.append(Problem("--near-m", "", f"{driving.near_m:g}: must be less than --far-m {driving.far_m:g}"))
     folder = Path(views)
@@ -257,9 +267,7 @@ def _drive(
     console = Console(stderr=True)
     compile_kernels_with_notice(job, console)
 
-    def announce(text: str) -> None:
-        console.print(text, style="dim", highlight=False, soft_wrap=True)
-
+    announce = partial(say, console=console, style="dim")
     with ProgressBar(console, "opening the axes") as bar, build.wired_bench(job, announce) as bench:
         views = take_views(bench, plan, driving.settle_s, bar.show)
     write_views(folder, views)
@@ -379,16 +387,6 @@ def _check(
     return _FAILED if checked.refusal(allowed)[0] else _PASSED
 
 
-def _not_positive(group: Any) -> list[Problem]:
-    """Return a problem for each number of a group of options that is not above 0."""
-    found = []
-    for field in fields(group):
-        value = getattr(group, field.name)
-        if isinstance(value, float):
-            found += above_zero(f"--{field.name.replace('_', '-')}", value)
-    return found
-
-
 def _board(start: InitialGuessOptions) -> Board | None:
     from hil.vmu.calibration.board import Board
 
@@ -398,7 +396,7 @@ def _board(start: InitialGuessOptions) -> Board | None:
     return Board(columns, rows, 1e-3 * start.square_mm)
 
 
-def _board_problems(board: str | None, square_mm: float | None) -> list[Problem]:
+def _board_problems(board: str | None, square_mm: OptionalPositive) -> list[Problem]:
     if board is None:
         return [Problem("--square-mm", "", "goes with --board only")] if square_mm is not None else []
     found = re.fullmatch(r"(\d{1,2})x(\d{1,2})", board)
@@ -409,11 +407,3 @@ def _board_problems(board: str | None, square_mm: float | None) -> list[Problem]
         text = "columns and rows must be at least 3 and differ, or the orientation of the board is ambiguous"
         return [Problem("--board", "", f"{board}: {text}")]
     return [Problem("--square-mm", "", "is missing: the side of a square, measured")] if square_mm is None else []
-
-
-def _is_date(text: str) -> bool:
-    try:
-        datetime.date.fromisoformat(text)
-    except ValueError:
-        return False
-    return True

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from hil.cli.output import say
 from hil.config.scene import Scene
 from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck, DriftLimits
 from hil.vmu.calibration.model import Parameter, parameters
@@ -97,9 +100,7 @@ def print_check(checked: DriftCheck, limits: DriftLimits, console: Console) -> N
     """Print a drift check."""
     found, known = checked.drift, checked.known
 
-    def show(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True)
-
+    show = partial(say, console=console)
     table = _table(
         f"Against {known.label.id} of {known.label.date}", "part", "chi-square", "numbers", "chance", "shift px"
     )

@@ -11,8 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import App, Parameter
 from rich.console import Console
 
-from hil.cli.options import Group, Integer, OptionalInteger, Output, above_zero, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.options import (
+    File,
+    Group,
+    Integer,
+    OptionalInteger,
+    Positive,
+    above_zero,
+    bounded,
+    refuse,
+    within,
+)
+from hil.cli.output import print_columns, write_json
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -24,6 +34,8 @@ _NAME: Final = "camera"
 _WAIT_WALL_S: Final = 2.0
 
 app = App(name="cameras")
+Images = Annotated[Integer, bounded(1)]
+Pixels = Annotated[OptionalInteger, within(16, 16384)]
 
 
 @dataclass(frozen=True)
@@ -32,21 +44,21 @@ class CameraOptions:
 
     interface: str = "genicam"
     """genicam (GigE Vision, USB3 Vision), pylon, gentl or v4l2."""
-    width: OptionalInteger = None
+    width: Pixels = None
     """Image width, px; default: 1024."""
-    height: OptionalInteger = None
+    height: Pixels = None
     """Image height, px; default: 1024."""
     pixel_format: str = "Mono8"
     """Mono8, Mono10, Mono12 or Mono16."""
     trigger: str = "none"
     """none (free-running), software or hardware."""
-    exposure_ms: float | None = None
+    exposure_ms: Annotated[float | None, above_zero(at_most=1e3)] = None
     """Exposure time."""
-    gain_db: float | None = None
+    gain_db: Annotated[float | None, within(0.0, 1e3)] = None
     """Gain."""
-    packet_bytes: OptionalInteger = None
+    packet_bytes: Annotated[OptionalInteger, within(576, 65000)] = None
     """Packet size of a GigE camera."""
-    rate_hz: float = 6.25
+    rate_hz: Positive = 6.25
     """Images per second."""
 
 
@@ -54,7 +66,7 @@ _DEFAULTS = CameraOptions()
 
 
 @app.command(name="list", help="List the cameras that answer: GigE Vision, USB3 Vision, GenTL, V4L2.")
-def list_found(*, json: Output = None) -> int:
+def list_found(*, json: File = None) -> int:
     """List the cameras that answer: GigE Vision, USB3 Vision, GenTL, V4L2.
 
     Parameters
@@ -62,8 +74,8 @@ def list_found(*, json: Output = None) -> int:
     json
         File for the list, - for standard output.
     """
-    refuse(check_json_path("--json", json))
-    from hil.drivers.cameras.base import CameraInfo, list_cameras
+    from hil.drivers.cameras.base import CameraInfo
+    from hil.drivers.cameras.interfaces import list_cameras
 
     found = list_cameras()
     if json is not None:
@@ -75,7 +87,12 @@ def list_found(*, json: Output = None) -> int:
 
 @app.command(name="show", help="Take images of one camera: size, levels, rate, losses; the last one as a file.")
 def show(
-    camera: str, /, *, out: str | None = None, images: Integer = 10, options: Group[CameraOptions] = _DEFAULTS
+    camera: str,
+    /,
+    *,
+    out: str | None = None,
+    images: Images = 10,
+    options: Group[CameraOptions] = _DEFAULTS,
 ) -> int:
     """Take images of one camera: size, levels, rate, losses; the last one as a file.
 
@@ -92,8 +109,6 @@ def show(
     import numpy as np
 
     problems = _problems(options)
-    if images < 1:
-        problems.append(Problem("--images", "", f"{images}: must be at least 1"))
     if out is not None and (Path(out).suffix != ".png" or not Path(out).absolute().parent.is_dir()):
         problems.append(Problem("--out", "", f"{out}: give a file *.png in a folder that exists"))
     refuse(problems)
@@ -187,7 +202,7 @@ def _problems(options: CameraOptions) -> list[Problem]:
 
     from hil.config.cameras import CameraInterface, PixelFormat
 
-    problems = above_zero("--rate-hz", options.rate_hz) + above_zero("--exposure-ms", options.exposure_ms, at_most=1e3)
+    problems = []
     for name, allowed in (
         ("interface", get_args(CameraInterface)),
         ("pixel_format", get_args(PixelFormat)),
@@ -197,14 +212,6 @@ def _problems(options: CameraOptions) -> list[Problem]:
         if value not in allowed:
             text = f"{value}: unknown, allowed: {', '.join(allowed)}"
             problems.append(Problem(f"--{name.replace('_', '-')}", "", text))
-    for name in ("width", "height"):
-        value = getattr(options, name)
-        if value is not None and not 16 <= value <= 16384:
-            problems.append(Problem(f"--{name}", "", f"{value}: must be 16 to 16384"))
-    if options.gain_db is not None and options.gain_db < 0.0:
-        problems.append(Problem("--gain-db", "", f"{options.gain_db:g}: must not be negative"))
-    if options.packet_bytes is not None and not 576 <= options.packet_bytes <= 65000:
-        problems.append(Problem("--packet-bytes", "", f"{options.packet_bytes}: must be 576 to 65000"))
     return problems
 
 
@@ -214,7 +221,7 @@ def _size(options: CameraOptions) -> tuple[int, int]:
 
 def _open(camera: str, options: CameraOptions) -> Camera:
     from hil.config.cameras import VisionCameras
-    from hil.drivers.cameras.base import open_camera
+    from hil.drivers.cameras.interfaces import open_camera
 
     settings = VisionCameras.model_validate(
         {

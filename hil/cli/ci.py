@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 
-from hil.cli.options import Integer, Output, at_least, refuse
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Runs, Seed
+from hil.cli.output import write_json
 from hil.core.text_files import write_text
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.api.campaigns import Campaign
@@ -40,11 +40,11 @@ def ci(
     /,
     *,
     out: str,
-    runs: Integer = 200,
-    seed: Integer = 0,
+    runs: Runs = 200,
+    seed: Seed = 0,
     base: str | None = None,
     tests: str | None = None,
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the base.
 
@@ -67,10 +67,8 @@ def ci(
     json
         File for the results, - for standard output.
     """
-    problems = at_least(runs=(runs, 1), seed=(seed, 0)) + check_json_path("--json", json)
     if tests is not None and not Path(tests).exists():
-        problems.append(Problem("--tests", "", f"{tests}: does not exist"))
-    refuse(problems)
+        raise BadInput.single("--tests", "", f"{tests}: does not exist")
 
     from hil.api.campaigns import campaign
     from hil.api.runs import run

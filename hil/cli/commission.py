@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Integer, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
-from hil.cli.output import axis_problems, base_of, check_rig_path, chosen_axes
+from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, TomlFile, refuse, refuse_wires_in_use
+from hil.cli.output import base_of, chosen_axes
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
 
@@ -31,7 +31,7 @@ _NO: Final = {"n", "no"}
 class SignOffOptions:
     """Options of the sign-off and of the proof test."""
 
-    out: Output = None
+    out: TomlFile = None
     """Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware requires."""
     operator: Annotated[str | None, Parameter(name=("--operator", "--by"))] = None
     """Operator's name; prompted for if omitted."""
@@ -59,7 +59,7 @@ class SignOffOptions:
             found.append(Problem("--proof-test", "", "signs no rig: not together with --out"))
         if not 1 <= self.due_days <= DUE_DAYS_MAX:
             found.append(Problem("--due-days", "", f"{self.due_days}: allowed 1 to {DUE_DAYS_MAX}"))
-        return found + check_rig_path("--out", self.out)
+        return found
 
 
 _UNSIGNED = SignOffOptions()
@@ -68,13 +68,13 @@ _UNSIGNED = SignOffOptions()
 def commission(
     rig: str = "emulated",
     *,
-    axis: Names = (),
+    axis: Axes = (),
     sign_off: Group[SignOffOptions] = _UNSIGNED,
     limits: Flag = False,
     yes: Flag = False,
     scenario: str = "scheme-1",
     settings: Settings = (),
-    speed: float = 1.0,
+    speed: Positive = 1.0,
 ) -> int:
     """Take a rig from its emergency stop, one axis at a time, to a slow dry run, and sign it off.
 
@@ -93,7 +93,7 @@ def commission(
     speed
         Simulation speed relative to real time, on an emulated rig.
     """
-    problems = axis_problems(axis) + above_zero("--speed", speed) + sign_off.problems()
+    problems = sign_off.problems()
     if sign_off.proof_test and (axis or limits):
         problems.append(Problem("--proof-test", "", "moves no axis: not together with --axis and --limits"))
     if sign_off.out is not None:

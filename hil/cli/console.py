@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hil.cli.options import Flag, Group, Integer, RunOptions, refuse
+from hil.cli.options import Flag, Group, Integer, RunOptions
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -86,7 +86,6 @@ def console(
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise BadInput.single("hil console", "", f"{', '.join(missing)} missing: pip install 'hil-bench[console]'")
-    refuse(options.problems())
 
     from hil.console.serve import Tls, listen, read_token, serve
     from hil.console.service import NEEDS_KEYS

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Output, RunOptions, refuse, refuse_wires_in_use, wait_problems
-from hil.cli.output import check_json_path
+from hil.cli.options import File, Flag, Group, RunOptions, Seconds, refuse, refuse_wires_in_use
+from hil.cli.output import say
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class GncLinkOptions:
     """Address and port of the GNC, the only peer that is accepted; instead of --listen."""
     lock_step: Flag = False
     """Each cycle waits for the reply of the GNC; on a mock or emulated rig the trajectory is that of hil run."""
-    wait: float = 60.0
+    wait: Seconds = 60.0
     """Wall-clock time to wait for a GNC, s."""
     key_file: str | None = None
     """Key of the link, the same file on both computers; default: this user's own key, made when needed."""
@@ -49,7 +49,7 @@ def dss(
     rig: str = "mock",
     options: Group[RunOptions] = _RUN_DEFAULTS,
     link_options: Group[GncLinkOptions] = _LINK_DEFAULTS,
-    json: Output = None,
+    json: File = None,
     record: str | None = None,
 ) -> int:
     """Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.
@@ -65,8 +65,7 @@ def dss(
     record
         Folder for the recording and its catalogue; see hil recordings list.
     """
-    lock_step, wait_s = link_options.lock_step, link_options.wait
-    refuse(options.problems() + wait_problems(wait_s) + check_json_path("--json", json))
+    lock_step = link_options.lock_step
     bind, peer = link_addresses("--listen", link_options.listen, "--gnc", link_options.gnc)
     refuse_wires_in_use(rig, options.settings)
 
@@ -105,8 +104,8 @@ def dss(
         period_s = None if job.waits_for_all else loaded.value.step_s / options.speed
         backend = make_udp_gnc(loaded.value, link, bench.value.gnc_link, lock_step, period_s)
         where = f"the GNC at {shown(peer)}" if peer else f"a GNC on {shown(link.address)}"
-        console.print(f"waiting for {where}", style="dim", highlight=False, soft_wrap=True)
-        console.print(f"flown by {backend.connect(wait_s)}", style="dim", highlight=False, soft_wrap=True, markup=False)
+        say(f"waiting for {where}", console, "dim")
+        say(f"flown by {backend.connect(link_options.wait)}", console, "dim")
         operator: AutoResumeOperator | TerminalOperator | None = None
         if bench.value.gnc_link.on_loss == "hold":
             operator = AutoResumeOperator() if link_options.resume_by_gnc else _at_terminal()

@@ -5,16 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from hil.cli.options import OptionalInteger, Output, at_least, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.options import File, OptionalCase, refuse
+from hil.cli.output import print_columns, say, write_json
 from hil.errors import Problem
 
 _ROWS = 12  # margins that are printed
 
 
-def explain(source: str, /, *, case: OptionalInteger = None, json: Output = None) -> int:
+def explain(source: str, /, *, case: OptionalCase = None, json: File = None) -> int:
     """Explain why cases of a campaign fail, or a recorded run: the first violated limit, its drivers and thresholds.
 
     Parameters
@@ -26,13 +24,13 @@ def explain(source: str, /, *, case: OptionalInteger = None, json: Output = None
     json
         File for the result, - for standard output.
     """
-    problems = [] if case is None else at_least(case=(case, 0))
+    problems = []
     is_run = not Path(source).is_dir()
     if is_run and case is not None:
         problems.append(Problem("--case", "", f"{source}: is no folder of a campaign"))
     if not Path(source).exists():
         problems.append(Problem("hil explain", "", f"{source}: does not exist: a campaign's folder or a recording"))
-    refuse(problems + check_json_path("--json", json))
+    refuse(problems)
     found = _of_run(source) if is_run else _of_campaign(Path(source), case)
     if json != "-":
         _print(found, is_run or case is not None)
@@ -59,18 +57,13 @@ def _of_run(recording: str) -> dict[str, Any]:
 
 
 def _print(found: dict[str, Any], is_one: bool) -> None:
-    console = Console()
-
-    def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True, markup=False)
-
     if is_one:
         say(found["text"])
         if found["alarms_before"]:
             say(f"alarms before: {found['alarms_before']}")
         rows = [_margin_row(each) for each in found["limits"][:_ROWS]]
         print_columns(("limit", "least margin", "value", "allowed", "at, s", "largest term"), rows, left=(0, 5))
-        _print_nearest(found.get("nearest"), say)
+        _print_nearest(found.get("nearest"))
         if "command" in found:
             say(found["command"])
         return
@@ -78,7 +71,7 @@ def _print(found: dict[str, Any], is_one: bool) -> None:
     say(f"{rate['passed']} of {rate['runs']} cases are accepted, {100.0 * rate['rate']:.2f} %")
     for cause in found["causes"]:
         say(f"- {cause['text']}")
-        _print_nearest(cause["nearest"], say, "  ")
+        _print_nearest(cause["nearest"], "  ")
     if found["nothing_found"] and found["failed"]:
         say("nothing found: no dispersed number predicts the failures better than chance")
     elif found["drivers"]:
@@ -96,7 +89,7 @@ def _margin_row(each: dict[str, Any]) -> tuple[str, ...]:
     return (each["limit"], *numbers, "-" if each["at_s"] is None else f"{each['at_s']:.2f}", each["term"] or "")
 
 
-def _print_nearest(nearest: dict[str, Any] | None, say: Any, indent: str = "") -> None:
+def _print_nearest(nearest: dict[str, Any] | None, indent: str = "") -> None:
     if nearest is None:
         return
     parts = ", ".join(

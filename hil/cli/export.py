@@ -6,10 +6,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from rich.console import Console
 
-from hil.cli.options import refuse
-from hil.cli.output import check_json_path
+from hil.cli.output import file_path_problem, say
 from hil.errors import BadInput
 
 
@@ -41,14 +39,15 @@ def export(
         from hil.recording.ros2 import export_ros2
 
         for topic, count in export_ros2(Path(recording), target).items():
-            Console().print(f"{target}: {topic} {count} messages", highlight=False, soft_wrap=True, markup=False)
+            say(f"{target}: {topic} {count} messages")
         return 0
-    refuse(check_json_path("--out", str(target)))
+    if problem := file_path_problem(str(target)):
+        raise BadInput.single("--out", "", problem)
 
     from hil.recording import export as numbers
 
     for path, rows in numbers.export(Path(recording), form, target):
-        Console().print(f"{path}: {rows} rows", highlight=False, soft_wrap=True, markup=False)
+        say(f"{path}: {rows} rows")
     return 0
 
 
@@ -63,9 +62,6 @@ def _export_images(recording: str, folder: str, out: str | None) -> int:
 
     recorded = load(Path(recording))
     found = export_images(recorded, Path(folder))
-
-    def say(text: str) -> None:
-        Console().print(text, highlight=False, soft_wrap=True, markup=False)
 
     for camera, count in found.images.items():
         if count:

@@ -9,10 +9,9 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.console import Console
 
-from hil.cli.options import Integer, OptionalInteger, Settings, at_least, duration_problems, refuse
-from hil.errors import Problem
+from hil.cli.options import Integer, OptionalSeconds, Seed, Settings, one_of
 
-_VERSIONS = (2, 3)
+Version = Annotated[Integer, one_of((2, 3))]
 
 
 def fmu_export(
@@ -20,10 +19,10 @@ def fmu_export(
     /,
     *,
     out: Annotated[str, Parameter(alias="-o")],
-    fmi: OptionalInteger = None,
+    fmi: Version = 2,
     rig: str = "mock",
-    seed: Integer = 0,
-    duration: float | None = None,
+    seed: Seed = 0,
+    duration: OptionalSeconds = None,
     settings: Settings = (),
 ) -> int:
     """Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.
@@ -38,7 +37,7 @@ def fmu_export(
     out
         File of the FMU.
     fmi
-        Version of FMI, 2 or 3; default: 2.
+        Version of FMI, 2 or 3.
     rig
         mock, emulated, or the path of a rig file: it gives ranges and rates of axes and vision unit.
     seed
@@ -46,12 +45,6 @@ def fmu_export(
     duration
         Length of the run, s; default: that of the scenario.
     """
-    problems = at_least(seed=(seed, 0)) + duration_problems(duration)
-    version = 2 if fmi is None else fmi
-    if version not in _VERSIONS:
-        problems.append(Problem("--fmi", "", f"{version}: allowed 2, 3"))
-    refuse(problems)
-
     from hil.api.jobs import loaded_rig, loaded_scenario, make_job
     from hil.cli.warm_up import compile_kernels_with_notice
     from hil.monte_carlo.plant_fmu import PlantCase, export_plant
@@ -63,6 +56,6 @@ def fmu_export(
     compile_kernels_with_notice(job, console)
     with console.status("compiling the plant"):
         case = PlantCase(job.scenario.value, job.rig.value, job.truth, job.seed, job.duration_s)
-        export_plant(case, version, Path(out))
-    print(f"{out}: plant of {job.scenario.value.name}, seed {seed}, FMI {version}.0", file=sys.stderr)  # noqa: T201
+        export_plant(case, fmi, Path(out))
+    print(f"{out}: plant of {job.scenario.value.name}, seed {seed}, FMI {fmi}.0", file=sys.stderr)  # noqa: T201
     return 0

@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hil.cli.options import RUNS_MAX, Integer, Output, Settings, at_least, at_most, refuse
-from hil.cli.output import check_figure_path, check_json_path, write_json
+from hil.cli.options import Figure, File, Runs, Seed, Settings, Workers
+from hil.cli.output import say, write_json
 
 _PASSED, _FAILED = 0, 1
 
@@ -18,12 +18,12 @@ def fusion(
     *,
     vmu_noise: Literal["swapped", "printed"] = "swapped",
     akf_form: Literal["multiplicative", "as_printed"] = "multiplicative",
-    runs: Integer = 100,
-    seed: Integer = 0,
+    runs: Runs = 100,
+    seed: Seed = 0,
     settings: Settings = (),
-    workers: Integer = 0,
-    json: Output = None,
-    figure: str | None = None,
+    workers: Workers = 0,
+    json: File = None,
+    figure: Figure = None,
 ) -> int:
     """Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.
 
@@ -45,14 +45,11 @@ def fusion(
     figure
         Figure of one run's errors with their 3-sigma band, as the paper's Fig. 5 (PNG, PDF or SVG).
     """
-    problems = at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0)) + at_most(runs=(runs, RUNS_MAX))
-    refuse(problems + check_json_path("--json", json) + check_figure_path("--figure", figure))
-
     from hil.config.load import load_rig, load_scenario
 
     load_scenario("scheme-2", settings)  # report errors of the settings before the start
     load_rig("mock", settings)
-    from hil.monte_carlo.engines import worker_count
+    from hil.monte_carlo.batch import worker_count
     from hil.monte_carlo.fusion import Study, run_fusion
 
     console = Console(stderr=True)
@@ -111,12 +108,12 @@ def _render(found: dict[str, Any], passed: bool, console: Console) -> None:
     console.print(rows)
     for t_s, moment in found["nees_at_s"].items():
         text = ", ".join(f"{name} {b['mean']:.2f} ({b['low']:.2f} .. {b['high']:.2f})" for name, b in moment.items())
-        console.print(f"NEES at {t_s} s: {text}", highlight=False)
+        say(f"NEES at {t_s} s: {text}", console)
     text = ", ".join(
         f"{n} {found[f'nis_{n}']['mean']:.3f} ({found[f'nis_{n}']['low']:.3f} .. {found[f'nis_{n}']['high']:.3f})"
         for n in ("pkf", "akf")
     )
-    console.print(f"NIS: {text}; rejected poses {found['rejected']}", highlight=False)
+    say(f"NIS: {text}; rejected poses {found['rejected']}", console)
     word = "[bold green]PASS[/]" if passed else "[bold red]FAIL[/]"
     limits = ", ".join(f"{name} {found[f'{name}_ratio_limit']:.3f}" for name in ("position", "attitude"))
     console.print(f"{word} (ratio <= {limits} for {found['runs']} runs, NEES in its 99.9 % band)", highlight=False)

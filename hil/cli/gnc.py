@@ -10,8 +10,8 @@ from cyclopts import App
 from rich.console import Console
 
 from hil.cli.dss import link_addresses
-from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Flag, Seconds, Settings
+from hil.cli.output import say, write_json
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ def gnc(
     dss: str | None = None,
     listen: str | None = None,
     settings: Settings = (),
-    wait: float = 60.0,
-    json: Output = None,
+    wait: Seconds = 60.0,
+    json: File = None,
     key_file: str | None = None,
 ) -> int:
     """Run the GNC of a scenario for a bench in another process or on another computer, until the bench disconnects.
@@ -53,7 +53,6 @@ def gnc(
     key_file
         Key of the link, the same file on both computers; default: this user's own key, made when needed.
     """
-    refuse(wait_problems(wait) + check_json_path("--json", json))
     bind, peer = link_addresses("--listen", listen, "--dss", dss)
 
     from hil.config.load import load_scenario
@@ -76,7 +75,7 @@ def gnc(
     console = Console(stderr=True)
 
     def announce(text: str) -> None:
-        console.print(text, style="dim", highlight=False, soft_wrap=True, markup=False)
+        say(text, console, "dim")
 
     mailboxes = {"wants": wants_of(found)} if library is None else {"offers": OFFERS}
     link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file), **mailboxes)

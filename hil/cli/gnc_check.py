@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Output, Settings, refuse, wait_problems
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Flag, Seconds, Settings
+from hil.cli.output import write_json
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ def gnc_check(
     *,
     scenario: str = "scheme-1",
     dial: Flag = False,
-    wait: float = 60.0,
+    wait: Seconds = 60.0,
     settings: Settings = (),
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """Check an external GNC: latency, signs, units and order.
 
@@ -44,8 +44,6 @@ def gnc_check(
     json
         File for the findings, - for standard output.
     """
-    refuse(check_json_path("--json", json) + wait_problems(wait))
-
     from hil.config.load import load_scenario
     from hil.gnc_check.check import check_gnc
 

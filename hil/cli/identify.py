@@ -10,8 +10,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import Flag, Names, Output, Settings, above_zero, refuse, refuse_wires_in_use
-from hil.cli.output import axis_problems, base_of, check_json_path, check_rig_path, chosen_axes, write_json
+from hil.cli.options import Axes, File, Flag, Positive, Settings, TomlFile, refuse_wires_in_use
+from hil.cli.output import base_of, chosen_axes, say, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.text_files import write_text
 from hil.errors import BadInput
@@ -25,13 +25,13 @@ _PASSED, _FAILED = 0, 1
 def identify(
     rig: str = "emulated",
     *,
-    axis: Names = (),
-    out: Output = None,
-    json: Output = None,
+    axis: Axes = (),
+    out: TomlFile = None,
+    json: File = None,
     yes: Flag = False,
     scenario: str = "scheme-1",
     settings: Settings = (),
-    speed: float = 1.0,
+    speed: Positive = 1.0,
 ) -> int:
     """Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and bandwidth.
 
@@ -52,8 +52,6 @@ def identify(
     speed
         Simulation speed relative to real time, on an emulated rig.
     """
-    problems = axis_problems(axis) + above_zero("--speed", speed)
-    refuse(problems + check_rig_path("--out", out) + check_json_path("--json", json))
     refuse_wires_in_use(rig, settings)
 
     from hil.cli.warm_up import compile_kernels_with_notice
@@ -71,12 +69,9 @@ def identify(
     console = Console(stderr=True)
     compile_kernels_with_notice(job, console)
 
-    def announce(text: str) -> None:
-        console.print(text, style="dim", highlight=False, soft_wrap=True)
-
     with (
         ProgressBar(console, "opening the axes") as bar,
-        build.runner(job, lambda *_: None, announce) as runner,
+        build.runner(job, lambda *_: None, lambda text: say(text, console, "dim")) as runner,
         runner.axes_only() as sequencer,
     ):
         results = Identification(sequencer, bar.show).measure(chosen_axes(axis))
@@ -178,4 +173,4 @@ def _print(results: Sequence[AxisResult], rig_name: str, console: Console) -> No
     )
     for result in results:
         if not result.passed:
-            console.print(f"{result.axis}: {result.reason}", style="red", highlight=False, soft_wrap=True)
+            say(f"{result.axis}: {result.reason}", console, "red")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hil.cli.options import Output, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.options import File
+from hil.cli.output import print_columns, write_json
 
 
-def keys(pattern: str = "*", /, *, json: Output = None) -> int:
+def keys(pattern: str = "*", /, *, json: File = None) -> int:
     """List the keys of scenario and rig files that --set takes, with unit, range, default and meaning.
 
     Parameters
@@ -16,8 +16,6 @@ def keys(pattern: str = "*", /, *, json: Output = None) -> int:
     json
         File for the keys, - for standard output.
     """
-    refuse(check_json_path("--json", json))
-
     from hil.config.key_reference import matching_keys
 
     found = matching_keys(pattern)

@@ -6,14 +6,14 @@ import difflib
 from collections.abc import Callable
 from typing import Final
 
-from hil.cli.options import Output, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.options import File
+from hil.cli.output import print_columns, write_json
 from hil.errors import BadInput
 
 _FILES: Final = ("scenarios", "rigs", "dispersions", "targets", "bodies", "frames", "protocols")
 
 
-def list(kind: str | None = None, /, *, json: Output = None) -> int:
+def list(kind: str | None = None, /, *, json: File = None) -> int:
     """List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends, sensors.
 
     Parameters
@@ -24,7 +24,6 @@ def list(kind: str | None = None, /, *, json: Output = None) -> int:
     json
         File for the entries, - for standard output.
     """
-    refuse(check_json_path("--json", json))
     kinds: dict[str, Callable[[], dict[str, str]]] = {each: _of_files(each) for each in _FILES}
     kinds |= {"drivers": _drivers, "backends": _backends, "sensors": _sensors}
     if kind is not None and kind not in kinds:

@@ -20,6 +20,7 @@ from typing import Any, Final, TextIO, cast
 import cyclopts
 from cyclopts import App
 
+from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.errors import BadInput, BenchError, CampaignStopped
@@ -161,7 +162,10 @@ def execute(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code. Errors are printed to standard error, one line each."""
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_PIXELS_MAX))
     try:
-        result = app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        command, given, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
+        if command.__module__.startswith("hil."):
+            refuse(declared_problems(command, given.arguments))
+        result = command(*given.args, **given.kwargs)
     except BadInput as error:
         return _fail(str(error), BAD_INPUT)
     except cyclopts.CycloptsError as error:

@@ -7,8 +7,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import Integer, Output, Settings, at_least, refuse
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Output, Runs, Seed, Settings, Workers
+from hil.cli.output import write_json
 
 _PASSED, _FAILED = 0, 1
 _REASONS = 2
@@ -18,12 +18,12 @@ def margins(
     scenario: str,
     /,
     *,
-    runs: Integer = 20,
+    runs: Runs = 20,
     out: Output = None,
-    seed: Integer = 0,
+    seed: Seed = 0,
     settings: Settings = (),
-    workers: Integer = 0,
-    json: Output = None,
+    workers: Workers = 0,
+    json: File = None,
 ) -> int:
     """Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign fails.
 
@@ -44,9 +44,6 @@ def margins(
     json
         File for the numbers, - for standard output.
     """
-    problems = at_least(runs=(runs, 1), seed=(seed, 0), workers=(workers, 0))
-    refuse(problems + check_json_path("--json", json))
-
     from hil.api.jobs import loaded_rig, loaded_scenario
     from hil.api.margins import search_margins
     from hil.monte_carlo.store import parquet

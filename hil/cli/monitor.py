@@ -11,15 +11,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
 
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import Group, Output, refuse
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Group, Output, within
+from hil.cli.output import write_json
 from hil.cli.progress import ProgressBar
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.config.scene import Scene
@@ -41,7 +41,7 @@ class MonitorOptions:
     """The exact projection, or the paper's small-angle relations."""
     motion: Literal["corrected", "printed"] = "corrected"
     """The paper's portions as corrected, or as printed."""
-    q: float = 0.5
+    q: Annotated[float, within(0.0, 1.0)] = 0.5
     """Weight of the previous portion, 0 to 1."""
 
     @property
@@ -57,10 +57,10 @@ def monitor(
     /,
     *,
     scene: str,
-    out: Output,
+    out: File,
     screen: Output = None,
-    json: Output = None,
-    frames: Output = None,
+    json: File = None,
+    frames: File = None,
     options: Group[MonitorOptions] = _DEFAULTS,
 ) -> int:
     """Measure range, range rate and angles on the video of an approach, each with its standard deviation.
@@ -81,10 +81,6 @@ def monitor(
         CSV file with one row per frame: used or not, the reason, and its own pose.
     """
     assert out is not None
-    problems = check_json_path("--out", out) + check_json_path("--json", json) + check_json_path("--frames", frames)
-    if not 0.0 <= options.q <= 1.0:
-        problems.append(Problem("--q", "", f"{options.q:g}: must be 0 to 1"))
-    refuse(problems)
 
     from hil.config.load import load_scene
     from hil.monitor.monitor import DockingMonitor, process_frames

@@ -14,28 +14,37 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from hil.core.text_files import write_text
-from hil.errors import Problem
 
 _WIDEST = 1000  # characters of a table
 _FIGURES = (".png", ".pdf", ".svg")
 
 
-def check_json_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem if no file can be written to ``path``, "-" for standard output."""
-    if path is None or path == "-":
-        return []
+def file_path_problem(path: str) -> str:
+    """Return why no file can be written to ``path``, "-" for standard output; "" if it can."""
+    if path == "-":
+        return ""
     if Path(path).is_dir():
-        return [Problem(option, "", f"{path}: is a folder, give the name of a file")]
-    if not Path(path).absolute().parent.is_dir():
-        return [Problem(option, "", f"{path}: its folder does not exist")]
-    return []
+        return f"{path}: is a folder, give the name of a file"
+    return "" if Path(path).absolute().parent.is_dir() else f"{path}: its folder does not exist"
 
 
-def check_figure_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem if no figure can be written to ``path``."""
-    if path is not None and Path(path).suffix.lower() not in _FIGURES:
-        return [Problem(option, "", f"{path}: must end in {', '.join(_FIGURES)}")]
-    return check_json_path(option, path)
+def figure_path_problem(path: str) -> str:
+    """Return why no figure can be written to ``path``, "" if it can."""
+    if Path(path).suffix.lower() not in _FIGURES:
+        return f"{path}: must end in {', '.join(_FIGURES)}"
+    return file_path_problem(path)
+
+
+def toml_path_problem(path: str) -> str:
+    """Return why no new rig or scene file can be written to ``path``, "" if it can."""
+    if not path.endswith(".toml"):
+        return f"{path}: must end in .toml"
+    return f"{path}: exists already, give a new name" if Path(path).exists() else file_path_problem(path)
+
+
+def say(text: str, console: Console | None = None, style: str | None = None) -> None:
+    """Print ``text`` as it is, without line breaks, to ``console``; None for standard output."""
+    (console or Console()).print(text, style=style, highlight=False, soft_wrap=True, markup=False)
 
 
 def write_json(content: dict[str, Any], path: str) -> None:
@@ -56,21 +65,12 @@ def print_columns(head: Sequence[str], rows: Sequence[Sequence[str]], left: Sequ
     Console(width=_WIDEST).print(table, crop=False)
 
 
-def check_rig_path(option: str, path: str | None) -> list[Problem]:
-    """Return a problem if no new rig file can be written to ``path``."""
-    if path is not None and not path.endswith(".toml"):
-        return [Problem(option, "", f"{path}: must end in .toml")]
-    if path is not None and Path(path).exists():
-        return [Problem(option, "", f"{path}: exists already, give a new name")]
-    return check_json_path(option, path)
-
-
-def axis_problems(axes: Sequence[str]) -> list[Problem]:
-    """Return a problem for each name that is no axis of the bench."""
+def axes_problem(axes: Sequence[str]) -> str:
+    """Return which of the names is no axis of the bench, "" if all are."""
     from hil.config.rig import BENCH_AXES
 
-    allowed = ", ".join(BENCH_AXES)
-    return [Problem("--axis", "", f"{axis}: unknown, give {allowed}") for axis in axes if axis not in BENCH_AXES]
+    unknown = [axis for axis in axes if axis not in BENCH_AXES]
+    return f"{unknown[0]}: unknown, give {', '.join(BENCH_AXES)}" if unknown else ""
 
 
 def chosen_axes(axes: Sequence[str]) -> list[int]:

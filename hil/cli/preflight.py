@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hil.cli.options import Flag, Output, Settings, refuse
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Flag, Settings
+from hil.cli.output import write_json
 
 _PASSED, _FAILED = 0, 1
 _WORDS = {True: "[green]pass[/]", False: "[bold red]fail[/]", None: "note"}
@@ -20,7 +20,7 @@ def preflight(
     rig: str = "mock",
     scenario: str = "scheme-1",
     settings: Settings = (),
-    json: Output = None,
+    json: File = None,
     devices: Flag = False,
     operator_key: str | None = None,
 ) -> int:
@@ -39,8 +39,6 @@ def preflight(
     operator_key
         The operator's key file, by hil operators add: the record of a hardware rig has its name, and is sealed with it.
     """
-    refuse(check_json_path("--json", json))
-
     from hil.checks.preflight_record import write_record
     from hil.checks.waivers import waivers
     from hil.config.load import load_rig, load_scenario

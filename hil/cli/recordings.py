@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from hil.cli.options import Flag, Output, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
-from hil.errors import BadInput, Problem
+from hil.cli.options import File, Flag
+from hil.cli.output import print_columns, write_json
+from hil.errors import BadInput
 
 _FOLDER = "recordings"
 _ACTS = ("operator", "setting", "fault", "order")
@@ -28,7 +28,7 @@ def list_recordings(
     passed: Flag = False,
     scenario: str | None = None,
     since: str | None = None,
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """List the recorded runs of a folder.
 
@@ -47,10 +47,8 @@ def list_recordings(
     json
         File for the entries, - for standard output.
     """
-    problems = check_json_path("--json", json)
     if failed and passed:
-        problems.append(Problem("--failed", "", "does not go together with --passed"))
-    refuse(problems)
+        raise BadInput.single("--failed", "", "does not go together with --passed")
 
     from hil.recording.catalogue import Catalogue, RecordingFilter
 
@@ -135,7 +133,7 @@ def place_recordings(
     /,
     *,
     campaign: str,
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """Place recorded runs in the distribution of a campaign: which outcomes are outside all its cases, by how much.
 
@@ -150,8 +148,6 @@ def place_recordings(
     json
         File for the numbers, - for standard output.
     """
-    refuse(check_json_path("--json", json))
-
     from hil.api.recordings import open_recording
     from hil.monte_carlo.placement import place_run
 
@@ -192,7 +188,7 @@ def verify_recordings(
     *,
     campaign: str | None = None,
     out: str | None = None,
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """Verify the audits of recorded runs: who did what, with what rights, in which configuration, and no change since.
 
@@ -212,10 +208,8 @@ def verify_recordings(
     json
         File for the audits, or for the evidence, - for standard output.
     """
-    problems = check_json_path("--json", json)
     if out is not None and campaign is None:
-        problems.append(Problem("--out", "", "requires --campaign"))
-    refuse(problems)
+        raise BadInput.single("--out", "", "requires --campaign")
 
     audits = [_audit(Path(name), json == "-") for name in recordings]
     if campaign is None or any(found["problems"] for found in audits):

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
+
+from hil.cli.output import say
 
 
 def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None) -> int:
@@ -27,5 +28,5 @@ def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--
     else:
         lost = f"; {found.lost_chunks} damaged blocks are omitted" if found.lost_chunks else ""
         text = f"{found.out}: {found.messages} messages over {found.length_s:.2f} s recovered{lost}"
-    Console().print(text, highlight=False, soft_wrap=True, markup=False)
+    say(text)
     return 0

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Integer, Output, Settings, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.options import File, Flag, Group, Integer, Settings, refuse
+from hil.cli.output import print_columns, say, write_json
 from hil.errors import Problem
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def replay(
     gnc: str | None = None,
     settings: Settings = (),
     images: Group[ImageOptions] = _NO_IMAGES,
-    json: Output = None,
+    json: File = None,
     foxglove: Integer | None = None,
 ) -> int:
     """Replay the recorded inputs of a run through the present GNC and compare bit by bit.
@@ -69,16 +69,15 @@ def replay(
     foxglove
         Port on this computer at which Foxglove connects, 0 for any free one: plays the recording there instead.
     """
-    problems = check_json_path("--json", json)
+    problems = []
     vmu, geometry, monitor, scene = images.vmu, images.geometry, images.monitor, images.scene
     if foxglove is not None:
         others = ("--gnc", "--set", "--vmu", "--geometry", "--monitor", "--scene", "--json")
         values = (gnc, settings, vmu, geometry, monitor, scene, json)
         used = [option for option, value in zip(others, values, strict=True) if value]
-        refuse([*problems, *(Problem(option, "", "does not go with --foxglove") for option in used)])
+        refuse([Problem(option, "", "does not go with --foxglove") for option in used])
         return _play(recording, foxglove)
     if not (vmu or monitor or geometry is not None or scene is not None):
-        refuse(problems)
         return _replay_gnc(recording, gnc, settings, json)
     if geometry is not None and not vmu:
         problems.append(Problem("--geometry", "", "goes with --vmu"))
@@ -103,8 +102,8 @@ def _play(recording: str, port: int) -> int:
     with console.status("reading the recording"):
         recorded = RecordedMessages(Path(recording))
     player = RecordingPlayer(recorded, port)
-    console.print(f"foxglove on {player.address}", highlight=False, soft_wrap=True)
-    console.print(f"layout for it: {layout_file()}", highlight=False, soft_wrap=True)
+    say(f"foxglove on {player.address}", console)
+    say(f"layout for it: {layout_file()}", console)
     try:
         with suppress(KeyboardInterrupt):
             player.run()
@@ -120,7 +119,7 @@ def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_p
     if json_path is not None:
         write_json(_as_json(recorded, found, changed, errors), json_path)
     if json_path != "-":
-        _print(recorded, scenario, found, changed, errors, Console())
+        _print(recorded, scenario, found, changed, errors)
     return _SAME if found.identical or (changed and not found.ended) else _DIFFERS
 
 
@@ -147,39 +146,34 @@ def _event(event: tuple[float, str, str]) -> dict[str, Any]:
     return dict(zip(("t_s", "source", "text"), event, strict=True))
 
 
-def _print(
-    recorded: Recorded, scenario: Scenario, found: Replayed, changed: bool, errors: dict[str, Any], console: Console
-) -> None:
+def _print(recorded: Recorded, scenario: Scenario, found: Replayed, changed: bool, errors: dict[str, Any]) -> None:
     from hil.recording.replay import follows
 
-    def show(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True, markup=False)
-
     if not recorded.intact:
-        show(f"{recorded.path} is truncated or damaged: its intact part is replayed")
+        say(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     if found.ended:
-        show(found.ended)
+        say(found.ended)
     for note in recorded.log:
         if note["kind"] == "setting":
             applied = follows(recorded, scenario, note["message"])
             suffix = "" if applied else "; not in this replay, which has another value"
-            show(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{suffix}")
+            say(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{suffix}")
     of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {found.cycles} cycles"
     if found.identical:
-        show(f"identical, bit by bit: {of}")
+        say(f"identical, bit by bit: {of}")
         return
     if found.differences:
         _print_differences(found.differences)
     for word, events in (("no longer", found.missing_events), ("new", found.new_events)):
         for t_s, source, text in events:
-            show(f"{word:<9} {t_s:.2f} s {source}: {text}")
+            say(f"{word:<9} {t_s:.2f} s {source}: {text}")
     if changed:
         _print_navigation(errors)
     if found.differences:
         first = min(found.differences, key=lambda d: d.first_cycle)
-        show(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
+        say(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
     elif found.ended:
-        show(f"identical as far as it was replayed: {of}")
+        say(f"identical as far as it was replayed: {of}")
 
 
 def _print_differences(differences: Sequence[Difference]) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from hil.cli.output import print_columns, write_json
+from hil.cli.output import print_columns, say, write_json
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -35,7 +35,7 @@ def replay_images(
     if json_path is not None:
         write_json(_as_json(recorded, found), json_path)
     if json_path != "-":
-        _print(recorded, found, Console())
+        _print(recorded, found)
     same = all(replayed.identical or changed for replayed, changed in found.values())
     return _SAME if same else _DIFFERS
 
@@ -81,28 +81,25 @@ def _as_json(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) 
     }
 
 
-def _print(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]], console: Console) -> None:
-    def show(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True, markup=False)
-
+def _print(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) -> None:
     if not recorded.intact:
-        show(f"{recorded.path} is truncated or damaged: its intact part is replayed")
+        say(f"{recorded.path} is truncated or damaged: its intact part is replayed")
     for name, (replayed, _) in found.items():
         what = "poses" if name == "vmu" else "portions"
         of = f"{replayed.of}, {replayed.images} exposures, {replayed.compared} {what}"
         for remark in replayed.remarks:
-            show(remark)
+            say(remark)
         if replayed.identical:
-            show(f"identical, bit by bit: {of}")
+            say(f"identical, bit by bit: {of}")
             continue
         _print_tables(replayed, what)
         if replayed.missing:
-            show(f"{replayed.missing} recorded {what} are missing in the replay")
+            say(f"{replayed.missing} recorded {what} are missing in the replay")
         if replayed.new:
-            show(f"{replayed.new} {what} of the replay are not in the recording")
+            say(f"{replayed.new} {what} of the replay are not in the recording")
         firsts = [d.first_s for d in replayed.differences if d.first_s is not None]
         since = f" from {min(firsts):.2f} s on" if firsts else ""
-        show(f"differs{since}: {of}")
+        say(f"differs{since}: {of}")
 
 
 def _print_tables(replayed: ImagesReplayed, what: str) -> None:

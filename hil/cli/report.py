@@ -6,18 +6,17 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 
-from hil.cli.options import refuse
-from hil.cli.output import check_json_path
-from hil.errors import Problem
+from hil.cli.options import Check
+from hil.cli.output import file_path_problem, say
+from hil.errors import BadInput
 
 
 def report(
     recordings: Annotated[list[str], Parameter(negative=())],
     /,
     *,
-    out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
+    out: Annotated[str | None, Parameter(name=("--out", "-o")), Check(file_path_problem)] = None,
 ) -> int:
     """Write a self-contained HTML report of a run, of a campaign, or a comparison of several runs.
 
@@ -29,12 +28,10 @@ def report(
         File to write, *.html; of a campaign, report.html in its folder unless given.
     """
     folders = [name for name in recordings if Path(name).is_dir()]
-    problems = check_json_path("--out", out)
     if folders and len(recordings) > 1:
-        problems.append(Problem("hil report", "", f"{folders[0]}: give one folder of a campaign, or recordings"))
-    elif out is None and not folders:
-        problems.append(Problem("--out", "", "must be given: the file of the report"))
-    refuse(problems)
+        raise BadInput.single("hil report", "", f"{folders[0]}: give one folder of a campaign, or recordings")
+    if out is None and not folders:
+        raise BadInput.single("--out", "", "must be given: the file of the report")
     if folders:
         from hil.core.text_files import write_text
         from hil.monte_carlo.page import page_of, write_page
@@ -42,7 +39,7 @@ def report(
         path = Path(out) if out is not None else write_page(Path(folders[0]))
         if out is not None:
             write_text(page_of(Path(folders[0])), out)
-        Console().print(str(path), highlight=False, soft_wrap=True, markup=False)
+        say(str(path))
         return 0
     assert out is not None
 
@@ -51,5 +48,5 @@ def report(
 
     runs = [open_recording(name) for name in recordings]
     write_report(runs, out)
-    Console().print(f"{out}: {len(runs)} runs" if len(runs) > 1 else out, highlight=False, soft_wrap=True, markup=False)
+    say(f"{out}: {len(runs)} runs" if len(runs) > 1 else out)
     return 0

@@ -7,13 +7,14 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, OptionalInteger, Output, RunOptions, refuse, refuse_wires_in_use
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import File, Flag, Group, OptionalCase, RunOptions, refuse, refuse_wires_in_use
+from hil.cli.output import say, write_json
 from hil.cli.progress import ProgressBar
 from hil.errors import BadInput, Problem
 
@@ -33,7 +34,7 @@ UNFINISHED = "the process ended before the run was over"
 class StoredCaseOptions:
     """Options of a campaign's case."""
 
-    case: OptionalInteger = None
+    case: OptionalCase = None
     """Number of a case of the campaign of this scenario and seed, to be run in full detail."""
     dispersions: str | None = None
     """Dispersion set of that campaign, instead of the scenario's: shipped, stress, or the path of a file."""
@@ -43,8 +44,6 @@ class StoredCaseOptions:
     def problems(self, options: RunOptions) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
         found = []
-        if self.case is not None and self.case < 0:
-            found.append(Problem("--case", "", f"{self.case}: must not be negative"))
         if self.campaign is not None and self.case is None:
             found.append(Problem("--campaign", "", "needs --case"))
         if self.campaign is not None and (options.duration is not None or options.seed != 0):
@@ -65,7 +64,7 @@ def run(
     until_stopped: Flag = False,
     of_case: Group[StoredCaseOptions] = _NO_CASE,
     record: str | None = None,
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """Run one closed loop and print its verdict.
 
@@ -85,7 +84,7 @@ def run(
     json
         File for the numbers of the run, - for standard output.
     """
-    problems = options.problems() + of_case.problems(options) + check_json_path("--json", json)
+    problems = of_case.problems(options)
     if until_stopped and options.duration is not None:
         problems.append(Problem("--until-stopped", "", "does not go together with --duration"))
     refuse(problems)
@@ -107,7 +106,7 @@ def run(
     job = replace(job, until_stopped=until_stopped)
     more = {}
     if (case := of_case.case) is not None:
-        from hil.api.campaigns import job_of_case, job_of_stored_case
+        from hil.api.cases import job_of_case, job_of_stored_case
 
         if of_case.campaign is None:
             more = {"campaign_seed": job.seed, "case": case}
@@ -116,7 +115,7 @@ def run(
             job, campaign_seed, note = job_of_stored_case(job, Path(of_case.campaign), case)
             more = {"campaign_seed": campaign_seed, "case": case}
             if note:
-                console.print(note, style="yellow", highlight=False, soft_wrap=True, markup=False)
+                say(note, console, "yellow")
     with Compilation(job) as compilation:
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
@@ -129,9 +128,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     from hil.api.runs import run_job
     from hil.report.table import render
 
-    def announce(text: str) -> None:
-        console.print(text, style="dim", highlight=False, soft_wrap=True)
-
+    announce = partial(say, console=console, style="dim")
     if json is not None and json != "-" and (Path(json).is_file() or not Path(json).exists()):
         job = request.job  # what stays if this process is killed
         begun = {"scenario": job.scenario.value.name, "rig": request.rig_name, "seed": job.seed}
@@ -141,7 +138,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
         found = run_job(replace(request, announce=announce, on_progress=_mode_shown_on(bar)))
     summary = found.summary
     if problem := summary.get("recording", {}).get("problem"):
-        console.print(f"recording: {problem}", style="yellow", highlight=False, soft_wrap=True, markup=False)
+        say(f"recording: {problem}", console, "yellow")
     if json != "-":
         render(summary, found.verdict, found.scenario.requirements, Console())
         if "monitor" in summary:

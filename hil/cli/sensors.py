@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from cyclopts import App
 
-from hil.cli.options import Output, refuse
-from hil.cli.output import check_json_path, print_columns, write_json
+from hil.cli.options import File, Seed
+from hil.cli.output import print_columns, write_json
 from hil.errors import BadInput
 
 app = App(name="sensors")
 
 
 @app.command(name="list", help="List the sensor modules that a scenario can add.")
-def list_sensors(*, json: Output = None) -> int:
+def list_sensors(*, json: File = None) -> int:
     """List the sensor modules that a scenario can add: those of this program and of installed packages.
 
     Parameters
@@ -20,8 +20,6 @@ def list_sensors(*, json: Output = None) -> int:
     json
         File for the entries, - for standard output.
     """
-    refuse(check_json_path("--json", json))
-
     from hil.sensors.registry import kinds
 
     found = kinds()
@@ -35,7 +33,7 @@ def list_sensors(*, json: Output = None) -> int:
 
 
 @app.command(help="Check a sensor module: its declaration, its Jacobian by differences, its noise.")
-def check(name: str, /, *, seed: int = 0, json: Output = None) -> int:
+def check(name: str, /, *, seed: Seed = 0, json: File = None) -> int:
     """Check a sensor module: its declaration, its Jacobian by differences, its noise by many measurements.
 
     Parameters
@@ -47,8 +45,6 @@ def check(name: str, /, *, seed: int = 0, json: Output = None) -> int:
     json
         File for the result, - for standard output.
     """
-    refuse(check_json_path("--json", json))
-
     from hil.sensors.check import problems
     from hil.sensors.registry import sensor
 

@@ -17,10 +17,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from rich.console import Console
 
-from hil.cli.options import Flag, Group, Integer, OptionalInteger, Output, above_zero, refuse
-from hil.cli.output import check_json_path, write_json
+from hil.cli.options import (
+    Check,
+    File,
+    Flag,
+    Group,
+    Integer,
+    OptionalCase,
+    OptionalInteger,
+    Output,
+    Positive,
+    above_zero,
+    bounded,
+)
+from hil.cli.output import file_path_problem, say, write_json
 from hil.cli.progress import ProgressBar
-from hil.errors import BadInput, Problem
+from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.cameras.live import CameraPairs
@@ -35,27 +47,38 @@ COLUMNS = ("frame", "t_s", "status", "n_leds", *_POSE, *(f"sigma_{name}" for nam
 _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
 
 
+def _pose_problem(values: tuple[float, ...]) -> str:
+    return "" if all(map(math.isfinite, values)) else "must be six numbers: x y z in m, rotation vector in deg"
+
+
+def _csv_problem(path: str) -> str:
+    return "-: give the name of a file" if path == "-" else file_path_problem(path)
+
+
+def _overlay_problem(path: str) -> str:
+    if not Path(path).absolute().parent.is_dir():
+        return f"{path}: its parent folder does not exist"
+    is_file = Path(path).exists() and not Path(path).is_dir()
+    return f"{path}: is a file, give the name of a folder" if is_file else ""
+
+
+StartPose = Annotated[
+    tuple[float, float, float, float, float, float] | None, Parameter(negative=()), Check(_pose_problem)
+]
+CsvFile = Annotated[str, Check(_csv_problem)]
+Overlay = Annotated[Output, Check(_overlay_problem)]
+
+
 @dataclass(frozen=True)
 class TrackStartOptions:
     """Options of the frames to evaluate."""
 
-    start_frame: OptionalInteger = None
+    start_frame: OptionalCase = None
     """First frame to evaluate."""
-    frames: OptionalInteger = None
+    frames: Annotated[OptionalInteger, bounded(1)] = None
     """Number of frames to evaluate."""
-    start_pose: Annotated[tuple[float, float, float, float, float, float] | None, Parameter(negative=())] = None
+    start_pose: StartPose = None
     """Initial pose, x y z in m and rotation vector in deg: resolves symmetric LEDs."""
-
-    def problems(self) -> list[Problem]:
-        """Return a problem for each option that is out of range."""
-        found = []
-        if self.start_frame is not None and self.start_frame < 0:
-            found.append(Problem("--start-frame", "", f"{self.start_frame}: must be at least 0"))
-        if self.frames is not None and self.frames < 1:
-            found.append(Problem("--frames", "", f"{self.frames}: must be at least 1"))
-        if self.start_pose is not None and not all(math.isfinite(value) for value in self.start_pose):
-            found.append(Problem("--start-pose", "", "must be six numbers: x y z in m, rotation vector in deg"))
-        return found
 
 
 @dataclass(frozen=True)
@@ -64,7 +87,7 @@ class SenderOptions:
 
     rs422: str | None = None
     """Serial port to which each pose is sent at the frame's time, as by the vision unit."""
-    baud: Integer = 460_800
+    baud: Annotated[Integer, above_zero(at_most=1e9)] = 460_800
     """Baud rate of that port."""
     fast: Flag = False
     """Send each pose as soon as it is solved."""
@@ -78,12 +101,12 @@ def vmu(
     /,
     *,
     geometry: str,
-    out: str,
-    rate_hz: float = 6.25,
-    overlay: Output = None,
+    out: CsvFile,
+    rate_hz: Positive = 6.25,
+    overlay: Overlay = None,
     start: Group[TrackStartOptions] = _START_DEFAULTS,
     sender: Group[SenderOptions] = _SENDER_DEFAULTS,
-    json: Output = None,
+    json: File = None,
 ) -> int:
     """Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.
 
@@ -103,11 +126,6 @@ def vmu(
     json
         File for the counts, - for standard output.
     """
-    problems = above_zero("--rate-hz", rate_hz) + start.problems() + _output_problems(out, overlay, json)
-    if sender.baud <= 0:
-        problems.append(Problem("--baud", "", f"{sender.baud}: must be above 0"))
-    refuse(problems)
-
     from hil.cli.warm_up import exit_on_ctrl_c
     from hil.config.load import load_geometry
     from hil.drivers.vmu.sender import FrameSender
@@ -180,16 +198,6 @@ def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float)
     settings = VisionCameras(left=cameras[0], right=cameras[1], pair_within_s=0.1 / rate_hz, pair_wait_s=wait_s)
     vmu = Vmu.model_validate({"driver": "cameras", "cameras": settings, "rate_hz": rate_hz, "timeout_s": 2.0})
     return CameraPairs(vmu, [(camera.width, camera.height) for camera in (geometry.left, geometry.right)])
-
-
-def _output_problems(out: str, overlay: str | None, json: str | None) -> list[Problem]:
-    problems = check_json_path("--json", json)
-    problems += check_json_path("--out", out) if out != "-" else [Problem("--out", "", "-: give the name of a file")]
-    if overlay is not None and not Path(overlay).absolute().parent.is_dir():
-        problems.append(Problem("--overlay", "", f"{overlay}: its parent folder does not exist"))
-    if overlay is not None and Path(overlay).exists() and not Path(overlay).is_dir():
-        problems.append(Problem("--overlay", "", f"{overlay}: is a file, give the name of a folder"))
-    return problems
 
 
 def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:
@@ -300,9 +308,9 @@ def _print(summary: dict[str, Any], out: str, console: Console) -> None:
     from hil.vmu.unit import WRONG_SIZE
 
     text = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
-    console.print(f"{summary['frames']} frames: {text}", highlight=False)
+    say(f"{summary['frames']} frames: {text}", console)
     if summary["chi2_per_degree"] is not None:
-        console.print(f"chi-square per degree of freedom {summary['chi2_per_degree']:.2f}", highlight=False)
+        say(f"chi-square per degree of freedom {summary['chi2_per_degree']:.2f}", console)
     if WRONG_SIZE in summary["status"]:
-        console.print(f"{WRONG_SIZE}: images of another size than the geometry's", style="red", highlight=False)
-    console.print(f"poses in {out}", highlight=False, soft_wrap=True)
+        say(f"{WRONG_SIZE}: images of another size than the geometry's", console, "red")
+    say(f"poses in {out}", console)

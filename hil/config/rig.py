@@ -306,7 +306,7 @@ class VmuLine(SerialLine):
     """Serial port and frames of the vision unit."""
 
     frames: str = "hil"
-    """Pose frames: `hil` (built in, with identity), `hil-pose`, `euler-mm` or the path of a frame file."""
+    """Pose frames: `hil`, `euler-mm` or the path of a frame file."""
 
 
 class AxisGroupTable(DeviceTable):

@@ -8,8 +8,6 @@ from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, Positive
 
-BUILT_IN: Final = "hil"
-"""Frames that need no file."""
 COUNTS: Final = {"position": 3, "quaternion": 4, "euler": 3, "covariance": 21, "sigma_position": 3, "sigma_angle": 3}
 """Numbers of a field; one for the others."""
 REQUIRED: Final = ("counter", "time", "position")
@@ -49,6 +47,12 @@ class FrameField(ConfigModel):
         """Return how many numbers the field has."""
         return COUNTS.get(self.name, 1)
 
+    @property
+    def inverse(self) -> float | None:
+        """The whole number whose inverse is `scale`, None if there is none."""
+        whole = float(round(1.0 / self.scale))
+        return whole if whole and 1.0 / whole == self.scale else None
+
     @model_validator(mode="after")
     def _constants_have_values(self) -> Self:
         if (self.name == "constant") != (self.value is not None):
@@ -65,6 +69,8 @@ class FrameChecksum(ConfigModel):
     """Algorithm."""
     covers_sync: bool = False
     """Also covers the sync bytes."""
+    from_byte: Annotated[int, Field(ge=0)] | None = None
+    """First byte of the frame that it covers; unless set, the first one after the sync."""
 
 
 class FrameStatus(ConfigModel):
@@ -88,6 +94,11 @@ class VmuFrame(ConfigModel):
     """Byte order of all numbers and of the checksum."""
     sync: Hexadecimal
     """Bytes at the start, hexadecimal."""
+    identity_sync: Hexadecimal | None = None
+    """Bytes at the start of identity frames: vendor and serial number, 16 ASCII characters each, filled up with zeros,
+    firmware, major and minor number in a byte each, and the checksum."""
+    sync_ends_with_length: bool = False
+    """The last byte of a sync is a length: frames with another one are counted."""
     fields: Annotated[tuple[FrameField, ...], Field(min_length=1, max_length=64)]
     """Fields in their order."""
     checksum: FrameChecksum

@@ -102,45 +102,6 @@ ENDS: Final = 101
 _machine_code: Any = intrinsic  # under this name: these functions are compiled at each start, outside the cache
 
 
-def _load_of(kind: Any) -> Any:
-    """Return a function that reads a number at an address."""
-
-    @_machine_code
-    def load(_typing, address):
-        def generate(context, builder, _signature, arguments):
-            return builder.load(builder.inttoptr(arguments[0], context.get_value_type(kind).as_pointer()))
-
-        return kind(types.int64), generate
-
-    return load
-
-
-def _store_of(kind: Any) -> Any:
-    """Return a function that writes a number to an address."""
-
-    @_machine_code
-    def store(_typing, address, value):
-        def generate(context, builder, _signature, arguments):
-            builder.store(arguments[1], builder.inttoptr(arguments[0], context.get_value_type(kind).as_pointer()))
-            return context.get_dummy_value()
-
-        return types.void(types.int64, kind), generate
-
-    return store
-
-
-_KINDS = (
-    types.float64, types.float32, types.int8, types.uint8, types.int16, types.uint16, types.int32, types.uint32,
-    types.int64, types.uint64,
-)  # fmt: skip
-_load_f8, _load_f4, _load_i1, _load_u1, _load_i2, _load_u2, _load_i4, _load_u4, _load_i8, _load_u8 = map(
-    _load_of, _KINDS
-)
-(
-    _store_f8, _store_f4, _store_i1, _store_u1, _store_i2, _store_u2, _store_i4, _store_u4, _store_i8, _store_u8
-) = map(_store_of, _KINDS)  # fmt: skip
-
-
 @_machine_code
 def _pointer(_typing, address):
     def generate(_context, builder, _signature, arguments):
@@ -202,69 +163,68 @@ def _do_step_3(_typing, function, component, t_s, step_s):
 @kernel
 def _read(address, code):
     """Return the number of type ``code`` at ``address`` as a float."""
+    place = _pointer(address)
     if code == 0:
-        return _load_f8(address)
+        return float(carray(place, (1,), np.float64)[0])
     if code == 6:
-        return float(_load_i4(address))
+        return float(carray(place, (1,), np.int32)[0])
     if code == 8:
-        return float(_load_i8(address))
+        return float(carray(place, (1,), np.int64)[0])
     if code == 1:
-        return float(_load_f4(address))
+        return float(carray(place, (1,), np.float32)[0])
     if code == 2:
-        return float(_load_i1(address))
+        return float(carray(place, (1,), np.int8)[0])
     if code == 3:
-        return float(_load_u1(address))
+        return float(carray(place, (1,), np.uint8)[0])
     if code == 4:
-        return float(_load_i2(address))
+        return float(carray(place, (1,), np.int16)[0])
     if code == 5:
-        return float(_load_u2(address))
+        return float(carray(place, (1,), np.uint16)[0])
     if code == 7:
-        return float(_load_u4(address))
-    return float(_load_u8(address))
+        return float(carray(place, (1,), np.uint32)[0])
+    return float(carray(place, (1,), np.uint64)[0])
 
 
 @kernel
 def _write(address, code, value):
     """Write ``value`` as type ``code`` at ``address``; return False if the type cannot hold it."""
+    place = _pointer(address)
     if code == 0:
-        _store_f8(address, value)
+        carray(place, (1,), np.float64)[0] = value
         return True
     if code == 1:
-        _store_f4(address, np.float32(value))
+        carray(place, (1,), np.float32)[0] = value
         return True
     if not abs(value) <= _INTEGER_MAX or value != np.floor(value):
         return False
     whole = np.int64(value)
     if code == 6:
-        _store_i4(address, np.int32(whole))
-        return whole == np.int32(whole)
-    if code == 8:
-        _store_i8(address, whole)
-        return True
+        carray(place, (1,), np.int32)[0] = whole
+        return whole == np.int64(np.int32(whole))
     if code == 2:
-        _store_i1(address, np.int8(whole))
-        return whole == np.int8(whole)
+        carray(place, (1,), np.int8)[0] = whole
+        return whole == np.int64(np.int8(whole))
     if code == 3:
-        _store_u1(address, np.uint8(whole))
+        carray(place, (1,), np.uint8)[0] = whole
         return whole == np.int64(np.uint8(whole))
     if code == 4:
-        _store_i2(address, np.int16(whole))
-        return whole == np.int16(whole)
+        carray(place, (1,), np.int16)[0] = whole
+        return whole == np.int64(np.int16(whole))
     if code == 5:
-        _store_u2(address, np.uint16(whole))
+        carray(place, (1,), np.uint16)[0] = whole
         return whole == np.int64(np.uint16(whole))
     if code == 7:
-        _store_u4(address, np.uint32(whole))
+        carray(place, (1,), np.uint32)[0] = whole
         return whole == np.int64(np.uint32(whole))
-    _store_u8(address, np.uint64(whole))
-    return whole >= 0
+    carray(place, (1,), np.int64)[0] = whole
+    return code == 8 or whole >= 0
 
 
 @kernel
 def _write_text(component, output, text):
     """Write ``text`` (FIELD_TEXT,) as the text of the output record."""
     for i in range(FIELD_TEXT):
-        _store_u1(output + component.text_offset + i, text[i])
+        carray(_pointer(output + component.text_offset), (FIELD_TEXT,), np.uint8)[i] = text[i]
 
 
 @kernel
@@ -278,17 +238,8 @@ def _fail(component, output, text):
 
 
 @kernel
-def _set_group(component, group, record, output):
-    """Copy and set the inputs of ``group``; return the status, 0 if all went well."""
-    copies = carray(_pointer(group.copies), (group.n_copies,), COPY)
-    for i in range(group.n_copies):
-        copy = copies[i]
-        value = _read(record + copy.offset, copy.field_code)
-        if copy.code == 0:
-            _store_f8(copy.address, copy.factor * value + copy.shift)
-        elif not _write(copy.address, copy.code, copy.factor * value + copy.shift):
-            _write_text(component, output, copy.text)
-            return UNUSABLE
+def _call_all(component, group, output):
+    """Call what sets or gets the variables of ``group``; return the status, 0 if all went well."""
     calls = carray(_pointer(group.calls), (group.n_calls,), CALL)
     for i in range(group.n_calls):
         call = calls[i]
@@ -302,17 +253,24 @@ def _set_group(component, group, record, output):
 
 
 @kernel
+def _set_group(component, group, record, output):
+    """Copy and set the inputs of ``group``; return the status, 0 if all went well."""
+    copies = carray(_pointer(group.copies), (group.n_copies,), COPY)
+    for i in range(group.n_copies):
+        copy = copies[i]
+        value = _read(record + copy.offset, copy.field_code)
+        if not _write(copy.address, copy.code, copy.factor * value + copy.shift):
+            _write_text(component, output, copy.text)
+            return UNUSABLE
+    return _call_all(component, group, output)
+
+
+@kernel
 def _get_group(component, group, output):
     """Get and copy the outputs of ``group``; return the status, 0 if all went well."""
-    calls = carray(_pointer(group.calls), (group.n_calls,), CALL)
-    for i in range(group.n_calls):
-        call = calls[i]
-        status = _call_values(
-            call.function, component.component, call.references, call.n, call.values, call.n_values
-        )  # fmt: skip
-        if status > 1:
-            _fail(component, output, call.text)
-            return status
+    status = _call_all(component, group, output)
+    if status != 0:
+        return status
     copies = carray(_pointer(group.copies), (group.n_copies,), COPY)
     for i in range(group.n_copies):
         copy = copies[i]
@@ -338,7 +296,7 @@ def _stepped(instance, record_in, record_out):
         nested = component.nested[j]
         if nested.n > 0:
             groups = carray(_pointer(nested.groups), (nested.n,), GROUP)
-            for i in range(min(_load_i8(record + nested.count_offset), nested.n)):
+            for i in range(min(carray(_pointer(record + nested.count_offset), (1,), np.int64)[0], nested.n)):
                 status = _set_group(component, groups[i], record, output)
                 if status != 0:
                     return status
@@ -353,9 +311,9 @@ def _stepped(instance, record_in, record_out):
         _fail(component, output, component.step_text)
         return status
     if component.direct != 0:
-        _store_i4(output + component.direct, np.int32(1))
+        _write(output + component.direct, 6, 1.0)
     if component.estimate != 0:
-        _store_i8(output + component.estimate, 1)
+        _write(output + component.estimate, 8, 1.0)
     return _get_group(component, component.output, output)
 
 

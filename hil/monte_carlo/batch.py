@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import threading
 import traceback
@@ -26,6 +27,8 @@ from hil.monte_carlo.importance_density import LOG_WEIGHT, ImportanceDensity, bl
 from hil.monte_carlo.outcome import failed_row, row_of
 from hil.monte_carlo.sobol_indices import sobol_point
 
+Batch = tuple[int, int]
+"""First case, and how many."""
 Rows = list[dict[str, Any]]
 TRACEBACK: Final = "traceback"
 """Key of a row with the traceback of what a Python object of the user has raised; no column of the table."""
@@ -157,6 +160,11 @@ def not_flown(error: Exception) -> dict[str, Any]:
     """Return the outcome of a case that cannot be run because of ``error``."""
     kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
     return failed_row(f"not flown: {kind}{' '.join(str(error).split())}")
+
+
+def worker_count(workers: int) -> int:
+    """Return ``workers``, for 0 one per core that this process may use."""
+    return workers or len(os.sched_getaffinity(0))
 
 
 def run_batch(spec: Spec, first: int, count: int) -> Rows:

@@ -1,4 +1,4 @@
-"""Campaign from its options to its summary: one scenario, a comparison of two, or a sweep of one key."""
+"""Campaign of one scenario from its job to its summary, and the values of a sweep."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
-from hil.config.load import Loaded, load_rig, load_scenario
+from hil.config.load import Loaded
 from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
@@ -30,7 +30,7 @@ from hil.monte_carlo.dispersions import Design
 from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.evidence import check_requirements, judge_requirements, tolerance_bounds
 from hil.monte_carlo.explain import explain
-from hil.monte_carlo.statistics import HasColumns, compare, mean_interval, summarise, wilson
+from hil.monte_carlo.statistics import HasColumns, mean_interval, summarise, wilson
 from hil.monte_carlo.store import Store, atomic_write
 from hil.report.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.session import build
@@ -43,12 +43,24 @@ RIG: Final = "mock"
 
 @dataclass(frozen=True)
 class Progress:
-    """Cases done of all, including those of an earlier start; real-time factor since this start."""
+    """Cases done of all, including those of an earlier start; real-time factor since this start.
+
+    runs, speed: 0 if not known.
+    """
 
     title: str
     done: int
     runs: int
     speed: float
+
+    @property
+    def fraction(self) -> float:
+        """Completed fraction, 0 if it is not known."""
+        return self.done / self.runs if self.runs else 0.0
+
+    def __str__(self) -> str:
+        of = f" of {self.runs}" if self.runs else ""
+        return f"{self.title} {self.done}{of} cases" + (f", {self.speed:.0f} x real time" if self.speed else "")
 
 
 Watch = Callable[[Progress], None]
@@ -70,19 +82,28 @@ class CampaignJob:
     ) -> None:
         self.scenario = named(scenario, own)
         self.duration_s = scenario.value.duration_s if duration_s is None else duration_s
-        self._rig, self.own = rig, own
+        self._rig, self.own, self.seed = rig, own, seed
         self._check()
         self.design = Design(self.scenario, seed)
         self.spec = Spec.of(self.scenario.value, rig.value, seed, self.duration_s, own)
-        self.seed = seed
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        """Return the campaign whose nominal run is ``job``. Raises BadInput."""
+        return cls(job.scenario, job.rig, job.seed, job.duration_s, job.own)
 
     @property
     def rig(self) -> Rig:
         """The mock rig."""
         return self._rig.value
 
+    @property
+    def nominal(self) -> Job:
+        """The nominal run, with the seed of the campaign."""
+        return Job(self.scenario, self._rig, self.seed, self.duration_s, 1.0, own=self.own)
+
     def _check(self) -> None:
-        build.check(Job(self.scenario, self._rig, 0, self.duration_s, 1.0, own=self.own))
+        build.check(self.nominal)
         rig, problems = self._rig.value, check_requirements(self.scenario)
         if rig.target_axes is not None:
             key = "target_manipulator" if rig.moved_target is not None else "rotary_manipulator"
@@ -138,18 +159,7 @@ class CampaignJob:
 
     def run(self, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[str, Any]:
         """Run the missing ones of ``runs`` cases; return the summary, which is also written to the folder."""
-        missing = store.missing(runs)
-        left = sum(count for _, count in missing)
-        begun_s = time.perf_counter()
-        done, failures = 0, _first_errors(store.folder)
-        with closing(engine.run(self.spec, missing)) as results:
-            for first, rows in results:
-                failures |= {row["case"]: row.pop(TRACEBACK) for row in rows if TRACEBACK in row}
-                store.put(first, rows)
-                done += len(rows)
-                speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
-                watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
-        store.finish(runs)
+        failures = self.fly(self.spec, store, runs, engine, watch)
         value = self.scenario.value
         more = {
             "seed": self.seed,
@@ -168,6 +178,22 @@ class CampaignJob:
         if requirements:
             self._write_evidence(store, requirements)
         return summary
+
+    def fly(self, spec: Spec, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[int, str]:
+        """Run the missing ones of ``runs`` cases of ``spec``; return the tracebacks of the first that failed."""
+        missing = store.missing(runs)
+        left = sum(count for _, count in missing)
+        begun_s = time.perf_counter()
+        done, failures = 0, _first_errors(store.folder)
+        with closing(engine.run(spec, missing)) as results:
+            for first, rows in results:
+                failures |= {row["case"]: row.pop(TRACEBACK) for row in rows if TRACEBACK in row}
+                store.put(first, rows)
+                done += len(rows)
+                speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
+                watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
+        store.finish(runs)
+        return failures
 
     def _write_evidence(self, store: Store, requirements: list[dict[str, Any]]) -> None:
         """Write the page of the requirements, their JUnit XML and JSON into the folder."""
@@ -237,35 +263,6 @@ class Sweep:
         return cls(key.strip(), tuple(float(value) for value in np.linspace(low, high, n)))
 
 
-def campaigns_of(
-    name: str, settings: Sequence[str], seed: int, duration_s: float | None, sweep: Sweep | None
-) -> list[CampaignJob]:
-    """Return the campaign of the scenario ``name``, or one for each value of ``sweep``."""
-    overrides = [()] if sweep is None else [(f"{sweep.key}={value!r}",) for value in sweep.values]
-    try:
-        return _campaigns(name, settings, overrides, seed, duration_s)
-    except BadInput as error:
-        if sweep is None:
-            raise
-        problems = [
-            Problem("--sweep" if p.source == "--set" and p.key == sweep.key else p.source, p.key, p.message)
-            for p in error.problems
-        ]
-        raise BadInput(problems) from error
-
-
-def _campaigns(
-    name: str, settings: Sequence[str], overrides: Sequence[tuple[str, ...]], seed: int, duration_s: float | None
-) -> list[CampaignJob]:
-    """Return a campaign for each of the ``overrides`` of the settings."""
-    return [
-        CampaignJob(
-            load_scenario(name, (*settings, *more)), load_rig(RIG, (*settings, *more)), seed, duration_s
-        )
-        for more in overrides
-    ]  # fmt: skip
-
-
 def sweep_summary(sweep: Sweep, stores: Sequence[HasColumns]) -> dict[str, Any]:
     """Return rates and means for each value of the sweep."""
     points = []
@@ -279,8 +276,3 @@ def sweep_summary(sweep: Sweep, stores: Sequence[HasColumns]) -> dict[str, Any]:
         rates = {"pass_rate": wilson(int(passed.sum()), len(passed)), "accepted_rate": accepted}
         points.append({"value": value, **rates, **means})
     return {"key": sweep.key, "points": points}
-
-
-def compare_stores(first: tuple[str, Store], second: tuple[str, Store]) -> dict[str, Any]:
-    """Return the paired comparison of two finished campaigns of the same seed."""
-    return compare(first[1], second[1], (first[0], second[0]))

@@ -25,8 +25,7 @@ from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, CampaignStopped, one_line
 from hil.loop.compiled.run_cycles import COMPLETED, run_cycles
 from hil.maths.random_streams import NoiseSource, noise_source
-from hil.monte_carlo.batch import Case, DrawnCase, Rows, Spec, not_flown
-from hil.monte_carlo.engines import Batch, worker_count
+from hil.monte_carlo.batch import Batch, Case, DrawnCase, Rows, Spec, not_flown, worker_count
 from hil.monte_carlo.outcome import NUMERIC, TEXTS
 
 _THREADS: Final = 64  # per block

@@ -28,12 +28,10 @@ from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.core.child_process import die_with_parent
 from hil.errors import BadInput, CampaignStopped
-from hil.monte_carlo.batch import Case, Rows, Spec, run_batch
+from hil.monte_carlo.batch import Batch, Case, Rows, Spec, run_batch, worker_count
 from hil.monte_carlo.dispersions import case_seed
 from hil.monte_carlo.outcome import failed_row
 
-Batch = tuple[int, int]
-"""First case, and how many."""
 ENGINES: Final = ("cpu", "cuda")
 """Engines of this computer: its cores, or a GPU of NVIDIA."""
 
@@ -63,14 +61,17 @@ class Engine(Protocol):
         """Release the workers."""
 
 
-def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]]) -> Engine:
+def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]], scheduler: str | None = None) -> Engine:
     """Return the engine ``name`` of ENGINES for cases of ``scenarios``. Raises BadInput if it cannot run here.
 
-    workers: processes, on a GPU threads that draw the noise; 0: one per core.
+    workers: processes, on a GPU threads that draw the noise; 0: one per core. scheduler: address of a Dask scheduler,
+    whose workers are used instead.
     """
+    if scheduler is not None:
+        return DaskEngine(scheduler)
     if name == "cpu":
         return LocalEngine(workers)
-    from hil.monte_carlo.cuda_engine import CudaEngine  # imports this module
+    from hil.monte_carlo.cuda_engine import CudaEngine  # needs a GPU
 
     return CudaEngine(workers, scenarios)
 
@@ -78,11 +79,6 @@ def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]]) ->
 def engine_identity(name: str) -> dict[str, str]:
     """Return the part of a campaign's identity of its engine: results of a GPU are not mixed with those of a CPU."""
     return {} if name == "cpu" else {"engine": name}
-
-
-def worker_count(workers: int) -> int:
-    """Return ``workers``, for 0 one per core that this process may use."""
-    return workers or len(os.sched_getaffinity(0))
 
 
 class LocalEngine:

@@ -26,7 +26,7 @@ from hil.core.kernel_library import whole_module
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.fmi.mapping import record_fields
-from hil.fmi.package import SHELL, Model, ModelVariable, build
+from hil.fmi.package import Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
 from hil.gnc_backends.library_kernel import LIBRARY
 from hil.loop.compiled import run_cycles as shell
@@ -98,7 +98,7 @@ def export_plant(case: PlantCase, version: int, out: Path) -> None:
             description=f"{case.scenario.name} of the bench, seed {case.seed}",
             variables=variables,
             start=start,
-            sources=[SHELL / "plant.c"],
+            sources=[Path(__file__).with_name("plant.c")],
             objects=[folder / "loop.o"],
             resources={"plant.bin": data},
             step_s=case.scenario.step_s,

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import time
-from contextlib import closing
 from typing import Any, Final
 
 import numpy as np
 
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
+from hil.monte_carlo.campaign import CampaignJob, Watch, write_summary
 from hil.monte_carlo.engines import Engine
 from hil.monte_carlo.sobol_indices import index_rows, sobol_indices
 from hil.monte_carlo.statistics import CONFIDENCE
@@ -48,20 +46,10 @@ class SobolCampaign:
 
     def run(self, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:
         """Run the missing cases; return the summary, which is also written to the folder."""
-        job, missing = self._job, store.missing(self.runs)
-        left = sum(count for _, count in missing)
-        spec = dataclasses.replace(job.spec, sobol=True)
-        begun_s, done = time.perf_counter(), 0
-        name = job.scenario.value.name
-        with closing(engine.run(spec, missing)) as results:
-            for first, rows in results:
-                store.put(first, rows)
-                done += len(rows)
-                speed = done * job.duration_s / max(1e-9, time.perf_counter() - begun_s)
-                watch(Progress(name, self.runs - left + done, self.runs, speed))
-        store.finish(self.runs)
+        job = self._job
+        job.fly(dataclasses.replace(job.spec, sobol=True), store, self.runs, engine, watch)
         summary = {
-            "scenario": name,
+            "scenario": job.scenario.value.name,
             "seed": job.seed,
             "rows": self._rows,
             "cases": self.runs,

@@ -18,10 +18,11 @@ from hil.config.cameras import CameraSettings
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
 from hil.core.realtime import drop_priority, take_fifo
-from hil.drivers.cameras.base import Camera, CameraFrame, camera_type, open_camera
+from hil.drivers.cameras.base import Camera, CameraFrame
 from hil.drivers.cameras.brightness import BrightnessControl
 from hil.drivers.cameras.camera_clock import CameraClock
 from hil.drivers.cameras.frame_memory import frame_ring, frame_type
+from hil.drivers.cameras.interfaces import camera_type, open_camera
 from hil.drivers.remote.server import FIFO_PRIORITY
 from hil.errors import DeviceError
 

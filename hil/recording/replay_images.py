@@ -17,7 +17,7 @@ from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import MONITOR
 from hil.core.messages import PoseFrame
-from hil.drivers.vmu.codec import PoseDecoder, encode
+from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.errors import BadInput
 from hil.maths import quat
 from hil.monitor.monitor import DockingMonitor
@@ -203,7 +203,7 @@ def _compare_frames(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.n
 
 def _as_sent(frame: PoseFrame) -> PoseFrame:
     """Return ``frame`` with the resolution of its bytes on the wire."""
-    (decoded,) = PoseDecoder().feed(encode(frame), 0.0)
+    (decoded,) = FrameDecoder(frame_codec()).feed(frame_codec().encode(frame), 0.0)
     assert decoded.pose is not None
     return decoded.pose
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.drivers.command_words.codec import Word, encode
-from hil.drivers.vmu.codec import PoseDecoder
+from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.session import build
 from tests.support.run_settings import UNHURRIED, make_job
 
@@ -32,7 +32,7 @@ def test_words_over_a_serial_port_fly_the_bench_and_their_end_stops_it() -> None
     )
     job = make_job(20.0, settings, rig="emulated")
     build.check(job)
-    heard, decoder, silent = [], PoseDecoder(), threading.Event()
+    heard, decoder, silent = [], FrameDecoder(frame_codec()), threading.Event()
 
     def compute() -> None:
         counter = 0

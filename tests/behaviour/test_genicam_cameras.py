@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from hil.config.cameras import VisionCameras
-from hil.drivers.cameras.base import Camera, CameraFrame, open_camera, to_8_bits
+from hil.drivers.cameras.base import Camera, CameraFrame, to_8_bits
 from hil.drivers.cameras.emulator import CameraEmulator
+from hil.drivers.cameras.interfaces import open_camera
 from hil.errors import DeviceError
 from tests.support.emulated_cameras import LEFT, emulated
 

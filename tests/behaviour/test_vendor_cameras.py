@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from hil.config.cameras import VisionCameras
-from hil.drivers.cameras.base import Camera, list_cameras, open_camera
+from hil.drivers.cameras.base import Camera
 from hil.drivers.cameras.gentl import PATH
+from hil.drivers.cameras.interfaces import list_cameras, open_camera
 from hil.errors import DeviceError
 from tests.support.emulated_cameras import require_libaravis
 

@@ -20,9 +20,10 @@ from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import COUNTERS
-from hil.drivers.vmu.codec import FRAME_BYTES, STATUS_NO_POSE, encode, encode_status
+from hil.drivers.vmu.codec import STATUS_NO_POSE
 from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
+from hil.drivers.vmu.frame_codec import frame_codec
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
 
 pytestmark = pytest.mark.wires
@@ -59,7 +60,7 @@ class Desk:
 
     def send(self, *counters: int) -> None:
         for counter in counters:
-            self.line.write(encode(replace(POSE, counter=counter, t_s=self.clock.now_s())))
+            self.line.write(frame_codec().encode(replace(POSE, counter=counter, t_s=self.clock.now_s())))
 
     def poll(self) -> list[PoseFrame]:
         return self.vmu.poll(self.clock.now_s())
@@ -136,7 +137,7 @@ def test_clock_of_the_units_own_is_set_against_bench_time() -> None:
         started_s = clock.now_s()
         for counter, stamp_s in enumerate(stamps):
             clock.sleep_until(started_s + stamp_s - stamps[0])
-            line.write(encode(replace(POSE, counter=counter, t_s=stamp_s)))
+            line.write(frame_codec().encode(replace(POSE, counter=counter, t_s=stamp_s)))
         desk = Desk(clock, line, vmu)
         frames = desk.poll_until(lambda frames: len(frames) == len(stamps))
         assert all(started_s - 0.1 < frame.t_s <= frame.received_s for frame in frames)
@@ -146,18 +147,18 @@ def test_clock_of_the_units_own_is_set_against_bench_time() -> None:
 
 
 def test_damaged_frame_is_counted_and_the_next_is_taken(desk: Desk) -> None:
-    damaged = bytearray(encode(replace(POSE, counter=1, t_s=desk.clock.now_s())))
+    damaged = bytearray(frame_codec().encode(replace(POSE, counter=1, t_s=desk.clock.now_s())))
     damaged[50] ^= 0x10
     desk.send(0)
     desk.line.write(bytes(damaged))
     desk.send(2)
     assert [frame.counter for frame in desk.poll_until(lambda frames: len(frames) == 2)] == [0, 2]
     counters = desk.vmu.counters()
-    assert (counters["crc_errors"], counters["skipped_bytes"], counters["lost"]) == (1, FRAME_BYTES, 1)
+    assert (counters["crc_errors"], counters["skipped_bytes"], counters["lost"]) == (1, frame_codec().size, 1)
 
 
 def test_frame_from_before_the_opening_is_not_handed_out(desk: Desk) -> None:
-    desk.line.write(encode(replace(POSE, counter=3, t_s=0.0)))
+    desk.line.write(frame_codec().encode(replace(POSE, counter=3, t_s=0.0)))
     desk.send(9)
     assert [frame.counter for frame in desk.poll_until(lambda frames: len(frames) == 1)] == [9]
     assert (desk.vmu.counters()["late"], desk.vmu.counters()["lost"]) == (1, 0)
@@ -182,7 +183,7 @@ def test_repeated_frame_is_no_sign_of_life(desk: Desk) -> None:
 def test_frame_without_a_pose_is_a_sign_of_life(desk: Desk) -> None:
     counter = 0
     while desk.clock.now_s() < 3.0:
-        desk.line.write(encode_status(counter, desk.clock.now_s(), STATUS_NO_POSE))
+        desk.line.write(frame_codec().encode_status(counter, desk.clock.now_s(), STATUS_NO_POSE))
         assert desk.poll() == []
         counter += 1
         time.sleep(0.05)
@@ -190,7 +191,7 @@ def test_frame_without_a_pose_is_a_sign_of_life(desk: Desk) -> None:
 
 
 def test_fault_of_the_unit_reaches_the_loop(desk: Desk) -> None:
-    desk.line.write(encode_status(0, desk.clock.now_s(), 0x82))
+    desk.line.write(frame_codec().encode_status(0, desk.clock.now_s(), 0x82))
     error, _ = desk.error()
     assert isinstance(error, DriveFault)
     assert str(error) == "vmu: reports fault 0x82"
@@ -250,7 +251,7 @@ def test_emulator_exposes_on_the_beat_and_sends_after_processing_and_line_time()
     assert [frame.counter for frame in desk_frames] == [0, 1, 3, 4, 5]
     assert vmu.counters()["no_pose"] == 1
     assert vmu.counters()["lost"] == 0
-    line_s = FRAME_BYTES * 10 / 460_800
+    line_s = frame_codec().size * 10 / 460_800
     for frame in desk_frames:
         assert frame.t_s == pytest.approx(frame.t_v[0], abs=1e-6)
         assert frame.t_s * rate_hz == pytest.approx(round(frame.t_s * rate_hz), abs=1e-4)

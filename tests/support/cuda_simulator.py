@@ -29,10 +29,11 @@ def run_simulated(scenario: str, settings: Sequence[str], duration_s: float) -> 
 
 
 def _main(scenario: str, duration_s: str, *settings: str) -> None:
+    from hil.api.jobs import job_of
     from hil.loop.compiled.run_cycles import run_cycles
     from hil.monte_carlo import cuda_engine, cuda_kernel
     from hil.monte_carlo.batch import Case, DrawnCase, run_batch
-    from hil.monte_carlo.campaign import campaigns_of
+    from hil.monte_carlo.campaign import RIG, CampaignJob
 
     def on_memory(*arguments: Any) -> int:
         return int(run_cycles(*(each._item._ary if hasattr(each, "_item") else each for each in arguments)))
@@ -48,7 +49,7 @@ def _main(scenario: str, duration_s: str, *settings: str) -> None:
     cuda_engine._THREADS = cuda_engine._UPLOADED_AT_ONCE = 1
     cuda_engine._MOST_CASES = 2  # the batch of three in two parts
     cuda_engine.Case = WithoutCaseOne
-    spec = campaigns_of(scenario, settings, 0, float(duration_s), None)[0].spec
+    spec = CampaignJob.of(job_of(scenario, RIG, tuple(settings), 0, float(duration_s))).spec
     engine = cuda_engine.CudaEngine(1)
     rows = [row for _, batch in engine.run(spec, [(0, 3), (3, 1)]) for row in batch]
     found = {"gpu": rows, "cpu": run_batch(spec, 0, 4), "summary": engine.summary()}

@@ -20,7 +20,8 @@ from hil.cli.vmu import row, solve
 from hil.config.cameras import VisionCameras
 from hil.config.load import load_geometry, load_rig, load_scenario
 from hil.config.rig import Rig
-from hil.drivers.cameras.base import SIDES, open_camera
+from hil.drivers.cameras.base import SIDES
+from hil.drivers.cameras.interfaces import open_camera
 from hil.loop.runner import Outcome
 from hil.maths.random_streams import stream
 from hil.session.build import Job, wired_bench

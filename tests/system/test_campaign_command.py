@@ -77,7 +77,7 @@ def test_campaign_of_one_run_is_the_first_case_of_a_long_one(alone: Path, tmp_pa
 class Deadly(LocalEngine):
     """Kills one of its workers with -9 after the first batch."""
 
-    def run(self, spec: batch.Spec, batches: list[engines.Batch]) -> Iterator[tuple[int, batch.Rows]]:  # type: ignore[override]
+    def run(self, spec: batch.Spec, batches: list[batch.Batch]) -> Iterator[tuple[int, batch.Rows]]:  # type: ignore[override]
         for number, done in enumerate(super().run(spec, batches)):
             if number == 0:
                 children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()

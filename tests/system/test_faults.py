@@ -46,11 +46,15 @@ VALUES = {
     "axis.slow": 0.0001,
     "axis.offset": 0.01,
     "axis.oscillation": [0.005, 2.0],
+    "sensor.offset": 0.3,
+    "sensor.drift": 0.06,
+    "sensor.outlier": 0.4,
+    "sensor.noise_scale": 5.0,
     "target.jump": [0.1, 0.0, 0.0],
     "target.drift": [0.01, 0.02, 0.0],
     "target.plume": 1.0,
 }
-NAMES = {"thruster": "thruster.2", "axis": "rails.x"}
+NAMES = {"thruster": "thruster.2", "axis": "rails.x", "sensor": "sensor.ranger"}
 KINDS = [f"{family}.{kind}" for family, kinds in TERMS.items() for kind in kinds]
 MORE = {
     "vmu.outlier": {"size_m": 0.5},
@@ -79,7 +83,7 @@ def fault(name: str, **keys: Any) -> dict[str, Any]:
 
 def fly(*faults: dict[str, Any], duration_s: float = END_S, settings: Sequence[str] = ()) -> np.ndarray:
     """Return the rows of a run of scheme-1 with these faults."""
-    settings = (*WITHOUT_GUARD, *_monitor(*faults), *settings, faults_setting(*faults))
+    settings = (*WITHOUT_GUARD, *_devices(*faults), *settings, faults_setting(*faults))
     with build.runner(make_job(duration_s, settings)) as runner:
         return runner.run().history
 
@@ -97,14 +101,16 @@ def healthy() -> np.ndarray:
     return fly()
 
 
-def _monitor(*faults: dict[str, Any]) -> tuple[str, ...]:
-    """Return the settings of a docking monitor, if one of ``faults`` is its own."""
-    return ("monitor.source=model",) if any(fault["device"] == "monitor" for fault in faults) else ()
+def _devices(*faults: dict[str, Any]) -> tuple[str, ...]:
+    """Return the settings of a docking monitor or a range finder, if one of ``faults`` is its own."""
+    found = {fault["device"] for fault in faults}
+    of_monitor = ("monitor.source=model",) if "monitor" in found else ()
+    return (*of_monitor, "sensors.ranger.kind=range_finder") if "sensor.ranger" in found else of_monitor
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name: str) -> None:
-    settings = (*DISTURBED, *WITHOUT_GUARD, *_monitor(fault(name)), faults_setting(fault(name)))
+    settings = (*DISTURBED, *WITHOUT_GUARD, *_devices(fault(name)), faults_setting(fault(name)))
     job = make_job(END_S, settings, seed=3)
     rows = []
     for compiled in (True, False):
@@ -120,8 +126,8 @@ def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name:
 @pytest.mark.parametrize("name", sorted(set(KINDS) - {"vmu.sigma_scale", *NO_DISAGREEMENT}))
 def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.ndarray, name: str) -> None:
     found = fly(fault(name))
-    if with_monitor := _monitor(fault(name)):
-        healthy = fly(settings=with_monitor)
+    if with_device := _devices(fault(name)):
+        healthy = fly(settings=with_device)
     before = healthy["t_s"] < AT_S - 1e-9
     assert_same_bits(found[before], healthy[before])
     differs = found[~before].tobytes() != healthy[~before].tobytes()
@@ -132,7 +138,7 @@ def test_nothing_differs_before_the_onset_and_something_after_it(healthy: np.nda
 @pytest.mark.parametrize("onset_s", [20.0, 150.0])
 def test_fault_that_is_not_detected_for_sure_stays_within_the_limits(name: str, onset_s: float) -> None:
     injected = fault(name, at_s=onset_s, until_s=1000.0)
-    scenario = load_scenario("scheme-1", (*_monitor(injected), faults_setting(injected))).value
+    scenario = load_scenario("scheme-1", (*_devices(injected), faults_setting(injected))).value
     stats, stop = CaseRunner(scenario, load_rig("mock", WITHOUT_GUARD).value, scenario.duration_s).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)
     assert stop == COMPLETED
@@ -149,7 +155,7 @@ def test_fault_is_detected_as_the_table_states(name: str) -> None:
     injected = fault(name, at_s=onset_s, until_s=100.0, **sizes)
     # a dead thruster is found when it is needed: the filters of the bench paper need this one within 10 s
     plain = PLAIN if name == "thruster.stuck_closed" else ()
-    settings = (*plain, *_monitor(injected), faults_setting(injected))
+    settings = (*plain, *_devices(injected), faults_setting(injected))
     scenario, rig = load_scenario("scheme-1", settings).value, load_rig("mock").value
     stats, stop = CaseRunner(scenario, rig, 50.0).run(scenario, 0)
     row = row_of(stats, stop, scenario, scenario)

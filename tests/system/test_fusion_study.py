@@ -175,7 +175,7 @@ def test_form_of_the_attitude_filter_can_be_set(tmp_path: Path) -> None:
         (("--runs", "0"), ("--runs", "0", "at least 1")),
         (("--runs", "-3"), ("--runs", "-3", "at least 1")),
         (("--runs", "many"), ("--runs", "many")),
-        (("--seed", "-1"), ("--seed", "-1", "at least 0")),
+        (("--seed", "-1"), ("--seed", "-1", "must not be negative")),
         (("--workers", "-1"), ("--workers", "-1", "at least 0")),
         (("--vmu-noise", "both"), ("--vmu-noise", "both", "swapped", "printed")),
         (("--json", "/no/such/folder/f.json"), ("--json", "/no/such/folder", "does not exist")),

@@ -23,9 +23,8 @@ import hil
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.maths.random_streams import noise_source
-from hil.monte_carlo.batch import Case, Rows, Spec
+from hil.monte_carlo.batch import Batch, Case, Rows, Spec
 from hil.monte_carlo.campaign import CampaignJob
-from hil.monte_carlo.engines import Batch
 from hil.monte_carlo.outcome import failed_row
 from hil.monte_carlo.rare_campaign import POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
 from hil.monte_carlo.rare_events import RareEvent

@@ -15,7 +15,8 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_rig
-from hil.drivers.vmu.codec import Decoded, PoseDecoder
+from hil.drivers.vmu.codec import Decoded
+from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, geometry_of_rig, led_positions
 from hil.vmu.render import RingAppearance, RingRenderer
@@ -49,7 +50,7 @@ def streams(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
     return ",".join(names), str(path)
 
 
-def listen(master: int, decoder: PoseDecoder, found: list[Decoded], wanted: int, done: threading.Event) -> None:
+def listen(master: int, decoder: FrameDecoder, found: list[Decoded], wanted: int, done: threading.Event) -> None:
     while len(found) < wanted:
         found += decoder.feed(os.read(master, 4096), 0.0)
     done.set()
@@ -59,7 +60,7 @@ def test_poses_of_videos_go_into_the_file_and_onto_the_line(streams: tuple[str, 
     source, geometry = streams
     master, slave = os.openpty()
     tty.setraw(slave)
-    decoder, found, done = PoseDecoder(), list[Decoded](), threading.Event()
+    decoder, found, done = FrameDecoder(frame_codec()), list[Decoded](), threading.Event()
     threading.Thread(target=listen, args=(master, decoder, found, FRAMES, done), daemon=True).start()
     out = tmp_path / "poses.csv"
     arguments = ["vmu", source, "--geometry", geometry, "--out", str(out), "--rs422", os.ttyname(slave), "--fast"]

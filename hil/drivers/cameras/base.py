@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import math
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,13 +12,6 @@ from hil.config.cameras import CameraInterface, CameraSettings, PixelFormat
 from hil.errors import DeviceError
 
 SIDES: Final = ("left", "right")
-_DRIVERS: Final[dict[CameraInterface, str]] = {
-    "genicam": "genicam:GenicamCamera",
-    "pylon": "pylon:PylonCamera",
-    "gentl": "gentl:GentlCamera",
-    "v4l2": "v4l2:V4l2Camera",
-}
-_EXTRAS: Final = {"pypylon": "pylon:found_pylon", "harvesters": "gentl:found_gentl"}  # by the package that they need
 BITS: Final[dict[PixelFormat, int]] = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 
 
@@ -74,37 +65,6 @@ class CameraType(Protocol):
     def __call__(
         self, name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float
     ) -> Camera: ...
-
-
-def camera_type(interface: CameraInterface) -> CameraType:
-    """Return the driver of ``interface``; the first call imports it."""
-    found: CameraType = _imported(_DRIVERS[interface])
-    return found
-
-
-def _imported(path: str) -> Any:
-    module, _, name = path.partition(":")
-    return getattr(importlib.import_module(f"hil.drivers.cameras.{module}"), name)
-
-
-def open_camera(name: str, identifier: str, settings: CameraSettings, size: tuple[int, int], rate_hz: float) -> Camera:
-    """Return the camera ``identifier``, set up for images of ``size`` (width, height), px. Raises DeviceError.
-
-    name: of the device in errors.
-    """
-    return camera_type(settings.interface)(name, identifier, settings, size, rate_hz)
-
-
-def list_cameras() -> list[CameraInfo]:
-    """Return the cameras that answer, once per interface. Raises DeviceError without libaravis."""
-    from hil.drivers.cameras.genicam import found_cameras
-    from hil.drivers.cameras.v4l2 import found_devices
-
-    found = [*found_cameras(), *found_devices()]
-    for package, path in _EXTRAS.items():
-        if importlib.util.find_spec(package) is not None:
-            found += _imported(path)()
-    return found
 
 
 def to_8_bits(raw: np.ndarray, bits: int) -> np.ndarray:

@@ -21,7 +21,7 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
-from hil.drivers.vmu.codec import crc16
+from hil.drivers.checksums import crc16_ccitt
 
 SYNC: Final = b"\xeb\x91"
 VERSION: Final = 1
@@ -47,12 +47,16 @@ def encode(word: Word) -> bytes:
 def encode_can(word: Word) -> bytes:
     """Return the data of ``word``'s CAN frame."""
     body = bytes([VERSION, word.counter & 0xFF]) + word.thrusters.to_bytes(3, "little")
-    return body + _CRC.pack(crc16(body))
+    return body + _CRC.pack(crc16_ccitt(body))
 
 
 def decode_can(data: bytes) -> Word | None:
     """Return the word in a CAN frame's data, None if length, version or CRC are wrong."""
-    if len(data) != CAN_BYTES or data[0] != VERSION or _CRC.unpack_from(data, _CRC_AT)[0] != crc16(data[:_CRC_AT]):
+    if (
+        len(data) != CAN_BYTES
+        or data[0] != VERSION
+        or _CRC.unpack_from(data, _CRC_AT)[0] != crc16_ccitt(data[:_CRC_AT])
+    ):
         return None
     return Word(data[1], int.from_bytes(data[2:5], "little"))
 

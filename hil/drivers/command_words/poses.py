@@ -13,7 +13,7 @@ import serial
 from hil.config.flight_computer import WordsLine
 from hil.core.messages import PoseFrame
 from hil.drivers.command_words.receiver import NAME
-from hil.drivers.vmu.codec import encode
+from hil.drivers.vmu.frame_codec import frame_codec
 from hil.errors import LinkLost
 
 _WAITING: Final = 64  # frames; further ones are lost
@@ -44,7 +44,7 @@ class PoseForwarder:
         if self._writer is None or t_s < 0.0:
             return
         try:
-            self._queue.put_nowait(encode(replace(frame, t_s=t_s)))
+            self._queue.put_nowait(frame_codec().encode(replace(frame, t_s=t_s)))
         except queue.Full:
             self.lost += 1
 

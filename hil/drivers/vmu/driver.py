@@ -17,7 +17,7 @@ from hil.drivers.latest import Latest
 from hil.drivers.serial_port import open_serial
 from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded
-from hil.drivers.vmu.frame_codec import frame_codec
+from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.drivers.vmu.unit_clock import UnitClock
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 
@@ -64,7 +64,7 @@ class Rs422Vmu:
         self._seen: deque[int] = deque(maxlen=_HISTORY)  # counters handed on
         self._offsets: deque[float] = deque(maxlen=_HISTORY)  # reception less time stamp
         self._clock_offset = UnitClock(self._fastest_s)
-        self._decoder = self._codec.decoder()
+        self._decoder = FrameDecoder(self._codec)
         self._frames: deque[PoseFrame] = deque()
         self._counts = dict.fromkeys(COUNTERS, 0)
 

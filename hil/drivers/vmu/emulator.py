@@ -10,13 +10,12 @@ from dataclasses import replace
 from typing import Final
 
 from hil.config.rig import Vmu, VmuLine
-from hil.config.vmu_frame import BUILT_IN
 from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
 from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import NAME
-from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode_identity
+from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity
 from hil.drivers.vmu.frame_codec import frame_codec
 from hil.drivers.vmu.transport import Transport
 from hil.maths.random_streams import stream
@@ -50,7 +49,7 @@ class VmuEmulator:
         line = config.rs422 or VmuLine()
         self._baud = line.baud
         self._codec = frame_codec(line.frames)
-        self._identifies = line.frames == BUILT_IN
+        self._identifies = bool(self._codec.identity_sync)
         self._clock = clock
         self._pose_at = pose_at
         self._transport = transport
@@ -88,7 +87,7 @@ class VmuEmulator:
             if self._wait(exposed_s, stop):
                 return
             if self._identifies and exposed_s >= identify_s:
-                self._send(encode_identity(IDENTITY), exposed_s)
+                self._send(self._codec.encode_identity(IDENTITY), exposed_s)
                 identify_s = exposed_s + IDENTITY_PERIOD_S
             delays = self._transport.delays() if self._transport else (0.0,)
             frame = self._expose(exposed_s, bool(delays))

@@ -8,17 +8,14 @@ from hil.config.cameras import VisionCameras
 from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.load import load_frame
 from hil.config.rig import Vmu, VmuLine
-from hil.config.vmu_frame import BUILT_IN
 from hil.errors import BadInput
 
 _BITS_PER_BYTE: Final = 10
 
 
 def _check_files(vmu: Vmu) -> list[str]:
-    if vmu.rs422 is None or vmu.rs422.frames == BUILT_IN:
-        return []
-    frame = load_frame(vmu.rs422.frames)
-    if any(text is not None for text in vmu.identity.model_dump().values()):
+    frame = load_frame((vmu.rs422 or VmuLine()).frames)
+    if frame.value.identity_sync is None and any(text is not None for text in vmu.identity.model_dump().values()):
         raise BadInput.single("rig", "vmu.identity", f'frames "{frame.value.name}" have no identity: omit the table')
     return frame.value.warnings()
 

@@ -1,4 +1,4 @@
-"""Pose frames of a vision unit by a frame file: bytes <-> numbers."""
+"""Frames of a vision unit by a frame file: bytes <-> numbers."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import binascii
 import math
 import struct
 from collections.abc import Callable
-from typing import Final, Protocol
+from functools import cache
+from typing import Final
 
 import numpy as np
 
 from hil.config.load import load_frame
-from hil.config.vmu_frame import BUILT_IN, VmuFrame
+from hil.config.vmu_frame import FrameField, VmuFrame
 from hil.core.messages import Array, PoseFrame
-from hil.drivers.vmu import codec
+from hil.drivers.checksums import crc16_ccitt, crc16_modbus, sum8, xor8
 from hil.drivers.vmu.codec import STATUS_GOOD, STATUS_NO_POSE, Decoded, ReportedIdentity, checked_pose
 from hil.maths import quat
 
@@ -21,84 +22,65 @@ _TYPES: Final = ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f
 _STRUCT: Final = dict(zip(_TYPES, "BbHhIiQqfd", strict=True))
 _UPPER: Final = np.triu_indices(6)
 _COUNTER_BITS: Final = 32
-_QUATERNION_TOLERANCE: Final = 1e-3  # scaled integers of 16 bits
-
-
-def _modbus(data: bytes) -> int:
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc
-
-
-def _xor(data: bytes) -> int:
-    result = 0
-    for byte in data:
-        result ^= byte
-    return result
+_UNIT_TOLERANCE: Final = 1e-6  # of a quaternion: a unit that computes in float32 passes
+_INTEGER_TOLERANCE: Final = 1e-3  # of one in scaled integers of 16 bits, which is normalised
+_IDENTITY: Final = struct.Struct("16s16sBB")
 
 
 _CHECKSUMS: Final[dict[str, tuple[str, Callable[[bytes], int]]]] = {
     "none": ("", lambda data: 0),
-    "crc16-ccitt-false": ("H", codec.crc16),
+    "crc16-ccitt-false": ("H", crc16_ccitt),
     "crc16-xmodem": ("H", lambda data: binascii.crc_hqx(data, 0)),
-    "crc16-modbus": ("H", _modbus),
+    "crc16-modbus": ("H", crc16_modbus),
     "crc32": ("I", binascii.crc32),
-    "sum8": ("B", lambda data: sum(data) & 0xFF),
-    "xor8": ("B", _xor),
+    "sum8": ("B", sum8),
+    "xor8": ("B", xor8),
 }
 
 
-class FrameDecoder(Protocol):
-    """Decoder of a byte stream; see ``codec.PoseDecoder``."""
-
-    crc_errors: int
-    skipped_bytes: int
-    invalid: int
-    wrong_length: int
-    identity: ReportedIdentity | None
-
-    def feed(self, data: bytes, received_s: float) -> list[Decoded]: ...
-
-
 class FrameCodec:
-    """Frames of a frame file: encoder, and maker of decoders."""
+    """Encoder of the frames of a frame file."""
 
     def __init__(self, frame: VmuFrame) -> None:
         self.frame = frame
         self.sync = bytes.fromhex(frame.sync)
+        self._names = {field.name for field in frame.fields}
         self._order = "<" if frame.byte_order == "little" else ">"
         self.body = struct.Struct(self._order + "".join(field.count * _STRUCT[field.type] for field in frame.fields))
         letter, self._sum = _CHECKSUMS[frame.checksum.kind]
         self._checksum = struct.Struct(self._order + letter)
         self.size = len(self.sync) + self.body.size + self._checksum.size
+        self.identity_sync = bytes.fromhex(frame.identity_sync or "")
+        self.identity_size = len(self.identity_sync) + _IDENTITY.size + self._checksum.size
 
     def encode(self, pose: PoseFrame) -> bytes:
         """Return the bytes of ``pose``; numbers beyond a field's range are limited to it."""
-        sigma = np.sqrt(pose.covariance.diagonal())
-        rotation = quat.to_matrix(np.asarray(pose.q_vt, dtype=float))  # p_v = A(q_vt) p_t
-        if self.frame.rotation == "v_to_t":
-            rotation = rotation.T
-        q = quat.from_matrix(np.ascontiguousarray(rotation.T))  # A(q) is passive, the frame's quaternion active
+        q = _with_sense(np.asarray(pose.q_vt, dtype=float), self.frame)
         values: dict[str, object] = {
             "position": pose.t_v,
             "quaternion": q if self.frame.quaternion_order == "xyzw" else np.roll(q, 1),
-            "euler": euler_angles(rotation, self.frame.euler_sequence),
             "covariance": pose.covariance[_UPPER],
-            "sigma_position": sigma[:3],
-            "sigma_angle": sigma[3:],
             "leds_left": pose.leds_left,
             "leds_right": pose.leds_right,
         }
+        if "covariance" not in self._names:
+            sigma = np.sqrt(pose.covariance.diagonal())
+            values |= {"sigma_position": sigma[:3], "sigma_angle": sigma[3:]}
+        if "euler" in self._names:
+            values["euler"] = euler_angles(quat.to_matrix(q).T, self.frame.euler_sequence)
         return self._pack(pose.counter, pose.t_s, values, self.frame.status.good)
 
     def encode_status(self, counter: int, t_s: float, status: int) -> bytes:
         """Return the bytes of a frame without pose; a frame without a field for the status is empty."""
-        if "status" not in [field.name for field in self.frame.fields]:
+        if "status" not in self._names:
             return b""
         return self._pack(counter, t_s, {}, self.frame.status.no_pose if status == STATUS_NO_POSE else status)
+
+    def encode_identity(self, identity: ReportedIdentity) -> bytes:
+        """Return the bytes of the identity frame."""
+        major, minor = (int(part) for part in identity.firmware.split("."))
+        data = self.identity_sync + _IDENTITY.pack(identity.vendor.encode(), identity.serial.encode(), major, minor)
+        return data + self._checksum_of(data)
 
     def _pack(self, counter: int, t_s: float, values: dict[str, object], status: int) -> bytes:
         values = {"counter": counter, "time": t_s, "status": status} | values
@@ -106,7 +88,7 @@ class FrameCodec:
         for field in self.frame.fields:
             given = field.value if field.name == "constant" else values.get(field.name, 0)
             wraps = field.name in ("counter", "time")
-            each = np.broadcast_to(np.asarray(given, dtype=float), field.count) / field.scale
+            each = _raw(np.broadcast_to(np.asarray(given, dtype=float), field.count), field)
             numbers += [_on_wire(float(value), field.type, wraps) for value in each]
         data = self.sync + self.body.pack(*numbers)
         return data + self._checksum_of(data)
@@ -114,41 +96,34 @@ class FrameCodec:
     def _checksum_of(self, data: bytes) -> bytes:
         if self.frame.checksum.kind == "none":
             return b""
-        covered = data if self.frame.checksum.covers_sync else data[len(self.sync) :]
-        return self._checksum.pack(self._sum(covered))
+        first = self.frame.checksum.from_byte
+        if first is None:
+            first = 0 if self.frame.checksum.covers_sync else len(self.sync)
+        return self._checksum.pack(self._sum(data[first:]))
 
     def is_intact(self, raw: bytes) -> bool:
         """Return whether the checksum of a frame of ``size`` bytes is right."""
         end = len(raw) - self._checksum.size
         return self._checksum_of(raw[:end]) == raw[end:]
 
-    def decoder(self) -> FrameDecoder:
-        """Return a new decoder of a byte stream."""
-        return FileFrameDecoder(self)
 
+class FrameDecoder:
+    """Decodes frames from a byte stream with arbitrary splits and damage; never raises.
 
-class BuiltInCodec:
-    """The frames of ``codec``."""
-
-    size = codec.FRAME_BYTES
-    encode = staticmethod(codec.encode)
-    encode_status = staticmethod(codec.encode_status)
-
-    def decoder(self) -> FrameDecoder:
-        """Return a new decoder of a byte stream."""
-        return codec.PoseDecoder()
-
-
-class FileFrameDecoder:
-    """Decodes frames from a byte stream with arbitrary splits and damage; never raises."""
+    After a wrong checksum the search resumes at the next byte, so that neither a truncated frame nor a sync inside
+    other data hides an intact frame.
+    """
 
     def __init__(self, frames: FrameCodec) -> None:
         self.crc_errors = 0
         self.skipped_bytes = 0
-        self.invalid = 0
-        self.wrong_length = 0
-        self.identity: ReportedIdentity | None = None
+        self.invalid = 0  # right checksum, impossible content
+        self.wrong_length = 0  # sync, but for the length at its end
+        self.identity: ReportedIdentity | None = None  # the newest
         self._frames = frames
+        self._sizes = {frames.sync: frames.size}
+        if frames.identity_sync:
+            self._sizes[frames.identity_sync] = frames.identity_size
         self._buffer = bytearray()
         self._counter: int | None = None
         self._number = 0
@@ -156,14 +131,20 @@ class FileFrameDecoder:
     def feed(self, data: bytes, received_s: float) -> list[Decoded]:
         """Decode ``data``, whose last byte was received at bench time ``received_s``; return the completed frames."""
         self._buffer += data
-        frames, sync, size = [], self._frames.sync, self._frames.size
+        frames = []
         start = self._skip(0)
-        while start + size <= len(self._buffer):
+        while start + (size := self._size_at(start)) <= len(self._buffer):
             raw = bytes(self._buffer[start : start + size])
-            numbers = self._numbers(raw)
+            numbers = None
+            if self._sizes.get(raw[: len(self._frames.sync)]) == self._frames.size:
+                numbers = self._numbers(raw)
+            elif self._is_intact(raw):
+                self.identity = self._decode_identity(raw)
+                start = self._skip(start + size)
+                continue
             if numbers is None:
-                self.skipped_bytes += len(sync)
-                start = self._skip(start + len(sync))
+                self.skipped_bytes += 1
+                start = self._skip(start + 1)
                 continue
             decoded = self._decode(numbers, received_s)
             if decoded is None:
@@ -174,18 +155,34 @@ class FileFrameDecoder:
         del self._buffer[:start]
         return frames
 
+    def _size_at(self, start: int) -> int:
+        """Return the size of the frame at ``start``, that of a pose frame if its sync is incomplete."""
+        rest = self._buffer[start:]
+        return next((size for sync, size in self._sizes.items() if rest.startswith(sync)), self._frames.size)
+
     def _skip(self, start: int) -> int:
         """Return the position of the next sync, or of an incomplete one at the end of the buffer."""
-        buffer, sync = self._buffer, self._frames.sync
-        place = start
-        while (place := buffer.find(sync[:1], place)) >= 0:
-            head = bytes(buffer[place : place + len(sync)])
-            if sync.startswith(head):
+        buffer, place, first = self._buffer, start, self._frames.sync[:1]
+        while (place := buffer.find(first, place)) >= 0:
+            heads = [(sync, bytes(buffer[place : place + len(sync)])) for sync in self._sizes]
+            if any(sync.startswith(head) for sync, head in heads):
                 break
+            is_other = any(head[:-1] == sync[:-1] and len(head) == len(sync) for sync, head in heads)
+            self.wrong_length += is_other and self._frames.frame.sync_ends_with_length
             place += 1
         found = place if place >= 0 else len(buffer)
         self.skipped_bytes += found - start
         return found
+
+    def _is_intact(self, raw: bytes) -> bool:
+        if self._frames.is_intact(raw):
+            return True
+        self.crc_errors += 1
+        return False
+
+    def _decode_identity(self, raw: bytes) -> ReportedIdentity:
+        vendor, serial, major, minor = _IDENTITY.unpack_from(raw, len(self._frames.identity_sync))
+        return ReportedIdentity(_text(vendor), _text(serial), f"{major}.{minor}")
 
     def _numbers(self, raw: bytes) -> dict[str, Array] | None:
         """Return the SI values of each field, None for a frame with another constant or a wrong checksum."""
@@ -197,11 +194,8 @@ class FileFrameDecoder:
             k += field.count
             if field.name == "constant" and part[0] != field.value:
                 return None
-            found[field.name] = np.array(part, dtype=float) * field.scale
-        if not self._frames.is_intact(raw):
-            self.crc_errors += 1
-            return None
-        return found
+            found[field.name] = _si(np.array(part, dtype=float), field)
+        return found if self._is_intact(raw) else None
 
     def _decode(self, values: dict[str, Array], received_s: float) -> Decoded | None:
         frame = self._frames.frame
@@ -211,27 +205,28 @@ class FileFrameDecoder:
             return Decoded(counter, t_s, STATUS_NO_POSE, None)
         if status != frame.status.good:
             return Decoded(counter, t_s, max(status & 0xFF, STATUS_NO_POSE + 1), None)
-        rotation = self._rotation(values)
-        if rotation is None:
+        q_vt = self._quaternion(values)
+        if q_vt is None:
             return None
         leds = [int(values[name][0]) & 0xFF if name in values else 0 for name in ("leds_left", "leds_right")]
-        q_vt, covariance = quat.from_matrix(rotation), self._covariance(values)
+        covariance = self._covariance(values)
         return checked_pose(
             PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], STATUS_GOOD)
         )
 
-    def _rotation(self, values: dict[str, Array]) -> Array | None:
-        """Return R (3, 3), t to v, None if the numbers are no rotation."""
+    def _quaternion(self, values: dict[str, Array]) -> Array | None:
+        """Return q_vt (4,), None if the numbers are no rotation."""
         frame = self._frames.frame
         if "euler" in values:
-            rotation = rotation_of(values["euler"], frame.euler_sequence)
+            q = quat.from_matrix(np.ascontiguousarray(rotation_of(values["euler"], frame.euler_sequence).T))
         else:
             q = values["quaternion"] if frame.quaternion_order == "xyzw" else np.roll(values["quaternion"], -1)
-            length = float(np.linalg.norm(q))
-            if not abs(length - 1.0) <= _QUATERNION_TOLERANCE:
+            is_float = next(field for field in frame.fields if field.name == "quaternion").type.startswith("f")
+            length = math.hypot(*q)
+            if not abs(length - 1.0) <= (_UNIT_TOLERANCE if is_float else _INTEGER_TOLERANCE):
                 return None
-            rotation = quat.to_matrix(q / length).T  # A(q) is passive
-        return rotation if frame.rotation == "t_to_v" else np.ascontiguousarray(rotation.T)
+            q = q if is_float else q / length
+        return _with_sense(q, frame)
 
     def _covariance(self, values: dict[str, Array]) -> Array:
         covariance = np.zeros((6, 6))
@@ -281,6 +276,25 @@ def _on_wire(number: float, kind: str, wraps: bool) -> float:
     return min(max(whole, low), high)
 
 
+def _with_sense(q: Array, frame: VmuFrame) -> Array:
+    """Return the quaternion of ``frame`` for q_vt, and back: A(q_vt) is passive, the frame's quaternion active."""
+    return q if frame.rotation == "v_to_t" else q * (-1.0, -1.0, -1.0, 1.0)
+
+
+def _raw(values: Array, field: FrameField) -> Array:
+    """Return the numbers on the wire of SI ``values``, not yet rounded."""
+    return values * field.inverse if field.inverse else values / field.scale
+
+
+def _si(numbers: Array, field: FrameField) -> Array:
+    """Return the SI values of ``numbers`` on the wire; a decimal scale divides, which rounds once."""
+    return numbers / field.inverse if field.inverse else numbers * field.scale
+
+
+def _text(padded: bytes) -> str:
+    return padded.rstrip(b"\0").decode("ascii", "replace")
+
+
 def _elementary(axis: str, angle: float) -> Array:
     """Return the active rotation (3, 3) about the axis x, y or z by ``angle``, rad."""
     k = "xyz".index(axis)
@@ -307,6 +321,7 @@ def euler_angles(rotation: Array, sequence: str) -> Array:
     return found
 
 
-def frame_codec(name: str) -> FrameCodec | BuiltInCodec:
+@cache
+def frame_codec(name: str = "hil") -> FrameCodec:
     """Return the codec of the frames ``name``, as in ``VmuLine``. Raises BadInput."""
-    return BuiltInCodec() if name == BUILT_IN else FrameCodec(load_frame(name).value)
+    return FrameCodec(load_frame(name).value)

@@ -8,7 +8,8 @@ from typing import Final
 import serial
 
 from hil.core.messages import PoseFrame
-from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity, encode, encode_identity, encode_status
+from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity
+from hil.drivers.vmu.frame_codec import frame_codec
 from hil.errors import LinkLost
 
 IDENTITY: Final = ReportedIdentity("hil", "VMU-SOFT", "1.0")
@@ -20,7 +21,8 @@ class FrameSender:
     """Sends identity and frames, numbered from 0, on the serial port ``port``. Raises LinkLost, in the unit's name."""
 
     def __init__(self, port: str, baud: int, identity: ReportedIdentity = IDENTITY) -> None:
-        self._identity = encode_identity(identity)
+        self._codec = frame_codec()
+        self._identity = self._codec.encode_identity(identity)
         self._identified_s = -float("inf")
         self._counter = 0
         try:
@@ -36,9 +38,9 @@ class FrameSender:
         if t_s - self._identified_s >= IDENTITY_PERIOD_S:
             data, self._identified_s = self._identity, t_s
         if pose is None:
-            data += encode_status(counter, t_s, STATUS_NO_POSE)
+            data += self._codec.encode_status(counter, t_s, STATUS_NO_POSE)
         else:
-            data += encode(replace(pose, counter=counter, t_s=t_s))
+            data += self._codec.encode(replace(pose, counter=counter, t_s=t_s))
         try:
             self._line.write(data)
         except (OSError, serial.SerialException) as error:

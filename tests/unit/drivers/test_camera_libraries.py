@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from hil.config.cameras import CameraInterface, CameraSettings
-from hil.drivers.cameras.base import open_camera
+from hil.drivers.cameras.interfaces import open_camera
 from hil.errors import DeviceError
 
 

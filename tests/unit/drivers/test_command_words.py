@@ -22,7 +22,7 @@ from hil.core.messages import MAX_POSES, POSE, PoseFrame
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can, encode, encode_can
 from hil.drivers.command_words.poses import PoseForwarder
 from hil.drivers.command_words.receiver import CommandWordReceiver
-from hil.drivers.vmu.codec import PoseDecoder
+from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.gnc_backends.command_words import CommandWordGnc
 from hil.loop.core_memory import CycleData
@@ -128,7 +128,7 @@ def test_poses_go_out_as_the_vision_unit_sends_them_in_time_of_the_run(wire: tup
     forwarder.put(frame, -0.1)  # of before the run
     forwarder.put(frame, 0.25)
     forwarder.close()
-    (decoded,) = PoseDecoder().feed(os.read(here, 1000), 0.0)
+    (decoded,) = FrameDecoder(frame_codec()).feed(os.read(here, 1000), 0.0)
     assert (decoded.counter, decoded.t_s) == (41, 0.25)
     assert decoded.pose is not None
     np.testing.assert_array_equal(decoded.pose.t_v, frame.t_v)

@@ -7,7 +7,8 @@ import math
 import pytest
 
 from hil.config.load import load_protocol
-from hil.drivers.turntable.ascii.frames import BrokenLine, crc16_ccitt, sum8, xor8
+from hil.drivers.checksums import crc16_ccitt, sum8, xor8
+from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
 from hil.errors import FaultKind
 

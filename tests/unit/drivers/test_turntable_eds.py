@@ -30,17 +30,15 @@ def section(index):
     return text[start:].split("\n\n")[0]
 
 
-def test_shipped_eds_is_the_object_dictionary_of_the_emulated_drive():
-    entries = ObjectDictionary(500).entries
-    variables = Eds(SHIPPED, homing=True).variables
-    assert set(variables) == set(entries)
-    for place, entry in entries.items():
-        variable = variables[place]
-        assert variable.writable == entry.writable, place
-        assert variable.pdo_mappable == entry.mappable, place
-        assert entry.text or len(variable) == 8 * entry.size, place
-        if variable.default is not None and not entry.text:
-            assert variable.default == entry.value, place
+def test_shipped_eds_has_what_the_driver_needs_for_homing_and_profiles():
+    assert Eds(SHIPPED, homing=True).has_profiles
+
+
+def test_emulated_drive_starts_with_the_defaults_of_its_eds():
+    objects = ObjectDictionary(500)
+    assert objects.value(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER) == 500
+    assert objects.value(codec.FOLLOWING_ERROR_WINDOW) == codec.UNLIMITED_WINDOW
+    assert not objects.map_pdos()  # none exists before it is configured
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from hil.config.load import load_frame
 from hil.core.messages import PoseFrame
 from hil.drivers.vmu import codec
-from hil.drivers.vmu.frame_codec import FrameCodec, euler_angles, rotation_of
+from hil.drivers.vmu.frame_codec import FrameCodec, FrameDecoder, euler_angles, rotation_of
 from hil.errors import BadInput
 from hil.maths import quat
 
@@ -28,7 +28,7 @@ def euler_frame(**changes: object) -> PoseFrame:
 
 
 def test_a_transcript_packed_by_hand_is_decoded() -> None:
-    (decoded,) = FrameCodec(load_frame("euler-mm").value).decoder().feed(b"\x00\xa5" + TRANSCRIPT, 100.1)
+    (decoded,) = FrameDecoder(FrameCodec(load_frame("euler-mm").value)).feed(b"\x00\xa5" + TRANSCRIPT, 100.1)
     expected = euler_frame()
     assert (decoded.counter, decoded.status) == (7, codec.STATUS_GOOD)
     assert decoded.t_s == pytest.approx(100.0)
@@ -42,28 +42,9 @@ def test_a_pose_is_encoded_as_the_transcript_packed_by_hand() -> None:
     assert FrameCodec(load_frame("euler-mm").value).encode(euler_frame()) == TRANSCRIPT
 
 
-def test_the_file_of_the_own_frame_has_the_bytes_of_the_built_in_one(rng: np.random.Generator) -> None:
-    frames, decoder = FrameCodec(load_frame("hil-pose").value), codec.PoseDecoder()
-    for k in range(20):
-        root = rng.normal(size=(6, 6))
-        q = quat.from_matrix(quat.to_matrix(rng.normal(size=4)))
-        pose = PoseFrame(k, 0.16 * k, 1.0, np.array([0.1, -0.2, 2.0 + k]), q / np.linalg.norm(q), 1e-4 * root @ root.T)
-        built_in = codec.encode(pose)
-        (ours,) = decoder.feed(frames.encode(pose), 1.0)
-        (theirs,) = frames.decoder().feed(built_in, 1.0)
-        assert ours.pose is not None
-        assert theirs.pose is not None
-        for found in (ours.pose, theirs.pose):
-            np.testing.assert_allclose(found.t_v, pose.t_v, rtol=1e-15)
-            np.testing.assert_allclose(found.q_vt, pose.q_vt, atol=1e-14)
-            np.testing.assert_allclose(found.covariance, pose.covariance, rtol=1e-6, atol=1e-12)
-    assert frames.size == codec.FRAME_BYTES
-    assert frames.encode_status(3, 1.0, codec.STATUS_NO_POSE) == codec.encode_status(3, 1.0, codec.STATUS_NO_POSE)
-
-
 @pytest.mark.parametrize("place", range(2, len(TRANSCRIPT)))
 def test_a_damaged_byte_is_no_pose_and_the_next_frame_is_found(place: int) -> None:
-    decoder = FrameCodec(load_frame("euler-mm").value).decoder()
+    decoder = FrameDecoder(FrameCodec(load_frame("euler-mm").value))
     damaged = bytearray(TRANSCRIPT)
     damaged[place] ^= 0x10
     found = decoder.feed(bytes(damaged) + TRANSCRIPT + TRANSCRIPT, 100.1)
@@ -73,7 +54,7 @@ def test_a_damaged_byte_is_no_pose_and_the_next_frame_is_found(place: int) -> No
 
 def test_counter_and_time_of_few_bits_are_continued_over_their_wrap() -> None:
     frames = FrameCodec(load_frame("euler-mm").value)
-    decoder, times, counters = frames.decoder(), [], []
+    decoder, times, counters = FrameDecoder(frames), [], []
     for k in range(600):
         pose = euler_frame()
         t_s = 429490.0 + 0.16 * k  # the time stamp wraps at 429496.7296 s

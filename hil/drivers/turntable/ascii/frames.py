@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import binascii
 import re
 from collections.abc import Callable
-from functools import reduce
-from operator import xor
 from typing import Final
 
 from hil.config.protocol import Checksum, Protocol
+from hil.drivers.checksums import crc16_ccitt, sum8, xor8
 
 _HEX = re.compile(rb"[0-9A-F]+")
 
 
 class BrokenLine(Exception):
     """A line that is damaged or not of this protocol."""
-
-
-def sum8(data: bytes) -> int:
-    """Return the sum of all bytes modulo 256."""
-    return sum(data) & 0xFF
-
-
-def xor8(data: bytes) -> int:
-    """Return all bytes combined by exclusive or."""
-    return reduce(xor, data, 0)
-
-
-def crc16_ccitt(data: bytes) -> int:
-    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, begins with 0xFFFF."""
-    return binascii.crc_hqx(data, 0xFFFF)
 
 
 CHECKSUMS: Final[dict[str, tuple[Callable[[bytes], int], int]]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import io
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +18,9 @@ from hil.core.files import MIB, read_text
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import Pdo
 from hil.errors import BadInput, Problem
+
+# canopen logs what it also raises; without a handler that would go to the terminal
+logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 _BYTES_MAX: Final = 4 * MIB
 SHIPPED: Final = Path(__file__).parent / "data" / "emulated-drive.eds"
@@ -95,7 +99,7 @@ class Eds:
 
     def __init__(self, path: Path, homing: bool = False) -> None:
         self.path = path
-        self.variables = _variables(_read(path))
+        self.variables = variables_of(read_eds(path))
         problems = [text for need in [*_needs(), *(_homing_needs() if homing else [])] if (text := self._fault(need))]
         for index in _MAPPED:
             variable = self._find(index)
@@ -136,7 +140,8 @@ class Eds:
         return ""
 
 
-def _read(path: Path) -> canopen.ObjectDictionary:
+def read_eds(path: Path) -> canopen.ObjectDictionary:
+    """Return the object dictionary of a data sheet. Raises BadInput."""
     text = read_text(path, _BYTES_MAX, "latin-1")  # encodings of vendors differ
     if "[DeviceInfo]" not in text:
         raise BadInput.single(str(path), "", "not an EDS file: section [DeviceInfo] is missing")
@@ -147,7 +152,8 @@ def _read(path: Path) -> canopen.ObjectDictionary:
     return dictionary
 
 
-def _variables(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODVariable]:
+def variables_of(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODVariable]:
+    """Return the variables of an object dictionary by index and sub-index."""
     found: dict[tuple[int, int], ODVariable] = {}
     for entry in dictionary.values():
         members = [entry] if isinstance(entry, ODVariable) else list(entry.values())

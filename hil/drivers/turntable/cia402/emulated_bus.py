@@ -12,9 +12,9 @@ import numpy as np
 
 from hil.config.rig import Cia402
 from hil.core.clock import BenchClock
+from hil.drivers.checksums import crc16_ccitt
 from hil.drivers.fault_injection import Faults, FaultyChannel
 from hil.drivers.pty_line import PtyLine
-from hil.drivers.turntable.ascii.frames import crc16_ccitt
 from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.serial_can import Frame, SerialFrames, encode_serial
 

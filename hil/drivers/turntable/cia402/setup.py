@@ -6,7 +6,6 @@ thread, so an error of the bus is raised here. Blocks; each reply is waited for 
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 
 import canopen
@@ -30,9 +29,6 @@ _POLL_WALL_S = 0.002
 _SDO_BYTES = 8
 _NO_SUCH_OBJECT = 0x06020000
 _NOT_MAPPABLE = 0x06040041
-
-# canopen logs what it also raises; without a handler that would go to the terminal
-logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 Handler = Callable[[int, bytes], None]

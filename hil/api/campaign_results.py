@@ -1,0 +1,109 @@
+"""Results of a campaign."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hil.api.cases import job_of_case
+from hil.api.frames import library
+from hil.api.results import Run
+from hil.api.runs import RunRequest, log, run_or_raise
+from hil.errors import BadInput
+from hil.monte_carlo.campaign import RIG
+from hil.monte_carlo.dispersions import Design
+from hil.session.warm_up import compile_kernels
+from hil.setup.assembly import Job
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.figure import Figure
+
+
+class Campaign:
+    """Results of a campaign.
+
+    summary: the numbers of ``hil campaign --json``, by its keys: pass rates, worst cases, percentiles, causes.
+    cases: pyarrow table with one row per case: number, seed, sampled dispersions, verdict and outcomes, SI
+    (``cases.to_pandas()`` if pandas is installed). job: the nominal run.
+    """
+
+    def __init__(self, job: Job, summary: dict[str, Any], cases: pa.Table) -> None:
+        self.job = job
+        self.summary = summary
+        self.cases = cases
+
+    @property
+    def accepted_rate(self) -> dict[str, float | int]:
+        """Fraction of the cases that are accepted: completed, not aborted, all parts that the scenario requires.
+
+        Keys as of ``pass_rate``.
+        """
+        found: dict[str, float | int] = self.summary["pass_rate"]["accepted"]
+        return found
+
+    @property
+    def pass_rate(self) -> dict[str, float | int]:
+        """Fraction of the cases that pass Table III.
+
+        rate: the fraction; low, high: Wilson's 95 % interval; passed, runs: the numbers.
+        """
+        found: dict[str, float | int] = self.summary["pass_rate"]["passed"]
+        return found
+
+    def column(self, name: str) -> Any:
+        """Return one column of the cases as a numpy array, (n,); missing numbers are nan. Raises BadInput."""
+        if name not in self.cases.column_names:
+            known = ", ".join(self.cases.column_names)
+            raise BadInput.single("campaign", name, f"no such column: give one of {known}")
+        return self.cases.column(name).to_numpy()
+
+    def why(self, case: int | None = None) -> dict[str, Any]:
+        """Return why cases fail, by the keys of ``hil explain --json``: ``causes``, ``drivers``, ``score`` and others.
+
+        case: number of a case; the result then has its margins and the nearest case that passes. Raises BadInput.
+        """
+        from hil.monte_carlo.explain import case_of, explain  # slow import
+
+        names = Design(self.job.scenario, self.job.seed).names
+        return explain(self.column, names) if case is None else case_of(self.cases, case, self.job.scenario.value.name)
+
+    def run_case(self, case: int) -> Run:
+        """Return case number ``case``, run again in full detail. Raises BadInput for a number that has no case."""
+        if case not in range(len(self.cases)):
+            raise BadInput.single("case", "", f"{case!r:.60}: must be 0 to {len(self.cases) - 1}")
+        job = job_of_case(self.job, case)
+        compile_kernels(job, log.warning)
+        return run_or_raise(RunRequest(job, RIG, more={"campaign_seed": self.job.seed, "case": case}))
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame of the cases, indexed by their number. Raises BadInput without pandas."""
+        library("pandas")
+        return self.cases.to_pandas().set_index("case")
+
+    def to_polars(self) -> Any:
+        """Return a polars DataFrame of the cases. Raises BadInput without polars."""
+        return library("polars").from_arrow(self.cases)
+
+    def to_xarray(self) -> Any:
+        """Return a Dataset of the cases, indexed by their number. Raises BadInput without xarray."""
+        library("xarray")
+        return self.to_pandas().to_xarray()
+
+    def figure(self) -> Figure:
+        """Return the distributions of the outcomes and the deviations against Table III."""
+        from hil.monte_carlo.figure import percentiles_figure  # slow import
+
+        return percentiles_figure(self.column, self.job.scenario.value)
+
+    def __repr__(self) -> str:
+        rate = self.accepted_rate
+        interval = f"{100.0 * rate['low']:.2f} .. {100.0 * rate['high']:.2f} %"
+        return f"<Campaign {self.summary['scenario']}: {rate['passed']} of {rate['runs']} accepted, {interval}>"
+
+    def _repr_html_(self) -> str:
+        """Return pass rate and figure for a notebook."""
+        from hil.report import html
+        from hil.report.figures import svg_address
+
+        why = "".join(html.paragraph(cause["text"]) for cause in self.summary["why"]["causes"][:3])
+        return html.paragraph(repr(self)[1:-1]) + why + html.image("outcomes of the cases", svg_address(self.figure()))
