@@ -34,7 +34,7 @@ def error_states(scenario: Scenario) -> list[SensorErrorState]:
     """Return the errors of all sensors whose standard deviations are above 0, in the order of their states."""
     found = []
     for number, (name, sensor) in enumerate(sensors_of(scenario).items()):
-        values = scenario.sensors[name].settings
+        values = sensor.values(scenario.sensors[name].settings)
         for index, error in enumerate(sensor.module.errors):
             if values[error.sigma] > 0.0:
                 time_s = math.inf if error.time_s is None else values[error.time_s]
@@ -44,8 +44,7 @@ def error_states(scenario: Scenario) -> list[SensorErrorState]:
 
 def settings_row(sensor: SensorKind, config: SensorConfig) -> Array:
     """Return the settings of a sensor in the order of their declaration."""
-    values = config.settings
-    return np.array([values[setting.name] for setting in sensor.settings], float)
+    return np.array(list(sensor.values(config.settings).values()), float)
 
 
 def sensor_sources(scenario: Scenario, seed: int) -> np.record:

@@ -105,6 +105,10 @@ class SensorKind:
         """First line of its documentation."""
         return (self.module.__doc__ or "").strip().partition("\n")[0]
 
+    def values(self, given: Mapping[str, Any]) -> dict[str, float]:
+        """Return the value of each setting in the order of the declaration: the given one, else its default."""
+        return {setting.name: float(given.get(setting.name, setting.default)) for setting in self.settings}
+
     def as_json(self) -> dict[str, Any]:
         """Return the declaration for JSON: components, settings, errors, faults."""
         return {
