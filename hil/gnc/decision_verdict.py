@@ -23,6 +23,7 @@ QUIET_S = 2.0
 """Time in which an alarm must follow an error beyond the protection level."""
 _VISION = GncHealth.VISION_LOST.value | GncHealth.VISION_SUSPECT.value
 _IMU, _THRUSTER = GncHealth.IMU_SUSPECT.value, GncHealth.THRUSTER_FAULT.value
+_SENSOR = GncHealth.SENSOR_SUSPECT.value
 
 DECISION_PARAMS = np.dtype(
     [
@@ -49,6 +50,7 @@ DECISION_STATE = np.dtype(
         ("false_vision", "i8"),  # accusations before the first fault
         ("false_imu", "i8"),
         ("false_thruster", "i8"),
+        ("false_sensor", "i8"),
         ("fused", "i8", 2),  # updates with a NEES, of position and attitude filter
         ("nees", "f8", 2),  # their sums
     ],
@@ -96,6 +98,7 @@ def _count_accusations(params, state, t_s, health):
         state.false_vision += 1 if new & _VISION != 0 else 0
         state.false_imu += 1 if new & _IMU != 0 else 0
         state.false_thruster += 1 if new & _THRUSTER != 0 else 0
+        state.false_sensor += 1 if new & _SENSOR != 0 else 0
 
 
 @kernel

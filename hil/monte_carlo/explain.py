@@ -25,7 +25,7 @@ from hil.report.limits import LIMITS, relative_margin, sentence, unit_of, words_
 _START: Final = 1.0  # s, up to which a limit is broken by the start
 _CLUSTERS: Final = 12  # whose drivers are looked for, the largest ones
 _DIFFERENCES: Final = 5
-_ACCUSED: Final = ("vision", "imu", "thruster")
+_ACCUSED: Final = ("vision", "imu", "thruster", "sensor")
 _FIXED: Final = frozenset(("case", "seed", *FLAGS, *COUNTS, *TEXTS, *NUMBERS, *MARGINS))
 _FAMILY: Final = {
     f"{what}_{axis}": f"{what}_across" for what in ("deviation", "velocity") for axis in ("y", "z")

@@ -45,7 +45,7 @@ _SINGLE: Final = (
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
-_ACCUSED: Final = ("vision", "imu", "thruster")
+_ACCUSED: Final = ("vision", "imu", "thruster", "sensor")
 FLAGS: Final = (
     "accepted", *dict.fromkeys(("passed", "passed_all_parts", *PART_COLUMNS.values())), "decision_error", "nees_ok",
 )  # fmt: skip

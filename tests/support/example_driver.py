@@ -1,17 +1,18 @@
-"""The package of examples/driver_python, installed for a test: its folder with the metadata that pip writes."""
+"""Packages of the examples, installed for a test: their files with the metadata that pip writes."""
 
 from __future__ import annotations
 
 import tomllib
 from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parents[2] / "examples" / "driver_python"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+FOLDER, SENSOR = EXAMPLES / "driver_python", EXAMPLES / "sensor_python"
 RIG = str(FOLDER / "rig.toml")
 
 
-def install(target: Path) -> Path:
-    """Install the package in ``target``; return the folder to be put on the path."""
-    project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
+def install(target: Path, folder: Path = FOLDER) -> Path:
+    """Install the package in ``folder`` in ``target``; return the folder to be put on the path."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
     name, version = project["name"], project["version"]
     info = target / f"{name.replace('-', '_')}-{version}.dist-info"
     info.mkdir(parents=True)
@@ -22,5 +23,6 @@ def install(target: Path) -> Path:
         for line in (f"[{group}]", *(f"{key} = {value}" for key, value in entries.items()))
     ]
     (info / "entry_points.txt").write_text("\n".join(points) + "\n")
-    (target / "acme_rails").symlink_to(FOLDER / "acme_rails")
+    for path in folder.glob("acme_*"):
+        (target / path.name).symlink_to(path)
     return target
