@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hil.bench.kinematics import pose_of_axes
+from hil.bench.kinematics import pose_of_axes, pose_on_bench
 from hil.core.jit import kernel
 from hil.maths import quat
 from hil.models.camera import view_margin
@@ -22,7 +22,7 @@ def view_margins(params, mounting, camera, leds, rail_m, gimbal_rad, out):
     r, q = np.empty(3), np.empty(4)
     t_v, q_vt = np.empty(3), np.empty(4)
     for k in range(out.shape[0]):
-        pose_of_axes(params, rail_m[k], gimbal_rad[k], r, q)
+        pose_on_bench(params, rail_m[k], gimbal_rad[k], r, q)
         camera_pose(mounting, r, q, t_v, q_vt)
         out[k] = view_margin(camera, leds, t_v, q_vt)
 

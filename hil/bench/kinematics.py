@@ -135,13 +135,26 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
 
 
 @kernel
-def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
-    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) that a bench shows whose axes stand at the given positions."""
+def pose_on_bench(params, rail_m, gimbal_rad, r_CT_H, q_CH):
+    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) of the bodies on a bench whose axes stand at the positions given.
+
+    It is what cameras on the bench see.
+    """
     euler.to_quaternion_into(gimbal_rad, params.order, q_CH)
     quat.transform_back_into(q_CH, params.lever_arm, r_CT_H)
-    square = 0.0
     for i in range(3):
         r_CT_H[i] += rail_m[i]
+
+
+@kernel
+def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
+    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) that a bench shows whose axes stand at the positions given.
+
+    It is another one than on the bench where this is scaled.
+    """
+    pose_on_bench(params, rail_m, gimbal_rad, r_CT_H, q_CH)
+    square = 0.0
+    for i in range(3):
         square += r_CT_H[i] ** 2
     if is_scaled(params, square):
         shown = math.sqrt(square)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.bench.kinematics import pose_of_axes
+from hil.bench.kinematics import pose_on_bench
 from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.rig import Rig
 from hil.config.scene import Scene
@@ -71,7 +71,7 @@ class EncoderTrack:
             for t, axes in zip(self._times, self._axes, strict=True)
         )
         r, q = np.empty(3), np.empty(4)
-        pose_of_axes(self._bench, rail, gimbal, r, q)
+        pose_on_bench(self._bench, rail, gimbal, r, q)
         return view(self._mounting, r, q)
 
     def drop_before(self, t_s: float) -> None:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.bench.kinematics import pose_of_axes
+from hil.bench.kinematics import pose_on_bench
 from hil.config.load import load_geometry
 from hil.config.rig import Rig, Vmu
 from hil.config.scenario import Scenario, VisionNoise
@@ -52,7 +52,7 @@ class PoseModel:
         """Return the measured pose of axes at ``rail_m`` (3,) and ``gimbal_rad`` (3,) at ``t_s``; None without one."""
         frame = self._frame
         frame.t_s = frame.received_s = t_s
-        pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
+        pose_on_bench(self._bench, rail_m, gimbal_rad, self._r, self._q)
         measure_frame(
             self._vision, self._camera, self.leds, self._mounting, self._r, self._q, self.noise.next_row(), t_s,
             self._memory, frame,

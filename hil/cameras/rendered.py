@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.bench.kinematics import pose_of_axes
+from hil.bench.kinematics import pose_on_bench
 from hil.config.scenario import RenderedImages
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import LEFT, RIGHT, CameraImage, ImageSink
@@ -63,7 +63,7 @@ class RenderedCameras:
 
     def _view(self, rail_m: Array, gimbal_rad: Array) -> tuple[Array, Array, Extras]:
         t_v, q_vt = np.empty(3), np.empty(4)
-        pose_of_axes(self._bench, rail_m, gimbal_rad, self._r, self._q)
+        pose_on_bench(self._bench, rail_m, gimbal_rad, self._r, self._q)
         camera_pose(self._mounting, self._r, self._q, t_v, q_vt)
         lights = [Light(tuple(quat.transform(q_vt, position) + t_v)) for position in self._decoys]
         return t_v, q_vt, Extras(lights=lights)

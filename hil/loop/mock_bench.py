@@ -91,7 +91,7 @@ def expose(params, state, until_s, first, vision_noise, travel_draws, leds, fram
             return
         row = mock.transit.next_exposure - first
         _move_axes(mock, t_s)
-        kinematics.pose_of_axes(params.bench, mock.rails.position, mock.turntable.position, r, q)
+        kinematics.pose_on_bench(params.bench, mock.rails.position, mock.turntable.position, r, q)
         measure_frame(
             params.mock.vision, params.mock.camera, leds, params.mounting, r, q, vision_noise[row], t_s,
             mock.vision_memory, frames[mock.transit.in_transit],

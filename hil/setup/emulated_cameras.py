@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.bench.kinematics import pose_of_axes
+from hil.bench.kinematics import pose_on_bench
 from hil.cameras.docking import view
 from hil.cameras.rendered import RenderedCameras
 from hil.config.load import load_scene
@@ -77,7 +77,7 @@ def emulated_television(
     r, q = np.empty(3), np.empty(4)
 
     def image_of(rail_m: Array, gimbal_rad: Array) -> np.ndarray:
-        pose_of_axes(bench, rail_m, gimbal_rad, r, q)
+        pose_on_bench(bench, rail_m, gimbal_rad, r, q)
         d, phi = view(mounting, r, q)
         return renderer.frame(0, lambda _: (d, phi), noise).image
 
