@@ -20,6 +20,7 @@ from hil.monte_carlo.statistics import paired_rates, percentiles
 SCENARIOS: Final = (
     "scheme-1", "scheme-2", "scheme-3", "scheme-1-printed", "leo-vbar", "geo", "inspection", "departure", "limit-cycle",
     "tumbling-1", "tumbling-3", "tumbling-5",
+    "shuttle-vbar", "torva", "ets-vii", "atv", "apollo",
 )  # fmt: skip
 RESULT: Final = "benchmark.json"
 _CYCLES: Final = 5000
