@@ -20,6 +20,7 @@ def benchmark(
     seed: Integer = 0,
     only: str = "*",
     against: Output = None,
+    ideal: bool = False,
     settings: Settings = (),
     workers: Integer = 0,
 ) -> int:
@@ -39,6 +40,8 @@ def benchmark(
         Pattern of the rows that are flown, as "scheme-*" or "*-stress".
     against
         Folder of an earlier benchmark: cases are compared one by one.
+    ideal
+        Fly rows with misses again with perfect sensors, with perfect thrusters and mass properties, and with both.
     workers
         Number of processes on this computer; 0: one per core.
     """
@@ -48,7 +51,7 @@ def benchmark(
     from hil.config.load import parsed_settings
     from hil.core.text_files import write_text
     from hil.monte_carlo.campaign import write_summary
-    from hil.report.benchmark_page import HEAD, cells_of, page_of
+    from hil.report.benchmark_page import HEAD, cells_of, page_of, rows_and_ideals
 
     rows, overrides = api.rows_of(only), parsed_settings(settings)
     if control != "builtin":
@@ -57,11 +60,11 @@ def benchmark(
         raise BadInput.single("--against", "", f"{against}: is no folder")
     folder, console = Path(out), Console(stderr=True)
     with console.status("") as status:
-        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update)
+        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update, ideal)
     if against is not None:
         found["against"] = {"folder": str(against), "rows": api.compare(folder, Path(against), rows)}
     write_summary(folder / api.RESULT, found)
     write_text(page_of(found), folder / "benchmark.html")
-    print_columns(HEAD, [cells_of(row) for row in found["rows"]])
+    print_columns(HEAD, [cells_of(row) for row in rows_and_ideals(found)])
     Console().print(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core")
     return 0
