@@ -72,7 +72,7 @@ IDEALS: Final = {
     "actuators": _ACTUATORS,
     "both": Ideal(_SENSORS.settings | _ACTUATORS.settings, _SENSORS.undispersed + _ACTUATORS.undispersed),
 }
-"""What physics leaves of a miss: perfect sensors, of which the bench's error stays; perfect thrusters and mass properties."""
+"""What physics leaves of a miss: perfect sensors, with the errors of the bench, and perfect thrusters and masses."""
 
 
 def _fault(device: str, kind: str, at_s: float, **rest: Any) -> tuple[dict[str, Any], ...]:
@@ -140,12 +140,11 @@ def _fly_row(
     overrides = given | ({"faults": list(row.faults)} if row.faults else {})
     if row.dispersions is not None:
         overrides["dispersions"] = row.dispersions
-    if without is not None:
-        named = {key: value for key, value in overrides.items() if key == "dispersions"}
-        spreads = job_of(row.scenario, "mock", named, 0, None).scenario.value.dispersions
-        left = spreads.model_dump(exclude=set(without.undispersed), exclude_defaults=True)
-        overrides |= without.settings | {"dispersions": left}
-    return numbers_of(campaign(row.scenario, runs, out, seed, overrides=overrides, workers=workers))
+    if without is None:
+        return numbers_of(campaign(row.scenario, runs, out, seed, overrides=overrides, workers=workers))
+    scenario = job_of(row.scenario, "mock", overrides | without.settings, 0, None).scenario.value
+    left = scenario.dispersions.model_copy(update={table: {} for table in without.undispersed})
+    return numbers_of(campaign(scenario.model_copy(update={"dispersions": left}), runs, out, seed, workers=workers))
 
 
 def numbers_of(flown: Campaign) -> dict[str, Any]:
