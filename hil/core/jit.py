@@ -131,7 +131,7 @@ class KernelCache:
         _prepare(target_context)
         try:
             return CompileResult._rebuild(target_context, *pickle.loads(data))
-        except StaleCaller:
+        except (StaleCaller, ModuleNotFoundError):  # or from a file of the user whose comments have changed since
             return None
 
     def _read(self, path: Path) -> bytes | None:
