@@ -3,7 +3,7 @@
     hil run scheme-1 --set 'gnc.control.backend="examples/backends/pd.py:pd"'
 
 Once per period the acceleration ``-kp e - kd e_dot`` is turned into a burn of whole cycles: less than half a cycle is
-no burn. There is no feed-forward, no dead band for noise, and the error is cut so that it is worked off at a limited rate.
+no burn. There is no feed-forward and no dead band for noise; the error is cut, to be worked off at a limited rate.
 """
 
 import math

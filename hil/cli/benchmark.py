@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from hil.cli.options import Integer, Output, Settings, at_least, refuse
+from hil.cli.options import Flag, Group, Integer, Output, Settings, at_least, refuse
 from hil.cli.output import print_columns
 from hil.errors import BadInput
+
+
+@dataclass(frozen=True)
+class BesideOptions:
+    """What is shown beside the rows."""
+
+    against: Output = None
+    """Folder of an earlier benchmark: cases are compared one by one."""
+    ideal: Flag = False
+    """Fly rows with misses again with perfect sensors, with perfect thrusters and mass properties, and with both."""
+
+
+_ROWS_ALONE = BesideOptions()
 
 
 def benchmark(
@@ -19,8 +33,7 @@ def benchmark(
     runs: Integer = 100,
     seed: Integer = 0,
     only: str = "*",
-    against: Output = None,
-    ideal: bool = False,
+    beside: Group[BesideOptions] = _ROWS_ALONE,
     settings: Settings = (),
     workers: Integer = 0,
 ) -> int:
@@ -29,7 +42,7 @@ def benchmark(
     Parameters
     ----------
     control
-        Backend of control: builtin, file.py:name, package:name, a shared library or an FMU.
+        Backend of control: builtin, predictive, file.py:name, package:name, a shared library or an FMU.
     out
         Folder for benchmark.json, benchmark.html and the campaigns, which are resumed.
     runs
@@ -38,10 +51,6 @@ def benchmark(
         Seed of all campaigns; a date as 20261125 draws a second set, which is new to each GNC.
     only
         Pattern of the rows that are flown, as "scheme-*" or "*-stress".
-    against
-        Folder of an earlier benchmark: cases are compared one by one.
-    ideal
-        Fly rows with misses again with perfect sensors, with perfect thrusters and mass properties, and with both.
     workers
         Number of processes on this computer; 0: one per core.
     """
@@ -53,14 +62,14 @@ def benchmark(
     from hil.monte_carlo.campaign import write_summary
     from hil.report.benchmark_page import HEAD, cells_of, page_of, rows_and_ideals
 
-    rows, overrides = api.rows_of(only), parsed_settings(settings)
+    rows, overrides, against = api.rows_of(only), parsed_settings(settings), beside.against
     if control != "builtin":
         overrides["gnc.control.backend"] = control
     if against is not None and not Path(against).is_dir():
         raise BadInput.single("--against", "", f"{against}: is no folder")
     folder, console = Path(out), Console(stderr=True)
     with console.status("") as status:
-        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update, ideal)
+        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update, beside.ideal)
     if against is not None:
         found["against"] = {"folder": str(against), "rows": api.compare(folder, Path(against), rows)}
     write_summary(folder / api.RESULT, found)

@@ -503,7 +503,7 @@ class Control(ConfigModel):
     """Backend of control. The built-in one: phase planes of position and attitude, updated once per period."""
 
     backend: Annotated[str, Field(min_length=1)] = BUILTIN
-    """Phase planes (`builtin`), linear programs over their horizon (`predictive`), or one of your own: `package:name` of
+    """Phase planes (`builtin`), linear programs over a horizon (`predictive`), or one of your own: `package:name` of
     an entry point, `file.py:name`, a shared library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
