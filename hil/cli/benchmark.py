@@ -14,7 +14,7 @@ from hil.errors import BadInput
 
 @dataclass(frozen=True)
 class BesideOptions:
-    """What is shown beside the rows."""
+    """What is added to the rows."""
 
     against: Output = None
     """Folder of an earlier benchmark: cases are compared one by one."""
