@@ -20,6 +20,7 @@ from hil.monte_carlo.statistics import paired_rates, percentiles
 SCENARIOS: Final = (
     "scheme-1", "scheme-2", "scheme-3", "scheme-1-printed", "leo-vbar", "geo", "inspection", "departure", "limit-cycle",
     "tumbling-1", "tumbling-3", "tumbling-5",
+    "shuttle-vbar", "torva", "ets-vii", "atv", "apollo",
 )  # fmt: skip
 RESULT: Final = "benchmark.json"
 _CYCLES: Final = 5000
@@ -33,6 +34,45 @@ class Row(NamedTuple):
     scenario: str
     dispersions: str | None = None
     faults: tuple[dict[str, Any], ...] = ()
+
+
+class Ideal(NamedTuple):
+    """Errors taken away from a row. settings: overrides. undispersed: tables of the dispersions that are left out."""
+
+    settings: dict[str, Any]
+    undispersed: tuple[str, ...]
+
+
+_SENSORS: Final = Ideal(
+    {
+        "vmu.sigma_position_m": 1e-5,
+        "vmu.sigma_angle_deg": 1e-4,
+        "imu.gyro_noise_degps": 0.0,
+        "imu.gyro_drift_noise_degps2": 0.0,
+        "imu.accelerometer_noise_mps2": 0.0,
+        "imu.accelerometer_bias_noise_mps3": 0.0,
+        "gnc.navigation.budget.vision_bias_sigma_m": [0.0, 0.0, 0.0],
+        "gnc.navigation.budget.vision_misalignment_sigma_deg": 0.0,
+        "gnc.navigation.budget.vision_scale_sigma": 0.0,
+        "gnc.navigation.budget.vision_noise_scale_sigma": 0.0,
+        "gnc.navigation.budget.vision_correlated_fraction": 0.0,
+    },
+    ("vmu", "imu", "gnc"),
+)
+_ACTUATORS: Final = Ideal(
+    {
+        "truth.misalignment_sigma_deg": 0.0,
+        "truth.force_scatter_sigma": 0.0,
+        "truth.centre_of_mass_offset_m": [0.0, 0.0, 0.0],
+    },
+    ("chaser", "truth"),
+)
+IDEALS: Final = {
+    "sensors": _SENSORS,
+    "actuators": _ACTUATORS,
+    "both": Ideal(_SENSORS.settings | _ACTUATORS.settings, _SENSORS.undispersed + _ACTUATORS.undispersed),
+}
+"""What physics leaves of a miss: perfect sensors, with the errors of the bench, and perfect thrusters and masses."""
 
 
 def _fault(device: str, kind: str, at_s: float, **rest: Any) -> tuple[dict[str, Any], ...]:
@@ -70,23 +110,41 @@ def fly(
     overrides: dict[str, Any] | None = None,
     workers: int = 0,
     progress: Callable[[str], object] = lambda _: None,
+    ideal: bool = False,
 ) -> dict[str, Any]:
     """Return the numbers of the rows, each of ``runs`` cases, kept in folders under ``out``, where they are resumed.
 
     overrides: the GNC, by the keys of a scenario, as ``{"gnc.control.backend": "law.py:lqr"}``. progress: called with
-    the name of each row. Raises BadInput.
+    the name of each row. ideal: rows with cases that are not accepted are flown again with each of ``IDEALS``. Raises
+    BadInput.
     """
     found, given = [], overrides or {}
     for row in rows:
         progress(row.name)
-        options: dict[str, Any] = {} if row.dispersions is None else {"dispersions": row.dispersions}
-        faults = {"faults": list(row.faults)} if row.faults else {}
-        flown = campaign(
-            row.scenario, runs, Path(out) / row.name, seed, overrides=given | faults, workers=workers, **options
-        )
-        found.append({"row": row.name, "scenario": row.scenario} | numbers_of(flown))
+        numbers = _fly_row(row, runs, Path(out) / row.name, seed, given, workers)
+        if ideal and numbers["accepted"]["passed"] < runs:
+            for name, without in IDEALS.items():
+                label = f"{row.name}, perfect {name}"
+                progress(label)
+                again = _fly_row(row, runs, Path(out) / f"{row.name}-ideal-{name}", seed, given, workers, without)
+                numbers.setdefault("ideal", {})[name] = again | {"row": label, "scenario": row.scenario}
+        found.append({"row": row.name, "scenario": row.scenario} | numbers)
     progress("cost of a cycle")
     return {"gnc": given, "runs": runs, "seed": seed, "cycle_us": cycle_us(given), "rows": found}
+
+
+def _fly_row(
+    row: Row, runs: int, out: Path, seed: int, given: dict[str, Any], workers: int, without: Ideal | None = None
+) -> dict[str, Any]:
+    """Return the numbers of a row, flown with the GNC ``given``; ``without`` some errors."""
+    overrides = given | ({"faults": list(row.faults)} if row.faults else {})
+    if row.dispersions is not None:
+        overrides["dispersions"] = row.dispersions
+    if without is None:
+        return numbers_of(campaign(row.scenario, runs, out, seed, overrides=overrides, workers=workers))
+    scenario = job_of(row.scenario, "mock", overrides | without.settings, 0, None).scenario.value
+    left = scenario.dispersions.model_copy(update={table: {} for table in without.undispersed})
+    return numbers_of(campaign(scenario.model_copy(update={"dispersions": left}), runs, out, seed, workers=workers))
 
 
 def numbers_of(flown: Campaign) -> dict[str, Any]:

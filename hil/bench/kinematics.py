@@ -136,7 +136,7 @@ def axes_of_pose(params, r_CT_H, v_CT_H, q_CH, w_CH_C, axes):
 
 @kernel
 def pose_on_bench(params, rail_m, gimbal_rad, r_CT_H, q_CH):
-    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) of the bodies on a bench whose axes stand at the positions given.
+    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) of the bodies on a bench whose axes are at the given positions.
 
     It is what cameras on the bench see.
     """
@@ -148,7 +148,7 @@ def pose_on_bench(params, rail_m, gimbal_rad, r_CT_H, q_CH):
 
 @kernel
 def pose_of_axes(params, rail_m, gimbal_rad, r_CT_H, q_CH):
-    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) that a bench shows whose axes stand at the positions given.
+    """Write the pose ``r_CT_H`` (3,), m, ``q_CH`` (4,) that a bench shows whose axes are at the given positions.
 
     It is another one than on the bench where this is scaled.
     """

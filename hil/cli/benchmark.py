@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from hil.cli.options import Output, Runs, Seed, Settings, Workers
+from hil.cli.options import Flag, Group, Output, Runs, Seed, Settings, Workers
 from hil.cli.output import print_columns
 from hil.errors import BadInput
+
+
+@dataclass(frozen=True)
+class BesideOptions:
+    """What is added to the rows."""
+
+    against: Output = None
+    """Folder of an earlier benchmark: cases are compared one by one."""
+    ideal: Flag = False
+    """Fly rows with misses again with perfect sensors, with perfect thrusters and mass properties, and with both."""
+
+
+_ROWS_ALONE = BesideOptions()
 
 
 def benchmark(
@@ -19,7 +33,7 @@ def benchmark(
     runs: Runs = 100,
     seed: Seed = 0,
     only: str = "*",
-    against: Output = None,
+    beside: Group[BesideOptions] = _ROWS_ALONE,
     settings: Settings = (),
     workers: Workers = 0,
 ) -> int:
@@ -28,7 +42,7 @@ def benchmark(
     Parameters
     ----------
     control
-        Backend of control: builtin, file.py:name, package:name, a shared library or an FMU.
+        Backend of control: builtin, predictive, file.py:name, package:name, a shared library or an FMU.
     out
         Folder for benchmark.json, benchmark.html and the campaigns, which are resumed.
     runs
@@ -37,8 +51,6 @@ def benchmark(
         Seed of all campaigns; a date as 20261125 draws a second set, which is new to each GNC.
     only
         Pattern of the rows that are flown, as "scheme-*" or "*-stress".
-    against
-        Folder of an earlier benchmark: cases are compared one by one.
     workers
         Number of processes on this computer; 0: one per core.
     """
@@ -46,20 +58,20 @@ def benchmark(
     from hil.config.load import parsed_settings
     from hil.core.text_files import write_text
     from hil.monte_carlo.campaign import write_summary
-    from hil.report.benchmark_page import HEAD, cells_of, page_of
+    from hil.report.benchmark_page import HEAD, cells_of, page_of, rows_and_ideals
 
-    rows, overrides = api.rows_of(only), parsed_settings(settings)
+    rows, overrides, against = api.rows_of(only), parsed_settings(settings), beside.against
     if control != "builtin":
         overrides["gnc.control.backend"] = control
     if against is not None and not Path(against).is_dir():
         raise BadInput.single("--against", "", f"{against}: is no folder")
     folder, console = Path(out), Console(stderr=True)
     with console.status("") as status:
-        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update)
+        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update, beside.ideal)
     if against is not None:
         found["against"] = {"folder": str(against), "rows": api.compare(folder, Path(against), rows)}
     write_summary(folder / api.RESULT, found)
     write_text(page_of(found), folder / "benchmark.html")
-    print_columns(HEAD, [cells_of(row) for row in found["rows"]])
+    print_columns(HEAD, [cells_of(row) for row in rows_and_ideals(found)])
     Console().print(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core")
     return 0

@@ -184,7 +184,8 @@ class VisionNoise(ConfigModel):
 
 BUILTIN: Final = "builtin"
 VISION_ALONE: Final = "vision_alone"
-BUILT_IN: Final = {"navigation": (BUILTIN, VISION_ALONE), "control": (BUILTIN,)}
+PREDICTIVE: Final = "predictive"
+BUILT_IN: Final = {"navigation": (BUILTIN, VISION_ALONE), "control": (BUILTIN, PREDICTIVE)}
 """Names of the built-in backends, by the part of the GNC."""
 Settings = Annotated[dict[str, float], Field(max_length=MAX_SETTINGS)]
 
@@ -524,8 +525,8 @@ class Control(ConfigModel):
     """Backend of control. The built-in one: phase planes of position and attitude, updated once per period."""
 
     backend: Annotated[str, Field(min_length=1)] = BUILTIN
-    """Phase planes (`builtin`), or one of your own: `package:name` of an entry point, `file.py:name`, a shared
-    library (`.so`), or an FMU (`.fmu`)."""
+    """Phase planes (`builtin`), linear programs over a horizon (`predictive`), or one of your own: `package:name` of
+    an entry point, `file.py:name`, a shared library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
     deadband_m: NotNegative = 0.0

@@ -32,6 +32,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.gnc.predictive import STEPS, predicted_burn
 from hil.maths import quat, stack
 from hil.maths.arrays import fill
 
@@ -51,6 +52,7 @@ CONTROL_PARAMS = np.dtype(
         ("acceleration", "f8", 6),  # m/s^2, rad/s^2 of a demand
         ("high_thrust_acceleration", "f8", 3),  # m/s^2 of a force demand with the full-thrust sets
         ("inertia", "f8", (3, 3)),  # kg m^2, in c
+        ("predicts", "i8"),  # 1: burns are those of the predictive law
     ],
     align=True,
 )
@@ -145,7 +147,16 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, reference_ac
             band = dead_band(lead, 0.0, coast, pulse)
         reach = lead * params.correction_rate[axis]
         cut = min(reach, max(-reach, error))
-        time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
+        if params.predicts != 0 and command.boost == 0 and abs(error) <= band:
+            bands = stack.vector(STEPS)
+            bands[0] = band
+            for j in range(1, STEPS):
+                ahead = (j + 1) * lead
+                noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (ahead * sigma_rate) ** 2)
+                bands[j] = dead_band(ahead, noise if noise > 0.0 else 0.0, coast, 2.0 * pulse)
+            time = predicted_burn(error, rate + command.owed[axis], acceleration, lead, bands, shortest)
+        else:
+            time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
         feedback = 0.0
         if time != 0.0:
             feedback = firing_time(burn_cycles(time, least, extra, period, dt), least, extra, dt)

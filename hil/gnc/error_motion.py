@@ -5,6 +5,7 @@ of Hill's equations to an acceleration in H:
 
     (r, v)' = F (r, v) + B A.T ds,   ds = theta x f - db - s_a f + m_a x f, if f is measured
                                      ds = theta x f + d, if it is that of commands, with the disturbance d
+                                     ds = theta x f + d + s_u f, if their scale is a state
     theta'  = R theta - dt J dw,     dw = dd + s_g w - m_g x w
 
 ``s``, ``m`` are scale factor and misalignment of a sensor. Terms that are zero in Hill's equations are omitted.
@@ -35,6 +36,12 @@ def force_error(errors, moved, rows, lanes, out):
         out[1, j] = f0 * t2 - f2 * t0 + sign * rows[k + 1, j]
         out[2, j] = f1 * t0 - f0 * t1 + sign * rows[k + 2, j]
     if moved.measured == 0:
+        k = errors.thrust_scale
+        if k != 0:
+            for j in range(lanes):
+                out[0, j] += f0 * rows[k, j]
+                out[1, j] += f1 * rows[k, j]
+                out[2, j] += f2 * rows[k, j]
         return
     k = errors.accelerometer_scale
     if k != 0:

@@ -56,6 +56,7 @@ PARAMETER_BLOCKS: Final = (
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
     _block("sensor_errors", ERROR_STATES_MAX, "as of the sensor", BlockMotion.MARKOV, True),  # as many as are declared
     _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force apart from the thrust, in c
+    _block("thrust_scale", 1, "1", BlockMotion.CONSTANT, True),  # of a commanded thrust
     _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
     _block("gyro_misalignment", 3, "rad", BlockMotion.CONSTANT, False),
     _block("gyro_instability", 3, "rad/s", BlockMotion.MARKOV, True),
@@ -78,7 +79,7 @@ ERROR_STATE = np.dtype(
         ("n", "i8"),  # states
         ("lanes", "i8"),  # the same, rounded up to whole vector registers
         *((block.name, "i8") for block in PARAMETER_BLOCKS),  # index of the first state of each, 0: it is left out
-        ("imu", "i8"),  # index of the first state that acts on the motion: disturbance, IMU; n: there is none
+        ("imu", "i8"),  # index of the first state that acts on the motion: disturbance, thrust, IMU; n: there is none
         ("moves", "i8"),  # 1: a Gauss-Markov process is among the states
         ("variance", "f8", LANES),  # of the parameters
         ("kept", "f8", LANES),  # part of each that is left after a step, 1 of a constant

@@ -184,10 +184,11 @@ def count_spread(params, of_pkf, state, bias, step):
 def velocity_spread(params, errors, filters, state, i):
     """Return the standard deviation, m/s, of the corrections of velocity ``i`` over ``MEMORY_S`` without a fault."""
     part = params.fraction if state.without_imu == 1 else params.measured_fraction
-    square, d = 0.0, errors.disturbance
+    square, d, k = 0.0, errors.disturbance, errors.thrust_scale
+    part = filters.p[k, k] if k != 0 else part * part
     for j in range(3):
         square += state.gained_C[j] ** 2
-    variance = filters.p[V + i, V + i] + state.spread + part * part * square
+    variance = filters.p[V + i, V + i] + state.spread + part * square
     if d != 0:
         largest = max(filters.p[d, d], filters.p[d + 1, d + 1], filters.p[d + 2, d + 2])
         variance += 0.25 * MEMORY_S**2 * largest
@@ -206,6 +207,8 @@ def write_input(params, of_pkf, errors, filters, step):
             square += moved.force[i] ** 2 if params.enabled != 0 else 0.0
         else:
             thrust = step.thrust_C[i] if step.kind == COMMANDED else 0.0
+            if errors.thrust_scale != 0:
+                thrust *= 1.0 + filters.parameters[errors.thrust_scale]
             moved.force[i] = thrust + filters.parameters[d + i]
             square += thrust * thrust
     moved.variance = _force_variance(params, of_pkf, step.kind, square)

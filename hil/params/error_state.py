@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.scenario import Scenario
+from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array, new
 from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
 from hil.params.sensors import SensorErrorState, error_states
@@ -19,6 +19,7 @@ _OF_POSES: Final = ("bias", "scale")
 def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState]) -> dict[str, Array]:
     """Return the standard deviations at the start of the states of each block that a scenario may add."""
     given, thrust = scenario.gnc.navigation.budget, scenario.gnc.navigation.thrust
+    is_alone = scenario.gnc.navigation.backend == VISION_ALONE  # no accelerometer measures the thrust
     rad, one, three = math.radians, np.ones(1), np.ones(3)
     is_correlated = max(given.vision_correlated_fraction, given.bench_sigma_m, given.bench_sigma_deg) > 0.0
     return {
@@ -28,6 +29,7 @@ def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState
         "correlated": float(is_correlated) * np.ones(6),
         "sensor_errors": np.array([error.sigma for error in sensor_errors]),
         "disturbance": float(thrust.enabled) * thrust.disturbance_mps2 * three,
+        "thrust_scale": float(is_alone) * thrust.scale_sigma * one,
         "gyro_scale": given.gyro_scale_sigma * three,
         "gyro_misalignment": rad(given.gyro_misalignment_sigma_deg) * three,
         "gyro_instability": rad(given.gyro_instability_degps) * three,
@@ -63,7 +65,7 @@ def error_state(scenario: Scenario) -> np.record:
             params.moves = params.moves or any(math.isfinite(error.time_s) for error in of_sensors)
         elif block.motion is BlockMotion.MARKOV:
             params.kept[here], params.moves = math.exp(-scenario.sample_s / times_s[block.name]), 1
-        if block.name.startswith(("disturbance", "gyro", "accelerometer")) and params.imu == 0:
+        if block.name.startswith(("disturbance", "thrust", "gyro", "accelerometer")) and params.imu == 0:
             params.imu = n
         n += size
     params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, 40, LANES) if lanes >= n)

@@ -435,4 +435,5 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.acceleration = rule.acceleration
     params.high_thrust_acceleration = strength[6:] / scenario.chaser.mass_kg
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
+    params.predicts = settings.backend == config.PREDICTIVE
     return params

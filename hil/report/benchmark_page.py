@@ -38,6 +38,11 @@ def cells_of(row: dict[str, Any]) -> tuple[str, ...]:
     )
 
 
+def rows_and_ideals(found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows, and after each what physics leaves of its misses, if that was flown."""
+    return [each for row in found["rows"] for each in (row, *row.get("ideal", {}).values())]
+
+
 def page_of(found: dict[str, Any]) -> str:
     """Return the page of the numbers of ``hil.api.benchmark.fly``."""
     gnc = ", ".join(f"{key} = {value}" for key, value in found["gnc"].items()) or "the GNC of each scenario"
@@ -49,7 +54,7 @@ def page_of(found: dict[str, Any]) -> str:
             "a go with the truth outside the requirement. Misleading: cases with an error beyond the alert limit that "
             "was not announced in time."
         ),
-        html.table(HEAD, [cells_of(row) for row in found["rows"]], "Campaigns"),
+        html.table(HEAD, [cells_of(row) for row in rows_and_ideals(found)], "Campaigns"),
         html.paragraph(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core."),
     ]
     if "against" in found:

@@ -231,7 +231,10 @@ WRONG = "return HIL_BACKENDS_PROTOCOL; => return 99;"
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda _: 'gnc.control.backend="lqr"', 'gnc.control.backend: "lqr": no such backend: must be "builtin", pack'),
+        (
+            lambda _: 'gnc.control.backend="lqr"',
+            'gnc.control.backend: "lqr": no such backend: must be "builtin", "predictive", pack',
+        ),
         (lambda _: 'gnc.control.backend="vision_alone"', '"vision_alone": no such backend'),
         (lambda _: 'gnc.control.backend="no_package:lqr"', "no such entry point: those of hil.control are none"),
         (lambda _: 'gnc.control.backend="none.py:lqr"', "no such file: give file.py:name"),

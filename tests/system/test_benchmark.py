@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 from hil.api import benchmark
@@ -52,6 +53,17 @@ def test_two_laws_are_compared_case_by_case(tmp_path: Path) -> None:
     assert "Case by case against" in page
     assert f"{row['propellant_kg']['median']:.3f}" in page
     assert execute(["benchmark", "--out", str(tmp_path / "c"), "--seed", "1", *rows, "--against", str(other)]) == 2
+
+
+def test_row_with_misses_is_flown_again_without_errors_of_sensors_and_actuators(tmp_path: Path) -> None:
+    rows, asked = benchmark.rows_of("scheme-1"), {"requirements.propellant_factor": 0.5}  # less than the least
+    (row,) = benchmark.fly(rows, 1, tmp_path, overrides=asked, workers=1, ideal=True)["rows"]
+    assert list(row["ideal"]) == ["sensors", "actuators", "both"]
+    dispersed = {"vmu.sigma_position_m", "chaser.mass_kg", "initial.position_m[0]"}
+    folders = ("scheme-1", *(f"scheme-1-ideal-{name}" for name in row["ideal"]))
+    found = [dispersed & set(pq.read_schema(tmp_path / folder / "cases.parquet").names) for folder in folders]
+    start = {"initial.position_m[0]"}
+    assert found == [dispersed, {"chaser.mass_kg"} | start, {"vmu.sigma_position_m"} | start, start]
 
 
 def test_folder_of_another_kind_is_refused(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import IMU, POSE, Array, new
-from hil.gnc import fusion
+from hil.gnc import fusion, thrust_model
 from hil.gnc.error_state import BIAS, DRIFT
 from hil.gnc.step_memory import step_at
 from hil.gnc.thrust_model import COMMANDED, MEASURED, QUIET, REGAINED
@@ -26,9 +26,9 @@ FORWARD, BACK = (0, 4), (1, 5)  # thrusters along c's first axis, whose torques 
 BIAS_OFF = np.array([3e-4, -2e-4, 4e-4])  # m/s^2, of the accelerometer's bias, from its initial estimate
 
 
-def fusion_params(*settings: str) -> np.record:
-    """Return the parameters of scheme 2 with commanded thrust and its error budget."""
-    return gnc_params.navigation(load_scenario("scheme-2", settings).value).fusion
+def fusion_params(*settings: str, scheme: str = "scheme-2") -> np.record:
+    """Return the parameters of a scheme with commanded thrust and its error budget."""
+    return gnc_params.navigation(load_scenario(scheme, settings).value).fusion
 
 
 @pytest.fixture
@@ -40,8 +40,8 @@ def params() -> np.record:
 class Flight:
     """A chaser near 10 m that thrusts as it is told, with the filters on its IMU, its commands and its poses.
 
-    leak: m/s^2, constant specific force in c. wrong: added to all that the IMU reads. torque_scale: of the true torques
-    against those that the filters assume.
+    leak: m/s^2, constant specific force in c. wrong: added to all that the IMU reads. force_scale, torque_scale: of the
+    true forces and torques against those that the filters assume.
     """
 
     def __init__(self, params: np.record, rng: np.random.Generator, leak: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
@@ -50,7 +50,7 @@ class Flight:
         self.x = np.array([10.0, -0.5, 0.5, 0.01, -0.004, 0.006])
         self.q = quat.from_rotation_vector(np.array([0.05, -0.04, 0.03]))
         self.w = quat.transform(self.q, np.array([0.0, -params.orbit.mean_motion, 0.0]))
-        self.wrong, self.torque_scale = 0.0, 1.0
+        self.wrong, self.force_scale, self.torque_scale = 0.0, 1.0, 1.0
 
     def step(self, on: Sequence[int] = NOTHING, unseen: Sequence[int] = NOTHING, poses: bool = True) -> np.record:
         """Fly a step with the thrusters ``on``, and with others that nobody has commanded; return its STEP."""
@@ -61,7 +61,7 @@ class Flight:
         if cycle:
             torque = np.zeros(3)
             for j in (*on, *unseen):
-                force += params.thrust.force[j]
+                force += self.force_scale * params.thrust.force[j]
                 torque += self.torque_scale * params.thrust.torque[j]
             self.w = self.w + DT * torque
             self._move(force)
@@ -212,3 +212,23 @@ def test_velocity_is_known_far_better_with_commanded_thrust() -> None:
                 errors.append(flight.velocity_error())
         rms.append(math.sqrt(np.mean(np.square(errors))))
     assert rms[0] < 0.5 * rms[1]
+
+
+@pytest.mark.parametrize("error", [-0.03, 0.04])
+def test_vision_alone_learns_the_scale_of_the_thrust(error: float) -> None:
+    params = fusion_params(scheme="scheme-3")
+    flight = Flight(params, np.random.default_rng(3))
+    flight.force_scale = 1.0 + error
+    thrust_model.lose(flight.state.thrust, flight.state.filters)  # it has no IMU from the start
+    flight.steps(1500)
+    for _ in range(4):
+        flight.steps(80, FORWARD)
+        flight.steps(200)
+    filters, k = flight.state.filters, int(params.errors.thrust_scale)
+    sigma = math.sqrt(filters.p[k, k])
+    assert sigma < 0.5 * math.sqrt(params.errors.variance[k])
+    assert abs(filters.parameters[k] - error) < 3.0 * sigma
+
+
+def test_scale_of_the_thrust_is_no_state_where_an_accelerometer_measures_it(params: np.record) -> None:
+    assert params.errors.thrust_scale == 0

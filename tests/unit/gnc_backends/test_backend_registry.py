@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -71,6 +73,19 @@ def test_edited_kernel_is_compiled_again_and_an_unchanged_one_is_not(
         assert instance.step_address
         codes.append(len(list((tmp_path / "cache").rglob("*step-*.nbc"))))
     assert codes == [1, 2, 2]
+
+
+def test_file_whose_comments_have_changed_is_loaded_by_another_process(tmp_path: Path) -> None:
+    name = kernel_file(tmp_path, "out.force[0] = 1")
+    path = Path(name.rpartition(":")[0])
+    script = (
+        "from hil.config.load import load_scenario\nfrom hil.gnc_backends.backend_registry import backends_of\n"
+        f"assert backends_of(load_scenario('scheme-1', ('gnc.control.backend=\"{name}\"',)).value)"
+    )
+    for comment in ("", "# another comment"):
+        path.write_text(f"{path.read_text()}{comment}\n")
+        environment = os.environ | {"HIL_CACHE_DIR": str(tmp_path / "cache")}
+        assert subprocess.run([sys.executable, "-c", script], env=environment, check=False).returncode == 0
 
 
 def test_settings_of_a_backend_are_dropped_when_another_one_takes_its_place() -> None:
