@@ -4,6 +4,7 @@
 # make oracle compares the truth with Basilisk, in a separate environment
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
+# make accessibility checks the console's page with axe-core, which npm installs by its digest
 # make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
 # make wheel builds a wheel in dist/ that holds the compiled kernels, for the Python and numba of .venv
 # make tidy   formats the sources
@@ -23,7 +24,7 @@ ARAVIS_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no
 # the console's page is tested in Chromium; without it those tests are skipped
 CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no-install-recommends chromium; }
 
-.PHONY: demo test slow oracle bench lateness docs docs-links wheel tidy
+.PHONY: demo test slow oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -52,6 +53,10 @@ bench: .venv-oracle/ready
 
 lateness: .venv/ready
 	$(BIN)/python benchmarks/lateness.py
+
+accessibility: .venv/ready
+	npm ci --no-audit --no-fund --prefix tests/accessibility
+	$(BIN)/pytest -n 0 tests/system/test_page_widths.py
 
 # warnings are errors: dead links, unknown references, failing cells of notebooks
 docs: .venv/docs

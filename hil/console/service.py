@@ -213,7 +213,7 @@ class ConsoleService(SessionManager):
             raise RequestRejected("no question waits for an answer")
         if (client.name, client.key_id) != (signer.name, signer.key):
             raise RequestRejected(
-                f"{signer.name} opened the commissioning and answers its questions: STOP, and open it anew"
+                f"{signer.name} opened the commissioning and answers its questions: STOP it, and open another one"
             )
         is_yes = command.get("yes") is True
         if not is_yes and not command.get("confirmed"):

@@ -11,7 +11,7 @@ from hil.checks.compatibility import sign_off_gap
 from hil.config.load import load_rig
 from hil.core.operator_keys import new_key, write_key, write_operators
 from tests.support.browsers import chromium_browser
-from tests.support.console_client import PATIENT, console
+from tests.support.console_client import console
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow, pytest.mark.timeout(600)]
 
@@ -33,8 +33,8 @@ def test_rig_is_commissioned_on_a_phone_and_signed_with_the_key(
     ann = new_key("ann")
     write_key(tmp_path / "ann.key", ann)
     write_operators(tmp_path / "operators.toml", {ann.id: ann})
-    (tmp_path / "lab.toml").write_text('extends = "emulated"\n')
-    options = ("--rig", "lab.toml", "--operators", "operators.toml", *PATIENT)
+    (tmp_path / "lab.toml").write_text('extends = "emulated"\nio.pump_timeout_s = 0.5\nio.timeout_s = 1.0\n')
+    options = ("--rig", "lab.toml", "--operators", "operators.toml")
     with chromium_browser() as browser, console(*options) as served:
         phone = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
         page = phone.new_page()
