@@ -12,6 +12,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
+# packages of the digests in requirements/, and nothing else
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes
+EDITABLE := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+
 # one worker runs the tests on wires, which mostly wait, and two run the others
 WORKERS := 3
 
@@ -68,28 +72,27 @@ docs-links: .venv/docs
 wheel: .venv/ready
 	rm -rf hil/kernels
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
-	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 
 tidy: .venv/ready
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 # what runs the program; repeated only after a change of the dependencies
-.venv/run: pyproject.toml constraints.txt
+.venv/run: pyproject.toml requirements/build.txt requirements/run.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
-		--editable '.[all]'
+	$(INSTALL) --requirement requirements/build.txt --requirement requirements/run.txt
+	$(EDITABLE)
 	touch $@
 
 # what tests need, too
-.venv/ready: .venv/run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
-		--editable '.[dev]'
+.venv/ready: .venv/run requirements/dev.txt
+	$(INSTALL) --requirement requirements/dev.txt
 	$(BIN)/python -m compileall -q -j 0 .venv/lib > /dev/null || true  # on all cores; some packages hold templates
 	touch $@
 
-.venv/docs: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+.venv/docs: .venv/ready requirements/docs.txt
+	$(INSTALL) --requirement requirements/docs.txt
 	touch $@
 
 # Basilisk needs an older matplotlib than constraints.txt pins
