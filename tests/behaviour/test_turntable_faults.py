@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import closing, contextmanager
-
 import numpy as np
 import pytest
 
-from hil.drivers.shared_state import SharedAxisState
 from hil.errors import DeviceError, LinkTimeout
-from tests.behaviour.test_turntable_drivers import DRIVERS, EMULATORS, turntable
-from tests.support.lock_step import GRID_S, in_lock_step, serving
+from tests.support.lock_step import GRID_S
+from tests.support.turntable_bench import error_of, eventually, served
 
 pytestmark = pytest.mark.wires
 
-PATIENCE_S = 20.0
 UNNOTICED_DEG = 1.1  # half of the following error: a smaller jump is plausible, without a checksum
 REACHED_DEGPS = 80.0  # a faster one is not, whatever the time since the last sample
 PAUSE_S = 0.01
@@ -23,38 +19,6 @@ PAUSE_S = 0.01
 @pytest.fixture(params=["cia402", "ascii", pytest.param("acu", marks=pytest.mark.slow)])
 def driver(request):
     return request.param
-
-
-@contextmanager
-def served(driver, **rig):
-    """Yield an emulator, an open driver and their clock, in lock-step."""
-    with in_lock_step() as clock, closing(SharedAxisState.create()) as board:
-        emulator = EMULATORS[driver](turntable(driver, **rig), clock, board)
-        address = emulator.start()["turntable"]
-        with serving(clock, emulator), closing(DRIVERS[driver](turntable(driver, address, **rig), clock)) as device:
-            device.open(clock.now_s())
-            yield emulator, device, clock
-
-
-def eventually(clock, condition):
-    end_s = clock.now_s() + PATIENCE_S
-    while not condition():
-        assert clock.now_s() < end_s, "did not happen in time"
-        clock.sleep(GRID_S)
-
-
-def error_of(device, clock):
-    """Send and read like the loop until the device fails; return its error."""
-    position = device.read(clock.now_s()).position
-    end_s = clock.now_s() + PATIENCE_S
-    while clock.now_s() < end_s:
-        try:
-            device.send(position, np.zeros(3), clock.now_s())
-            device.read(clock.now_s())
-        except DeviceError as error:
-            return error
-        clock.sleep(GRID_S)
-    raise AssertionError("the device did not fail")
 
 
 def strike(clock, emulator, device, fault, share, counters, times):
