@@ -67,6 +67,19 @@ def test_what_is_installed_has_its_digest_checked() -> None:
     assert [each for each in commands if "--require-hashes" not in each and not any(word in each for word in own)] == []
 
 
+def test_tests_of_wires_that_are_not_in_lock_step_are_listed_with_the_reason() -> None:
+    page = (ROOT / "docs" / "how-to" / "maintain.md").read_text()
+    listed = set(re.findall(r"`(test_\w+)`", page[page.index("not in lock-step:") :]))
+    found = set()
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        text = path.read_text(encoding="utf-8")
+        if re.search(r"mark\.wires\b", text) and not re.search(
+            r"lock[_-]step|LOCK_STEP|turntable_bench|bench_of", text
+        ):
+            found.add(path.stem)
+    assert listed == found
+
+
 def test_documented_options_of_pytest_exist() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs" / "how-to").glob("*.md")]
     commands = [line for page in pages for line in page.read_text().splitlines() if line.startswith("pytest ")]
