@@ -12,8 +12,7 @@ from hil.core.messages import Homing
 from hil.drivers.shared_state import ChainState
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
-from tests.behaviour.test_turntable_drivers import PARK_DEG
-from tests.support.turntable_bench import error_of, eventually, served
+from tests.support.turntable_bench import PARK_DEG, error_of, eventually, served
 
 pytestmark = pytest.mark.wires
 
