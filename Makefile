@@ -4,12 +4,17 @@
 # make oracle compares the truth with Basilisk, in a separate environment
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
+# make accessibility checks the console's page with axe-core, which npm installs by its digest
 # make docs   builds the documentation site in build/docs; "make docs-links" also follows its links to other sites
 # make wheel builds a wheel in dist/ that holds the compiled kernels, for the Python and numba of .venv
 # make tidy   formats the sources
 
 PYTHON ?= python3
 BIN := .venv/bin
+
+# packages of the digests in requirements/, and nothing else
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes
+EDITABLE := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 
 # one worker runs the tests on wires, which mostly wait, and two run the others
 WORKERS := 3
@@ -23,7 +28,7 @@ ARAVIS_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no
 # the console's page is tested in Chromium; without it those tests are skipped
 CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no-install-recommends chromium; }
 
-.PHONY: demo test slow oracle bench lateness docs docs-links wheel tidy
+.PHONY: demo test slow oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -53,6 +58,10 @@ bench: .venv-oracle/ready
 lateness: .venv/ready
 	$(BIN)/python benchmarks/lateness.py
 
+accessibility: .venv/ready
+	npm ci --no-audit --no-fund --prefix tests/accessibility
+	$(BIN)/pytest -n 0 tests/system/test_page_widths.py
+
 # warnings are errors: dead links, unknown references, failing cells of notebooks
 docs: .venv/docs
 	$(BIN)/sphinx-build --quiet --fail-on-warning --nitpicky docs build/docs
@@ -63,28 +72,27 @@ docs-links: .venv/docs
 wheel: .venv/ready
 	rm -rf hil/kernels
 	HIL_CACHE_DIR=hil $(BIN)/hil warm-up
-	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
+	HIL_WHEEL_KERNELS=1 $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
 
 tidy: .venv/ready
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 # what runs the program; repeated only after a change of the dependencies
-.venv/run: pyproject.toml constraints.txt
+.venv/run: pyproject.toml requirements/build.txt requirements/run.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
-		--editable '.[all]'
+	$(INSTALL) --requirement requirements/build.txt --requirement requirements/run.txt
+	$(EDITABLE)
 	touch $@
 
 # what tests need, too
-.venv/ready: .venv/run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt \
-		--editable '.[dev]'
+.venv/ready: .venv/run requirements/dev.txt
+	$(INSTALL) --requirement requirements/dev.txt
 	$(BIN)/python -m compileall -q -j 0 .venv/lib > /dev/null || true  # on all cores; some packages hold templates
 	touch $@
 
-.venv/docs: .venv/ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+.venv/docs: .venv/ready requirements/docs.txt
+	$(INSTALL) --requirement requirements/docs.txt
 	touch $@
 
 # Basilisk needs an older matplotlib than constraints.txt pins

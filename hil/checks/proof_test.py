@@ -15,6 +15,8 @@ from hil.errors import BadInput
 
 DUE_DAYS_MAX: Final = 366
 """Longest time between two tests, days."""
+DUE_DAYS: Final = 90
+"""Time until the next test unless it is chosen, days."""
 _DAY_S: Final = 86_400.0
 
 

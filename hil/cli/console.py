@@ -103,6 +103,7 @@ def console(
         speed=options.speed,
         settings=(*options.settings, *overridden),
         record=None if no_record else str(Path(record).absolute()),
+        operators=None if server.operators is None else str(Path(server.operators).absolute()),
     )
     host, token_file = server.host, server.token_file
     if token_file is not None and server.operators is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
 import sys
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 _PASSED, _SAFE_STOPPED = 0, 3
 _GROUP_WALL_S: Final = 1800.0
 _WIDTH: Final = 12  # of the column of names
+_OPENCV: Final = "needs OpenCV: pip install 'hil-bench[vision]'"
 
 
 def warm_up(*groups: str) -> int:
@@ -37,19 +39,23 @@ def warm_up(*groups: str) -> int:
         Compile only these: gnc, stages, loop, verdict, vmu, monitor, fusion.
     """
     from hil.core.jit import prepare_kernel_cache
-    from hil.processes.precompile import GROUPS
+    from hil.processes.precompile import GROUPS, NEEDS_OPENCV
     from hil.setup.compiled import mark_kernels_cached
 
     allowed = ", ".join(GROUPS)
     refuse(
         [Problem("warm-up", "", f"{name}: unknown group, allowed {allowed}") for name in groups if name not in GROUPS]
     )
+    left_out = [name for name in NEEDS_OPENCV if importlib.util.find_spec("cv2") is None]
+    refuse([Problem("warm-up", "", f"{name}: {_OPENCV}") for name in groups if name in left_out])
     prepare_kernel_cache()
     started_s = time.perf_counter()
     with exit_on_ctrl_c():
-        _compile_groups(groups or tuple(GROUPS))
+        _compile_groups(groups or tuple(name for name in GROUPS if name not in left_out))
         if not groups or {"gnc", "stages"} <= set(groups):
             mark_kernels_cached("cycle")
+    for name in left_out:
+        print(f"{name:{_WIDTH}} left out: {_OPENCV}")  # noqa: T201
     print(f"{'total':{_WIDTH}}{time.perf_counter() - started_s:7.1f} s")  # noqa: T201
     return _PASSED
 

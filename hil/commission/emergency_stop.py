@@ -28,14 +28,23 @@ class Button(Protocol):
 class EmergencyStopTest:
     """Has the emergency stop pressed and released; checks input and safety chain, and that the chain stays open.
 
-    button: presses it; None: the technician does. Raises StepFailed, BenchError; all lines are off afterwards.
+    button: presses it; None: the technician does. poll: called in each cycle with bench time, of an operator who may
+    stop the test. Raises StepFailed, BenchError; all lines are off afterwards.
     """
 
-    def __init__(self, safety_io: SafetyIo, rate: Rate, prompt: OperatorPrompt, button: Button | None) -> None:
+    def __init__(
+        self,
+        safety_io: SafetyIo,
+        rate: Rate,
+        prompt: OperatorPrompt,
+        button: Button | None,
+        poll: Callable[[float], None] = lambda _: None,
+    ) -> None:
         self._safety_io = safety_io
         self._rate = rate
         self._prompt = prompt
         self._button = button
+        self._poll_operator = poll
 
     def run(self) -> None:
         """Run the test."""
@@ -94,7 +103,7 @@ class EmergencyStopTest:
                 raise StepFailed(
                     _WHAT, expected, f"{found} after {limit_s:g} s", f"check {advice} (docs/how-to/set-up-a-rig.md)"
                 )
-            now_s = self._rate.wait().now_s
+            now_s = self._next_cycle()
 
     def _require_open_chain(self, lines: SafetyIoStage) -> None:
         start_s = now_s = self._rate.now_s()
@@ -102,7 +111,13 @@ class EmergencyStopTest:
             if self._poll(lines, now_s).chain_closed:
                 advice = "set the relay to manual or monitored reset: it must wait for an edge of enable"
                 raise StepFailed(_WHAT, "safety chain stays open after the release", "closed without reset", advice)
-            now_s = self._rate.wait().now_s
+            now_s = self._next_cycle()
+
+    def _next_cycle(self) -> float:
+        """Wait for the next cycle, and return its bench time."""
+        now_s = self._rate.wait().now_s
+        self._poll_operator(now_s)
+        return now_s
 
     def _poll(self, lines: SafetyIoStage, now_s: float) -> IoInputs:
         lines.io.pulse(now_s)
@@ -113,7 +128,7 @@ class EmergencyStopTest:
         lines = self._safety_io
 
         def meanwhile() -> None:
-            now_s = self._rate.wait().now_s
+            now_s = self._next_cycle()
             if isinstance(lines, SafetyIoStage):
                 self._poll(lines, now_s)
 

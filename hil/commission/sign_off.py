@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from hil.commission.steps import AxisFindings, Findings
@@ -38,6 +40,17 @@ def as_toml(findings: Findings, rig: Rig, base: str, by: OperatorKey | str, date
     for axis in findings.axes:
         lines += ["", f'[sign_off.axes."{axis.name}"]', *_axis(axis, by, date, digest)]
     return "\n".join(lines) + "\n"
+
+
+def free_file(rig: str) -> tuple[Path, str]:
+    """Return a free path for the sign-off of ``rig``, a file or a shipped rig, and what the file at it extends.
+
+    It is in the folder of the rig's file, or in the present one: ``lab-signed.toml``, then ``lab-signed-2.toml``.
+    """
+    file = Path(rig)
+    folder = file.absolute().parent if file.suffix == ".toml" else Path.cwd()
+    paths = (folder / f"{file.stem}-signed{f'-{n}' if n > 1 else ''}.toml" for n in itertools.count(1))
+    return next(path for path in paths if not path.exists()), file.name
 
 
 def rig_record(date: str, digest: str) -> list[Any]:

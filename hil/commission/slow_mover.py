@@ -147,7 +147,9 @@ class SlowMover:
         self._bench.command(self._target, self._tick.now_s, limits)
         self._sent = np.concatenate([self._now.setpoint.rail_m, self._now.setpoint.gimbal_rad])
         self._tick = self._sequencer.tick()
-        self._sequencer.hold_requested(Mode.PLACING)
+        if self._sequencer.hold_requested(Mode.PLACING):
+            text = self._sequencer.safety.hold_reason or "commanded by the operator"
+            raise SafetyTrip("bench", "hold", f"({text})", "not during a commissioning")
 
     def _at_rest(self) -> bool:
         return self._bench.at_rest(self._tick.now_s)

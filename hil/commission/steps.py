@@ -97,7 +97,8 @@ class Commissioning:
         """Test emergency stop, safety chain and brakes; return the results. Raises StepFailed, BenchError."""
         prompt = KeptPrompt(self._prompt)
         self._title("emergency stop")
-        EmergencyStopTest(self._runner.loop.safety_io, self._runner.rate, prompt, self._button).run()
+        lines, rate, poll = self._runner.loop.safety_io, self._runner.rate, self._runner.operator.poll
+        EmergencyStopTest(lines, rate, prompt, self._button, poll).run()
         if self._runner.rate.paced:  # in simulated time the relay has no time-out
             self._title("safety chain")
             ChainTests(self._runner, self._rig, prompt, self._watchdog_pid).run()

@@ -40,6 +40,7 @@ class ConsoleBench:
     watched: with_docking_monitor.MonitorResults
     addresses: dict[str, str] = field(default_factory=dict)
     rings: dict[str, Ring] = field(default_factory=dict)
+    wired: build.WiredBench | None = None
 
 
 @contextmanager
@@ -70,6 +71,7 @@ def opened(
                 watched,
                 bench.addresses,
                 rings,
+                bench,
             )
             return
         clock = WallClock(speed=job.speed)

@@ -14,6 +14,7 @@ from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.message import ImageMessage
 from hil.console.remote_operator import NO_MONITOR
+from hil.console.session import SignedBy
 from hil.console.session_manager import SessionManager
 from hil.console.session_process import SessionProcess
 from hil.core.modes import AT_REST, Mode
@@ -22,6 +23,10 @@ from hil.core.operator_keys import RIGHTS
 from hil.errors import BadInput, one_line
 from hil.frmn.search_region import box_text
 
+COMMISSION_QUESTION: Final = (
+    "Commission: emergency stop, safety chain, then each axis moves slowly by itself, then the bench makes a slow dry "
+    "run. The questions come to this page. Is the bench clear of people, and is the emergency stop in your hand?"
+)
 OPEN_QUESTION: Final = "Open: the devices open and the drives are powered. Is the bench clear of people?"
 WITHOUT_COMMAND: Final = (OperatorCommand.STOP.value, OperatorCommand.HOLD.value)
 """Commands that each client may send, with the command of the bench or without it."""
@@ -100,6 +105,9 @@ class ConsoleService(SessionManager):
                 if command.get("order") not in WITHOUT_COMMAND:
                     self.lease.require(client)
                 return await self._order(client, str(command.get("order")), command, second)
+            case "reply":
+                self.lease.require(client)
+                return await self._reply(client, command)
             case "jog":
                 self.lease.require(client)
                 self._jog(str(command.get("axis")), command.get("direction"))
@@ -183,15 +191,37 @@ class ConsoleService(SessionManager):
         seed = changes.get("seed", 0)
         if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= SEED_MAX:
             raise RequestRejected(f"seed {seed!r}: allowed an integer of 0 or more")
+        is_commissioning = command.get("commission") is True
+        changes["signed_by"] = SignedBy(name=client.name, key=client.key_id) if is_commissioning else None
         choice = self.choice.model_copy(update=changes)
         job = choice.job()
         rig = job.rig.value
+        if is_commissioning and rig.kind == "mock":
+            raise RequestRejected(f'{choice.rig}: rig.kind "mock": there are no devices to commission')
         if not command.get("confirmed"):
-            return {"ok": False, "ask": "\n".join([*map(str, waivers(rig, job.scenario.value)), OPEN_QUESTION])}
+            question = COMMISSION_QUESTION if is_commissioning else OPEN_QUESTION
+            return {"ok": False, "ask": "\n".join([*map(str, waivers(rig, job.scenario.value)), question])}
         if "open" in rig.console.second_person and not second:
             return self._wait_for_second(client, "open", command)
         self.start_session(choice, client)
         return {"ok": True, "text": ""}
+
+    async def _reply(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
+        """Answer a question of the commissioning; who opened it answers all of them, and signs."""
+        signer = self.choice.signed_by
+        if self.session is None or not self.session.ready or signer is None:
+            raise RequestRejected("no question waits for an answer")
+        if (client.name, client.key_id) != (signer.name, signer.key):
+            raise RequestRejected(
+                f"{signer.name} opened the commissioning and answers its questions: STOP it, and open another one"
+            )
+        is_yes = command.get("yes") is True
+        if not is_yes and not command.get("confirmed"):
+            return {"ok": False, "ask": "No: the commissioning ends here, and nothing is signed."}
+        self.report_operator(self.session, self.wall_s())
+        text = await self.session.ask(reply=is_yes, question=command.get("question"), **client.actor)
+        self.log(f"{client.name}: {text or ('yes' if is_yes else 'no')}")
+        return {"ok": not text, "text": text}
 
     async def _order(self, client: Client, word: str, command: dict[str, Any], second: str) -> dict[str, Any]:
         if word not in [order.value for order in OperatorCommand if order is not OperatorCommand.JOG]:
@@ -353,6 +383,7 @@ class ConsoleService(SessionManager):
             "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
             "scenarios": self.scenarios,
             "rigs": self.rigs,
+            "commissioning": self.session is not None and self.choice.signed_by is not None,
             "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in ALLOWED_IN.items()},
             "stop_reason": self.stop_reason,
             "log": list(self.log_lines)[-40:],

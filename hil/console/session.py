@@ -16,14 +16,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from hil.checks.compatibility import check_plan
 from hil.config.load import load_rig, load_scenario
 from hil.config.model import ConfigModel
 from hil.console.bench import ConsoleBench, opened
+from hil.console.commissioning_operator import CommissioningOperator
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS
 from hil.errors import BadInput, BenchError
 from hil.frmn.mailbox import MailboxBlock
-from hil.loop.runner import Outcome
+from hil.loop.runner import Outcome, Runner
 from hil.recording.session import RunRecorder, recording
 from hil.report.acceptance import parts_of
 from hil.report.docking_monitor import judge_monitor
@@ -37,6 +39,13 @@ from hil.setup.docking_monitor import MonitorOutcome
 _FLUSH_WALL_S: Final = 2.0
 
 
+class SignedBy(ConfigModel):
+    """Who signs a rig off: name, and the id of the operator's key, "" for a self-given name."""
+
+    name: str
+    key: str = ""
+
+
 class Choice(ConfigModel):
     """Scenario, rig and options chosen by the operator."""
 
@@ -48,6 +57,10 @@ class Choice(ConfigModel):
     settings: tuple[str, ...] = ()
     record: str | None = None
     """Folder of the recordings; None: no recording."""
+    operators: str | None = None
+    """File of the operators' keys; None without keys."""
+    signed_by: SignedBy | None = None
+    """Technician of a commissioning, who opens the session for it; None: the session flies the scenario."""
 
     def job(self) -> build.Job:
         """Return the job; raises BadInput."""
@@ -57,16 +70,24 @@ class Choice(ConfigModel):
         return build.Job(scenario, rig, self.seed, duration_s, self.speed)
 
 
-def run_session(choice: Choice, channel: socket.socket) -> None:
-    """Open the bench, execute the operator's commands, and send the result."""
+Commission = Callable[[Choice, build.Job, build.WiredBench, Runner, CommissioningOperator], dict[str, Any]]
+"""Commissions a rig, and returns the result for the console."""
+
+
+def run_session(choice: Choice, channel: socket.socket, commission: Commission) -> None:
+    """Open the bench, execute the operator's commands, and send the result.
+
+    commission: called instead of a flight if the choice asks for it.
+    """
     messages = OutgoingMessages(channel)
     status = MailboxBlock.create(CELLS, "console")
     try:
         job = choice.job()
-        _check_and_compile(job, messages)
+        _check_and_compile(job, messages, choice.signed_by is not None)
         rig = job.rig.value
         console = rig.console
-        operator = RemoteOperator(
+        kind = RemoteOperator if choice.signed_by is None else CommissioningOperator
+        operator = kind(
             messages, status["status"], console.on_loss, console.lease_s, second_person=console.second_person
         )
 
@@ -78,6 +99,10 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
                 adjustable = job.scenario.value.console.adjustable
                 operator.attach(bench.runner, bench.event_recorder, adjustable, bench.watched.search)
                 _send_hello(channel, bench, status, taken)
+                if isinstance(operator, CommissioningOperator):
+                    assert bench.wired is not None
+                    messages.send(ended=commission(choice, job, bench.wired, bench.runner, operator))
+                    return
                 numbers = accumulate(bench.runner, job)
                 outcome = bench.runner.run()
                 operator.publish(bench.runner.now_s())
@@ -96,10 +121,14 @@ def run_session(choice: Choice, channel: socket.socket) -> None:
         status.close()
 
 
-def _check_and_compile(job: build.Job, messages: OutgoingMessages) -> None:
+def _check_and_compile(job: build.Job, messages: OutgoingMessages, is_commissioning: bool) -> None:
     """Check that rig and scenario are compatible, and compile the kernels before any motion."""
     messages.send(word="checking that the rig can realise the scenario")
-    if job.rig.value.kind == "mock" and job.speed != 1.0:
+    if is_commissioning:
+        build.check_rig(job)
+        if problems := check_plan(job.scenario, job.rig):
+            raise BadInput(problems)
+    elif job.rig.value.kind == "mock" and job.speed != 1.0:
         build.check(build.Job(job.scenario, job.rig, job.seed, job.duration_s, 1.0))
     else:
         build.check(job)
@@ -109,7 +138,7 @@ def _check_and_compile(job: build.Job, messages: OutgoingMessages) -> None:
 @contextmanager
 def _recorded(choice: Choice, job: build.Job, announce: Callable[[str], None]) -> Iterator[RunRecorder | None]:
     """Yield the recording of ``job``, None without one."""
-    if choice.record is None:
+    if choice.record is None or choice.signed_by is not None:
         yield None
         return
     with recording(job, choice.rig, Path(choice.record), announce, paced=True) as taken:

@@ -84,7 +84,12 @@ class SessionManager:
         self.session = SessionProcess(choice, self._on_message)
         self._reported = (0, -math.inf)
         self._opened_by = opened_by
-        self.log(f"{choice.scenario} on {choice.rig}, seed {choice.seed}: session process {self.session.pid}")
+        work = (
+            f"{choice.scenario} on {choice.rig}, seed {choice.seed}"
+            if choice.signed_by is None
+            else f"commissioning of {choice.rig}"
+        )
+        self.log(f"{work}: session process {self.session.pid}")
 
     def admit(self, client: Client) -> None:
         """Add a client. Beyond ``CLIENTS_MAX`` it displaces another one: a silent one if there is one, then the one
@@ -181,6 +186,9 @@ class SessionManager:
             self.log(line)
         if "refused" in message or ("ended" in message and message["ended"]["stop"] != COMPLETED):
             self.stop_reason = self.state.status_text
+        if "ended" in message and "signed" in message["ended"]:
+            self.rigs = (*self.rigs, message["ended"]["signed"])
+            self.choice = self.choice.model_copy(update={"rig": message["ended"]["signed"]})
         self.changed()
 
     async def _connect_faults(self, addresses: dict[str, str]) -> None:

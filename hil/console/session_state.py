@@ -75,6 +75,8 @@ class SessionState:
         self.search: list[int] | None = None
         """Region of search of the docking monitor: u, v, width, height, px; None: the whole image."""
         self.ended: dict[str, Any] | None = None
+        self.question: dict[str, Any] | None = None
+        """Of a commissioning, to be answered: number and text."""
         self.recording = RecordingStatus()
         self.closing = False
         """Whether the loop has ended and only the files are still being closed."""
@@ -104,17 +106,23 @@ class SessionState:
             self.alarms, self.events = message["alarms"], message["events"]
             self.hold_reason = message["hold_reason"]
         self.closing = self.closing or "closing" in message
+        if "question" in message:
+            self.question = message["question"]
+            lines += [f"asks: {self.question['text']}"] if self.question else []
         if "word" in message:
             self.status_text = message["word"]
             lines.append(self.status_text)
         if "ended" in message:
             self.ended = message["ended"]
-            self.status_text = f"session ended: {message['ended']['stop']}"
-            lines.append(self.status_text)
+            if "signed" not in message["ended"]:
+                self.status_text = f"session ended: {message['ended']['stop']}"
+                lines.append(self.status_text)
             if problem := message["ended"].get("recording", {}).get("problem"):
                 lines.append(f"recording: {problem}")
             if audit := message["ended"].get("recording", {}).get("audit"):
                 lines.append(f"recording: audit of {audit['entries']} entries, last digest {audit['digest']}")
+        if "ended" in message or "refused" in message:
+            self.question = None
         if "refused" in message:
             self.status_text = message["refused"][0]
             lines += message["refused"]
@@ -180,6 +188,7 @@ class SessionState:
             "hold_reason": self.hold_reason,
             "search": self.search,
             "ended": self.ended,
+            "question": self.question,
         }
 
 

@@ -4,11 +4,26 @@
 brings the bench to a standstill.
 """
 
+import datetime
 import signal
 import socket
+from typing import Any
 
+from hil.checks.proof_test import DUE_DAYS, write_proof
+from hil.commission.auto_operator import AutoOperator
+from hil.commission.prompt import StepFailed
+from hil.commission.sign_off import as_toml, free_file
+from hil.commission.steps import Commissioning, CommissioningPlan
+from hil.console.commissioning_operator import CommissioningOperator
 from hil.console.session import Choice, run_session
 from hil.core.child_process import Parent
+from hil.core.operator_commands import StopCommanded
+from hil.core.operator_keys import read_operators
+from hil.core.text_files import write_text
+from hil.drivers.remote.io_layout import WATCHDOG
+from hil.errors import BenchError
+from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Runner
+from hil.session.build import Job, WiredBench
 
 
 def main() -> None:
@@ -17,7 +32,41 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     choice = Choice.model_validate(parent.configuration["choice"], strict=False)
     with socket.socket(fileno=parent.configuration["channel"]) as channel:
-        run_session(choice, channel)
+        run_session(choice, channel, commission)
+
+
+def commission(
+    choice: Choice, job: Job, bench: WiredBench, runner: Runner, operator: CommissioningOperator
+) -> dict[str, Any]:
+    """Commission all axes of the rig with the technician at the page, and write its sign-off next to its file."""
+    rig, emulated = job.rig.value, None
+    if bench.board is not None:
+        emulated = AutoOperator(bench.board, bench.addresses)
+    steps = Commissioning(
+        runner,
+        rig,
+        operator,
+        CommissioningPlan(range(6)),
+        emulated if rig.has_io else None,
+        emulated.position if emulated is not None else None,
+        bench.pids.get(WATCHDOG),
+    )
+    ended: dict[str, Any] = {"faults": [], "mode": "off", "accepted": None, "passed": None}
+    try:
+        findings = steps.run()
+    except StopCommanded:
+        return ended | {"stop": f"{STOPPED_BY_OPERATOR}: not signed"}
+    except (BenchError, StepFailed) as fault:
+        return ended | {"stop": f"{fault}: not signed"}
+    assert choice.signed_by is not None
+    key = read_operators(choice.operators)[choice.signed_by.key] if choice.operators else None
+    path, base = free_file(choice.rig)
+    now = datetime.datetime.now().astimezone()
+    write_text(as_toml(findings, rig, base, key or choice.signed_by.name, now.date().isoformat()), str(path))
+    if rig.kind == "hardware":
+        write_proof(str(path), now.timestamp(), DUE_DAYS, findings.proved, key or choice.signed_by.name)
+    operator.show(f"{path}: the rig is signed off")
+    return ended | {"stop": COMPLETED, "signed": str(path)}
 
 
 if __name__ == "__main__":

@@ -128,6 +128,9 @@ GROUPS: Final[dict[str, Callable[[], None]]] = {
 monitor; the others are the compiled ``loop``, the checks before a run and its ``verdict``, and the ``fusion`` study.
 """
 
+NEEDS_OPENCV: Final = ("vmu", "monitor")
+"""Groups whose packages use OpenCV, of the extra ``vision``."""
+
 
 def main() -> None:
     """Compile the group that the parent names; send how long it took, s. The parent's end ends this process."""

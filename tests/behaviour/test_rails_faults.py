@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +13,7 @@ import pytest
 from hil.config.load import load_rig
 from hil.config.rig import Modbus, ModbusAxis, Rails
 from hil.core.clock import WallClock
+from hil.core.lock_step import LockStepConductor
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, Status
@@ -22,11 +21,12 @@ from hil.drivers.rails.driver import ModbusRails
 from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
 from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
+from tests.support.lock_step import GRID_S, in_lock_step, serving
 
 pytestmark = pytest.mark.wires
 
 RIGS = ("emulated", "emulated-rtu")
-TIMEOUT_S = 1.2  # of bench time; a busy test machine may take some of it
+TIMEOUT_S = 1.2
 INCREMENTAL = {"encoder": "incremental", "homing_rate_mps": 0.2}
 Answers = list[tuple[float, bytes]]
 
@@ -35,7 +35,7 @@ Answers = list[tuple[float, bytes]]
 class Bench:
     rails: ModbusRails
     emulator: RailsEmulator | RtuRailsEmulator
-    clock: WallClock
+    clock: LockStepConductor
     map: RegisterMap
     tcp: bool
     chain: list[bool]
@@ -46,12 +46,12 @@ class Bench:
     def read(self) -> Any:
         return self.rails.read(self.clock.now_s())
 
-    def wait(self, condition: Callable[[], bool], wall_s: float = 10.0) -> bool:
-        end = time.monotonic() + wall_s
-        while time.monotonic() < end:
+    def wait(self, condition: Callable[[], bool], limit_s: float = 10.0) -> bool:
+        end_s = self.clock.now_s() + limit_s
+        while self.clock.now_s() < end_s:
             if condition():
                 return True
-            time.sleep(0.005)
+            self.clock.sleep(GRID_S)
         return condition()
 
     def failure(self) -> DeviceError:
@@ -99,22 +99,14 @@ class Bench:
 
 @contextmanager
 def bench_of(rig: str, **changes: object) -> Iterator[Bench]:
-    clock, board, stop, chain = WallClock(), SharedAxisState.create(), threading.Event(), [True]
+    chain = [True]
     config = Rails.model_validate(load_rig(rig).value.rails.model_dump() | {"timeout_s": TIMEOUT_S} | changes)
     make = RtuRailsEmulator if rig == "emulated-rtu" else RailsEmulator
-    emulator = make(config, clock, board, chain=lambda: ChainState(*chain * 3), seed=3)
-    addresses = emulator.start()
-    thread = threading.Thread(target=emulator.run, args=(stop,))
-    thread.start()
-    rails = ModbusRails(wired(config, addresses), clock)
-    try:
-        yield Bench(rails, emulator, clock, RegisterMap(config.map), rig == "emulated", chain)
-    finally:
-        rails.close()
-        stop.set()
-        thread.join()
-        emulator.close()
-        board.close()
+    with in_lock_step() as clock, closing(SharedAxisState.create()) as board:
+        emulator = make(config, clock, board, chain=lambda: ChainState(*chain * 3), seed=3)
+        device = wired(config, emulator.start())
+        with serving(clock, emulator), closing(ModbusRails(device, clock)) as rails:
+            yield Bench(rails, emulator, clock, RegisterMap(config.map), rig == "emulated", chain)
 
 
 def wired(config: Rails, addresses: dict[str, str]) -> Rails:
@@ -210,7 +202,7 @@ def test_a_dead_link_is_told_and_can_be_opened_again_once_it_is_back(bench: Benc
     with pytest.raises(DeviceError, match=r"rails\.\w: no "):
         bench.open()
     bench.emulator.faults.clear()
-    time.sleep(0.1)
+    bench.clock.sleep(0.1)
     bench.open()
     bench.exchanges(10)
 
@@ -284,7 +276,7 @@ def test_an_open_safety_chain_is_a_fault_by_name_until_it_is_closed(bench: Bench
     with pytest.raises(DriveFault, match="safe torque off"):
         bench.open()
     bench.chain[0] = True
-    time.sleep(0.1)
+    bench.clock.sleep(0.1)
     bench.open()
 
 

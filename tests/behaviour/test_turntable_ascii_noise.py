@@ -15,7 +15,8 @@ from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.errors import ProtocolError
-from tests.behaviour.test_turntable_drivers import error_of, eventually, turntable
+from tests.behaviour.test_turntable_timeouts import error_of, eventually
+from tests.support.turntable_bench import turntable
 
 pytestmark = pytest.mark.wires
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
 from hil.errors import DeviceError, LinkTimeout
-from tests.behaviour.test_turntable_drivers import error_of, eventually, served
+from tests.support.lock_step import GRID_S
+from tests.support.turntable_bench import error_of, eventually, served
 
 pytestmark = pytest.mark.wires
 
-SPEED = 1.0
-PATIENCE_WALL_S = 20.0
 UNNOTICED_DEG = 1.1  # half of the following error: a smaller jump is plausible, without a checksum
 REACHED_DEGPS = 80.0  # a faster one is not, whatever the time since the last sample
 PAUSE_S = 0.01
@@ -24,7 +21,7 @@ def driver(request):
     return request.param
 
 
-def strike(emulator, device, fault, share, counters, times):
+def strike(clock, emulator, device, fault, share, counters, times):
     """Switch a fault on until the driver has counted ``times`` of it, then off; the link goes on all the while."""
     before = device.counters()
 
@@ -33,10 +30,10 @@ def strike(emulator, device, fault, share, counters, times):
 
     for k in range(times):
         emulator.faults.on(fault, value=share)
-        eventually(lambda k=k: counted() > k, PATIENCE_WALL_S)
+        eventually(clock, lambda k=k: counted() > k)
         emulator.faults.off(fault)
         exchanges = device.counters()["exchanges"]
-        eventually(lambda exchanges=exchanges: device.counters()["exchanges"] > exchanges + 3, PATIENCE_WALL_S)
+        eventually(clock, lambda exchanges=exchanges: device.counters()["exchanges"] > exchanges + 3)
 
 
 @pytest.mark.parametrize(
@@ -48,62 +45,62 @@ def strike(emulator, device, fault, share, counters, times):
     ],
 )
 def test_single_spoilt_packets_are_tolerated_and_counted(driver, fault, counters):
-    with served(driver, speed=SPEED, timeout_s=2.0) as (emulator, device, clock):
+    with served(driver, timeout_s=2.0) as (emulator, device, clock):
         counters = [name for name in counters if name in device.counters()]
-        strike(emulator, device, fault, 0.3, counters, 3)
+        strike(clock, emulator, device, fault, 0.3, counters, 3)
         device.read(clock.now_s())
         assert np.abs(np.degrees(emulator.gimbals.rate)).max() < 0.1
 
 
 @pytest.mark.parametrize(("fault", "value"), [("drop", 1.0), ("link_down", None), ("corrupt", 1.0)])
 def test_burst_ends_in_an_error_that_names_the_device(driver, fault, value):
-    with served(driver, speed=SPEED) as (emulator, device, clock):
-        time.sleep(0.1)
+    with served(driver) as (emulator, device, clock):
+        clock.sleep(0.1)
         emulator.faults.on(fault, value=value)
-        error = error_of(device, clock, PATIENCE_WALL_S)
+        error = error_of(device, clock)
         assert isinstance(error, DeviceError)
         assert str(error).startswith("turntable")
         emulator.faults.clear()
         with pytest.raises(DeviceError):  # for good: a link that has returned must be opened anew
             device.read(clock.now_s())
         device.close()
-        eventually(lambda: not device._thread.is_alive())
+        eventually(clock, lambda: not device._thread.is_alive())
         device.open(clock.now_s())
         device.read(clock.now_s())
 
 
 def test_dead_wire_is_a_time_out_and_the_drives_stop_by_themselves(driver):
-    with served(driver, speed=SPEED) as (emulator, device, clock):
+    with served(driver) as (emulator, device, clock):
         device.send(np.radians((50.0, -40.0, 50.0)), np.zeros(3), clock.now_s())
-        eventually(lambda: np.abs(emulator.gimbals.rate).min() > 0.2, PATIENCE_WALL_S)
+        eventually(clock, lambda: np.abs(emulator.gimbals.rate).min() > 0.2)
         emulator.faults.on("link_down")
-        assert isinstance(error_of(device, clock, PATIENCE_WALL_S), LinkTimeout)
-        eventually(lambda: np.abs(emulator.gimbals.rate).max() < 1e-3, PATIENCE_WALL_S)
+        assert isinstance(error_of(device, clock), LinkTimeout)
+        eventually(clock, lambda: np.abs(emulator.gimbals.rate).max() < 1e-3)
         assert np.abs(np.degrees(emulator.gimbals.position)).max() < 38.0
 
 
 def test_answers_that_come_late_are_counted_and_not_taken_for_new_ones(driver):
-    with served(driver, speed=SPEED, timeout_s=2.0) as (emulator, device, clock):
+    with served(driver, timeout_s=2.0) as (emulator, device, clock):
         before = device.counters()
         # a PDO bears no number: one that is late by whole exchanges leaves nothing but a gap
         told = ("late", "lost") if driver == "cia402" else ("late",)
         emulator.faults.on("delay", value=0.08)
-        eventually(lambda: any(device.counters()[name] > before[name] for name in told), PATIENCE_WALL_S)
+        eventually(clock, lambda: any(device.counters()[name] > before[name] for name in told))
         emulator.faults.off("delay")
         exchanges = device.counters()["exchanges"]
-        eventually(lambda: device.counters()["exchanges"] > exchanges + 10, PATIENCE_WALL_S)
+        eventually(clock, lambda: device.counters()["exchanges"] > exchanges + 10)
         now_s = clock.now_s()
         assert now_s - device.read(now_s).t_s < 0.5
 
 
 def test_no_spoilt_frame_moves_an_axis_or_shows_a_place_where_it_is_not(driver):
-    with served(driver, speed=SPEED, timeout_s=2.0) as (emulator, device, clock):
+    with served(driver, timeout_s=2.0) as (emulator, device, clock):
         start = emulator.gimbals.position.copy()
         emulator.faults.on("corrupt", value=0.1)
-        end_s = time.monotonic() + 0.8
+        end_s = clock.now_s() + 0.8
         before_s = device.read(clock.now_s()).t_s
         allowed_deg = UNNOTICED_DEG
-        while time.monotonic() < end_s:
+        while clock.now_s() < end_s:
             try:
                 seen = device.read(clock.now_s())
                 device.send(start, np.zeros(3), clock.now_s())
@@ -116,13 +113,13 @@ def test_no_spoilt_frame_moves_an_axis_or_shows_a_place_where_it_is_not(driver):
                 allowed_deg = UNNOTICED_DEG + (REACHED_DEGPS * checked_s if gap_s > PAUSE_S else 0.0)
                 before_s = seen.t_s
             assert np.abs(np.degrees(seen.position - start)).max() < allowed_deg
-            time.sleep(0.002)
+            clock.sleep(GRID_S)
         assert np.abs(np.degrees(emulator.gimbals.position - start)).max() < 0.1
 
 
 def test_drive_fault_without_a_number_has_a_name_all_the_same(driver):
-    with served(driver, speed=SPEED) as (emulator, device, clock):
+    with served(driver) as (emulator, device, clock):
         assert emulator.faults.execute("on drive_fault yaw") == "ok"
-        text = str(error_of(device, clock, PATIENCE_WALL_S))
+        text = str(error_of(device, clock))
         assert text.startswith("turntable.yaw: ")
         assert "following error" in text or "over-current" in text

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from hil.config.load import configs_folder
-from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.shared_state import ChainState
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
-from tests.behaviour.test_turntable_drivers import DRIVERS, PARK_DEG, emulated, error_of, eventually, served, turntable
+from tests.support.turntable_bench import PARK_DEG, error_of, eventually, served
 
 pytestmark = pytest.mark.wires
 
@@ -40,32 +39,32 @@ def test_axes_without_absolute_encoders_take_no_setpoints_before_homing(driver):
 
 
 def test_homing_finds_the_place_and_setpoints_are_taken_afterwards(driver):
-    with served(driver, speed=4.0, timeout_s=1.6, **INCREMENTAL) as (emulator, device, clock):
+    with served(driver, **INCREMENTAL) as (emulator, device, clock):
         device.home(clock.now_s())
         assert set(feedback(device, clock).homing) == {Homing.UNDER_WAY}
-        eventually(lambda: set(feedback(device, clock).homing) == {Homing.DONE}, 20.0)
+        eventually(clock, lambda: set(feedback(device, clock).homing) == {Homing.DONE})
         home = np.radians([1.0, 1.0, 1.0])
         assert feedback(device, clock).position == pytest.approx(home, abs=math.radians(0.3))
         clock.sleep_until(clock.now_s() + 0.2)
         assert feedback(device, clock).position == pytest.approx(home, abs=math.radians(0.3))  # nothing jumps
         goal = np.radians((4.0, -3.0, 2.0))
         device.send(goal, np.zeros(3), clock.now_s())
-        eventually(lambda: np.allclose(feedback(device, clock).position, goal, atol=1e-4), 20.0)
-        eventually(lambda: np.allclose(emulator.gimbals.position, goal, atol=2e-3), 20.0)
+        eventually(clock, lambda: np.allclose(feedback(device, clock).position, goal, atol=1e-4))
+        eventually(clock, lambda: np.allclose(emulator.gimbals.position, goal, atol=2e-3))
 
 
 def test_homing_that_fails_is_told_and_stops_all_axes(driver):
     with served(driver, **{**INCREMENTAL, "homing_rate_degps": 0.1}) as (emulator, device, clock):
         device.home(clock.now_s())
-        eventually(lambda: emulator.gimbals.homing.count(Homing.UNDER_WAY) == 3)
+        eventually(clock, lambda: emulator.gimbals.homing.count(Homing.UNDER_WAY) == 3)
         emulator.gimbals.brake(1)  # as after the longest time that a search may take
-        eventually(lambda: feedback(device, clock).homing[1] is Homing.FAILED, 10.0)
-        eventually(lambda: Homing.UNDER_WAY not in emulator.gimbals.homing, 10.0)
+        eventually(clock, lambda: feedback(device, clock).homing[1] is Homing.FAILED)
+        eventually(clock, lambda: Homing.UNDER_WAY not in emulator.gimbals.homing)
         assert device.send(np.ones(3), np.zeros(3), clock.now_s()) == pytest.approx(np.zeros(3), abs=0.01)
 
 
 def test_axis_on_its_limit_switch_is_told(driver):
-    with served(driver, speed=4.0, timeout_s=1.6) as (_, device, clock):
+    with served(driver) as (_, device, clock):
         assert feedback(device, clock).limit == (0, 0, 0)
         goal = np.radians((-60.0, -2.0, 60.0))
 
@@ -73,7 +72,7 @@ def test_axis_on_its_limit_switch_is_told(driver):
             device.send(goal, np.zeros(3), clock.now_s())
             return feedback(device, clock).limit == (-1, 0, 1)
 
-        eventually(there, 20.0)
+        eventually(clock, there)
 
 
 def test_open_safety_chain_is_a_drive_fault_by_name(driver):
@@ -81,7 +80,7 @@ def test_open_safety_chain_is_a_drive_fault_by_name(driver):
     with served(driver, chain=lambda: ChainState(*closed * 3)) as (_, device, clock):
         closed[0] = False
         with pytest.raises(DriveFault, match=r"turntable\.(roll|pitch|yaw): .*safe torque off") as caught:
-            raise error_of(device, clock, 10.0)
+            raise error_of(device, clock)
         assert caught.value.kind is FaultKind.TORQUE_OFF
 
 
@@ -95,12 +94,12 @@ def test_torque_off_is_known_by_its_code_when_it_is_called_otherwise(driver, tmp
     with served(driver, chain=lambda: ChainState(*closed * 3), protocol=str(file)) as (_, device, clock):
         closed[0] = False
         with pytest.raises(DriveFault, match=r"STO active") as caught:
-            raise error_of(device, clock, 10.0)
+            raise error_of(device, clock)
         assert caught.value.kind is FaultKind.TORQUE_OFF
 
 
 def test_move_to_parks_the_axes_slowly_and_takes_no_setpoints_any_more(driver):
-    with served(driver, speed=4.0, timeout_s=1.6) as (emulator, device, clock):
+    with served(driver) as (emulator, device, clock):
         goal, rate = np.radians((8.0, -8.0, 5.0)), np.radians((10.0, 10.0, 10.0))
         assert device.move_to(goal, rate, clock.now_s()) == pytest.approx(goal)
         fastest = [0.0]
@@ -110,8 +109,8 @@ def test_move_to_parks_the_axes_slowly_and_takes_no_setpoints_any_more(driver):
             fastest[0] = max(fastest[0], float(np.abs(feedback(device, clock).rate).max()))
             return np.allclose(feedback(device, clock).position, goal, atol=1e-3)
 
-        eventually(there, 20.0)
-        eventually(lambda: np.allclose(emulator.gimbals.position, goal, atol=2e-3), 20.0)
+        eventually(clock, there)
+        eventually(clock, lambda: np.allclose(emulator.gimbals.position, goal, atol=2e-3))
         assert fastest[0] < 2.0 * rate[0]  # and not the 40 deg/s that the axis can do
         device.stop(clock.now_s())
         assert device.move_to(np.zeros(3), rate, clock.now_s()) == pytest.approx(goal, abs=1e-2)  # where it stands
@@ -127,12 +126,8 @@ def test_move_to_parks_the_axes_slowly_and_takes_no_setpoints_any_more(driver):
     ],
 )
 def test_cia402_drive_that_is_another_one_is_refused(key, value, text):
-    clock = WallClock()
-    with emulated("cia402", clock) as (_, address):
-        device = DRIVERS["cia402"](turntable("cia402", address, cia402={key: value}), clock)
-        with pytest.raises(ProtocolError, match=text):
-            device.open(clock.now_s())
-        device.close()
+    with pytest.raises(ProtocolError, match=text), served("cia402", cia402={key: value}):
+        pass
 
 
 def test_cia402_drive_that_is_the_right_one_is_opened():
@@ -142,25 +137,21 @@ def test_cia402_drive_that_is_the_right_one_is_opened():
 
 
 def test_serial_controller_that_is_another_one_is_refused():
-    clock = WallClock()
-    with emulated("acu", clock) as (_, address):
-        config = turntable("acu", address)
-        wire = config.ascii.model_copy(update={"identity": {"model": "EMULATED-ACU", "firmware": "3.0"}})
-        device = DRIVERS["acu"](config.model_copy(update={"ascii": wire}), clock)
-        with pytest.raises(ProtocolError, match=r"turntable: firmware is '2\.3', expected '3\.0'"):
-            device.open(clock.now_s())
-        device.close()
+    identity = {"model": "EMULATED-ACU", "firmware": "3.0"}
+    wrong = pytest.raises(ProtocolError, match=r"turntable: firmware is '2\.3', expected '3\.0'")
+    with wrong, served("acu", identity=identity):
+        pass
 
 
 def test_cia402_heartbeat_that_ceases_is_a_time_out_of_its_axis():
     with served("cia402") as (emulator, device, clock):
         emulator.drives[2].objects[0x1017].value = 0
         with pytest.raises(LinkTimeout, match=r"turntable\.yaw: no heartbeat for"):
-            raise error_of(device, clock, 10.0)
+            raise error_of(device, clock)
 
 
 def test_cia402_drive_that_restarts_is_a_fault_of_its_axis():
     with served("cia402") as (emulator, device, clock):
         emulator._station.send(emulator.drives[1].boot())
         with pytest.raises(DriveFault, match=r"turntable\.pitch: has restarted"):
-            raise error_of(device, clock, 10.0)
+            raise error_of(device, clock)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from hil.config.rig import Vmu, VmuLine
-from hil.core.clock import WallClock
+from hil.core.clock import Order
+from hil.core.lock_step import LockStepConductor
 from hil.core.messages import PoseFrame
 from hil.drivers.vmu.driver import Rs422Vmu
 from hil.drivers.vmu.emulator import VmuEmulator
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
+from tests.support.lock_step import in_lock_step, serving
 
 pytestmark = pytest.mark.wires
 
@@ -27,16 +27,16 @@ POSE = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.
 class Desk:
     """A driver, and the time."""
 
-    clock: WallClock
+    clock: LockStepConductor
     vmu: Rs422Vmu
 
     def poll_until(self, done: Callable[[list[PoseFrame]], bool]) -> list[PoseFrame]:
-        """Poll at about 1 kHz until ``done(all frames)``, 10 s at most."""
+        """Poll at 100 Hz until ``done(all frames)``, 10 s at most."""
         frames: list[PoseFrame] = []
-        give_up_s = time.monotonic() + 10.0
+        give_up_s = self.clock.now_s() + 10.0
         while not done(frames):
-            assert time.monotonic() < give_up_s, self.vmu.counters()
-            time.sleep(0.001)
+            assert self.clock.now_s() < give_up_s, self.vmu.counters()
+            self.clock.sleep(0.01)
             frames += self.vmu.poll(self.clock.now_s())
         return frames
 
@@ -48,22 +48,16 @@ class Desk:
 
 
 @contextmanager
-def emulated(**changes: object) -> Iterator[tuple[VmuEmulator, Rs422Vmu, WallClock]]:
-    """Give an emulator at work in a thread, and a driver on its line that is not open yet."""
-    clock = WallClock()
-    emulator = VmuEmulator(Vmu(driver="rs422", rate_hz=25.0), clock, lambda t_s: POSE)
-    path = emulator.start()["vmu"]
-    stop = threading.Event()
-    thread = threading.Thread(target=emulator.run, args=(stop,))
-    thread.start()
-    vmu = Rs422Vmu(Vmu.model_validate({"driver": "rs422", "rs422": VmuLine(port=path)} | changes), clock)
-    try:
-        yield emulator, vmu, clock
-    finally:
-        vmu.close()
-        stop.set()
-        thread.join(5.0)
-        emulator.close()
+def emulated(**changes: object) -> Iterator[tuple[VmuEmulator, Rs422Vmu, LockStepConductor]]:
+    """Give an emulator at work in a thread, and a driver on its line that is not open yet, in lock-step."""
+    with in_lock_step() as clock:
+        emulator = VmuEmulator(Vmu(driver="rs422", rate_hz=25.0), clock, lambda t_s: POSE)
+        line = {"driver": "rs422", "rs422": VmuLine(port=emulator.start()["vmu"])}
+        with (
+            serving(clock, emulator, Order.CAMERAS),
+            closing(Rs422Vmu(Vmu.model_validate(line | changes), clock)) as vmu,
+        ):
+            yield emulator, vmu, clock
 
 
 @pytest.mark.parametrize(
@@ -115,7 +109,7 @@ def test_lost_repeated_and_late_frames_are_counted_and_survived() -> None:
         emulator.faults.clear()
         emulator.faults.on("delay", value=0.2)
         desk.poll_until(lambda frames: len(frames) > 3)
-        time.sleep(0.3)
+        clock.sleep(0.3)
         emulator.faults.clear()  # the next ones overtake those under way
         desk.poll_until(lambda frames: vmu.counters()["late"] > 1)
 

@@ -20,7 +20,11 @@ pytestmark = [pytest.mark.wires, pytest.mark.timeout(120)]
 
 SIZES = ((1280, 720), (1024, 768), (768, 1024), (390, 844))
 LONG_ALARM = "turntable.pitch: distance from the demand 3.42 deg, allowed 0.8 deg at rest and 0.05 s of its speed"
-STATES = ("running", "settings", "confirm", "who", "lost")
+STATES = ("running", "settings", "confirm", "who", "lost", "asked")
+AXE = Path(__file__).parents[1] / "accessibility/node_modules/axe-core/axe.min.js"
+SERIOUS = """axe.run().then((result) => result.violations
+  .filter((found) => ["serious", "critical"].includes(found.impact))
+  .map((found) => `${found.id}: ${found.nodes.map((node) => node.target).join(", ")}`))"""
 ALWAYS = ("stop", "order_hold", "mode", "alarmline")
 LAYOUT = """() => {
   const dialog = document.querySelector("dialog[open]"), over = dialog && dialog.getBoundingClientRect();
@@ -112,6 +116,9 @@ def show(page: ChromiumPage, state: str) -> None:
           document.getElementById('question').textContent = 'Abort: the chaser brakes and retreats. '.repeat(4);
           if (['confirm', 'who'].includes('{state}')) dialogs.openDialog(document.getElementById('{state}'));
           document.body.classList.toggle('lost', '{state}' === 'lost');
+          document.getElementById('procedure').hidden = '{state}' !== 'asked';
+          document.getElementById('step').textContent = 'rails.x: commanded +20.00 mm, encoder +20.00 mm';
+          document.getElementById('asked').textContent = 'Has the carriage moved along rails.x by +20.00 mm?';
         }})"""
     )
 
@@ -134,6 +141,18 @@ def test_contrast_of_texts_and_borders_is_sufficient(screens: ChromiumPage, stat
     show(screens, state)
     time.sleep(0.1)  # drawn once
     assert screens.evaluate(CONTRAST) == []
+
+
+@pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed: npm ci --prefix tests/accessibility")
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: str(size[0]))
+@pytest.mark.parametrize("state", STATES)
+def test_axe_finds_nothing_serious(screens: ChromiumPage, state: str, size: tuple[int, int]) -> None:
+    screens.resize(*size)
+    show(screens, state)
+    if not screens.evaluate("Boolean(window.axe)"):
+        screens.evaluate(AXE.read_text(encoding="utf-8"))
+    time.sleep(0.1)  # drawn once
+    assert screens.evaluate(SERIOUS) == []
 
 
 def test_settings_leave_every_plot_in_view(screens: ChromiumPage) -> None:

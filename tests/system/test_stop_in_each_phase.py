@@ -5,15 +5,24 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hil.commission.auto_operator import AutoOperator
+from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.core.modes import Mode
-from tests.system.test_killed_in_each_mode import DROP_M, STANDING_MPS, Bench, bench, stop_times
+from hil.core.operator_commands import Operator, StopCommanded
+from hil.session import build
+from hil.session.warm_up import warm_up
+from tests.support.run_settings import UNHURRIED, make_job
+from tests.system.test_killed_in_each_mode import DROP_M, SETTINGS, STANDING_MPS, Bench, bench, stop_times
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow]
 
@@ -60,7 +69,7 @@ def test_stop_brings_the_axes_to_rest_before_the_chain_opens(tmp_path: Path, pha
 def test_device_that_loses_its_power_stops_the_bench(
     tmp_path: Path, phase: str, device: str, how: signal.Signals
 ) -> None:
-    """A vision unit is not needed to move axes outside a run; the rails stand in all other cases."""
+    """A vision unit is not needed to move axes; poses are awaited in armed and in a run. The rails stand otherwise."""
     with bench(tmp_path) as made:
         bring_to(made, phase)
         os.kill(made.emulated.pids[device], how)
@@ -75,8 +84,83 @@ def test_device_that_loses_its_power_stops_the_bench(
             f"{phase:9} {device:9} {how.name}: {made.modes[-1]} after {1e3 * noticed:4.0f} ms, "
             f"{1e3 * speed:.1f} mm/s 1.5 s later, torque {'on' if made.has_torque() else 'off'}"
         )
-        assert stopped == (device != "vmu" or phase == "running")
+        assert stopped == (device != "vmu" or phase in ("armed", "running"))
         if stopped:
             assert speed < STANDING_MPS
             assert device == "io" or not made.has_torque()
         os.kill(made.emulated.pids[device], signal.SIGCONT) if how is signal.SIGSTOP else None
+
+
+COMMISSIONED = ("emergency stop", "homing", "rails.x: sign and scale", "question", "dry run")
+_INTO_STEP_S = 0.4  # the axis moves, or the button is pressed
+
+
+class StoppingOperator(Operator):
+    """Prompt and operator of a commissioning, who stops it shortly after ``step`` has begun."""
+
+    def __init__(self, step: str) -> None:
+        super().__init__(attended=True)
+        self._step = step
+        self._due_s = math.inf
+        self.stopped_s = math.nan
+        """Time by ``time.monotonic`` at which it was stopped."""
+
+    def show(self, text: str) -> None:
+        self._begin(text.removeprefix("-- "))
+
+    def ask(self, question: str) -> bool:
+        if self._step == "question" and "rails.x" in question:
+            self._begin("question")
+            time.sleep(2.0 * _INTO_STEP_S)
+        if "start pose" in question:
+            self._begin("dry run")
+        return True
+
+    def _begin(self, step: str) -> None:
+        if step == self._step and not (step == "dry run" and self._due_s < math.inf):
+            self._due_s = time.monotonic() + _INTO_STEP_S
+
+    def poll(self, now_s: float) -> None:
+        if time.monotonic() >= self._due_s:
+            self.stopped_s = time.monotonic()
+            raise StopCommanded
+
+
+@pytest.mark.parametrize("step", COMMISSIONED)
+def test_stop_in_a_commissioning_brings_the_axes_to_rest_and_opens_the_chain(step: str) -> None:
+    settings = (*SETTINGS, *UNHURRIED)
+    job = make_job(0.02, settings, rig="emulated")
+    warm_up(job)
+    operator, ended = StoppingOperator(step), threading.Event()
+    seen: list[tuple[float, float, bool]] = []
+    with build.wired_bench(job) as wired:
+        board, clock = wired.board, wired.clock
+        assert board is not None
+
+        def watch() -> None:
+            while not ended.is_set():
+                rates = [board.read(device, clock.now_s())[1] for device in ("rails", "turntable")]
+                seen.append((time.monotonic(), float(np.abs(rates).max()), board.read_chain(clock).torque))
+                time.sleep(0.001)
+
+        watching = threading.Thread(target=watch)
+        watching.start()
+        try:
+            button = AutoOperator(board, wired.addresses)
+            with pytest.raises(StopCommanded):
+                Commissioning(
+                    wired.runner(operator=operator), job.rig.value, operator, CommissioningPlan(range(6)), button
+                ).run()
+            time.sleep(1.0)
+        finally:
+            ended.set()
+            watching.join()
+    after = [(t - operator.stopped_s, speed, torque) for t, speed, torque in seen if t >= operator.stopped_s]
+    stands = next(t for k, (t, *_) in enumerate(after) if all(speed < STANDING_MPS for _, speed, _ in after[k:]))
+    opened = next(t for k, (t, *_) in enumerate(after) if not any(torque for *_, torque in after[k:]))
+    print(  # noqa: T201
+        f"commissioning, {step}: {1e3 * after[0][1]:4.0f} mm/s, stands {1e3 * stands:4.0f} ms, "
+        f"torque off {1e3 * opened:4.0f} ms"
+    )
+    assert stands < STANDS_S
+    assert opened < TORQUE_OFF_S

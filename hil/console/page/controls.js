@@ -44,6 +44,9 @@ export class Controls {
       const alarm = Number(row.dataset.number);
       this.ask(event.shiftKey ? { do: "shelve", alarm, lasting_s: SHELVED_S } : { do: "acknowledge", alarm });
     };
+    $("commission").onclick = () => this.open({ commission: true });
+    $("reply_yes").onclick = () => performance.now() - this.asked_ms > YES_AFTER_MS && this.reply(true);
+    $("reply_no").onclick = () => this.reply(false);
     $("second").onclick = () => this.ask({ do: "second", order: this.now.second_person.order });
     $("fault_device").onchange = () => this.faultKinds();
     $("fault_kind").onchange = () => this.faultAxes();
@@ -102,8 +105,13 @@ export class Controls {
     else this.ask({ do: "take_over" });
   }
 
-  open() {
-    this.ask({ do: "open", scenario: $("scenario").value, rig: $("rig").value, seed: Number($("seed").value) });
+  open(more = {}) {
+    this.ask({ do: "open", scenario: $("scenario").value, rig: $("rig").value, seed: Number($("seed").value), ...more });
+  }
+
+  // Answer the question of a commissioning that the page shows.
+  reply(yes) {
+    this.ask({ do: "reply", question: this.page.question.number, yes });
   }
 
   // STOP and HOLD first: by the place of the key and by its letter, whatever modifier, layout or focus.
@@ -168,16 +176,19 @@ export class Controls {
     const mine = now.lease.mine, open = now.open;
     for (const [order] of ORDERS) {
       const allowed = open ? page.obeyed_in[order].includes(now.mode) : order === "reset" && page.alarms.some((a) => a.latched);
-      $(`order_${order}`).disabled = !(mine && allowed);
+      $(`order_${order}`).disabled = !(mine && allowed && !page.commissioning);
     }
-    $("open").disabled = !mine || open;
+    $("open").disabled = $("commission").disabled = !mine || open;
+    if (changed) this.procedure(page);
+    $("reply_yes").disabled = $("reply_no").disabled = !mine || !page.question;
+    if (open) stayAwake();
     $("stop").disabled = $("order_hold").disabled = !open;
     const second = now.second_person;
     $("second").hidden = !second;
     if (second) $("second").textContent = `Second person: confirm ${second.order} of ${second.by}`;
     $("acknowledge").disabled = !mine || !(page.stop_reason || page.alarms.some((alarm) => !alarm.acknowledged));
     this.settings.show(page, mine && open);
-    const jogs = mine && open && ["standby", "jogging"].includes(now.mode);
+    const jogs = mine && open && !page.commissioning && ["standby", "jogging"].includes(now.mode);
     for (const button of document.querySelectorAll(".axis button, #faults button")) button.disabled = !(button.closest(".axis") ? jogs : mine && page.faults && Object.keys(page.faults.menu).length);
     if (!jogs && this.jogging) this.jog(null);
     const text = mine ? "Release" : now.lease.holder ? "Take over" : "Take command";
@@ -186,11 +197,24 @@ export class Controls {
     this.positions(now, page);
   }
 
+  // Step and question of a commissioning; a new question comes into view.
+  procedure(page) {
+    $("procedure").hidden = !page.commissioning;
+    $("step").textContent = page.word;
+    const number = page.question ? page.question.number : 0;
+    $("asked").textContent = page.question ? page.question.text : "";
+    if (number && number !== this.asked) {
+      this.asked_ms = performance.now();
+      $("procedure").scrollIntoView({ block: "nearest" });
+    }
+    this.asked = number;
+  }
+
   lists(page, open) {
     for (const [id, names] of [["scenario", page.scenarios], ["rig", page.rigs]]) {
       options($(id), names);
-      if (open || !$(id).dataset.set) $(id).value = page.choice[id];
-      $(id).dataset.set = "1";
+      if (open || $(id).dataset.set !== page.choice[id]) $(id).value = page.choice[id];
+      $(id).dataset.set = page.choice[id];
       $(id).disabled = open;
     }
     if (open) $("seed").value = page.choice.seed;
@@ -269,6 +293,15 @@ export class Controls {
     if (kind && kind.value && $("fault_value").value !== "") words.push($("fault_value").value);
     this.ask({ do: "fault", device: $("fault_device").value, line: words.join(" ") });
   }
+}
+
+// Keep the screen of a phone or tablet on while a bench is open, where the browser can: on https pages.
+let awake = null;
+async function stayAwake() {
+  if (awake || !navigator.wakeLock || document.visibilityState !== "visible") return;
+  awake = navigator.wakeLock.request("screen").catch(() => null);
+  const lock = await awake;
+  if (lock) lock.addEventListener("release", () => (awake = null));
 }
 
 function options(select, names) {

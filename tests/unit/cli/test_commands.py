@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
+import importlib.util
 import inspect
 import subprocess
 import sys
 
 import pytest
 
+from hil.cli import warm_up
 from hil.cli.main import _EARLIER_NAMES, COMMANDS, GROUPS, execute
 
 HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core.messages")
@@ -80,3 +81,16 @@ def test_unknown_group_of_kernels_is_one_line(capsys: pytest.CaptureFixture[str]
     assert execute(["warm-up", "loop", "laop"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "laop: unknown group, allowed gnc, stages, loop" in line
+
+
+def test_kernels_that_need_opencv_are_left_out_where_it_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found: list[str] = []
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(warm_up, "_compile_groups", found.extend)
+    assert execute(["warm-up"]) == 0
+    assert found == ["gnc", "stages", "loop", "verdict", "fusion"]
+    assert "monitor      left out: needs OpenCV: pip install 'hil-bench[vision]'" in capsys.readouterr().out
+    assert execute(["warm-up", "vmu"]) == 2
+    assert capsys.readouterr().err == "warm-up: vmu: needs OpenCV: pip install 'hil-bench[vision]'\n"

@@ -13,7 +13,7 @@ from hil.console.live_view import Client
 from hil.console.message import ImageMessage, pack, unpack
 from hil.console.remote_operator import CONFIRMATIONS
 from hil.console.service import ConsoleService
-from hil.console.session import Choice
+from hil.console.session import Choice, SignedBy
 from hil.console.session_state import SessionState
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
@@ -51,6 +51,8 @@ def ask(service: ConsoleService, **command: Any) -> str:
         ({"do": "open", "seed": 2**63}, f"seed {2**63}: allowed an integer of 0 or more"),
         ({"do": "open"}, "Open: the devices open and the drives are powered. Is the bench clear of people?"),
         ({"do": "open", "seed": True}, "seed True: allowed an integer of 0 or more"),
+        ({"do": "open", "commission": True}, 'mock: rig.kind "mock": there are no devices to commission'),
+        ({"do": "reply", "question": 1, "yes": True}, "no question waits for an answer"),
         ({"do": "jog", "axis": "rails.x", "direction": 1}, "bench: cannot jog, no session is open"),
         (
             {"do": "search", "region": [0, 0, 100, 100]},
@@ -79,6 +81,22 @@ class AnsweringSession:
     async def ask(self, **message: Any) -> str:
         self.asked.append(message)
         return ""
+
+    def send(self, **message: Any) -> bool:
+        return True
+
+
+def test_only_who_opened_a_commissioning_answers_it_and_no_is_confirmed(service: ConsoleService) -> None:
+    session = AnsweringSession()
+    service.session = session  # type: ignore[assignment]
+    service.choice = service.choice.model_copy(update={"signed_by": SignedBy(name="bob", key="b" * 16)})
+    assert ask(service, do="reply", question=1, yes=True).startswith("bob opened the commissioning and answers its ")
+    service.choice = service.choice.model_copy(update={"signed_by": SignedBy(name="ann", key="a" * 16)})
+    ask(service, do="reply", question=1, yes=True)
+    assert ask(service, do="reply", question=2) == "No: the commissioning ends here, and nothing is signed."
+    ask(service, do="reply", question=2, confirmed=True)
+    replies = [(message["question"], message["reply"]) for message in session.asked]
+    assert replies == [(1, True), (2, False)]
 
 
 def test_region_of_search_is_checked_sent_and_shown_to_all_pages(service: ConsoleService) -> None:
