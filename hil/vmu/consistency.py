@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from hil.core.messages import Array
 from hil.vmu.kernels.consistency import add_information
@@ -75,8 +75,7 @@ class Consistency:
         back = vectors[:, seen] / self._usual[:, None]
         expected = back.T @ self._tolerance @ back + np.diag(1.0 / values[seen])
         square = float(estimate @ np.linalg.solve(expected, estimate))
-        self.level = square / float(chi2.isf(FALSE_ALARMS, len(estimate)))
-        return None if self.level <= 1.0 else self._cause()
+        return None if square <= float(chdtri(len(estimate), FALSE_ALARMS)) else self._cause()
 
     def _cause(self) -> Doubt:
         """Return the kind of error that explains the residuals best, with its size."""

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from hil.vmu.kernels.records import RingScene, View
-from hil.vmu.kernels.reflections import doubled_lights, plate_shows
+from hil.vmu.kernels.reflections import mirrored
 
 REFLECTION: Final = "reflection"
 DOUBLED: Final = "doubled_lights"
@@ -32,9 +32,11 @@ class Doubt:
 
 def reflection(scene: RingScene, view: View, fit: np.void) -> Doubt | None:
     """Return the doubt if something shows that the LEDs of the pose ``fit`` are mirrored behind themselves."""
-    if plate_shows(scene, view, fit):
+    shows, depth, ratio = mirrored(scene, view, fit)
+    if shows:
         return Doubt(REFLECTION)
-    depth, ratio = doubled_lights(scene, view, fit)
+    if not ratio > _RATIO:
+        return None
     along = fit["r"][:, 2]
     sigmas = depth / math.sqrt(along @ fit["covariance"][:3, :3] @ along)
-    return Doubt(DOUBLED, 1e3 * depth, "mm") if ratio > _RATIO and sigmas > _ALLOWED else None
+    return Doubt(DOUBLED, 1e3 * depth, "mm") if sigmas > _ALLOWED else None

@@ -187,9 +187,10 @@ class VisionUnit:
         for fit in fits[:1]:
             self.solver.is_linear(view, fit)
         track, self.track = self.track, Track(self.track.settings)
+        consistency, self._consistency = self._consistency, Consistency(self.solver.scene)
         for t_s in (0.0, 0.1, 0.2):
             self.solve_spots(left, right, t_s, Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
-        self.track = track
+        self.track, self._consistency = track, consistency
         self.solver.windows(Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
         for detector, shape in zip(self._detectors, self._shapes, strict=True):
             image = np.full(shape, 10, np.uint8)
