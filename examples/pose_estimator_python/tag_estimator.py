@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hil.vmu.boards import refined
-from hil.vmu.estimators import Estimate, FlatTarget
+from hil.vmu.estimators import FlatTarget, PoseEstimate
 
 TAGS = {0: (0.06, 0.0), 1: (0.18, -0.14), 2: (0.18, 0.14)}  # number: side and x of the centre, m
 CORNER_PX, CALIBRATION_PX, PER_M = 0.1, 0.05, 3000
@@ -55,7 +55,7 @@ class BoardEstimator:
         """Return the pose by the images (h, w), uint8, at t_s; None for a missing image."""
         found = [self.find(image) for image in (left, right)]
         if min(len(ids) for ids, _ in found) < 4:
-            return Estimate(t_s, "too_few")
+            return PoseEstimate(t_s, "too_few")
         (ids, pixels), lens = found[0], self.lenses[0]
         _, turn, place = cv2.solvePnP(self.points[ids], pixels, *lens, flags=cv2.SOLVEPNP_IPPE)
 
@@ -67,7 +67,7 @@ class BoardEstimator:
         fit = least_squares(residuals, np.concatenate([turn.ravel(), place.ravel()]), x_scale="jac")
         turn, t_v = Rotation.from_rotvec(fit.x[:3]), fit.x[3:]
         if 2.0 * fit.cost > 4.0 * len(fit.fun) or not t_v[2] > 0.0:
-            return Estimate(t_s, "rejected_no_match")
+            return PoseEstimate(t_s, "rejected_no_match")
         step = 1e-6 * np.eye(3)  # the covariance is of the position and of a small rotation about v's axes
         slope = np.array([(Rotation.from_rotvec(fit.x[:3] + d) * turn.inv()).as_rotvec() for d in step]).T / 1e-6
         change = np.block([[np.zeros((3, 3)), np.eye(3)], [slope, np.zeros((3, 3))]])
@@ -75,4 +75,4 @@ class BoardEstimator:
         whole = noise.copy()  # with an error of the calibration: of the disparity, alike in all images
         range_sigma_m = CALIBRATION_PX * t_v[2] ** 2 / (lens[0][0, 0] * np.linalg.norm(self.base))
         whole[:3, :3] += range_sigma_m**2 * np.outer(t_v, t_v) / (t_v @ t_v)
-        return Estimate(t_s, "ok", t_v, turn.inv().as_quat(), whole, noise)
+        return PoseEstimate(t_s, "ok", t_v, turn.inv().as_quat(), whole, noise)

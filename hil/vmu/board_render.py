@@ -25,14 +25,14 @@ class BoardRenderer:
     def __init__(self, pair: CameraPair, board: FlatTarget, appearance: RingAppearance) -> None:
         self._pair, self._board, self._appearance = pair, board, appearance
         self._maps: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        grey = board.picture.astype(np.float32) / 255.0
+        grey = board.image.astype(np.float32) / 255.0
         self._levels = 255.0 * (_INK + (_PAPER - _INK) * grey)
 
     def image(self, camera: int, t_v: Array, q_vt: Array, rng: np.random.Generator) -> np.ndarray:
         """Return the image (h, w), uint8, of the target at ``p_v = A(q_vt) p_t + t_v``."""
         lens, chosen = self._pair.lens[camera], self._appearance
         width, height = int(lens["width"]), int(lens["height"])
-        light = np.full((height, width), chosen.background_levels, np.float32)
+        light: np.ndarray = np.full((height, width), chosen.background_levels, np.float32)
         half = 0.5 * np.array([self._board.width_m, self._board.height_m])
         corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]) * [*half, 0.0]
         in_v = corners @ matrix_of(q_vt).T + t_v

@@ -15,7 +15,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 from hil.maths import quat
-from hil.vmu.estimators import Estimate, FlatTarget
+from hil.vmu.estimators import FlatTarget, PoseEstimate
 from hil.vmu.kernels.records import MAX_LEDS, SPOT
 from hil.vmu.pose import Solver, SolverSettings, fits_within_budget
 
@@ -82,15 +82,15 @@ class BoardEstimator:
     def warm_up(self) -> None:
         """Compile the kernels and load OpenCV's detector by one pair that shows the target."""
         cameras = (self._geometry.left, self._geometry.right)
-        left, right = (cv2.resize(self.board.picture, (camera.width, camera.height)) for camera in cameras)
+        left, right = (cv2.resize(self.board.image, (camera.width, camera.height)) for camera in cameras)
         self.solve(left, right, 0.0)
 
-    def solve(self, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> Estimate:
+    def solve(self, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> PoseEstimate:
         """Return the pose by the images (h, w), uint8, exposed at ``t_s``; None for a missing image."""
         found = [{} if image is None else self._find(image) for image in (left, right)]
         ids = self._chosen(found)
         if len(ids) < 4:
-            return Estimate(t_s, "too_few")
+            return PoseEstimate(t_s, "too_few")
         solver = self._solver(ids)
         spots, view_spots = np.full((2, MAX_LEDS), -1, np.int64), []
         for c in range(2):
@@ -109,23 +109,23 @@ class BoardEstimator:
             if (fit["spot"] == spots).all() and fit["t"][2] > 0.0 and fit["r"][2, 2] > 0.0
         ]
         if not fits:
-            return Estimate(t_s, "rejected_no_match")
+            return PoseEstimate(t_s, "rejected_no_match")
         fits.sort(key=lambda fit: -float(fit["score"]))
         best = fits[0]
         if np.abs(best["shift"]).max() > _SHIFTED:
-            return Estimate(t_s, "rejected_sync")
+            return PoseEstimate(t_s, "rejected_sync")
         if not fits_within_budget(best):
-            return Estimate(t_s, "rejected_geometry_file")
+            return PoseEstimate(t_s, "rejected_geometry_file")
         others = [fit for fit in fits[1:] if fit["score"] > best["score"] - _DECISIVE]
         if any(not np.allclose(fit["r"], best["r"], atol=1e-3) for fit in others) or not solver.is_linear(view, best):
-            return Estimate(t_s, "ambiguous")
+            return PoseEstimate(t_s, "ambiguous")
         q_vt = quat.from_matrix(best["r"])
-        return Estimate(t_s, "ok", best["t"].copy(), q_vt, best["covariance"].copy(), best["noise"].copy())
+        return PoseEstimate(t_s, "ok", best["t"].copy(), q_vt, best["covariance"].copy(), best["noise"].copy())
 
     def _chosen(self, found: list[Corners]) -> tuple[int, ...]:
         """Return corners that both images show, else those of the better one: the farthest from those before."""
         both = sorted(set(found[0]) & set(found[1]))
-        ids = both if len(both) >= 4 else sorted(max(found, key=len))
+        ids = both if len(both) >= 4 else sorted(found[0] if len(found[0]) >= len(found[1]) else found[1])
         if len(ids) <= MAX_LEDS:
             return tuple(ids)
         places = self._points[ids]
@@ -156,9 +156,9 @@ class BoardEstimator:
         )
         starts = []
         for turn, shift in zip(turns, shifts, strict=True):
-            r, t = cv2.Rodrigues(turn)[0], shift.ravel()
+            r, t = np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(shift, float).ravel()
             if side == 1:
-                back = cv2.Rodrigues(np.array(self._geometry.right_rotation_rad))[0]
+                back = np.asarray(cv2.Rodrigues(np.array(self._geometry.right_rotation_rad))[0], float)
                 r, t = back @ r, back @ t + np.array(self._geometry.baseline_m)
             starts.append((np.ascontiguousarray(r), t))
         return starts
@@ -179,7 +179,7 @@ def apriltag(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimat
 
     def find(image: np.ndarray) -> Corners:
         quads, ids, _ = detector.detectMarkers(image)
-        named = zip(quads, [] if ids is None else ids.ravel().tolist(), strict=False)
+        named = zip(quads, [] if ids is None else map(int, ids.ravel()), strict=False)
         out: Corners = {}
         for quad, k in named:
             corners = refined(image, np.reshape(quad, (4, 2)).astype(float), cells) if k in number else None
@@ -245,7 +245,7 @@ def charuco(geometry: VmuGeometry, settings: Mapping[str, Any]) -> BoardEstimato
 
     def find(image: np.ndarray) -> Corners:
         corners, ids, _, _ = detector.detectBoard(image)
-        named = zip([] if ids is None else ids.ravel().tolist(), [] if corners is None else corners, strict=False)
+        named = zip([] if ids is None else map(int, ids.ravel()), [] if corners is None else corners, strict=False)
         return {k: (float(np.ravel(corner)[0]), float(np.ravel(corner)[1])) for k, corner in named}
 
     side, margin = _PICTURE_PX // max(chosen.columns, chosen.rows), _PICTURE_PX // 20

@@ -37,19 +37,19 @@ _DEFINITE: Final = -1e-9  # of the largest eigenvalue
 
 @dataclass(frozen=True, slots=True)
 class FlatTarget:
-    """Printed target, which emulated cameras draw: its picture (h, w), uint8, and its size, m.
+    """Printed target, which emulated cameras draw: its image (h, w), uint8, and its size, m.
 
-    Its centre is the origin of t; u of the picture is along x_t, v along y_t, and z_t points away from the cameras.
+    Its centre is the origin of t; u of the image is along x_t, v along y_t, and z_t points away from the cameras.
     """
 
-    picture: np.ndarray
+    image: np.ndarray
     width_m: float
     height_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """Result of one stereo pair. status: ``ok`` with a pose; any other word says why there is none.
+class PoseEstimate:
+    """Result of one stereo pair. status: ``ok`` with a pose; any other one names the reason.
 
     t_v: (3,), m. q_vt: (4,), scalar last, ``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6), m^2, m rad, rad^2, of t_v
     and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``. noise: (6, 6), the part of it that is
@@ -85,11 +85,11 @@ class Estimate:
 
 
 class Solved(Protocol):
-    """What an estimator returns: an ``Estimate``, or the ``Solution`` of the LED ring."""
+    """What an estimator returns: an ``PoseEstimate``, or the ``Solution`` of the LED ring."""
 
     @property
     def status(self) -> str:
-        """``ok``, or why there is no pose."""
+        """``ok``, or the reason why there is no pose."""
 
     def frame(self, counter: int, received_s: float, only_noise: bool = False) -> PoseFrame | None:
         """Return the pose as the bench's message, None without one."""

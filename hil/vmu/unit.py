@@ -168,9 +168,11 @@ class VisionUnit:
         prediction: of the pose at ``t_s``, if better known than by constant rates (from a gyro).
         """
         images = (left, right)
-        wrong = any(i is not None and not _fits(i, s) for i, s in zip(images, self._shapes, strict=True))
-        if wrong:
-            return self._no_pose(t_s, WRONG_SIZE)
+        for side, image, shape in zip(("left", "right"), images, self._shapes, strict=True):
+            if image is not None and not _fits(image, shape):
+                found = " x ".join(map(str, image.shape))
+                text = f"{side} image is {found} {image.dtype}, expected {shape[0]} x {shape[1]} uint8 (rows, columns)"
+                return Solution(t_s, WRONG_SIZE, None, (_NO_SPOTS, _NO_SPOTS), (self._none,) * 2, doubt=Doubt(text))
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
         expected = prediction or self.track.predict(t_s)

@@ -13,7 +13,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput, DeviceError
 from hil.vmu.board_render import BoardRenderer
 from hil.vmu.boards import BoardEstimator
-from hil.vmu.estimators import Estimate, make_estimator, solve_pair
+from hil.vmu.estimators import PoseEstimate, make_estimator, solve_pair
 from hil.vmu.geometry import EXACT, camera_pair
 from hil.vmu.render import RingAppearance
 from hil.vmu.unit import VisionUnit
@@ -38,11 +38,11 @@ def pair(estimator: Any, turn: Array, t_v: Array, rng: np.random.Generator) -> t
     board, back = estimator.board, Rotation.from_rotvec(RIGHT_TURN).inv()
     size = (board.width_m, board.height_m)
     right = (back * Rotation.from_rotvec(turn)).as_rotvec(), back.apply(t_v - BASELINE_M)
-    images = [board_image(board.picture, size, FOCAL_PX, SHAPE, *at, rng) for at in ((turn, t_v), right)]
+    images = [board_image(board.image, size, FOCAL_PX, SHAPE, *at, rng) for at in ((turn, t_v), right)]
     return images[0], images[1]
 
 
-def error(estimate: Estimate, turn: Array, t_v: Array) -> Array:
+def error(estimate: PoseEstimate, turn: Array, t_v: Array) -> Array:
     """Return the error (6,) of an estimate, m and rad."""
     away = Rotation.from_quat(estimate.q_vt).inv() * Rotation.from_rotvec(turn).inv()
     return np.concatenate([estimate.t_v - t_v, away.as_rotvec()])
@@ -58,7 +58,7 @@ def test_pose_of_a_printed_target_is_within_its_sigmas(
     for z_m in distances:
         turn, t_v = np.array([0.25, -0.2, 0.5]), np.array([0.08, 0.03, z_m])
         estimate = estimator.solve(*pair(estimator, turn, t_v, rng), 1.0)
-        assert isinstance(estimate, Estimate)
+        assert isinstance(estimate, PoseEstimate)
         assert estimate.status == "ok"
         ratios.append(error(estimate, turn, t_v) / np.sqrt(np.diag(estimate.covariance)))
         assert np.linalg.norm(error(estimate, turn, t_v)[:3]) < 0.003 * z_m
@@ -70,7 +70,7 @@ def test_single_image_or_no_tag_gives_no_wrong_pose() -> None:
     turn, t_v = np.array([0.3, 0.2, -0.4]), np.array([0.1, 0.0, 0.9])
     left, _ = pair(estimator, turn, t_v, rng)
     alone = estimator.solve(left, None, 0.0)
-    assert isinstance(alone, Estimate)
+    assert isinstance(alone, PoseEstimate)
     assert alone.status in ("ok", "ambiguous")
     if alone.status == "ok":
         assert np.abs(error(alone, turn, t_v) / np.sqrt(np.diag(alone.covariance))).max() < 4.0
@@ -134,8 +134,8 @@ def test_estimate_that_is_no_pose_stops_the_unit_with_a_device_error(field: str,
     class Wrong:
         def warm_up(self) -> None: ...
 
-        def solve(self, left: Image | None, right: Image | None, t_s: float) -> Estimate:
-            return Estimate(t_s, "ok", **(parts | {field: value}))
+        def solve(self, left: Image | None, right: Image | None, t_s: float) -> PoseEstimate:
+            return PoseEstimate(t_s, "ok", **(parts | {field: value}))
 
     with pytest.raises(DeviceError, match=f"vmu: pose estimator Wrong: ValueError: .*{text}"):
         solve_pair(Wrong(), None, None, 0.0)
@@ -155,6 +155,6 @@ def test_example_of_80_lines_is_found_by_its_entry_point_and_measures(
     estimator, rng = make_estimator("example_board", geometry(), {}), np.random.default_rng(2)
     turn, t_v = np.array([0.2, -0.1, 0.3]), np.array([0.1, 0.0, 1.6])
     estimate = estimator.solve(*pair(estimator, turn, t_v, rng), 0.0)
-    assert isinstance(estimate, Estimate)
+    assert isinstance(estimate, PoseEstimate)
     assert estimate.status == "ok"
     assert np.abs(error(estimate, turn, t_v) / np.sqrt(np.diag(estimate.covariance))).max() < 4.0
