@@ -44,8 +44,8 @@ class BoardRenderer:
                 light = cv2.remap(light, *self._distortion(camera), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         light = cv2.GaussianBlur(light, (0, 0), chosen.psf_sigma_px)
         sigma = np.sqrt(np.maximum(light, 0.0) / chosen.electrons_per_level + chosen.read_noise_levels**2)
-        light += sigma * rng.standard_normal(light.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(light), 0, 255).astype(np.uint8))
+        noisy = light + sigma * rng.standard_normal(light.shape, dtype=np.float32)
+        return np.asarray(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
 
     def _draw(self, light: np.ndarray, corners: Array) -> None:
         """Draw the target with its corners (4, 2) at these pixels, averaged over finer ones."""

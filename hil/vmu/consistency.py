@@ -36,10 +36,13 @@ _REFUSED: Final = 3  # tests in a row
 
 
 class Consistency:
-    """Accumulates the residuals of the poses of one vision unit, and tests them against its tolerances."""
+    """Accumulates the residuals of the poses of one track, and tests them against the tolerances.
 
-    def __init__(self, scene: RingScene) -> None:
-        self._scene = scene
+    With a time between the exposures of the cameras (``sync_s``) images differ with the motion: nothing is tested.
+    """
+
+    def __init__(self, scene: RingScene, sync_s: float) -> None:
+        self._scene, self._tested = scene, sync_s == 0.0
         size = len(scene.tolerance)
         self._information, self._product = np.zeros((size, size)), np.zeros(size)
         self._tolerance = scene.tolerance.copy()
@@ -54,8 +57,15 @@ class Consistency:
         """Return whether several tests in a row have failed."""
         return self._contradicted >= _REFUSED
 
+    def restart(self) -> None:
+        """Forget all poses, of an earlier track, unless they contradict the tolerances."""
+        if self.doubt is None:
+            self._information[:], self._product[:], self._poses = 0.0, 0.0, 0
+
     def add(self, view: View, fit: np.void) -> None:
         """Add a pose (FIT) that has passed the tests of its own; test them all from time to time."""
+        if not self._tested:
+            return
         self._poses += 1
         if self._poses > _FIRST and self._poses % _EVERY:
             return

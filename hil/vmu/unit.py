@@ -155,7 +155,7 @@ class VisionUnit:
         self.track = Track(track or TrackSettings())
         self._jump = Track(self.track.settings)
         self._identifier = Identifier(self.solver, geometry.marked_led)
-        self._consistency = Consistency(self.solver.scene)
+        self._consistency = Consistency(self.solver.scene, geometry.tolerances.sync_s)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
         self._detectors = tuple(SpotDetector(shape, sensor=geometry.sensor) for shape in self._shapes)
         self._none = tuple([-1] * len(geometry.leds_m))
@@ -189,7 +189,7 @@ class VisionUnit:
         for fit in fits[:1]:
             self.solver.is_linear(view, fit)
         track, self.track = self.track, Track(self.track.settings)
-        consistency, self._consistency = self._consistency, Consistency(self.solver.scene)
+        consistency, self._consistency = self._consistency, Consistency(self.solver.scene, 0.0)
         for t_s in (0.0, 0.1, 0.2):
             self.solve_spots(left, right, t_s, Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
         self.track, self._consistency = track, consistency
@@ -290,14 +290,16 @@ class VisionUnit:
                 return Solution(t_s, verdict.status, None, spots, (self._none, self._none))
             return self._predicted(t_s, verdict.status, spots)
         fit = with_strained_tolerances(verdict.fit)
+        self.track.update(t_s, fit)
         doubt = reflection(self.solver.scene, view, fit)
+        if self.track.poses == 1:
+            self._consistency.restart()
         if doubt is None:
             self._consistency.add(view, fit)
             doubt = self._consistency.doubt
             if self._consistency.refuses:
                 return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)
         status = OK if doubt is None else SUSPECT
-        self.track.update(t_s, fit)
         pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)
         left, right = (tuple(int(kept[c][k]) if k >= 0 else -1 for k in fit["spot"][c][:n]) for c in range(2))

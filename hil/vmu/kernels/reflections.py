@@ -137,7 +137,8 @@ def plate_shows(scene, view, fit):
                     place(scene.rotation[c], scene.translation[c], fit.r, fit.t, led, arm, point)
                     image[end, 0], image[end, 1] = project(scene.lens[c], point[0], point[1], point[2])
                 away = math.hypot(image[1, 0] - image[0, 0], image[1, 1] - image[0, 1])
-                if nearest(view, c, image[1, 0], image[1, 1], in_use, 0) < _ACROSS_PX + _LEANING * away:
+                reach = min(_ACROSS_PX + _LEANING * away, 0.5 * away)  # not the light of the LED itself
+                if away > _MERGED_PX and nearest(view, c, image[1, 0], image[1, 1], in_use, 0) < reach:
                     seen += 1
                 elif nearest(view, c, image[1, 0], image[1, 1], in_use, 1) < _MERGED_PX:
                     merged += 1
