@@ -11,13 +11,12 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import Vmu
-from hil.config.vmu_geometry import VmuGeometry
 from hil.core.clock import Clock, WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.cameras.pairing import FramePair, TimedFrame
 from hil.drivers.cameras.processes import vision_cameras, vision_pairing
+from hil.vmu.estimators import PoseEstimator, solve_pair
 from hil.vmu.sources import Pair
-from hil.vmu.unit import VisionUnit
 
 _LATENCIES: Final = 2048  # frames; 5 min at 6.25 Hz
 _STAGES: Final = ("exposure_to_image", "image_to_solver", "solver", "exposure_to_pose")
@@ -33,9 +32,9 @@ class LiveVision:
     ``vision`` (docs/reference/wire-formats.md).
     """
 
-    def __init__(self, geometry: VmuGeometry, vmu: Vmu) -> None:
-        self.unit = VisionUnit(geometry)
-        self.unit.warm_up()
+    def __init__(self, estimator: PoseEstimator, vmu: Vmu) -> None:
+        self._estimator = estimator
+        estimator.warm_up()
         self._rate_hz, self._only_noise = vmu.rate_hz, vmu.covariance == "noise"
         self._pairing = vision_pairing(vmu)
         self._last: FramePair | None = None
@@ -75,7 +74,7 @@ class LiveVision:
             if images[0] is None and images[1] is None:
                 self._counts["lost"] += 1
                 continue
-            solution = self.unit.solve(images[0], images[1], t_s)
+            solution = solve_pair(self._estimator, images[0], images[1], t_s)
             frame = solution.frame(self._counter & 0xFFFF_FFFF, math.nan, self._only_noise)
             if frame is None:
                 self._counts["no_pose"] += 1

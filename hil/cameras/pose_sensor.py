@@ -20,6 +20,7 @@ from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.maths.random_streams import NormalRows, noise_source, stream
 from hil.params import bench as bench_params
 from hil.params import vision as vision_params
+from hil.vmu.estimators import PoseEstimator, board_of, make_estimator
 from hil.vmu.geometry import geometry_of_rig, nominal_geometry
 
 
@@ -83,14 +84,20 @@ def make_pose_sensor(
     from hil.cameras.rendered import RenderedCameras, RenderedPoseSensor
 
     bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
-    rng = stream(seed, "pictures")
-    cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng)
-    return RenderedPoseSensor(cameras, calibrated_geometry(rig), rng, shown, rig.vmu.covariance == "noise")
+    rng, estimator = stream(seed, "pictures"), estimator_of_unit(rig.vmu)
+    images = scenario.vmu.images
+    cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), images, rng, board_of(estimator))
+    return RenderedPoseSensor(cameras, estimator, rng, shown, rig.vmu.covariance == "noise")
 
 
 def calibrated_geometry(rig: Rig) -> VmuGeometry:
     """Return the geometry that the vision unit of ``rig`` assumes for its cameras and LEDs. Raises BadInput."""
     return geometry_of_unit(rig.vmu)
+
+
+def estimator_of_unit(vmu: Vmu) -> PoseEstimator:
+    """Return the estimator that solves the images of the vision unit ``vmu``. Raises BadInput."""
+    return make_estimator(vmu.estimator, geometry_of_unit(vmu), vmu.estimator_settings)
 
 
 def geometry_of_unit(vmu: Vmu) -> VmuGeometry:

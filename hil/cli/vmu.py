@@ -43,7 +43,17 @@ if TYPE_CHECKING:
 
 _PASSED, _FAILED = 0, 1
 _POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-COLUMNS = ("frame", "t_s", "status", "n_leds", *_POSE, *(f"sigma_{name}" for name in _POSE), "epipolar_px", "scale")
+COLUMNS = (
+    "frame",
+    "t_s",
+    "status",
+    "n_leds",
+    *_POSE,
+    *(f"sigma_{name}" for name in _POSE),
+    "epipolar_px",
+    "scale",
+    "doubt",
+)
 _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
 
 
@@ -238,7 +248,8 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
         sigmas = np.sqrt(np.diag(solution.pose.covariance))
     numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale)]
     head = (frame, f"{solution.t_s:.6f}", solution.status, solution.n_leds)
-    return dict(zip(COLUMNS, (*head, *numbers), strict=True))
+    doubt = "" if solution.doubt is None else str(solution.doubt)
+    return dict(zip(COLUMNS, (*head, *numbers, doubt), strict=True))
 
 
 def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -544,6 +544,10 @@ class Vmu(DeviceTable):
     """LEDs in t, of mock and emulated unit."""
     geometry_file: str | None = None
     """Calibrated cameras and LEDs of the unit; unless set, `camera` and `leds_m`."""
+    estimator: str = "led_ring"
+    """Software that finds the pose in images: `led_ring`, `apriltag`, `charuco`, or that of an installed package."""
+    estimator_settings: dict[str, Any] = Field(default_factory=dict)
+    """Its settings."""
     covariance: Literal["whole", "noise"] = "whole"
     """Covariance of a pose that this host solves from images: the whole one, or only that of the noise, for a GNC whose
     error budget (`gnc.navigation.budget`) has the constant part."""

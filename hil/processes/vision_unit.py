@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from hil.cameras.live import LiveVision
-from hil.cameras.pose_sensor import geometry_of_unit
+from hil.cameras.pose_sensor import estimator_of_unit, geometry_of_unit
 from hil.config.rig import Vmu
 from hil.core.child_process import Parent
 from hil.core.clock import WallClock
@@ -23,7 +23,7 @@ from hil.drivers.remote import io_layout
 from hil.drivers.remote.server import FIFO_PRIORITY
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.cameras import HEARTBEAT_S, attach
-from hil.errors import BenchError, DeviceError
+from hil.errors import BadInput, BenchError, DeviceError
 
 _WAIT_WALL_S: Final = 0.01
 _FIFO_CPU_S: Final = 0.03  # a pair takes 5 ms, a search of both images without false lights 15 ms
@@ -40,8 +40,11 @@ def main() -> None:
     geometry = geometry_of_unit(vmu)
     sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
     try:
-        vision = LiveVision(geometry, vmu)
+        vision = LiveVision(estimator_of_unit(vmu), vmu)
         cameras = vision_cameras(vmu, sizes, clock)
+    except BadInput as error:
+        parent.send(failure=["DeviceError", NAME, str(error)])
+        return
     except DeviceError as error:
         parent.send(failure=[type(error).__name__, error.device, error.what])
         return

@@ -26,7 +26,7 @@ from hil.monitor.sources import WHOLE, VideoFrame, exposure
 from hil.recording import images
 from hil.recording.read import Recorded
 from hil.setup.docking_monitor import settings_of
-from hil.vmu.unit import VisionUnit
+from hil.vmu.estimators import make_estimator
 
 VMU, DOCKING_MONITOR = "the vision unit", "the docking monitor"
 POSE: Final = ("x", "y", "z", "rx", "ry", "rz")
@@ -141,15 +141,16 @@ def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesRepla
     Frames of a rig with wires are compared with the resolution of the wire. Of a lost frame only the status is
     compared. Raises BadInput.
     """
-    unit, counter = VisionUnit(geometry), _ImageCounter()
+    vmu = recorded.rig.vmu
+    estimator, counter = make_estimator(vmu.estimator, geometry, vmu.estimator_settings), _ImageCounter()
     frames = _Frames(recorded)
     found = ImagesReplayed(VMU)
     compared = _Compared([*((name, "m") for name in POSE[:3]), *((name, "rad") for name in POSE[3:]), *_REST])
     on_wires = recorded.run["rig_kind"] != "mock"
-    only_noise = recorded.rig.vmu.covariance == "noise"
+    only_noise = vmu.covariance == "noise"
     for left, right in images.pairs(recorded.path):
         counter.add(left)
-        solution = unit.solve(left.image(recorded.path), right.image(recorded.path), left.bench_s)
+        solution = estimator.solve(left.image(recorded.path), right.image(recorded.path), left.bench_s)
         found.statuses[left.status, solution.status] += 1
         before, now = frames.at(left.bench_s), solution.frame(0, left.bench_s, only_noise)
         if before is None or now is None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.bench.kinematics import pose_on_bench
 from hil.cameras.docking import view
+from hil.cameras.pose_sensor import estimator_of_unit
 from hil.cameras.rendered import RenderedCameras
 from hil.config.load import load_scene
 from hil.config.rig import Rig
@@ -29,6 +30,7 @@ from hil.params import vision as vision_params
 from hil.setup.assembly import start_axes
 from hil.setup.docking_monitor import MONITOR_ADDRESS
 from hil.setup.emulated_vision import seen_axes
+from hil.vmu.estimators import board_of
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.sources import ImageFolder
 
@@ -56,7 +58,8 @@ def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisSt
 def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
     """Return the renderer of the vision unit of ``rig``."""
     bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
-    return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, stream(seed, "pictures"))
+    board, rng = board_of(estimator_of_unit(rig.vmu)), stream(seed, "pictures")
+    return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng, board)
 
 
 def emulated_television(

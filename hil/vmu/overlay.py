@@ -13,7 +13,7 @@ from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import RingScene
 from hil.vmu.kernels.refine import place
 from hil.vmu.pose import matrix_of
-from hil.vmu.unit import PREDICTED, Solution
+from hil.vmu.unit import PREDICTED, SUSPECT, Solution
 
 SPOT, IDENTITY, LED, STATUS, VALUE, NOTE = "spot", "identity", "led", "status", "value", "note"
 """Parts: a spot, the number of its LED, an LED projected with the pose, lines of text."""
@@ -24,7 +24,7 @@ _FARTHEST_PX: Final = 1e5
 _WHITE, _GREY, _GREEN, _AMBER, _RED, _BLUE = (
     (255, 255, 255), (150, 150, 150), (90, 220, 90), (60, 180, 255), (80, 80, 255), (255, 170, 80),
 )  # fmt: skip
-_COLOURS: Final = {"ok": _GREEN, "predicted": _AMBER, "ambiguous": _AMBER}
+_COLOURS: Final = {"ok": _GREEN, "predicted": _AMBER, "suspect": _AMBER, "ambiguous": _AMBER}
 _CAPTION_COLOURS: Final = {VALUE: _WHITE, NOTE: _GREY}
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ARM_PX: Final = 5
@@ -51,6 +51,8 @@ def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
         found.append((f"r  {rotation[0]:+.3f} {rotation[1]:+.3f} {rotation[2]:+.3f} deg", VALUE))
         s = np.degrees(sigma[3:])
         found.append((f"sigma {s[0]:.4f} {s[1]:.4f} {s[2]:.4f} deg", NOTE))
+    if solution.doubt is not None:
+        found.append((str(solution.doubt), NOTE))
     if solution.degrees:
         found.append((f"chi-square {solution.chi2:.1f} at {solution.degrees} degrees of freedom", NOTE))
     elif solution.candidates > 1:
@@ -59,7 +61,7 @@ def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
 
 
 def _caption(solution: Solution, title: str) -> list[Shape]:
-    good = solution.pose is not None and solution.status != PREDICTED
+    good = solution.pose is not None and solution.status not in (PREDICTED, SUSPECT)
     return [
         {"kind": "text", "at": [_LEFT_PX, LINE_PX * (row + 1) + 4], "text": text, "good": good, "part": part}
         for row, (text, part) in enumerate(lines(solution, title))

@@ -15,6 +15,7 @@ from hil.config.load import load_geometry
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
+from hil.vmu.consistency import Consistency
 from hil.vmu.detect import SpotDetector
 from hil.vmu.identify import (
     AMBIGUOUS,
@@ -30,9 +31,11 @@ from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import SPOT, RingScene, View
 from hil.vmu.kernels.refine import place
 from hil.vmu.pose import Prediction, Solver, SolverSettings
+from hil.vmu.reflections import Doubt, reflection
 from hil.vmu.track import Track, TrackSettings
 
 PREDICTED: Final = "predicted"
+SUSPECT: Final = "suspect"
 WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
 BRIGHT: Final = "rejected_bright"
@@ -69,11 +72,13 @@ class Pose:
 class Solution:
     """Result of one stereo pair.
 
-    status: ``ok``, ``predicted``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first two only.
+    status: ``ok``, ``predicted``, ``suspect``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first
+    three only.
     spots: SPOT of each image, as far as it was searched. leds: for each image, the index into spots of each
     LED, -1 for none. chi2, degrees: of the fit. candidates: number of remaining poses. epipolar_px: root mean square
     distance of the right spots from the epipolar lines of the left ones, NaN unless both images have spots of an LED.
-    scale: of the residuals relative to noise and tolerances as stated, 1 if these are right.
+    scale: of the residuals relative to noise and tolerances as stated, 1 if these are right. doubt: what makes the pose
+    ``suspect``, and by how much.
     """
 
     t_s: float
@@ -87,6 +92,7 @@ class Solution:
     full_frame: bool = True
     epipolar_px: float = math.nan
     scale: float = math.nan
+    doubt: Doubt | None = None
 
     @property
     def t(self) -> Array:
@@ -149,6 +155,7 @@ class VisionUnit:
         self.track = Track(track or TrackSettings())
         self._jump = Track(self.track.settings)
         self._identifier = Identifier(self.solver, geometry.marked_led)
+        self._consistency = Consistency(self.solver.scene, geometry.tolerances.sync_s)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
         self._detectors = tuple(SpotDetector(shape, sensor=geometry.sensor) for shape in self._shapes)
         self._none = tuple([-1] * len(geometry.leds_m))
@@ -161,9 +168,11 @@ class VisionUnit:
         prediction: of the pose at ``t_s``, if better known than by constant rates (from a gyro).
         """
         images = (left, right)
-        wrong = any(i is not None and not _fits(i, s) for i, s in zip(images, self._shapes, strict=True))
-        if wrong:
-            return self._no_pose(t_s, WRONG_SIZE)
+        for side, image, shape in zip(("left", "right"), images, self._shapes, strict=True):
+            if image is not None and not _fits(image, shape):
+                found = " x ".join(map(str, image.shape))
+                text = f"{side} image is {found} {image.dtype}, expected {shape[0]} x {shape[1]} uint8 (rows, columns)"
+                return Solution(t_s, WRONG_SIZE, None, (_NO_SPOTS, _NO_SPOTS), (self._none,) * 2, doubt=Doubt(text))
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
         expected = prediction or self.track.predict(t_s)
@@ -180,9 +189,10 @@ class VisionUnit:
         for fit in fits[:1]:
             self.solver.is_linear(view, fit)
         track, self.track = self.track, Track(self.track.settings)
+        consistency, self._consistency = self._consistency, Consistency(self.solver.scene, 0.0)
         for t_s in (0.0, 0.1, 0.2):
             self.solve_spots(left, right, t_s, Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
-        self.track = track
+        self.track, self._consistency = track, consistency
         self.solver.windows(Prediction(ahead, np.array([0.0, 0.0, 0.0, 1.0]), 1e-6 * np.eye(6)))
         for detector, shape in zip(self._detectors, self._shapes, strict=True):
             image = np.full(shape, 10, np.uint8)
@@ -281,6 +291,15 @@ class VisionUnit:
             return self._predicted(t_s, verdict.status, spots)
         fit = with_strained_tolerances(verdict.fit)
         self.track.update(t_s, fit)
+        doubt = reflection(self.solver.scene, view, fit)
+        if self.track.poses == 1:
+            self._consistency.restart()
+        if doubt is None:
+            self._consistency.add(view, fit)
+            doubt = self._consistency.doubt
+            if self._consistency.refuses:
+                return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)
+        status = OK if doubt is None else SUSPECT
         pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)
         left, right = (tuple(int(kept[c][k]) if k >= 0 else -1 for k in fit["spot"][c][:n]) for c in range(2))
@@ -289,8 +308,9 @@ class VisionUnit:
         scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else math.nan
         distance_px = epipolar_distance(self.solver.scene, view, fit["spot"])
         return Solution(
-            t_s, OK, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame, distance_px, scale
-        )
+            t_s, status, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame, distance_px,
+            scale, doubt,
+        )  # fmt: skip
 
     def _confirmed(self, verdict: LedIdentification, t_s: float) -> LedIdentification:
         """Return a jump off the track as ``ok`` once it has come several times in a row; the old track then ends."""

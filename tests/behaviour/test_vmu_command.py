@@ -124,7 +124,8 @@ def test_bad_images_never_make_a_pose(folder: Path) -> None:
     said = [row["status"] for row in rows]
     assert said == ["ok", "rejected_image", "rejected_dark", "rejected_image", "rejected_size", "ok"]
     for row in rows[1:5]:
-        assert all(math.isnan(float(row[name])) for name in COLUMNS[4:])
+        assert all(math.isnan(float(row[name])) for name in COLUMNS[4:-1])
+    assert rows[4]["doubt"] == "right image is 512 x 640 uint8, expected 1024 x 1024 uint8 (rows, columns)"
 
 
 def test_a_folder_without_a_single_pose_has_the_verdict_fail(folder: Path) -> None:

@@ -83,6 +83,19 @@ def second_ring(behind_m: float) -> Frames:
     return frames
 
 
+def mirror_behind(depth_m: float, brightness: float, near_m: float = 1.0, far_m: float = 6.0) -> Frames:
+    """Return frames of a ring before a plate that mirrors the LEDs, parallel to it and ``depth_m`` behind it."""
+
+    def frames(rng: np.random.Generator, count: int) -> Iterable[Frame]:
+        for _ in range(count):
+            scene, truth = real_bench(VERY_GOOD, rng, PixelOptics()), somewhere(rng, near_m, far_m)
+            image = scene.leds_m * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * depth_m]
+            lights = np.column_stack([in_space(image, truth), np.full(len(image), brightness)])
+            yield replace(scene, lights_v=lights), truth
+
+    return frames
+
+
 def other_scale(focal: float = 0.0, ring: float = 0.0) -> Frames:
     """Return frames whose focal lengths, or whose ring, are larger than in the geometry file, relative."""
     errors = replace(USUAL, focal_scale=0.0, led_scale=0.0)
@@ -100,6 +113,7 @@ def other_scale(focal: float = 0.0, ring: float = 0.0) -> Frames:
 
 
 _EITHER = Expectation(refused=("ambiguous",))
+_MIRRORED = Expectation(refused=("ambiguous", "suspect", "rejected_geometry_file", "rejected_sync"))
 
 LOOKALIKE_ROWS = (
     Row("two LEDs hidden, reflection of 80 %", VERY_GOOD, reflections(0.15, 0.8), expected=_EITHER),
@@ -110,6 +124,11 @@ LOOKALIKE_ROWS = (
     ),
     Row("second ring 1.5 m behind", VERY_GOOD, second_ring(1.5), expected=_EITHER),
     Row("second ring beside", VERY_GOOD, second_ring(0.0), expected=_EITHER),
+    *(
+        Row(f"plate {100 * depth:.0f} cm behind, {100 * brightness:.0f} %", VERY_GOOD, mirror_behind(depth, brightness),
+            expected=_MIRRORED)
+        for depth, brightness in ((0.03, 0.4), (0.03, 0.2), (0.03, 0.6), (0.01, 0.4), (0.06, 0.4))
+    ),
     Row("focal lengths 0.5 % longer, not stated", None, other_scale(focal=0.005), expected=Expectation(drawn=False)),
     Row("ring 0.5 % larger, not stated", None, other_scale(ring=0.005), expected=Expectation(drawn=False)),
 )  # fmt: skip

@@ -196,10 +196,22 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
         np.empty((size, n + SHAPE_TERMS)),
         np.zeros((n + SHAPE_TERMS, n + SHAPE_TERMS)),
     )
-    shape_chi2 = 0.0
+    shape_chi2, elongation = 0.0, np.full(2, np.nan)
     if strong:
         shape_chi2 = shape_chi_square(
-            box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+            box,
+            p,
+            pixels,
+            weighed,
+            dark,
+            per_level,
+            model,
+            light,
+            slopes,
+            wide_model,
+            wide,
+            wide_inverse,
+            elongation,
         )
     chi2, allowed = misfit(total, weighed.sum(), n)
     if shape_chi2 <= _NOT_GAUSSIAN:
@@ -209,7 +221,19 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
         )  # fmt: skip
         if strong and weighed.sum() < kept:
             shape_chi_square(
-                box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+                box,
+                p,
+                pixels,
+                weighed,
+                dark,
+                per_level,
+                model,
+                light,
+                slopes,
+                wide_model,
+                wide,
+                wide_inverse,
+                elongation,
             )
     is_disc = False
     if found == 1 and (chi2 > allowed or shape_chi2 > _NOT_GAUSSIAN):
@@ -231,9 +255,23 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
                 False, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total
             )  # fmt: skip
             shape_chi_square(
-                box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse
+                box,
+                p,
+                pixels,
+                weighed,
+                dark,
+                per_level,
+                model,
+                light,
+                slopes,
+                wide_model,
+                wide,
+                wide_inverse,
+                elongation,
             )
         if disc_chi2 < chi2:
+            elongation[0] = 0.125 * (disc[PLANE + WIDTH] ** 2 + disc[PLANE + SHEAR] ** 2 - disc[PLANE + HEIGHT] ** 2)
+            elongation[1] = 0.25 * disc[PLANE + SHEAR] * disc[PLANE + HEIGHT]
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
     if not math.isfinite(chi2):
@@ -247,6 +285,7 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
             image, box, p, PLANE + POINT * k, is_disc, covariance, stretch, snr, component, split, pixels, weighed,
             limits, spots[count],
         ):  # fmt: skip
+            spots[count].elongation[0], spots[count].elongation[1] = elongation[0], elongation[1]
             count += 1
     if count > before and chi2 < 4.0 * allowed:
         if is_disc:

@@ -27,6 +27,7 @@ SPOT = np.dtype(
         ("size", "f8"),  # px, RMS extent along one axis: a Gaussian's sigma
         ("pixels", "i8"),  # above the threshold
         ("flags", "i8"),
+        ("elongation", "f8", 2),  # px^2, half of the variance along u minus that along v, and their covariance; NaN
     ],
     align=True,
 )
@@ -51,6 +52,7 @@ SPOT_RAY = np.dtype(
         ("w_vv", "f8"),
         ("ray", "f8", 3),  # unit vector to the light in the camera's axes; NaN if the distortion cannot be inverted
         ("flux", "f8"),  # grey levels
+        ("elongation", "f8", 2),  # px^2
     ],
     align=True,
 )

@@ -47,13 +47,16 @@ def misfit(total, used, parameters):
 
 
 @kernel
-def shape_chi_square(box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse):
+def shape_chi_square(
+    box, p, pixels, weighed, dark, per_level, model, light, slopes, wide_model, wide, wide_inverse, elongation
+):
     """Return chi-square (three degrees of freedom) of a light's deviation from the fitted round Gaussian ``p`` (7,).
 
     A tilted disc is elongated (x^2 - y^2 and 2 x y times the Gaussian, two parameters), and flatter than the Gaussian
     of its width, by -a^4/384 of the Gaussian's squared Laplacian for a radius of a (r^4/s^4 - 8 r^2/s^2 + 8 times it,
     one parameter). One more step of the fit with these three gives wide_model, wide (pixels, 10), its derivatives, and
     wide_inverse (10, 10), its covariance: residuals in which the light's shape is not mistaken for shot noise.
+    elongation: (2,), px^2, half of the variance along u minus that along v, and their covariance.
     """
     n, more = p.shape[0], SHAPE_TERMS
     square = p[PLANE + SIGMA] * p[PLANE + SIGMA] + 1.0 / 12.0
@@ -77,6 +80,7 @@ def shape_chi_square(box, p, pixels, weighed, dark, per_level, model, light, slo
         wide_model[at] = model[at]
         for i in range(n + more):
             wide_model[at] += wide[at, i] * step[i]
+    elongation[0], elongation[1] = 2.0 * square * step[n + 1], 2.0 * square * step[n + 2]
     return normalised_square(step[n:], wide_inverse[n:, n:])
 
 

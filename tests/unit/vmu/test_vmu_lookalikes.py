@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 from hil.vmu.unit import VisionUnit
-from tests.support.vmu_disturbances import USUAL, VERY_GOOD, Row, known_geometry, real_bench, somewhere
-from tests.support.vmu_lookalikes import LOOKALIKE_ROWS, other_scale
+from tests.support.vmu_disturbances import (
+    USUAL,
+    VERY_GOOD,
+    Row,
+    known_geometry,
+    real_bench,
+    somewhere,
+)
+from tests.support.vmu_lookalikes import LOOKALIKE_ROWS, mirror_behind, other_scale
 from tests.support.vmu_pixels import Image, PixelOptics
 
 BY_NAME = {row.name: row for row in LOOKALIKE_ROWS}
@@ -34,6 +41,26 @@ def test_track_is_kept_while_its_own_leds_are_where_they_are_expected() -> None:
     tally = BY_NAME["reflection of 80 %, tracked"].run(4, 5)
     assert tally.solved == 4, tally.line()
     assert np.abs(tally.ratios).max() < 4.5
+
+
+@pytest.mark.parametrize("name", [row.name for row in LOOKALIKE_ROWS if row.name.startswith("plate")])
+def test_pose_of_a_ring_before_a_mirroring_plate_is_not_ok_beyond_its_sigmas(name: str) -> None:
+    tally = BY_NAME[name].run(5, 2)
+    assert not tally.ratios or np.abs(tally.ratios).max() < 5.0, tally.line()
+
+
+def test_ring_before_a_mirroring_plate_is_suspect_with_what_shows_it() -> None:
+    """Either the raised LED's reflection is a light of its own, or it makes the LED's spot longer than the others'."""
+    rng, unit, doubts = np.random.default_rng([0, 20]), VisionUnit(known_geometry(VERY_GOOD)), set()
+    for scene, truth in mirror_behind(0.03, 0.4, 6.0, 12.0)(rng, 6):
+        unit.track.drop()
+        solution = unit.solve(*scene.pair(truth.turn, truth.t_v, rng), 0.0)
+        assert solution.status != "ok"
+        assert solution.frame(0, 0.0) is None
+        doubts.add(solution.doubt and solution.doubt.what)
+    assert {"reflection", "doubled_lights"} < doubts
+    unit.track.drop()
+    assert unit.solve(*replace(scene, lights_v=np.zeros((0, 4))).pair(truth.turn, truth.t_v, rng), 0.0).status == "ok"
 
 
 @pytest.mark.parametrize("scale", [{"focal": 0.005}, {"focal": -0.005}, {"ring": 0.01}, {"ring": -0.01}])

@@ -1,0 +1,164 @@
+"""Pose estimators: the software that a vision unit runs on its images, selected by ``vmu.estimator`` of the rig file.
+
+Shipped are those of ``_BUILT_IN``. Those of other packages are found by entry points of the group
+``hil.pose_estimators``:
+
+    [project.entry-points."hil.pose_estimators"]
+    acme = "acme_vision:make_estimator"
+
+The value is a function of the geometry (cameras, LEDs) and of the table ``[vmu.estimator_settings]`` that returns a
+``PoseEstimator``. It runs in the vision process of a rig, in that of an emulated unit, and in replays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from hil.config.vmu_geometry import VmuGeometry
+from hil.core.messages import Array, PoseFrame
+from hil.errors import BadInput, BenchError, DeviceError
+
+GROUP: Final = "hil.pose_estimators"
+LED_RING: Final = "led_ring"
+_BUILT_IN: Final = {
+    LED_RING: "hil.vmu.estimators:led_ring",
+    "apriltag": "hil.vmu.boards:apriltag",
+    "charuco": "hil.vmu.boards:charuco",
+}
+_UNIT: Final = 1e-6
+_DEFINITE: Final = -1e-9  # of the largest eigenvalue
+
+
+@dataclass(frozen=True, slots=True)
+class FlatTarget:
+    """Printed target, which emulated cameras draw: its image (h, w), uint8, and its size, m.
+
+    Its centre is the origin of t; u of the image is along x_t, v along y_t, and z_t points away from the cameras.
+    """
+
+    image: np.ndarray
+    width_m: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class PoseEstimate:
+    """Result of one stereo pair. status: ``ok`` with a pose; any other one names the reason.
+
+    t_v: (3,), m. q_vt: (4,), scalar last, ``p_v = A(q_vt) p_t + t_v``. covariance: (6, 6), m^2, m rad, rad^2, of t_v
+    and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``. noise: (6, 6), the part of it that is
+    independent between images; None: all of it. Raises ValueError for a pose that is none.
+    """
+
+    t_s: float
+    status: str
+    t_v: Array | None = None
+    q_vt: Array | None = None
+    covariance: Array | None = None
+    noise: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.status != "ok":
+            return
+        for name, shape in (("t_v", (3,)), ("q_vt", (4,)), ("covariance", (6, 6))):
+            value = getattr(self, name)
+            if np.shape(value) != shape or not np.isfinite(value).all():
+                raise ValueError(f"{name} of an ok estimate must be {shape} finite numbers, is {value}")
+        if abs(float(np.linalg.norm(self.q_vt)) - 1.0) > _UNIT:  # type: ignore[arg-type]
+            raise ValueError(f"q_vt must be a unit quaternion, is {self.q_vt}")
+        values = np.linalg.eigvalsh(self.covariance)  # type: ignore[arg-type]
+        if not values[-1] > 0.0 or values[0] < _DEFINITE * values[-1]:
+            raise ValueError(f"covariance must be positive definite, its eigenvalues are {values}")
+
+    def frame(self, counter: int, received_s: float, only_noise: bool = False) -> PoseFrame | None:
+        """Return the pose as the bench's message, None without one. only_noise: with the covariance ``noise``."""
+        if self.status != "ok":
+            return None
+        covariance = self.noise if only_noise and self.noise is not None else self.covariance
+        return PoseFrame(counter, self.t_s, received_s, self.t_v, self.q_vt, covariance)  # type: ignore[arg-type]
+
+
+class Solved(Protocol):
+    """What an estimator returns: an ``PoseEstimate``, or the ``Solution`` of the LED ring."""
+
+    @property
+    def status(self) -> str:
+        """``ok``, or the reason why there is no pose."""
+
+    def frame(self, counter: int, received_s: float, only_noise: bool = False) -> PoseFrame | None:
+        """Return the pose as the bench's message, None without one."""
+
+
+class PoseEstimator(Protocol):
+    """Software of a vision unit. ``board``, if it has one: FlatTarget that emulated cameras draw; else the LED ring."""
+
+    def warm_up(self) -> None:
+        """Load and compile all that the first pair would wait for."""
+
+    def solve(self, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> Solved:
+        """Return the pose by the images (h, w), uint8, exposed at ``t_s``, s; None for a missing one. Never waits."""
+
+
+Factory = Callable[[VmuGeometry, Mapping[str, Any]], PoseEstimator]
+
+
+def make_estimator(name: str, geometry: VmuGeometry, settings: Mapping[str, Any]) -> PoseEstimator:
+    """Return the estimator ``name``. Raises BadInput that names key, value and what is allowed."""
+    try:
+        return _factory(name)(geometry, settings)
+    except BadInput:
+        raise
+    except Exception as cause:
+        text = f'estimator "{name}" cannot be made: {type(cause).__name__}: {cause}'
+        raise BadInput.single("rig", "vmu.estimator_settings", text) from cause
+
+
+def _factory(name: str) -> Factory:
+    if name in _BUILT_IN:
+        module, _, attribute = _BUILT_IN[name].partition(":")
+        found: Factory = getattr(import_module(module), attribute)
+        return found
+    points = [point for point in entry_points(group=GROUP) if point.name == name]
+    if len(points) != 1:
+        what = "of several packages" if points else "unknown estimator"
+        known = ", ".join([*_BUILT_IN, *sorted({point.name for point in entry_points(group=GROUP)})])
+        raise BadInput.single("rig", "vmu.estimator", f'"{name}": {what}, known: {known}')
+    try:
+        loaded: Factory = points[0].load()
+    except Exception as cause:
+        text = f'"{name}": {points[0].value} cannot be imported: {type(cause).__name__}: {cause}'
+        raise BadInput.single("rig", "vmu.estimator", text) from cause
+    return loaded
+
+
+def board_of(estimator: PoseEstimator) -> FlatTarget | None:
+    """Return the printed target of ``estimator``, None if it measures the LED ring."""
+    found: FlatTarget | None = getattr(estimator, "board", None)
+    return found
+
+
+def solve_pair(estimator: PoseEstimator, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> Solved:
+    """Return the result of ``estimator``; one that raises, or returns no pose as ``ok``, is a DeviceError."""
+    try:
+        return estimator.solve(left, right, t_s)
+    except BenchError:
+        raise
+    except Exception as cause:
+        raise DeviceError(
+            "vmu", f"pose estimator {type(estimator).__name__}: {type(cause).__name__}: {cause}"
+        ) from cause
+
+
+def led_ring(geometry: VmuGeometry, settings: Mapping[str, Any]) -> PoseEstimator:
+    """Return the estimator of the LED ring. Raises BadInput if there are settings: it has none."""
+    from hil.vmu.unit import VisionUnit
+
+    if settings:
+        raise BadInput.single("rig", "vmu.estimator_settings", f"{', '.join(settings)}: led_ring has no settings")
+    return VisionUnit(geometry)

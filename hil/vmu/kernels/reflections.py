@@ -1,0 +1,160 @@
+"""Reflections of the LEDs in a plate behind them, as spots of their own or as the elongation of the LEDs' spots.
+
+Where LED and reflection merge into one spot, all spots are displaced alike and no residual shows it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.jit import kernel
+from hil.vmu.kernels.lens import project
+from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
+from hil.vmu.kernels.refine import jacobian, place
+
+_FEWEST = 6  # spots
+_LEAST_PX2 = 0.004  # 1 sigma of an elongation: sums of pixels, texture, a lens that is not round
+_PLATES_M = (0.01, 0.02, 0.03, 0.045, 0.07)  # behind the rearmost LED
+_LEANS = 11  # directions of the axis that are tried along u and v
+_LEAN = 0.03  # rad: their distance. The axis of a pose by doubled lights is wrong by as much and more
+_UNLIKE = 4.0  # chi-square per degree of freedom of elongations that are not alike
+_RELATIVE = 0.1  # 1 sigma of an elongation that is not small against the spot
+_PLATES, _NEAREST_M, _FARTHEST_M = 24, 0.005, 0.15
+_ACROSS_PX = 2.0  # distance of a light from the reflection
+_LEANING = 0.12  # of the distance of the reflection from its LED: a plate that is not parallel, a displaced pose
+_MERGED_PX = 4.0  # nearer to a spot, a reflection is no spot of its own
+_MOST = 0.3  # of w1 w2, which is at most 1/4
+
+
+@kernel
+def doubled_lights(scene, view, fit):
+    """Return the depth, m, by which reflections displace the foremost LED, and the ratio of variances F that shows it.
+
+    Two lights of the fractions ``w1`` and ``w2`` with images ``a`` apart are a spot whose covariance has
+    ``w1 w2 a a.T`` more. A plate that is ``d`` behind an LED puts its reflection 2 d behind it, with ``a`` the image of
+    that length along z_t, away from the cameras: another one for each LED. Motion, tilted LEDs and the lens elongate
+    all spots alike: F compares what that leaves with what a plate leaves. 0, 0 without six spots or if no plate
+    explains the elongations.
+    """
+    arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
+    e, apart, turned = np.empty((2 * MAX_LEDS, 2)), np.empty((2 * MAX_LEDS, 2)), np.empty((2 * MAX_LEDS, 2, 2))
+    along, weight = np.empty(2 * MAX_LEDS), np.empty(2 * MAX_LEDS)
+    mean, weights = np.zeros(2), 0.0
+    m, rear = 0, -np.inf
+    for n in range(scene.leds.shape[0]):
+        rear = max(rear, scene.leds[n, 2])
+    for c in range(2):
+        for n in range(scene.leds.shape[0]):
+            k = fit.spot[c, n]
+            if k < 0 or not math.isfinite(view.spots[c, k].elongation[0]):
+                continue
+            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
+            for i in range(2):
+                apart[m, i] = j[i, 0] * fit.r[0, 2] + j[i, 1] * fit.r[1, 2] + j[i, 2] * fit.r[2, 2]
+                turned[m, i, 0], turned[m, i, 1] = j[i, 0], j[i, 1]
+                e[m, i] = view.spots[c, k].elongation[i]
+            weight[m] = 1.0 / (_LEAST_PX2**2 + _RELATIVE**2 * (e[m, 0] ** 2 + e[m, 1] ** 2))
+            weights += weight[m]
+            for i in range(2):
+                mean[i] += weight[m] * e[m, i]
+            along[m] = scene.leds[n, 2]
+            m += 1
+    if m < _FEWEST:
+        return 0.0, 0.0
+    alike, power = 0.0, 0.0
+    for k in range(m):
+        for i in range(2):
+            alike += weight[k] * (e[k, i] - mean[i] / weights) ** 2 / (2 * m - 2)
+            power += weight[k] * e[k, i] ** 2
+    if alike < _UNLIKE:
+        return 0.0, 0.0
+    least, depth = np.inf, 0.0
+    for plate in _PLATES_M:
+        for x in range(_LEANS):
+            for y in range(_LEANS):
+                lean_u, lean_v = _LEAN * (x - _LEANS // 2), _LEAN * (y - _LEANS // 2)
+                square, product, farthest = 0.0, 0.0, 0.0
+                for k in range(m):
+                    far = 2.0 * (rear + plate - along[k])
+                    u = far * (apart[k, 0] + lean_u * turned[k, 0, 0] + lean_v * turned[k, 0, 1])
+                    v = far * (apart[k, 1] + lean_u * turned[k, 1, 0] + lean_v * turned[k, 1, 1])
+                    first, second = 0.5 * (u * u - v * v), u * v
+                    square += weight[k] * (first**2 + second**2)
+                    product += weight[k] * (first * e[k, 0] + second * e[k, 1])
+                    farthest = max(farthest, far)
+                part = product / square
+                left = power - part * product
+                if 0.0 < part < _MOST and left < least:
+                    least = left
+                    depth = farthest * (0.5 - math.sqrt(max(0.25 - part, 0.0)))
+    return depth, alike / max(least / (2 * m - 4), 1.0)
+
+
+@kernel
+def nearest(view, c, u, v, in_use, most):
+    """Return the distance, px, of the nearest spot of camera ``c`` with ``in_use`` of at most ``most``."""
+    found = np.inf
+    for k in range(view.counts[c]):
+        if in_use[c, k] <= most:
+            found = min(found, math.hypot(view.spots[c, k].u - u, view.spots[c, k].v - v))
+    return found
+
+
+@kernel
+def plate_shows(scene, view, fit):
+    """Return whether lights that ``fit`` does not use are where a plate behind the LEDs shows their reflections.
+
+    Each reflection has to be a light in both cameras, one of which may see it merged with another spot; one in four may
+    be missing.
+    """
+    in_use = np.zeros((2, MAX_SPOTS), np.int64)
+    leds, unused = scene.leds.shape[0], 0
+    rear = -np.inf
+    for n in range(leds):
+        rear = max(rear, scene.leds[n, 2])
+    for c in range(2):
+        unused += view.counts[c]
+        for n in range(leds):
+            if fit.spot[c, n] >= 0:
+                in_use[c, fit.spot[c, n]] = 1
+                unused -= 1
+    if unused == 0:
+        return False
+    arm, point, led, image = np.empty(3), np.empty(3), np.empty(3), np.empty((2, 2))
+    for step in range(_PLATES):
+        plate = _NEAREST_M * (_FARTHEST_M / _NEAREST_M) ** (step / (_PLATES - 1.0))
+        shown, missing = 0, 0
+        for n in range(leds):
+            seen, merged = 0, 0
+            for c in range(2):
+                for end in range(2):
+                    led[0], led[1], led[2] = scene.leds[n, 0], scene.leds[n, 1], scene.leds[n, 2]
+                    if end == 1:
+                        led[2] += 2.0 * (rear + plate - led[2])
+                    place(scene.rotation[c], scene.translation[c], fit.r, fit.t, led, arm, point)
+                    image[end, 0], image[end, 1] = project(scene.lens[c], point[0], point[1], point[2])
+                away = math.hypot(image[1, 0] - image[0, 0], image[1, 1] - image[0, 1])
+                reach = min(_ACROSS_PX + _LEANING * away, 0.5 * away)  # not the light of the LED itself
+                if away > _MERGED_PX and nearest(view, c, image[1, 0], image[1, 1], in_use, 0) < reach:
+                    seen += 1
+                elif nearest(view, c, image[1, 0], image[1, 1], in_use, 1) < _MERGED_PX:
+                    merged += 1
+            if seen > 0 and seen + merged == 2:
+                shown += 1
+            elif seen + merged < 2:
+                missing += 1
+        if shown > 3 * missing:
+            return True
+    return False
+
+
+@kernel
+def mirrored(scene, view, fit):
+    """Return ``plate_shows`` and, unless it does, the two results of ``doubled_lights``: one call costs less."""
+    if plate_shows(scene, view, fit):
+        return True, 0.0, 0.0
+    depth, ratio = doubled_lights(scene, view, fit)
+    return False, depth, ratio

@@ -1,0 +1,42 @@
+"""Doubt about a pose whose LEDs may be mirrored by a plate behind them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hil.vmu.kernels.records import RingScene, View
+from hil.vmu.kernels.reflections import mirrored
+
+REFLECTION: Final = "reflection"
+DOUBLED: Final = "doubled_lights"
+
+_RATIO: Final = 2.5  # of variances with 18 or more degrees of freedom
+_ALLOWED: Final = 1.0  # sigma of the position along the ring's axis, by which the lights may be displaced
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """What makes a pose ``suspect``. amount: how much of it, in ``unit``; NaN if it is not known."""
+
+    what: str
+    amount: float = math.nan
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return self.what if math.isnan(self.amount) else f"{self.what} {self.amount:.3g} {self.unit}"
+
+
+def reflection(scene: RingScene, view: View, fit: np.void) -> Doubt | None:
+    """Return the doubt if something shows that the LEDs of the pose ``fit`` are mirrored behind themselves."""
+    shows, depth, ratio = mirrored(scene, view, fit)
+    if shows:
+        return Doubt(REFLECTION)
+    if not ratio > _RATIO:
+        return None
+    along = fit["r"][:, 2]
+    sigmas = depth / math.sqrt(along @ fit["covariance"][:3, :3] @ along)
+    return Doubt(DOUBLED, 1e3 * depth, "mm") if sigmas > _ALLOWED else None
