@@ -117,6 +117,7 @@ _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 def _admit(doubts, errors, filters):
     """Add what is estimated again to the covariance."""
     for i in range(3):
+        filters.p[R + i, R + i] += doubts.position[i] ** 2
         for j in range(3):
             filters.p[V + i, V + j] += doubts.velocity[i] * doubts.velocity[j]
         filters.p[V + i, V + i] += doubts.across**2
@@ -131,6 +132,7 @@ def _take_doubts(state, step):
     step.doubts.acts = 0
     if state.doubts.acts != 0:
         copy_record(state.doubts, step.doubts)
+        fill(state.doubts.position, 0.0)
         fill(state.doubts.velocity, 0.0)
         state.doubts.acts = 0
         state.doubts.across = state.doubts.disturbance = state.doubts.drift = 0.0

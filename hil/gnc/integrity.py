@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
-from hil.gnc import sensor_fusion, thrust_model
+from hil.gnc import sensor_monitor, thrust_model
 from hil.gnc.approach_monitor import LEVEL_TERMS
 from hil.gnc.error_state import V
 from hil.gnc.missed_fault import largest_missed
@@ -302,7 +302,7 @@ def protect(params, sensors, state, fusion, t_s, out):
     largest = 0.0
     for i in range(3):
         noise = params.sigmas * out.sigma_r_m[i]
-        of_sensors = sensor_fusion.missed(sensors, fusion.sensors, t_s, i, out.sigma_r_m[i])
+        of_sensors = sensor_monitor.missed(sensors, fusion.sensors, t_s, i, out.sigma_r_m[i])
         other = max(noise + shift * fusion.noise_m, second + fusion.jump_m[i])
         level = min(noise + max(bias, of_sensors) + fusion.jump_m[i], other)
         if state.cap_s > 0.0 and t_s - state.cap_s < _CAP_S and state.biased == 0:
@@ -315,7 +315,7 @@ def protect(params, sensors, state, fusion, t_s, out):
     state.age_s = age_s
     turned = max(
         shift * fusion.noise_rad * n * fusion.gain_attitude,
-        sensor_fusion.missed_rotation(sensors, fusion.sensors, t_s, largest),
+        sensor_monitor.missed_rotation(sensors, fusion.sensors, t_s, largest),
     )
     out.protection_level_rad = params.sigmas * largest + turned
     if state.biased != 0:

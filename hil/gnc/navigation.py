@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
 from hil.core.messages import POSE
-from hil.gnc import akf, fusion, integrity, joint_filter, parameter_doubts, sensor_fusion, thrust_model
+from hil.gnc import akf, fusion, integrity, joint_filter, parameter_doubts, sensor_monitor, thrust_model
 from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.fusion import FUSION_PARAMS, FUSION_STATE
 from hil.gnc.integrity import COVARIANCE_INVALID, INTEGRITY_PARAMS, INTEGRITY_STATE
@@ -102,7 +102,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     x = fused.filters.pkf.x
     distance = math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
     out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row, distance)
-    if params.fusion.sensors.n > 0 and sensor_fusion.is_suspect(params.fusion.sensors, fused.sensors):
+    if params.fusion.sensors.n > 0 and sensor_monitor.is_suspect(params.fusion.sensors, fused.sensors):
         out.health |= SENSOR_SUSPECT
     if fused.started != 0:
         _write_filters(fused.filters, out)

@@ -32,7 +32,7 @@ from hil.core.sensor_records import (
 )
 from hil.gnc import joint_filter
 from hil.gnc.error_state import FILTER_ERRORS, ROTATION, R, V
-from hil.gnc.missed_fault import largest_missed
+from hil.gnc.sensor_monitor import SENSOR_MONITOR, bound_missed, count, watch
 from hil.gnc.step_memory import SAMPLES_PER_STEP, sensor_step_at
 from hil.maths import quat, stack
 from hil.maths.arrays import fill, fill_matrix
@@ -41,12 +41,7 @@ from hil.maths.record_view import copy_record
 
 NEW = -1
 """Result in the memory of a sample that was not gated yet."""
-_INTERVAL_WEIGHT = 0.1  # of an interval in the mean of those between samples
 _MISSED_EACH = 8  # accepted samples: gains change slowly
-_CONFIRMED_FRACTION = 4  # of the accepted samples: the longest time over which a fault can have grown
-_SILENT_INTERVALS = 10.0  # after the last accepted sample
-_SHORTEST_S = 1.0
-_NO_CHANGE = 1e-12  # of a component that the estimate does not follow
 
 SENSOR_SLOT = np.dtype(
     [
@@ -75,28 +70,6 @@ SENSOR_FUSION_PARAMS = np.dtype(
     align=True,
 )
 
-SENSOR_MONITOR = np.dtype(
-    [
-        ("accepted", "i8"),
-        ("rejected", "i8"),
-        ("excluded", "i8"),
-        ("late", "i8"),
-        ("rejected_in_a_row", "i8"),
-        ("suspect", "i8"),  # 1: excluded
-        ("suspected", "i8"),  # how often
-        ("high", "f8", COMPONENTS_MAX),  # CUSUM of each normalised innovation upwards
-        ("low", "f8", COMPONENTS_MAX),  # and downwards
-        ("mean_nis", "f8"),  # per component
-        ("total_nis", "f8"),
-        ("judged", "i8"),  # components in ``total_nis``
-        ("last_s", "f8"),  # newest accepted sample
-        ("interval_s", "f8"),  # between accepted samples
-        ("missed_m", "f8", 3),  # error of the position by the largest fault that is not found, in H
-        ("missed_rad", "f8"),
-    ],
-    align=True,
-)
-"""What is known of one sensor."""
 SENSOR_FUSION_STATE = np.dtype(
     [
         ("arrived", "i8"),  # samples of this cycle
@@ -210,7 +183,7 @@ def _innovate(params, state, sample, cycle, group):
 @kernel
 def _judge(params, state, sample, cycle, arrival):
     """Gate a new sample and fuse it if it is accepted; return the result, also in ``arrival`` (SENSOR_ARRIVAL)."""
-    sensors, filters, found = state.sensors, state.filters, state.found_position
+    sensors, found = state.sensors, state.found_position
     slot, monitor = params.sensors.slot[sample.sensor], sensors.monitor[sample.sensor]
     passes, arrival.nis = True, 0.0
     groups = (slot.n + 2) // 3
@@ -222,11 +195,12 @@ def _judge(params, state, sample, cycle, arrival):
             if 3 * group + i < slot.n:
                 arrival.innovation[3 * group + i] = found.value[i] / math.sqrt(found.s[i, i])
     passes = passes and math.isfinite(arrival.nis)
-    _watch(params.sensors, monitor, slot.n, arrival, passes)
+    watch(params.sensors, monitor, slot.n, arrival, passes)
     if monitor.suspect == 1:
         monitor.suspect = 2  # from now on
+        state.doubts.acts = 1
         for i in range(3):
-            filters.p[R + i, R + i] += monitor.missed_m[i] ** 2
+            state.doubts.position[i] = max(state.doubts.position[i], monitor.missed_m[i])
     if not passes:
         arrival.result = REJECTED
         monitor.rejected += 1
@@ -235,120 +209,15 @@ def _judge(params, state, sample, cycle, arrival):
         arrival.result = EXCLUDED
         monitor.excluded += 1
         return EXCLUDED
-    _count(monitor, sample.t_s)
+    count(monitor, sample.t_s)
     if monitor.accepted % _MISSED_EACH == 1:
         fill(monitor.missed_m, 0.0)
+        fill(monitor.missed_mps, 0.0)
         monitor.missed_rad = 0.0
     for group in range(groups):
         _innovate(params, state, sample, cycle, group)
         if monitor.accepted % _MISSED_EACH == 1:
-            _bound_missed(params.sensors, state, monitor, min(3, slot.n - 3 * group))
-        joint_filter.update(params.errors, filters, found)
+            bound_missed(params.sensors, found, monitor, min(3, slot.n - 3 * group))
+        joint_filter.update(params.errors, state.filters, found)
     arrival.result = ACCEPTED
     return ACCEPTED
-
-
-@kernel
-def _count(monitor, t_s):
-    monitor.accepted += 1
-    if t_s > monitor.last_s and monitor.accepted > 1:
-        interval_s = t_s - monitor.last_s
-        if monitor.interval_s == 0.0:
-            monitor.interval_s = min(interval_s, 1.0)
-        monitor.interval_s += _INTERVAL_WEIGHT * (min(interval_s, 2.0 * monitor.interval_s) - monitor.interval_s)
-    monitor.last_s = max(monitor.last_s, t_s)
-
-
-@kernel
-def _watch(params, monitor, n, arrival, passes):
-    """Take the innovations of a sample into the monitors of its sensor: suspect, or no longer.
-
-    params: SENSOR_FUSION_PARAMS. A suspicion is lifted once all sums are half their limit or less and the mean NIS is
-    that of the covariance.
-    """
-    largest = 0.0
-    if math.isfinite(arrival.nis):
-        for i in range(n):
-            value = max(-params.gate, min(params.gate, arrival.innovation[i]))
-            monitor.high[i] = min(2.0 * params.cusum_limit, max(0.0, monitor.high[i] + value - params.mean_shift))
-            monitor.low[i] = min(2.0 * params.cusum_limit, max(0.0, monitor.low[i] - value - params.mean_shift))
-            largest = max(largest, max(monitor.high[i], monitor.low[i]))
-        seen = monitor.judged // n
-        weight = max(params.nis_weight, 1.0 / (seen + 1))
-        per_component = min(arrival.nis / n, params.gate**2)
-        monitor.mean_nis += weight * (per_component - monitor.mean_nis)
-        monitor.judged += n
-        monitor.total_nis += arrival.nis
-    monitor.rejected_in_a_row = 0 if passes else monitor.rejected_in_a_row + 1
-    noisy = monitor.judged * params.nis_weight >= n and monitor.mean_nis > params.nis_limit
-    if monitor.suspect == 0:
-        if largest > params.cusum_limit or monitor.rejected_in_a_row >= params.suspect_after or noisy:
-            monitor.suspect = 1
-            monitor.suspected += 1
-    elif passes and largest <= 0.5 * params.cusum_limit and not noisy:
-        monitor.suspect = 0
-
-
-@kernel
-def _bound_missed(params, state, monitor, n):
-    """Raise ``missed_m`` and ``missed_rad`` by what a fault of one component leads to before it is found.
-
-    The innovation is in ``state.found_position``. The fault is a step or a ramp of the component, which the expected
-    value follows by ``h K = 1 - R / S``, and position and attitude by their gains. It can have grown for a fraction of
-    the accepted samples at most.
-    """
-    found = state.found_position
-    steps = min(params.cusum_limit / params.mean_shift, max(1.0, monitor.accepted / _CONFIRMED_FRACTION))
-    for c in range(n):
-        follows, speed = 1.0 - found.noise[c, c] / found.s[c, c], 0.0
-        if not follows > _NO_CHANGE:
-            continue
-        for i in range(3):
-            speed += found.h[c, R + i] * found.gain[c, V + i] * monitor.interval_s
-        step, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 0, np.inf)
-        ramp, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 1, np.inf)
-        size = max(step, ramp) * math.sqrt(found.s[c, c]) / follows
-        for i in range(3):
-            monitor.missed_m[i] = max(monitor.missed_m[i], size * abs(found.gain[c, R + i]))
-            monitor.missed_rad = max(monitor.missed_rad, size * abs(found.gain[c, ROTATION + i]))
-
-
-@kernel
-def _left(params, monitor, found, t_s, sigma):
-    """Return what is left at ``t_s`` of the error ``found`` that a fault of a sensor has made.
-
-    Of one that has been silent for long the others leave as much as their gates pass, in standard deviations ``sigma``.
-    """
-    if t_s - monitor.last_s > _SILENT_INTERVALS * max(monitor.interval_s, _SHORTEST_S):
-        return min(found, params.gate * sigma)
-    return found
-
-
-@kernel
-def missed(params, state, t_s, i, sigma):
-    """Return the error of the position along axis ``i`` at ``t_s`` by an undetected fault of one sensor, m.
-
-    params, state: SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE. sigma: of that component of the position, m.
-    """
-    largest = 0.0
-    for k in range(params.n):
-        largest = max(largest, _left(params, state.monitor[k], state.monitor[k].missed_m[i], t_s, sigma))
-    return largest
-
-
-@kernel
-def missed_rotation(params, state, t_s, sigma):
-    """Return the same of the attitude, rad. sigma: the largest of a component."""
-    largest = 0.0
-    for k in range(params.n):
-        largest = max(largest, _left(params, state.monitor[k], state.monitor[k].missed_rad, t_s, sigma))
-    return largest
-
-
-@kernel
-def is_suspect(params, state):
-    """Return whether a sensor is excluded."""
-    suspects = 0
-    for k in range(params.n):
-        suspects += state.monitor[k].suspect
-    return suspects != 0

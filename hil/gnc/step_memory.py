@@ -19,13 +19,14 @@ from hil.maths.arrays import copy_into
 from hil.maths.record_view import copy_eight, record_at
 
 POSES_PER_STEP = 2
-SAMPLES_PER_STEP = 4
+SAMPLES_PER_STEP = 8
 """Samples of all sensors together."""
 
 DOUBTS = np.dtype(
     [
         ("acts", "i8"),  # 1: there are some
-        ("velocity", "f8", 3),  # m/s, in H: by which the estimate may be off, 1 sigma
+        ("position", "f8", 3),  # m, in H: by which the estimate may be off, 1 sigma
+        ("velocity", "f8", 3),  # m/s, in H: the same
         ("across", "f8"),  # m/s, the same along each axis
         ("disturbance", "f8"),  # m/s^2, the same
         ("drift", "f8"),  # rad/s, the same about each axis
