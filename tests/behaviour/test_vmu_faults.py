@@ -48,10 +48,17 @@ class Desk:
 
 
 @contextmanager
-def emulated(**changes: object) -> Iterator[tuple[VmuEmulator, Rs422Vmu, LockStepConductor]]:
-    """Give an emulator at work in a thread, and a driver on its line that is not open yet, in lock-step."""
+def emulated(
+    fault: str = "", value: float | None = None, **changes: object
+) -> Iterator[tuple[VmuEmulator, Rs422Vmu, LockStepConductor]]:
+    """Give an emulator at work in a thread, and a driver on its line that is not open yet, in lock-step.
+
+    fault, value: that the emulator has from its first frame on.
+    """
     with in_lock_step() as clock:
         emulator = VmuEmulator(Vmu(driver="rs422", rate_hz=25.0), clock, lambda t_s: POSE)
+        if fault:
+            emulator.faults.on(fault, value=value)
         line = {"driver": "rs422", "rs422": VmuLine(port=emulator.start()["vmu"])}
         with (
             serving(clock, emulator, Order.CAMERAS),
@@ -87,8 +94,7 @@ def test_fault_of_the_unit_or_its_wire_is_no_sign_of_life(
 
 
 def test_own_clock_that_jumps_back_is_not_believed() -> None:
-    with emulated(clock="own") as (emulator, vmu, clock):
-        emulator.faults.on("clock_jump", value=10.0)
+    with emulated("clock_jump", 10.0, clock="own") as (emulator, vmu, clock):
         vmu.open(clock.now_s())
         desk = Desk(clock, vmu)
         frames = desk.poll_until(lambda frames: len(frames) >= 5)
@@ -131,7 +137,8 @@ def test_another_unit_is_refused(name: str, text: str, said: str) -> None:
 
 
 def test_unit_that_does_not_say_what_it_is_is_refused() -> None:
-    with emulated(identity={"vendor": "hil"}) as (emulator, vmu, clock):
-        emulator.faults.on("link_down")
-        with pytest.raises(LinkTimeout, match=r"vmu: no identity frame within 2\.5 s"):
-            vmu.open(clock.now_s())
+    with (
+        emulated("link_down", identity={"vendor": "hil"}) as (_, vmu, clock),
+        pytest.raises(LinkTimeout, match=r"vmu: no identity frame within 2\.5 s"),
+    ):
+        vmu.open(clock.now_s())

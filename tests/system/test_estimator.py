@@ -7,10 +7,11 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario, shipped
 from hil.core.messages import CYCLE
-from hil.gnc.navigation import VISION_AND_IMU
+from hil.gnc.navigation import VISION_ALONE, VISION_AND_IMU
 from hil.loop.runner import COMPLETED
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import gnc as gnc_params
+from hil.params.sensors import error_states
 
 KEY = "gnc.navigation.budget"
 PLAIN = (
@@ -50,7 +51,9 @@ def test_scenario_is_estimated_with_the_errors_that_it_asks_for(
     name: str, settings: tuple[str, ...], errors: int
 ) -> None:
     scenario = load_scenario(name, settings).value
-    assert gnc_params.navigation(scenario).fusion.errors.n == errors
+    params = gnc_params.navigation(scenario)
+    alone = params.sensors == VISION_ALONE  # the scale of its thrust
+    assert params.fusion.errors.n == errors + len(error_states(scenario)) + (1 if alone else 0)
     runner = CaseRunner(scenario, load_rig("mock").value, 5.0)
     history = np.zeros(runner.cycles, CYCLE)
     _, stop = runner.run(scenario, 0, history)
