@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.bench.guard import bodies_meet
 from hil.bench.keep_out import BREACH, KEEP_OUT_ZONE, NOTHING, check_keep_out
-from hil.bench.kinematics import pose_of_axes
+from hil.bench.kinematics import enlargement, pose_of_axes
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
@@ -312,7 +312,8 @@ def compare_estimate(params, bench, memory, t_s, estimate, disagrees):
     """Compare ``estimate`` (NAVIGATION) of ``t_s`` with the encoders; return whether it is off by more than it may be.
 
     Its mean error may be ``estimate_position`` and ``_ESTIMATE_SIGMAS`` standard deviations, but not more than the
-    protection level that it reports, and what the calibration leaves. disagrees: the result of the cycle before.
+    protection level that it reports, and what the calibration leaves; where the bench is scaled, enlarged by as much.
+    disagrees: the result of the cycle before.
     ``memory.estimate`` has the component that is farthest beyond its limit.
     """
     if estimate.valid == 0:
@@ -325,7 +326,7 @@ def compare_estimate(params, bench, memory, t_s, estimate, disagrees):
     slow = params.step_s / max(params.step_s, min(_SLOW_S, memory.compared_s))
     fast = params.step_s / max(params.step_s, min(_FAST_S, memory.compared_s))
     memory.compared_s += params.step_s
-    worst, beyond = 0.0, False
+    worst, beyond, enlarged = 0.0, False, enlargement(bench, r)
     for i in range(6):
         k = i % 3
         off = estimate.r_CT_H[k] - r[k] if i < 3 else rotation[k]
@@ -333,10 +334,10 @@ def compare_estimate(params, bench, memory, t_s, estimate, disagrees):
         memory.off_now[i] += fast * (off - memory.off_now[i])
         sigma = estimate.sigma_r_m[k] if i < 3 else estimate.sigma_attitude_rad[k]
         level = estimate.protection_level_m[k] if i < 3 else estimate.protection_level_rad
-        allowed = params.estimate_position if i < 3 else params.estimate_attitude
+        allowed = enlarged * params.estimate_position if i < 3 else params.estimate_attitude
         if sigma > 0.0:  # nan: it reports none
             allowed += _ESTIMATE_SIGMAS * sigma
-        allowed += params.calibration_position if i < 3 else params.calibration_attitude
+        allowed += enlarged * params.calibration_position if i < 3 else params.calibration_attitude
         if level > 0.0:
             allowed = min(allowed, _LEVEL_FRACTION * level)
         share = abs(memory.off_now[i]) / allowed

@@ -77,6 +77,19 @@ def shown_distance(params, distance, out):
 
 
 @kernel
+def enlargement(params, r_CT_H):
+    """Return how many times larger a position (3,), m, is than the bench shows it."""
+    square, out = 0.0, stack.vector(2)
+    for i in range(3):
+        square += r_CT_H[i] ** 2
+    if not is_scaled(params, square):
+        return 1.0
+    distance = math.sqrt(square)
+    shown_distance(params, distance, out)
+    return distance / out[0]
+
+
+@kernel
 def true_distance(params, shown):
     """Return the distance, m, that the bench shows at the distance ``shown``, m."""
     y, lost = shown - params.scaled_beyond, 1.0 - params.scale
