@@ -81,6 +81,9 @@ class UdpSamples:
             return None
         row = np.zeros(1, SENSOR_SAMPLE)
         received_s = now_s - run_zero_s
+        if received_s < age_s:
+            self.refused["measured before the run"] += 1
+            return None
         row["sensor"], row["number"], row["status"] = self._number, self._count, status
         row["t_s"], row["received_s"] = received_s - age_s, received_s
         row["value"][0, : self._n] = value

@@ -87,6 +87,12 @@ def test_datagram_that_cannot_be_used_is_counted_and_goes_no_further(
     assert len(samples.poll(BENCH_S, ZERO_S)) == 1
 
 
+def test_measurement_of_before_the_run_is_not_used(samples: UdpSamples) -> None:
+    send(samples, good())
+    assert len(samples.poll(ZERO_S + 0.05, ZERO_S)) == 0
+    assert samples.refused == {"measured before the run": 1}
+
+
 def test_repeated_stamp_is_refused(samples: UdpSamples) -> None:
     send(samples, good())
     send(samples, good())
