@@ -338,11 +338,16 @@ class LockStepClock:
         words[at + DEADLINE], words[at + LISTENS] = deadline_ns, listens
         words[at + ACCEPTS] = words[at + ACCEPTS] + 1 if accepts else 0
         words[at + STATE] = WAITING
-        if words[BATON] != slot:  # a thread that has begun, while another participant is at work
-            os.eventfd_write(self.page.wakes[LOOP_SLOT], 1)
-            os.eventfd_read(self.page.wakes[slot])
-        elif not self._pass_on(slot):
-            os.eventfd_read(self.page.wakes[slot])
+        try:
+            if words[BATON] != slot:  # a thread that has begun, while another participant is at work
+                os.eventfd_write(self.page.wakes[LOOP_SLOT], 1)
+                os.eventfd_read(self.page.wakes[slot])
+            elif not self._pass_on(slot):
+                os.eventfd_read(self.page.wakes[slot])
+        except (OSError, IndexError):  # the bench has ended meanwhile
+            if not self._released:
+                raise
+            return True
         self._begin(at)
         return self._released
 

@@ -98,7 +98,9 @@ def commission_by(script: Callable[[Technician], None]) -> tuple[Findings, Techn
             assert isinstance(lines, SafetyIoStage)
             assert isinstance(lines.io, MockIo)
             steps = Commissioning(runner, job.rig.value, operator, CommissioningPlan((X,)), Button(lines.io))
-            return steps.run(), technician
+            findings = steps.run()
+            technician.listen()  # what was said of the last answer
+            return findings, technician
     finally:
         here.close()
         there.close()
