@@ -64,6 +64,8 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
 
 def _shown(bench: np.record, r: Array, v: Array, margin: Array) -> tuple[Array, Array, Array]:
     """Return positions, velocities and margins (n, 3) as a bench shows them that is scaled at a distance."""
+    if bench.scaled_beyond == 0.0:
+        return r, v, margin
     places, rates, margins = r.copy(), v.copy(), margin.copy()
     for k in range(len(r)):
         show(bench, r[k], v[k], places[k], rates[k])

@@ -24,6 +24,7 @@ from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
 from hil.gnc.integrity import pose_sigmas
+from hil.gnc.intervals import mean_interval
 from hil.gnc.pkf import PKF_PARAMS
 from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE
 from hil.gnc.step_memory import (
@@ -107,7 +108,6 @@ FUSION_STATE = np.dtype(
 )
 
 _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agree may have between them
-_INTERVAL_WEIGHT = 0.1  # of an interval in the mean of those between poses
 _JUMP_NIS = 45.0  # of quiet readings: a change of bias or disturbance; noise may be 1.5 times as large as assumed
 _JUMP_WINDOWS = 4  # in which they are averaged
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
@@ -286,11 +286,7 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
         state.accepted += 1
         state.agreeing = 0
         if pose.t_s > state.last_accepted_s:
-            interval_s = pose.t_s - state.last_accepted_s
-            # a gap is none: what counts is how soon poses follow each other
-            if state.interval_s == 0.0:
-                state.interval_s = min(interval_s, 1.0)
-            state.interval_s += _INTERVAL_WEIGHT * (min(interval_s, 2.0 * state.interval_s) - state.interval_s)
+            state.interval_s = mean_interval(state.interval_s, pose.t_s - state.last_accepted_s)
             state.last_accepted_s = pose.t_s
     state.rejected_in_a_row = 0 if found >= ACCEPTED else state.rejected_in_a_row + 1
 

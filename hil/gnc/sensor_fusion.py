@@ -215,7 +215,8 @@ def _judge(params, state, sample, cycle, arrival):
         fill(monitor.missed_mps, 0.0)
         monitor.missed_rad = 0.0
     for group in range(groups):
-        _innovate(params, state, sample, cycle, group)
+        if groups > 1:  # of the only group it is the one that was judged
+            _innovate(params, state, sample, cycle, group)
         if monitor.accepted % _MISSED_EACH == 1:
             bound_missed(params.sensors, found, monitor, min(3, slot.n - 3 * group))
         joint_filter.update(params.errors, state.filters, found)

@@ -9,9 +9,9 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.sensor_records import COMPONENTS_MAX
 from hil.gnc.error_state import ROTATION, R, V
+from hil.gnc.intervals import mean_interval
 from hil.gnc.missed_fault import largest_missed
 
-_INTERVAL_WEIGHT = 0.1  # of an interval in the mean of those between samples
 _CONFIRMED_FRACTION = 4  # of the accepted samples: the longest time over which a fault can have grown
 _SILENT_INTERVALS = 10.0  # after the last accepted sample
 _SHORTEST_S = 1.0
@@ -47,10 +47,7 @@ def count(monitor, t_s):
     """Count an accepted sample of ``t_s``."""
     monitor.accepted += 1
     if t_s > monitor.last_s and monitor.accepted > 1:
-        interval_s = t_s - monitor.last_s
-        if monitor.interval_s == 0.0:
-            monitor.interval_s = min(interval_s, 1.0)
-        monitor.interval_s += _INTERVAL_WEIGHT * (min(interval_s, 2.0 * monitor.interval_s) - monitor.interval_s)
+        monitor.interval_s = mean_interval(monitor.interval_s, t_s - monitor.last_s)
     monitor.last_s = max(monitor.last_s, t_s)
 
 

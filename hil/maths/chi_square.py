@@ -29,6 +29,15 @@ def band_of_mean(n: int, dof: int, tail: float) -> tuple[float, float]:
     return lower_quantile(tail, n * dof) / n, upper_quantile(tail, n * dof) / n
 
 
+def limit_of_recent_mean(window: int, dof: int, tail: float) -> float:
+    """Return what an exponential mean of values with ``dof`` each and weight 1 / ``window`` exceeds with ``tail``.
+
+    It has the variance of a plain mean over 2 window - 1 values.
+    """
+    n = 2 * window - 1
+    return upper_quantile(tail, dof * n) / n
+
+
 def two_sided_tail(sigma: float) -> float:
     """Return the probability that a normal variable is more than ``sigma`` standard deviations from its mean."""
     return math.erfc(sigma * math.sqrt(0.5))

@@ -35,10 +35,9 @@ from hil.params.bodies import bodies as bodies_on
 from hil.params.control_rule import control_rule
 from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_state import error_state
-from hil.params.sensors import sensor_fusion
+from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble
 
-_NIS_TAIL = 1e-10  # false-alarm probability of a mean
 _CORRELATION_S = 10.0  # of the filters' errors
 _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
 _DEAD_CYCLES = 6  # with a command, of which each counts in two
@@ -168,9 +167,7 @@ def integrity(scenario: Scenario) -> np.record:
     params.lost_after_s, params.suspect_after = settings.lost_after_s, settings.suspect_after
     params.mean_shift, params.cusum_limit = settings.mean_shift_sigmas, settings.cusum_limit_sigmas
     params.nis_weight = 1.0 / settings.nis_window
-    # an exponential mean with weight 1/n has the variance of one over 2 n - 1
-    n = 2 * settings.nis_window - 1
-    params.nis_limit = chi_square.upper_quantile(_NIS_TAIL, 3 * n) / n
+    params.nis_limit = chi_square.limit_of_recent_mean(settings.nis_window, 3, NIS_TAIL)
     params.gate = math.sqrt(_gate(scenario))
     params.vision_range = math.inf if settings.vision_range_m is None else settings.vision_range_m
     params.sigmas = protection_sigmas(scenario)

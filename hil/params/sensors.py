@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from hil.sensors.compiled import addresses
 from hil.sensors.measurement import SENSOR_PARAMS
 from hil.sensors.module import SensorKind
 from hil.sensors.registry import sensors_of
+
+NIS_TAIL: Final = 1e-10
+"""False-alarm probability of a mean NIS, of poses and of further sensors."""
 
 
 class SensorErrorState(NamedTuple):
@@ -80,8 +83,7 @@ def sensor_fusion(scenario: Scenario, first_state: int, gate: float) -> np.recor
     params.nis_weight = 1.0 / integrity.nis_window
     params.suspect_after = integrity.close_after
     params.gate = math.sqrt(chi_square.upper_quantile(gate, 1))
-    n = 2 * integrity.nis_window - 1
-    params.nis_limit = chi_square.upper_quantile(1e-10, n) / n
+    params.nis_limit = chi_square.limit_of_recent_mean(integrity.nis_window, 1, NIS_TAIL)
     states = error_states(scenario)
     for number, (name, sensor) in enumerate(sensors_of(scenario).items()):
         config, slot = scenario.sensors[name], params.slot[number]
