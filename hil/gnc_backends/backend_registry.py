@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.util
 import re
-import sys
 from collections.abc import Callable
 from contextlib import suppress
-from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
@@ -19,8 +15,9 @@ from hil.config.live_tunable import BACKEND_SETTINGS
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import BUILT_IN, Scenario
 from hil.core.backend_records import MAX_IMU_SAMPLES
+from hil.core.own_code import import_error, module_of_file
 from hil.core.settings import Setting
-from hil.errors import BadInput, Problem, one_line
+from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
 from hil.gnc_backends.backend_library import LibraryBackend
 from hil.gnc_backends.kernel_backend import CompiledKernel, KernelBackend
@@ -174,7 +171,7 @@ def _of_name(name: str, part: str, refuse: Callable[[str], BadInput]) -> Backend
         known = ", ".join(f'"{each}"' for each in BUILT_IN[part])
         raise refuse(f"no such backend: must be {known}, {_KINDS}")
     if where.endswith(".py"):
-        found = _member(_module_of_file(where, refuse), member, refuse)
+        found = _member(module_of_file(where, refuse), member, refuse)
     else:
         found = _of_package(where, member, part, refuse)
     return _of_object(found, part, refuse, copies=True)
@@ -207,7 +204,7 @@ def _of_package(package: str, name: str, part: str, refuse: Callable[[str], BadI
     except BadInput:
         raise
     except Exception as error:
-        raise refuse(f"cannot be imported: {_shown(error)}") from error
+        raise refuse(f"cannot be imported: {import_error(error)}") from error
 
 
 def _same(point: EntryPoint, package: str) -> bool:
@@ -215,34 +212,3 @@ def _same(point: EntryPoint, package: str) -> bool:
         return re.sub(r"[-_.]+", "-", text).lower()
 
     return point.dist is not None and plain(point.dist.name) == plain(package)
-
-
-def _module_of_file(path: str, refuse: Callable[[str], BadInput]) -> ModuleType:
-    file = Path(path).absolute()
-    if not file.is_file():
-        raise refuse("no such file: give file.py:name")
-    try:
-        return _executed(file, hashlib.sha256(file.read_bytes()).hexdigest()[:16])
-    except Exception as error:
-        raise refuse(f"cannot be imported: {_shown(error)}") from error
-
-
-@lru_cache(maxsize=32)
-def _executed(file: Path, digest: str) -> ModuleType:
-    """Return the module of ``file``, executed once for each of its contents."""
-    found = importlib.util.spec_from_file_location(f"hil_own_{digest}", file)
-    assert found is not None
-    module = importlib.util.module_from_spec(found)
-    sys.modules[module.__name__] = module
-    sys.path.insert(0, str(file.parent))
-    try:
-        # without bytecode files, which hide an edit of the same size in the same second
-        exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)
-    finally:
-        sys.path.remove(str(file.parent))
-    return module
-
-
-def _shown(error: Exception) -> str:
-    line = f" (line {error.lineno})" if isinstance(error, SyntaxError) else ""
-    return one_line(f"{type(error).__name__}: {error}", 200) + line

@@ -7,7 +7,6 @@ of the layouts of the records: an edit of the law compiles it again, and nothing
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -18,8 +17,9 @@ from numba.np.numpy_support import carray
 
 from hil.core.backend_records import INPUTS, OUTPUTS
 from hil.core.jit import c_function, kernel
+from hil.core.own_code import compile_error
 from hil.core.settings import Setting, checked_settings
-from hil.errors import BadInput, one_line
+from hil.errors import BadInput
 from hil.gnc_backends.backend import BackendInstance
 
 _ARGUMENTS: Final = ("settings", "inp", "out", "memory")
@@ -109,17 +109,6 @@ def _step_address(function: Callable[..., None], part: str, layout: np.dtype) ->
         return 0
 
     return c_function(step, types.int32(types.voidptr, types.voidptr, types.voidptr))
-
-
-def compile_error(error: NumbaError) -> str:
-    """Return the reason of a failed compilation as one line: numba's own has dozens."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    reasons = [
-        line for line in lines if re.match(r"Unknown attribute|Invalid use|No implementation|Cannot|Use of", line)
-    ]
-    reason = re.sub(r"(of type )?Record\(.*", "of a record", (reasons or lines[-1:])[-1])
-    places = re.findall(r'File "[^"]*", line (\d+)', str(error)) or re.findall(r"\((\d+)\)", str(error))
-    return one_line(reason, 200) + (f" (line {places[-1]})" if places else "")
 
 
 def _line_with(function: Callable[..., None], text: str) -> str:

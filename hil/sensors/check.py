@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from typing import Any, Final
 
 import numpy as np
@@ -33,8 +34,6 @@ class Trial:
     """A module called from Python, as the loop calls it. values: of the settings, in the order of their declaration."""
 
     def __init__(self, found: SensorKind, values: Array) -> None:
-        import ctypes
-
         self._found = found
         self._values = np.ascontiguousarray(values if len(values) else np.zeros(1), float)
         kind = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_void_p] * 3)

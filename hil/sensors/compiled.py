@@ -15,8 +15,9 @@ from numba.core.errors import NumbaError
 from numba.np.numpy_support import carray
 
 from hil.core.jit import c_function, kernel
+from hil.core.own_code import compile_error
 from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
-from hil.errors import BadInput, one_line
+from hil.errors import BadInput
 from hil.sensors.module import SensorKind, SensorModule
 
 _ARGUMENTS: Final = {"measure": (SENSOR_TRUTH, SENSOR_OUTPUT), "innovate": (SENSOR_ESTIMATE, SENSOR_INNOVATION)}
@@ -51,8 +52,7 @@ def _address(module: type[SensorModule], name: str, settings: np.dtype) -> int:
     try:
         return c_function(call, types.int32(types.voidptr, types.voidptr, types.voidptr))
     except NumbaError as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        text = f"{module.__name__}.{name} does not compile: {one_line(lines[-1], 200)}"
+        text = f"{module.__name__}.{name} does not compile: {compile_error(error)}"
         raise BadInput.single("hil sensors", module.kind, text) from error
     except KeyError as error:  # numba's for a field that a record does not have
         text = f"{module.__name__}.{name} does not compile: a record has no field {error}"

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
 from hil.config.faults import TERMS
+from hil.config.sensors import SensorConfig
 from hil.core.sensor_records import COMPONENTS_MAX, SENSOR_ERRORS_MAX
 from hil.core.settings import Setting, checked_settings
 
 FAMILY: Final = "sensor"
 """Family of the faults of sensors (``hil.config.faults``)."""
-COMMON: Final = ("kind", "name", "rate_hz", "latency_s", "loss_probability", "stamp", "enabled")
+COMMON: Final = ("name", *SensorConfig.model_fields)
 """Keys that every sensor has (``hil.config.sensors``)."""
 
 

@@ -11,22 +11,20 @@ A scenario may also name a class in a file: ``kind = "sensors/altimeter.py:Altim
 from __future__ import annotations
 
 import difflib
-import hashlib
 import importlib
-import sys
 from collections.abc import Callable
-from functools import lru_cache
-from importlib.metadata import entry_points
-from importlib.util import module_from_spec, spec_from_file_location
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final
 
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
 from hil.config.sensors import SensorConfig
+from hil.core.own_code import import_error, module_of_file
 from hil.core.sensor_records import ERROR_STATES_MAX
 from hil.core.settings import Setting
-from hil.errors import BadInput, Problem, one_line
+from hil.errors import BadInput, Problem
 from hil.sensors.module import COMMON, SensorKind, checked
 
 GROUP: Final = "hil.sensors"
@@ -49,7 +47,7 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
         if kind in SHIPPED:
             where, _, name = SHIPPED[kind].partition(":")
             return checked(getattr(importlib.import_module(where), name))
-        points = {point.name: point for point in entry_points(group=GROUP)}
+        points = _packages()
         if kind not in points:
             known = [*SHIPPED, *points]
             close = difflib.get_close_matches(kind, known, n=1)
@@ -62,13 +60,13 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
     except ValueError as error:
         raise refuse(str(error)) from error
     except Exception as error:
-        raise refuse(f"cannot be imported: {one_line(f'{type(error).__name__}: {error}', 200)}") from error
+        raise refuse(f"cannot be imported: {import_error(error)}") from error
 
 
 def kinds() -> dict[str, SensorKind | str]:
     """Return each kind of sensor, or why its module cannot be used."""
     found: dict[str, SensorKind | str] = {}
-    for kind in [*SHIPPED, *(point.name for point in entry_points(group=GROUP) if point.name not in SHIPPED)]:
+    for kind in (*SHIPPED, *_packages()):
         try:
             found[kind] = sensor(kind)
         except BadInput as error:
@@ -145,21 +143,13 @@ def _unknown(name: str, declared: dict[str, Setting]) -> str:
 
 def _of_file(kind: str, refuse: Callable[[str], BadInput]) -> Any:
     path, _, name = kind.rpartition(":")
-    file = Path(path).absolute()
-    if not file.is_file():
-        raise refuse("no such file: give FILE.py:NAME")
-    module = _executed(file, hashlib.sha256(file.read_bytes()).hexdigest()[:16])
+    module = module_of_file(path, refuse)
     if not hasattr(module, name):
         raise refuse(f"the file has no {name}")
     return getattr(module, name)
 
 
-@lru_cache(maxsize=32)
-def _executed(file: Path, digest: str) -> Any:
-    """Return the module of ``file``, executed once for each of its contents."""
-    spec = spec_from_file_location(f"hil_sensor_{digest}", file)
-    assert spec is not None
-    module = module_from_spec(spec)
-    sys.modules[module.__name__] = module
-    exec(compile(file.read_bytes(), str(file), "exec"), module.__dict__)
-    return module
+@cache
+def _packages() -> dict[str, EntryPoint]:
+    """Return the entry points of other packages: looking for them takes milliseconds, and each case asks."""
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in SHIPPED}
