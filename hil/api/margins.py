@@ -20,8 +20,9 @@ from hil.api.jobs import (
     with_faults,
 )
 from hil.config.error_models import LAG_MAX_S
+from hil.config.model import DELAY_MAX_S
 from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
-from hil.config.scenario import DELAY_MAX_S, Scenario
+from hil.config.scenario import Scenario
 from hil.monte_carlo.campaign import RIG, CampaignJob, write_summary
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.margins import DelayedPart, delay_margins, draw_margins

@@ -26,6 +26,9 @@ def _printable(text: str) -> str:
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+DELAY_MAX_S: Final = 1.0
+Delay = Annotated[float, Field(ge=0.0, le=DELAY_MAX_S)]
+Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 Name = Annotated[str, StringConstraints(max_length=100), AfterValidator(_printable)]
 """Text for a page, a terminal and the name of a file."""
 Triple = tuple[float, float, float]

@@ -16,7 +16,17 @@ from hil.config.faults import TimedFault
 from hil.config.guard import KeepOut
 from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
-from hil.config.model import AngleTriple, ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
+from hil.config.model import (
+    AngleTriple,
+    ConfigModel,
+    Delay,
+    Matrix3,
+    Name,
+    NotNegative,
+    Positive,
+    Probability,
+    Triple,
+)
 from hil.config.model_fmu import ModelFmu, ThrusterModel
 from hil.config.required_parts import PART_COLUMNS
 from hil.config.sensors import SensorConfig
@@ -29,9 +39,6 @@ from hil.core.sensor_records import MAX_SENSORS
 DURATION_MAX_S = 1e6
 CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
 Duration = Annotated[float, Field(gt=0.0, le=DURATION_MAX_S)]
-DELAY_MAX_S = 1.0
-Delay = Annotated[float, Field(ge=0.0, le=DELAY_MAX_S)]
-Probability = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
 class Thrusters(ConfigModel):

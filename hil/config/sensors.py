@@ -9,10 +9,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hil.config.model import ConfigModel, Positive
+from hil.config.model import ConfigModel, Delay, Positive, Probability
 from hil.errors import BadInput
-
-DELAY_MAX_S = 1.0
 
 
 class SensorConfig(ConfigModel):
@@ -29,9 +27,9 @@ class SensorConfig(ConfigModel):
     """Whether its measurements are used; false: they are made and recorded alone."""
     rate_hz: Positive | None = None
     """Measurements per second, at most one per cycle; unless set, the module's."""
-    latency_s: Annotated[float, Field(ge=0.0, le=DELAY_MAX_S)] = 0.0
+    latency_s: Delay = 0.0
     """From the measurement to its arrival in the loop."""
-    loss_probability: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    loss_probability: Probability = 0.0
     """Of a measurement that never arrives."""
     source: Literal["model", "udp"] = "model"
     """Modelled, or datagrams from a program of your own: see [Sensors](../../how-to/add-a-sensor.md)."""
