@@ -24,10 +24,9 @@ from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
 from hil.gnc import integrity, navigation
-from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
-from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
 from hil.gnc_backends.library_kernel import LIBRARY
+from hil.loop.compiled.run_stats import RUN_STATS_PARAMS
 from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
 from hil.loop.monitor_kernel import MONITOR_PARAMS, MONITOR_STATE, compare_received
 from hil.maths import stack
@@ -48,7 +47,6 @@ LOOP_PARAMS = np.dtype(
         ("tick_s", "f8"),  # between two setpoints
         ("counts", "i8"),  # 1: RUN_STATS are counted
         ("reports", "i8"),  # 1: returns after a cycle with an event
-        ("steady_state_after_s", "f8"),  # navigation errors are counted from here on
         ("dss", DSS_PARAMS),
         ("imu", IMU_PARAMS),
         ("mounting", MOUNTING),
@@ -56,8 +54,7 @@ LOOP_PARAMS = np.dtype(
         ("guard", GUARD),
         ("bench_guard", BENCH_GUARD_PARAMS),
         ("gnc", GNC_PARAMS),
-        ("ready", READY_PARAMS),
-        ("integrity", INTEGRITY_PARAMS),
+        ("stats", RUN_STATS_PARAMS),
         ("monitor", MONITOR_PARAMS),
         ("sensors", SENSOR_PARAMS),
         ("vmu_faults", FAULTS),

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Requirements, Scenario
 from hil.core.messages import CYCLE
 from hil.params.ready import ROW_NAMES, tolerances
-from hil.report.verdict import Deviations, Verdict, deviations, judge
+from hil.report.verdict import Deviations, Verdict, deviations
+from tests.support.verdicts import judge
 
 DT = 0.1
 INSIDE = {"position_m": 0.01, "velocity_mps": 0.01, "attitude_deg": 0.2, "rate_degps": 0.05}
