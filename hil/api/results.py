@@ -142,7 +142,7 @@ class Run:
         found = self.summary
         if "limits" not in found:  # a recording of an earlier version
             outcome = Outcome(self.history, self.stop, alarms=self.alarms)
-            found = found | limits_of(outcome, self._counted.integrity, self.verdict, found, self.scenario)
+            found = found | limits_of(outcome, self._counted, found, self.scenario)
         return why_of(found)
 
     @property

@@ -18,7 +18,7 @@ from hil.loop.runner import COMPLETED
 from hil.maths.limits import finite_or_none
 from hil.params.ready import ROW_NAMES
 from hil.report.acceptance import is_accepted
-from hil.report.integrity import SafeStop, decision_part, detection, integrity_part, mean_nees
+from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
 from hil.report.limits import (
     LIMITS,
     RunNumbers,
@@ -139,19 +139,21 @@ def row_of(
     }
     for name in ROW_NAMES:
         row |= _three(name, np.full(3, np.nan) if verdict.worst is None else verdict.worst[name])
-    return row | _limits(row, stats, parts, ended, scenario)
+    return row | _limits(stats, parts, energy, row["accepted"], ended, scenario)
 
 
 def _limits(
-    row: dict[str, Any], stats: np.record, parts: dict[str, bool], ended: Stop | None, scenario: Scenario
+    stats: np.record,
+    parts: dict[str, bool],
+    energy: dict[str, Any],
+    accepted: bool,
+    ended: Stop | None,
+    scenario: Scenario,
 ) -> dict[str, Any]:
     """Return the first violated limit, the alarms before it and the margins to all limits."""
     view = tuple(finite_or_none(value) for value in (stats.view_margin, stats.view_margin_s, stats.view_lost_s))
-    run = RunNumbers(
-        stats.integrity, stats.ready, parts, (view[0], view[1], view[2]),
-        (row["propellant_kg"], row["propellant_limit_kg"]), mean_nees(stats.integrity),
-        max(0, int(stats.cycles) - 1) * scenario.step_s, row["accepted"], ended,
-    )  # fmt: skip
+    end_s = max(0, int(stats.cycles) - 1) * scenario.step_s
+    run = RunNumbers(stats, parts, (view[0], view[1], view[2]), energy, end_s, accepted, ended)
     margins = margins_of(run, scenario) if stats.cycles else []
     found = first_violated(run, scenario, margins)
     columns = found | {"alarms_before": alarms_before(stats.integrity.limits, found["first_violated_s"])}

@@ -23,7 +23,7 @@ from hil.params.ready import ROW_NAMES
 from hil.report.acceptance import acceptance, parts_of
 from hil.report.control_numbers import control_numbers
 from hil.report.device_times import with_exchanges
-from hil.report.integrity import SafeStop, detection, mean_nees
+from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
 from hil.report.limits import RunNumbers, alarms_before, first_violated, margins_of, stop_of_alarm
 from hil.report.tally import Tally
 from hil.report.verdict import Verdict
@@ -54,7 +54,7 @@ def summarise(
         tally.add(history)
         numbers = tally.numbers()
     found, verdict = numbers
-    parts, timing, judged = found["verdict"], found["timing"], found["integrity"]
+    parts, timing, state = found["verdict"], found["timing"], found["stats"].integrity
     aborted = bool(len(history) and history["supervision"]["aborted"][-1])
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
     summary = {
@@ -68,8 +68,8 @@ def summarise(
         "held_since_s": verdict.held_since_s,
         "ready_phase": {name: verdict.worst[name].tolist() for name in ROW_NAMES} if verdict.worst else None,
         "verdict": parts,
-        "integrity": judged["part"],
-        "decision": judged["decision"],
+        "integrity": integrity_part(state, scenario),
+        "decision": decision_part(state),
         "docking_go_s": docking_go_s(outcome.events),
         "navigation": found["navigation"],
         "thrusters": found["thrusters"],
@@ -100,7 +100,7 @@ def summarise(
         "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],
         "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
         "injected": [
-            injected(fault, detection(judged["state"], k, fault, safe_stop(outcome, scenario)))
+            injected(fault, detection(state, k, fault, safe_stop(outcome, scenario)))
             for k, fault in enumerate(scenario.faults)
         ],
         "faults": outcome.faults,
@@ -108,36 +108,25 @@ def summarise(
     }
     summary["passed_all_parts"] = passed and all(part["passed"] for part in parts_of(summary).values())
     accepted = acceptance(summary, scenario.requirements)
-    limits = limits_of(outcome, judged["state"], verdict, summary | accepted, scenario)
+    limits = limits_of(outcome, found["stats"], summary | accepted, scenario)
     return accepted | summary | limits, verdict
 
 
-def limits_of(
-    outcome: Outcome, state: np.record, verdict: Verdict, summary: dict[str, Any], scenario: Scenario
-) -> dict[str, Any]:
-    """Return the first violated limit, the alarms before it and the margins. state: INTEGRITY_STATE."""
-    ready, parts, view = verdict.ready, parts_of(summary), summary["verdict"]["field_of_view"]
-    energy, n = summary["verdict"]["energy"], len(outcome.history)
-    end_s, stop = float(outcome.history["t_s"][-1]) if n else 0.0, None
+def limits_of(outcome: Outcome, stats: np.record, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """Return the first violated limit, the alarms before it and the margins. stats: RUN_STATS."""
+    view, end_s, stop = summary["verdict"]["field_of_view"], 0.0, None
+    if len(outcome.history):
+        end_s = float(outcome.history["t_s"][-1])
     if outcome.stop != COMPLETED:
         alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
         stop = stop_of_alarm(alarm, outcome.stop, end_s)
-    assert ready is not None
-    run = RunNumbers(
-        state,
-        ready,
-        {name: bool(part["passed"]) for name, part in parts.items()},
-        (view["margin_px"], view["at_s"], view["at_s"]),
-        (energy["propellant_kg"], energy["factor"] * energy["least_propellant_kg"]),
-        mean_nees(state),
-        end_s,
-        bool(summary["accepted"]),
-        stop,
-    )
+    parts = {name: bool(part["passed"]) for name, part in parts_of(summary).items()}
+    seen, energy = (view["margin_px"], view["at_s"], view["at_s"]), summary["verdict"]["energy"]
+    run = RunNumbers(stats, parts, seen, energy, end_s, bool(summary["accepted"]), stop)
     margins = margins_of(run, scenario)
     found = first_violated(run, scenario, margins)
     return found | {
-        "alarms_before": alarms_before(state.limits, found["first_violated_s"]),
+        "alarms_before": alarms_before(stats.integrity.limits, found["first_violated_s"]),
         "limits": {each.name: each.as_json() for each in margins},
     }
 

@@ -23,7 +23,6 @@ from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
 from hil.report.device_times import NAMES, count_beyond, execution_times_s, judge_times
-from hil.report.integrity import decision_part, integrity_part
 from hil.report.latency import LATENCIES, measured, percentiles
 from hil.report.navigation_bound import NavigationBound
 from hil.report.sums import Squares, ThinnedSample
@@ -107,22 +106,21 @@ class Tally:
             self._beyond[name] += count
 
     def numbers(self) -> tuple[dict[str, Any], Verdict]:
-        """Return the tables of the run's JSON that its rows give, with ``integrity.state``, and the verdict."""
+        """Return the tables of the run's JSON that its rows give, with RUN_STATS as ``stats``, and the verdict."""
         self.end()
         scenario, stats, step_s = self._scenario, self.stats, self._scenario.step_s
         verdict = verdict_of(stats.ready, scenario.requirements)
         thrusters = thruster_numbers(stats, scenario)
         energy = energy_part(stats, scenario, thrusters["propellant_kg"])
-        state = stats.integrity
         times_s = {name: sample.values() for name, sample in self._times.items()}
         return {
+            "stats": stats,
             "verdict": {
                 "control_precision": control_precision(verdict, scenario),
                 "security": security_part(stats) | {"abort": self._abort.as_json()},
                 "energy": energy,
                 "field_of_view": self._view.as_json(),
             },
-            "integrity": {"part": integrity_part(state, scenario), "decision": decision_part(state), "state": state},
             "navigation": navigation_numbers(stats.navigation) | self._bound.as_json(),
             "thrusters": thrusters,
             "orbit": {"eclipse_s": step_s * float(stats.shadow_cycles)},

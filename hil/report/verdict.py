@@ -37,7 +37,7 @@ class Deviations:
 class Verdict:
     """ready_time_s, held_since_s: s, None if never. worst: row name -> largest |deviation| (3,), None if never.
 
-    ready_duration_s: from ``ready_time_s`` to the end of the run or its abort, 0 if never. ready: READY_STATE.
+    ready_duration_s: from ``ready_time_s`` to the end of the run or its abort, 0 if never.
     """
 
     ready_time_s: float | None
@@ -45,7 +45,6 @@ class Verdict:
     passed: bool
     worst: dict[str, Array] | None
     ready_duration_s: float = 0.0
-    ready: np.record | None = None
 
 
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
@@ -60,11 +59,11 @@ def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
 def verdict_of(state: np.record, requirements: Requirements) -> Verdict:
     """Return the verdict of READY_STATE at the end of a run."""
     if not state.is_ready:
-        return Verdict(None, None, False, None, ready=state.copy())
+        return Verdict(None, None, False, None)
     worst = {name: state.worst[3 * row : 3 * row + 3].copy() for row, name in enumerate(ROW_NAMES)}
     duration_s = float(state.last_s - state.ready_s)
     passed = not state.left and duration_s >= requirements.required_ready_s - _ROUNDING_S
-    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s, state.copy())
+    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s)
 
 
 def control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:

@@ -17,10 +17,15 @@ from hil.report.verdict import Deviations, Verdict, verdict_of
 
 def judge(found: Deviations, requirements: Requirements) -> Verdict:
     """Return the verdict on a run with the deviations ``found``."""
+    return verdict_of(ready_state(found, requirements), requirements)
+
+
+def ready_state(found: Deviations, requirements: Requirements) -> np.record:
+    """Return READY_STATE at the end of a run with the deviations ``found``."""
     params, state = ready_params(requirements), new(ready_phase.READY_STATE)
     for t_s, row in zip(found.t_s, np.hstack([getattr(found, name) for name in ROW_NAMES]), strict=True):
         ready_phase.update(params, state, float(t_s), row.copy())
-    return verdict_of(state, requirements)
+    return state
 
 
 def bench_error(history: np.ndarray, scenario: Scenario, rig: Rig, settled_s: float = 0.0) -> dict[str, Any]:

@@ -33,7 +33,7 @@ class Flown:
         for rows in np.split(self.rows, sorted(cuts)):
             tally.add(rows)
         found: dict[str, Any] = tally.numbers()[0]
-        del found["integrity"]["state"]
+        del found["stats"]
         return json.dumps(found), tally.stats.tobytes()
 
 
