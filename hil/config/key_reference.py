@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from hil.config.model import Live
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.units import UNITS, split
@@ -106,7 +107,9 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, 
     options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
     option = options[0]
     kind = " or ".join(dict.fromkeys(_type(each) for each in options))
-    return KeyRow(name, kind, unit_of(name, kind), _allowed(option), default, meanings(model).get(name, ""))
+    live = [f"{each.low:g} to {each.high:g} during a run" for each in field.metadata if isinstance(each, Live)]
+    allowed = "; ".join(filter(None, (_allowed(option), *live)))
+    return KeyRow(name, kind, unit_of(name, kind), allowed, default, meanings(model).get(name, ""))
 
 
 def unit_of(name: str, kind: str) -> str:
