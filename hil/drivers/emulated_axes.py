@@ -14,7 +14,7 @@ from hil.config.rig import AxisGroupTable
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, Homing
 from hil.drivers.axes import axes_of
-from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
+from hil.drivers.fault_injection import Faults
 from hil.drivers.io.relay import HoldingBrakes
 from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.maths.random_streams import stream
@@ -60,7 +60,7 @@ class EmulatedAxes:
     ) -> None:
         self.device = device
         self.names = config.axis_names
-        self.faults = faults or Faults(device, kinds(WIRE, AXIS), self.names)
+        self.faults = faults or Faults(device, ("wire", "drive"), self.names)
         self.overdue = [False, False, False]
         self.astray = [False, False, False]
         self.torque_off = False
