@@ -33,6 +33,7 @@ from hil.core.sensor_records import (
 from hil.gnc import joint_filter
 from hil.gnc.error_state import FILTER_ERRORS, ROTATION, R, V
 from hil.gnc.sensor_monitor import SENSOR_MONITOR, bound_missed, count, watch
+from hil.gnc.sensor_witness import WITNESS, WITNESS_PARAMS
 from hil.gnc.step_memory import SAMPLES_PER_STEP, sensor_step_at
 from hil.maths import quat, stack
 from hil.maths.arrays import fill, fill_matrix
@@ -48,10 +49,14 @@ SENSOR_SLOT = np.dtype(
         ("settings", "f8", MAX_SETTINGS),  # nominal, as the module declares them; first: the argument of ``innovate``
         ("innovate", "i8"),  # address
         ("enabled", "i8"),
+        ("witness", "i8"),  # 1: it is compared, not fused
+        ("sigmas", "f8"),  # of a witness: standard deviations of both that are allowed
+        ("samples", "i8"),  # of a witness: consecutive, that set its interlock or release it
         ("n", "i8"),  # components
         ("gate", "f8", 2),  # largest NIS of the first three components, and of the others
         ("errors", "i8"),
         ("component", "i8", SENSOR_ERRORS_MAX),  # of each error
+        ("sigma", "f8", SENSOR_ERRORS_MAX),  # its standard deviation
         ("state", "i8", SENSOR_ERRORS_MAX),  # its index in the error state, 0: it is left out
     ],
     align=True,
@@ -59,7 +64,9 @@ SENSOR_SLOT = np.dtype(
 SENSOR_FUSION_PARAMS = np.dtype(
     [
         ("n", "i8"),
+        ("fused", "i8"),  # of them those that are no witnesses
         ("slot", SENSOR_SLOT, MAX_SENSORS),
+        ("witness", WITNESS_PARAMS),
         ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
         ("cusum_limit", "f8"),
         ("nis_weight", "f8"),  # of a sample in the mean NIS
@@ -75,6 +82,9 @@ SENSOR_FUSION_STATE = np.dtype(
         ("arrived", "i8"),  # samples of this cycle
         ("arrival", SENSOR_ARRIVAL, SAMPLES_PER_CYCLE),
         ("monitor", SENSOR_MONITOR, MAX_SENSORS),
+        ("witness", WITNESS, MAX_SENSORS),
+        ("bound_m", "f8"),  # on the position error by the newest samples of witnesses, 0 for none
+        ("bound_s", "f8"),  # when they were measured
         ("estimate", SENSOR_ESTIMATE),
         ("innovation", SENSOR_INNOVATION),
     ],
@@ -98,6 +108,8 @@ def place_samples(params, state, memory):
     for k in range(sensors.arrived):
         arrival = sensors.arrival[k]
         sample = arrival.sample
+        if params.sensors.slot[sample.sensor].witness != 0:
+            continue
         arrival.result, arrival.nis = NOT_USED, np.nan
         fill(arrival.innovation, np.nan)
         if params.sensors.slot[sample.sensor].enabled == 0 or state.started == 0:
