@@ -14,15 +14,13 @@ import math
 
 import numpy as np
 
-from hil.core.foreign_call import call_address
 from hil.core.jit import kernel
 from hil.core.sensor_records import ACCEPTED, COMPONENTS_MAX, LATE, NOT_USED, REJECTED
-from hil.maths import eigenvalues, quat, stack
-from hil.maths.arrays import fill, fill_matrix
-from hil.maths.record_view import copy_record
+from hil.gnc.sensor_innovation import innovate
+from hil.maths import eigenvalues, stack
+from hil.maths.arrays import fill
 
 _OBSERVED_RAD = 0.5  # an angle with a larger standard deviation is not observed
-_ERROR_SIGMAS = 3.0  # of a constant error for which the module states no tolerance
 _ROTATES = 1e-6  # deviation of the sensitivity to the position from a rotation
 
 WITNESS_PARAMS = np.dtype(
@@ -58,33 +56,6 @@ WITNESS = np.dtype(
 def _known(sigma):
     """Return ``sigma``, 0 if it is not known (nan)."""
     return sigma if sigma > 0.0 else 0.0
-
-
-@kernel
-def _innovate(slot, state, sample, navigation, age_s):
-    """Write the innovation of ``sample`` against the estimate ``age_s`` before ``navigation`` into ``state``."""
-    estimate, innovation = state.estimate, state.innovation
-    back, before = stack.vector(3), stack.vector(4)
-    estimate.t_s = sample.t_s
-    for i in range(3):
-        estimate.r_CT_H[i] = navigation.r_CT_H[i] - age_s * navigation.v_CT_H[i]
-        estimate.v_CT_H[i] = navigation.v_CT_H[i]
-        estimate.w_CH_C[i] = navigation.w_CH_C[i]
-        back[i] = -age_s * navigation.w_CH_C[i]
-    quat.from_rotation_vector_into(back, before)
-    quat.multiply_into(before, navigation.q_CH, estimate.q_CH)
-    copy_record(sample, innovation.sample)
-    fill(innovation.value, 0.0)
-    fill(innovation.tolerance, 0.0)
-    fill_matrix(innovation.h, 0.0)
-    fill_matrix(innovation.h_errors, 0.0)
-    for k in range(slot.errors):
-        innovation.h_errors[slot.component[k], k] = 1.0
-        innovation.tolerance[slot.component[k]] += _ERROR_SIGMAS * slot.sigma[k]
-    for i in range(COMPONENTS_MAX):
-        for j in range(COMPONENTS_MAX):
-            innovation.noise[i, j] = sample.covariance[i, j]
-    call_address(slot.innovate, estimate, innovation, slot)
 
 
 @kernel
@@ -188,7 +159,9 @@ def _compare(params, state, t_s, navigation, arrival):
         arrival.result = LATE
         monitor.late += 1
         return
-    _innovate(slot, state, arrival.sample, navigation, age_s)
+    innovate(
+        slot, state, arrival.sample, navigation.r_CT_H, navigation.v_CT_H, navigation.q_CH, navigation.w_CH_C, -age_s
+    )  # fmt: skip
     witness.compared += 1
     witness.last_s = arrival.sample.t_s
     witness.bound_m = _error_bound(params.witness, state.innovation, navigation, slot.n, age_s)
