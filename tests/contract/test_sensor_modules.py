@@ -184,7 +184,7 @@ def test_scenario_that_nothing_could_fly_names_key_and_reason() -> None:
 def test_as_a_witness_it_leaves_the_estimate_alone_and_accuses_it_of_what_it_sees(kind: str) -> None:
     """An offset of the witness stands for one of the estimate; the reaction is a hold."""
     witness = 'sensors.s.use="witness"'
-    alone, none = fly(kind, "sensors.s.enabled=false")
+    alone, none = fly(kind, witness, "sensors.s.enabled=false")
     sound, samples = fly(kind, witness)
     assert not (sound["navigation"]["health"] & GncHealth.MONITOR_DISAGREES).any()
     assert (none["result"] == NOT_USED).all()
