@@ -25,7 +25,7 @@ class PortionSamples:
 
     def __init__(self, source: PortionSource, number: int) -> None:
         self._source, self._number, self._count = source, number, 0
-        self.name, self.failure, self.last_s = MONITOR, "", math.inf  # silent where there is no target
+        self.name, self.failure, self.last_s = MONITOR, "", math.inf  # never an alarm: no target, no samples
 
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:
         """Return what has arrived since the last call, (n,) of SENSOR_SAMPLE, in the run's time."""
