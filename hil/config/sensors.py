@@ -25,6 +25,13 @@ class SensorConfig(ConfigModel):
     """Kind of sensor: that of a shipped module, or of a package with an entry point of the group `hil.sensors`."""
     enabled: bool = True
     """Whether its measurements are used; false: they are made and recorded alone."""
+    use: Literal["fusion", "witness"] = "fusion"
+    """"fusion": the filters use its measurements; "witness": they are compared with the navigation, whose error they
+    bound, and a disagreement is an alarm, to which `gnc.reactions` reacts."""
+    interlock_sigmas: Positive = 5.0
+    """Of a witness: standard deviations of both by which they may differ, in addition to its constant errors."""
+    interlock_samples: Annotated[int, Field(ge=1, le=100)] = 2
+    """Of a witness: consecutive samples that set the interlock, and release it."""
     rate_hz: Positive | None = None
     """Measurements per second, at most one per cycle; unless set, the module's."""
     latency_s: Delay = 0.0
@@ -32,14 +39,16 @@ class SensorConfig(ConfigModel):
     loss_probability: Probability = 0.0
     """Of a measurement that never arrives."""
     source: Literal["model", "udp"] = "model"
-    """Modelled, or datagrams from a program of your own: see [Sensors](../../how-to/add-a-sensor.md)."""
+    """"model": modelled, or, unless the rig is a mock, on the serial wire that its kind has; "udp": datagrams from a
+    program of your own. See [Sensors](../../how-to/add-a-sensor.md)."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """UDP port of this computer on which datagrams arrive, for `source = "udp"`."""
     host: str = "127.0.0.1"
     """Address of this computer on which they are received."""
     stamp: Literal["capture", "receipt"] | None = None
     """What the time of a datagram means: the moment of the measurement on the bench's clock, or nothing, and
-    `latency_s` before its receipt is taken. For `source = "udp"` it must be given."""
+    `latency_s` before its receipt is taken. It must be given for `source = "udp"`; "receipt" for a serial wire of
+    hardware, whose lines have no time."""
 
     @model_validator(mode="after")
     def _source_is_complete(self) -> Self:

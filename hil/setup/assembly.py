@@ -16,6 +16,7 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
+from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
 from hil.core.operator_commands import Operator
@@ -43,7 +44,6 @@ from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set
 from hil.loop.cycle import Loop
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.model_stage import ModelDssStage
-from hil.loop.monitor_stage import MonitorStage, monitor_noise
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -57,12 +57,13 @@ from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params.sensors import sensors_of
 from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
 from hil.setup.plant_models import plant_models
-from hil.setup.sample_sources import sample_sources
+from hil.setup.sample_sources import sample_sources, wired_sensors
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
@@ -85,7 +86,8 @@ class RunContext:
     """Connections of a run other than its devices. operator: gives the commands; None: the run is unattended.
 
     on_progress: called periodically with the mode and the completed fraction. scheduling: of the loop's thread.
-    telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed.
+    telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed. clock: bench time of a
+    bench on wires.
     """
 
     operator: Operator | None = None
@@ -93,6 +95,7 @@ class RunContext:
     scheduling: SchedulingPolicy | None = None
     telemetry: Telemetry | None = None
     frames_to_arm: int = 0
+    clock: BenchClock | None = None
 
 
 @dataclass(frozen=True)
@@ -182,7 +185,7 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
     scenario = job.scenario.value
     gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s, scenario.bench)
     params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
-    set_truth(params, scenario, job.truth, job.seed, dss_as_built(job.truth, job.seed))
+    set_truth(params, job.truth, job.seed, dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
     memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, memory.now.imu)
@@ -203,7 +206,9 @@ def assemble(
     moved = _target_stage(job, rig, target)
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
-    monitor = _docking_monitor(job, devices, stage, memory)
+    sensors = _sensors(job, rig, devices, stage, memory, context.clock)
+    if sensors is not None:
+        sensors.alarms = safety.alarms
     loop = Loop(
         memory=memory,
         dss=_dss(job.truth, job.seed, memory),
@@ -213,9 +218,10 @@ def assemble(
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
-        health_alarms=HealthAlarms(safety.alarms, scenario, monitor.disagreement if monitor else None),
-        monitor=monitor,
-        sensors=_sensors(job, devices, stage, memory),
+        health_alarms=HealthAlarms(
+            safety.alarms, scenario, *((sensors.disagreement, sensors.suspect) if sensors else ())
+        ),
+        sensors=sensors,
     )
     if loop.gnc.filter_monitor is not None:
         loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
@@ -283,20 +289,19 @@ def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
 
 
-def _docking_monitor(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> MonitorStage | None:
-    """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
-    if not memory.params.monitor.acts:
-        return None
-
-    return MonitorStage(memory, _seen_axes(devices, bench), monitor_noise(job.seed))
-
-
-def _sensors(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> SensorStage | None:
-    """Return the further sensors of a scenario, None without any."""
+def _sensors(
+    job: Job, rig: Rig, devices: Devices, bench: BenchStage, memory: CoreMemory, clock: BenchClock | None
+) -> SensorStage | None:
+    """Return the sensors of a scenario other than vision unit and IMU, None without any."""
     if not memory.params.sensors.n:
         return None
     scenario = job.scenario.value
-    return SensorStage(memory, tuple(scenario.sensors), _seen_axes(devices, bench), sample_sources(scenario))
+    kinds = {name: sensor.kind for name, sensor in sensors_of(scenario).items()}
+    wired = wired_sensors(scenario, rig) if clock is not None else []
+    for number, name in enumerate(kinds):
+        if name in wired:
+            memory.params.sensors.source[number].models = 0
+    return SensorStage(memory, kinds, _seen_axes(devices, bench), sample_sources(scenario, rig, clock))
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:

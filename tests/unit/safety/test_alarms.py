@@ -9,7 +9,7 @@ import pytest
 from hil.config.load import load_scenario
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog, alarm_from_error
-from hil.safety.condition_alarms import HealthAlarms
+from hil.safety.condition_alarms import Disagreement, HealthAlarms
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
 FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
@@ -111,7 +111,9 @@ def test_bits_of_the_health_are_conditions_that_name_the_device() -> None:
     book = AlarmLog()
     kinds = ("approach", "hold", "wait", "final", "retreat")
     scenario = load_scenario("scheme-1", tuple(f"gnc.reactions.thruster_fault.{kind}=continue" for kind in kinds))
-    health = HealthAlarms(book, scenario.value, lambda: (2, 0.1234, 0.03))
+    health = HealthAlarms(
+        book, scenario.value, lambda: Disagreement("monitor", "along the line of sight", "m", 0.1234, 0.03)
+    )
     for bench_s, bits in ((1.0, 0), (2.0, 16), (3.0, 16), (4.0, 24), (5.0, 8), (6.0, 0)):
         health.update(bench_s, bits)
     first, second = book.all()
@@ -162,3 +164,13 @@ def test_link_watch_counts_what_is_new_and_names_the_device() -> None:
     assert alarm.text == "vmu: lost packets 3.9, allowed 2 at once, 1 per 1 s"
     watch.restart()
     assert watch.check(0.3) is None
+
+
+def test_an_excluded_sensor_is_named_also_once_it_is_used_again() -> None:
+    book, suspects = AlarmLog(), ["sensor.lidar"]
+    health = HealthAlarms(book, load_scenario("scheme-1").value, suspect=lambda: suspects[0])
+    health.update(1.0, 128)
+    suspects[0] = ""
+    health.update(2.0, 0)
+    (alarm,) = book.all()
+    assert (alarm.device, alarm.active) == ("sensor.lidar", False)
