@@ -64,3 +64,19 @@ def test_the_course_of_an_abort_is_followed_to_the_end(flown: Flown) -> None:
     assert abort["cause"] == "ordered"
     assert abort["at_s"] == pytest.approx(45.0)
     assert abort["drift_from_end"]["from_s"] == pytest.approx(LENGTH_S)
+
+
+def test_each_row_counts_once(flown: Flown) -> None:
+    found, rows = json.loads(flown.whole[0]), flown.rows
+    late = rows[rows["navigation"]["valid"] == 1]  # the run ends before the navigation counts as settled
+    error = late["truth"]["r_CT_H"] - late["navigation"]["r_CT_H"]
+    sigma = np.degrees(late["navigation"]["sigma_attitude_rad"])
+    rail = (rows["setpoint"]["rail_m"] - rows["feedback"]["rail_m"])[1:]
+    for name, values in (("position_rmse_m", error), ("attitude_sigma_deg", sigma)):
+        assert found["navigation"][name] == pytest.approx(np.sqrt(np.mean(values**2, axis=0)), rel=1e-12)
+    assert found["navigation"]["nees_pkf"] == pytest.approx(np.nanmean(late["nees_position"]), rel=1e-12)
+    assert found["bench"]["rail_error_rms_m"] == pytest.approx(np.sqrt(np.mean(rail**2, axis=0)), rel=1e-12)
+    assert found["bench"]["rail_error_max_m"] == np.abs(rail).max(axis=0).tolist()
+    on = rows["command"]["torque"] != 0
+    assert found["thrusters"]["torque_on_time_s"] == pytest.approx(0.02 * np.count_nonzero(on, axis=0))
+    assert found["timing"]["cycles"] == len(rows)
