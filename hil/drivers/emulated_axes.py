@@ -182,14 +182,6 @@ class EmulatedAxes:
         self._deadline_s[axis] = math.inf
         self._homing_until_s[axis] = self._t_s + _HOMING_TIME_MAX_S
 
-    def power_off(self, axis: int) -> None:
-        """Switch the supply off: an incremental encoder loses its zero."""
-        self.brake(axis)
-        if not self._absolute[axis]:
-            self.homing[axis] = Homing.NEEDED
-            self._offset[axis] = -self._axes.counted[axis]
-            self._damage[axis] = 0.0
-
     def advance(self, now_s: float) -> None:
         """Advance to bench time ``now_s`` and publish the axes."""
         if now_s < self._t_s + _SAMPLING_S:
