@@ -34,7 +34,7 @@ from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.reactions import REACTION_PARAMS, REACTION_STATE
 from hil.gnc.thruster_monitor import DEAD, NO_FAULT, THRUSTER_MONITOR_PARAMS, THRUSTER_MONITOR_STATE
 from hil.maths import quat, stack
-from hil.maths.arrays import copy_into, fill
+from hil.maths.arrays import copy_into, copy_matrix, fill
 from hil.maths.limits import has_held
 
 MONITOR_DISAGREES, BENCH_DISAGREES = GncHealth.MONITOR_DISAGREES.value, GncHealth.BENCH_DISAGREES.value
@@ -133,7 +133,7 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     watch_thrusters(params, state, memory, samples, command, estimate)
     if backends.navigation.step == 0:
         copy_into(approach.go.level_m, state.navigation.integrity.go_m)
-        approach.reactions.terms[:] = state.navigation.integrity.terms
+        copy_matrix(approach.reactions.terms, state.navigation.integrity.terms)
     ordered = approach.progress.go
     guide(params.approach, approach, t_s, supervision, reference)
     watch_approach(params.approach, approach, t_s, estimate, reference, supervision, False)
