@@ -209,11 +209,11 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
     most = _RATE_FRACTION * params.rate_max[axis]
     if abs(error) > _NEAR * tolerance:
         most = _RATE_FRACTION_FAR * params.rate_max[axis]
-    while cycles != 0 and pulse > _LARGE * params.rate_max[axis] and abs(error) <= _FAR * tolerance:
+    while cycles != 0 and pulse > _LARGE * params.rate_max[axis] and abs(error) <= tolerance:
         gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
         left = owed + feedback * cycles / asked - gain
         after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))
-        if after <= abs(rate) or after <= most:
+        if after <= abs(rate) or after <= most or (abs(cycles) == 1 and abs(error) > _FAR * tolerance):
             break
         cycles -= 1 if cycles > 0 else -1
     return cycles
