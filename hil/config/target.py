@@ -74,7 +74,7 @@ class MovingTarget(ConfigModel):
 
 
 class KnownTarget(ConfigModel):
-    """What the GNC knows of the target's tumble at the start; it estimates rate and moments from the poses."""
+    """The target's tumble in the GNC at the start; it estimates rate and moments from the poses."""
 
     rate_error_degps: Triple = (0.0, 0.0, 0.0)
     """Error of the rate at the start, in the body axes: its value minus the true one."""

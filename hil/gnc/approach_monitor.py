@@ -27,7 +27,6 @@ NOT_ABORTED, CORRIDOR, CLOSING_RATE, ORDERED = range(4)
 FIRST_HEALTH_CAUSE = 4
 """Cause of an abort for the first bit of ``hil_gnc_health``; the others follow."""
 UNPROTECTED, HELD_TOO_LONG, BENCH_DISAGREES, SENSOR_SUSPECT = 10, 11, 12, 13
-_FIRING_OF_RATE = 1.2  # of the required rate, that a smallest firing may change
 _CONVERGED_SHARE = 0.85  # of an alert limit
 _ROOT_2 = math.sqrt(2.0)
 _FAR = 0.6  # of the corridor's radius, from the plan at the start
@@ -48,7 +47,7 @@ GO_CHECK = np.dtype(
         ("level_m", "f8", 3),  # of the navigation, with the risk of a go; 0: it has none
         ("known", "i8"),  # 1: the estimate has been compared with the encoders
         ("off", "f8", 6),  # mean of estimate minus encoders: position in H, m, rotation in c, rad
-        ("firing", "f8", 3),  # rad/s, smallest change of the rate about each axis that control knows of
+        ("firing", "f8", 3),  # rad/s, smallest change of the rate about each axis by a firing
         ("lacks", "i8"),
         ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations; of the others: those, then the rates of both
         ("value", "f8"),  # m, rad, m/s, rad/s
@@ -293,15 +292,14 @@ def _is_go(params, estimate, beyond, go):
     """Return whether the ready state is certain enough for a go; ``go`` (GO_CHECK) then has what is missing.
 
     The level of the certificate's risk and the deviation have to be within Table III together, and the encoders'
-    pose, the estimate less its mean error, within a part of it, which leaves room for the control error. A limit cycle
-    has rates of half the smallest firing, to which control adds: a go requires that there is room for both.
+    pose, the estimate less its mean error, within a part of it, which leaves room for the control error. A
+    smallest firing from rest has to keep the required rate.
     """
     if not _is_ready(params, estimate, beyond, go):
         return False
     for i in range(3):
-        least = go.firing[i] / _FIRING_OF_RATE
-        if not least <= params.ready_angular_rate:
-            return _lack(go, FIRING, 9 + i, least, params.ready_angular_rate)
+        if not go.firing[i] <= params.ready_angular_rate:
+            return _lack(go, FIRING, 9 + i, go.firing[i], params.ready_angular_rate)
     rotation = stack.vector(3)
     quat.to_rotation_vector_into(estimate.q_CH, rotation)
     for i in range(3):

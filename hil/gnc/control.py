@@ -133,21 +133,21 @@ def ripple(sustained, pulse):
 
 
 @kernel
-def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, owed, coming):
+def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, pending, coming):
     """Return what firings that a sustained acceleration asks anyway should give beyond it, m/s or rad/s.
 
-    sustained: m/s^2 or rad/s^2. pulse: d, m/s or rad/s. owed: pending delta-v. coming: what the next period adds
+    sustained: m/s^2 or rad/s^2. pulse: d, m/s or rad/s. pending: delta-v. coming: what the next period adds
     to it. The others as of ``update_axis``. It delays or advances firings and asks for none against the acceleration.
     """
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     lead = max(lead, min(2.0 * pulse / abs(sustained), params.lead_bounds[axis, 1]))
     noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
     reach = lead * params.correction_rate[axis]
-    s = min(reach, max(-reach, error)) + lead * (rate + owed)
+    s = min(reach, max(-reach, error)) + lead * (rate + pending)
     band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
     wanted = -math.copysign(max(0.0, abs(s) - band), s) / lead
     sense = math.copysign(1.0, sustained)
-    return sense * max(sense * wanted, -max(0.0, 0.5 * pulse + sense * (owed + coming)))
+    return sense * max(sense * wanted, -max(0.0, 0.5 * pulse + sense * (pending + coming)))
 
 
 @kernel
@@ -213,7 +213,8 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
         gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
         left = owed + feedback * cycles / asked - gain
         after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))
-        if after <= abs(rate) or after <= most or (abs(cycles) == 1 and abs(error) > _FAR * tolerance):
+        leaves = abs(error) > _FAR * tolerance and error * rate >= 0.0
+        if after <= abs(rate) or after <= most or (leaves and abs(cycles) == 1):
             break
         cycles -= 1 if cycles > 0 else -1
     return cycles

@@ -51,7 +51,7 @@ GUIDANCE_STATE = np.dtype(
     [
         ("phase", "i8"),
         ("since_s", "f8"),  # begin of the phase, time of the run
-        ("late", "i8"),  # 1: a hold goes on beyond its time
+        ("late", "i8"),  # 1: a hold has lasted beyond its time
         ("from_H", "f8", 3),  # m, where the phase began
         ("to_H", "f8", 3),  # m, where it ends
         ("brake_H", "f8", 3),  # m/s, velocity at the start of a brake

@@ -233,7 +233,7 @@ def test_go_requires_a_level_within_table_iii_and_the_encoders(
         assert go.value > go.limit > 0.0
 
 
-@pytest.mark.parametrize(("firing_degps", "lacks"), [(0.119, GO), (0.121, FIRING)])
+@pytest.mark.parametrize(("firing_degps", "lacks"), [(0.099, GO), (0.101, FIRING)])
 def test_go_requires_smallest_firings_that_leave_room_for_the_rate(
     params: np.record, firing_degps: float, lacks: int
 ) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig, load_scenario
-from hil.core.messages import IMU, new
+from hil.core.messages import CYCLE, IMU, new
 from hil.errors import BadInput
 from hil.gnc import fusion, target_motion
 from hil.gnc.error_state import ROTATION, R, V
@@ -112,3 +112,18 @@ def test_more_errors_than_the_navigation_holds_are_rejected(monkeypatch: pytest.
         BadInput, match=rf"gnc\.navigation\.budget: .* would be errors .* allowed {PARAMS.errors.n - 1} in"
     ):
         gnc_params.navigation(SCENARIO)
+
+
+@pytest.mark.parametrize(("sigma_degps", "waits"), [(0.1, True), (0.0, False)])
+def test_approach_waits_until_the_rate_is_known(sigma_degps: float, waits: bool) -> None:
+    settings = (
+        "duration_s=6.0",
+        "gnc.guidance.phases.settle.duration_s=0.2",
+        f"gnc.target.rate_sigma_degps={sigma_degps}",
+    )
+    scenario = load_scenario("tumbling-1", settings).value
+    runner = CaseRunner(scenario, load_rig("mock").value, 6.0)
+    cycles = np.zeros(runner.cycles, CYCLE).view(np.recarray)
+    runner.run(scenario, 1, cycles)
+    begins_s = float(cycles.t_s[np.flatnonzero(cycles.reference.phase == 1)[0]])
+    assert begins_s == pytest.approx(0.2) if not waits else begins_s > 1.0
