@@ -38,6 +38,7 @@ from hil.maths.arrays import fill
 
 COAST_OF_TOLERANCE = 0.25  # that a coast may take at most
 _NEAR = 0.5  # of the tolerance
+_AGAINST = 0.51  # of a smallest firing: from half of one on, one is fired
 _FAR = 0.8
 _LARGE = 0.25  # of the required rate
 _RATE_FRACTION = 0.7  # of the required rate, that a firing may lead to
@@ -137,7 +138,8 @@ def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, p
     """Return what firings that a sustained acceleration asks anyway should give beyond it, m/s or rad/s.
 
     sustained: m/s^2 or rad/s^2. pulse: d, m/s or rad/s. pending: delta-v. coming: what the next period adds
-    to it. The others as of ``update_axis``. It delays or advances firings and asks for none against the acceleration.
+    to it. The others as of ``update_axis``. It delays or advances firings and asks for one smallest firing
+    against the acceleration at most.
     """
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     lead = max(lead, min(2.0 * pulse / abs(sustained), params.lead_bounds[axis, 1]))
@@ -147,7 +149,7 @@ def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, p
     band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
     wanted = -math.copysign(max(0.0, abs(s) - band), s) / lead
     sense = math.copysign(1.0, sustained)
-    return sense * max(sense * wanted, -max(0.0, 0.5 * pulse + sense * (pending + coming)))
+    return sense * max(sense * wanted, -max(0.0, _AGAINST * pulse + sense * (pending + coming)))
 
 
 @kernel

@@ -370,6 +370,16 @@ def test_sustained_acceleration_is_fired_in_pulses_of_its_own_sign_that_also_cor
     assert np.abs(angles).max() < 0.2
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_sustained_acceleration_is_fired_against_by_single_smallest_firings(scheme_1: Scenario, sign: float) -> None:
+    axis = SteadyAxis(scheme_1, sign * math.radians(0.02), 1)
+    axis.rate = sign * math.radians(0.15)
+    _, rates, demands = axis.fly(3.0)
+    fired = np.flatnonzero(demands)
+    assert np.diff(fired).min() > 1
+    assert abs(rates[-1]) < 0.05
+
+
 def test_large_smallest_firing_waits_until_the_rate_has_grown_against_it(scheme_1: Scenario) -> None:
     axis = SteadyAxis(scheme_1, 0.0, 2)
     pulse = math.degrees(2.0 * STRONG * DT)

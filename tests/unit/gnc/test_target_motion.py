@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig, load_scenario
-from hil.core.messages import CYCLE, IMU, new
+from hil.core.messages import CYCLE, IMU, TRUTH, new
 from hil.errors import BadInput
-from hil.gnc import fusion, target_motion
-from hil.gnc.error_state import ROTATION, R, V
+from hil.gnc import fusion, navigation, target_motion
+from hil.gnc.error_state import FILTERS, ROTATION, R, V
 from hil.gnc.fusion import FUSION_STATE
 from hil.gnc.target_orbit import HILL_STEP
 from hil.maths import quat
@@ -127,3 +127,15 @@ def test_approach_waits_until_the_rate_is_known(sigma_degps: float, waits: bool)
     runner.run(scenario, 1, cycles)
     begins_s = float(cycles.t_s[np.flatnonzero(cycles.reference.phase == 1)[0]])
     assert begins_s == pytest.approx(0.2) if not waits else begins_s > 1.0
+
+
+@pytest.mark.parametrize(("estimated", "nees"), [(1, 0.0), (0, 1e2)])
+def test_error_of_the_known_rate_is_no_drift_if_the_rate_is_estimated(estimated: int, nees: float) -> None:
+    filters, orbit, truth, imu, found = new(FILTERS), PARAMS.orbit.copy(), new(TRUTH), new(IMU), np.empty(2)
+    filters.p[:15, :15] = 1e-6 * np.eye(15)
+    filters.akf.x[:4] = truth.q_CH = 0.0, 0.0, 0.0, 1.0
+    tumble_rate(orbit.tumble, 0.0, truth.w_HI_H, np.empty(3))
+    truth.w_HI_H[1] += 0.01
+    orbit.estimated = estimated
+    navigation.normalised_errors(filters, orbit, truth, imu, found)
+    assert found[1] == pytest.approx(nees)
