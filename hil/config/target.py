@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import AngleTriple, ConfigModel, Positive, Triple
+from hil.config.model import AngleTriple, ConfigModel, NotNegative, Positive, Triple
 
 RATE_MAX_DEGPS = 30.0
 Amplitude = Annotated[float, Field(ge=0.0, le=20.0)]
@@ -74,7 +74,11 @@ class MovingTarget(ConfigModel):
 
 
 class KnownTarget(ConfigModel):
-    """Errors of the target's tumble in the GNC: its value minus the true one."""
+    """The target's tumble in the GNC at the start; it estimates rate and moments from the poses."""
 
     rate_error_degps: Triple = (0.0, 0.0, 0.0)
-    """Error of the rate at the start, in the body axes."""
+    """Error of the rate at the start, in the body axes: its value minus the true one."""
+    rate_sigma_degps: NotNegative = 0.1
+    """Standard deviation of such an error, about each axis; 0: the tumble is not estimated."""
+    moments_sigma: NotNegative = 0.02
+    """Standard deviation of the relative error of each principal moment; 0: they are known."""

@@ -14,6 +14,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
+from hil.models.rotating_frame import euler_acceleration
 
 ALIGNED, TUMBLE, LIMIT_CYCLE = range(3)
 
@@ -32,14 +33,6 @@ TARGET_ATTITUDE = np.dtype(
 )
 
 _SMALL: Final = 1e-6  # rad^2
-
-
-@kernel
-def euler_acceleration(moments, rate, out):
-    """Write the torque-free rate of change (3,), rad/s^2, of ``rate`` (3,), both in principal axes."""
-    out[0] = (moments[1] - moments[2]) / moments[0] * rate[1] * rate[2]
-    out[1] = (moments[2] - moments[0]) / moments[1] * rate[2] * rate[0]
-    out[2] = (moments[0] - moments[1]) / moments[2] * rate[0] * rate[1]
 
 
 @kernel

@@ -33,8 +33,9 @@ _FAR = 0.6  # of the corridor's radius, from the plan at the start
 ALONG, ACROSS, ATTITUDE = range(3)
 """Alert limits and protection levels: along the docking axis, across it, of the attitude."""
 
-GO, DEVIATION, HEALTH, LEVEL, ENCODERS, UNBOUNDED = range(6)
-"""What an estimate lacks for a go, GO if nothing; UNBOUNDED: a protection level exceeds its alert limit."""
+GO, DEVIATION, HEALTH, LEVEL, ENCODERS, UNBOUNDED, FIRING = range(7)
+"""What an estimate lacks for a go, GO if nothing; UNBOUNDED: a protection level exceeds its alert limit; FIRING: the
+smallest firing about an axis is too large for the required rate."""
 LEVEL_TERMS = 5
 """Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
 bound of the second sensor."""
@@ -46,8 +47,9 @@ GO_CHECK = np.dtype(
         ("level_m", "f8", 3),  # of the navigation, with the risk of a go; 0: it has none
         ("known", "i8"),  # 1: the estimate has been compared with the encoders
         ("off", "f8", 6),  # mean of estimate minus encoders: position in H, m, rotation in c, rad
+        ("firing", "f8", 3),  # rad/s, smallest change of the rate about each axis by a firing
         ("lacks", "i8"),
-        ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations; of DEVIATION: those, then the rates of both
+        ("axis", "i8"),  # of LEVEL, ENCODERS: x, y, z, then the rotations; of the others: those, then the rates of both
         ("value", "f8"),  # m, rad, m/s, rad/s
         ("limit", "f8"),
     ],
@@ -282,10 +284,14 @@ def _is_go(params, estimate, beyond, go):
     """Return whether the ready state is certain enough for a go; ``go`` (GO_CHECK) then has what is missing.
 
     The level of the certificate's risk and the deviation have to be within Table III together, and the encoders'
-    pose, the estimate less its mean error, within a part of it, which leaves room for the control error.
+    pose, the estimate less its mean error, within a part of it, which leaves room for the control error. A
+    smallest firing from rest has to keep the required rate.
     """
     if not _is_ready(params, estimate, beyond, go):
         return False
+    for i in range(3):
+        if not go.firing[i] <= params.ready_angular_rate:
+            return _lack(go, FIRING, 9 + i, go.firing[i], params.ready_angular_rate)
     rotation = stack.vector(3)
     quat.to_rotation_vector_into(estimate.q_CH, rotation)
     for i in range(3):

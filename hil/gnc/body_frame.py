@@ -4,9 +4,9 @@ The position filter's step is that of a motion without gravity in axes at rest, 
 and its covariance are transformed into these before it, and into the rotating ones after it. The gradient of gravity,
 below ``3 n^2 r`` or 1e-5 m/s^2 at 3 m, is not modelled.
 
-The rate of the tumble is known with an error. To the attitude filter it looks like drift of the gyros, because the
-chaser rotates with the target; what its drift exceeds the expected one by is taken for this error, and corrects the
-rate in the position filter.
+A rate of the axes that is not estimated (``hil.gnc.target_motion``) looks like drift of the gyros to the attitude
+filter, because the chaser rotates with the target; what its drift exceeds the expected one by is taken for an error of
+the rate, and corrects it in the position filter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import cross_into, fill
-from hil.models.rotating_frame import frame_acceleration, tumble_rate
+from hil.models.rotating_frame import frame_acceleration
 
 AXES_STEP = np.dtype(
     [
@@ -112,23 +112,19 @@ def _apply(a, before, after, filters, n):
 
 
 @kernel
-def feed_forward(tumble, t_s, inertia, q_CH, rate_C, acceleration_C, reference, out):
-    """Write what keeps the chaser on a reference in the rotating axes, at ``t_s`` of the run, into ``out`` (6,).
+def feed_forward(rate_H, change_H, inertia, q_CH, rate_C, acceleration_C, reference, out):
+    """Write what keeps the chaser on a reference in rotating axes into ``out`` (6,).
 
     Acceleration in H, m/s^2, and angular acceleration about each axis of c, rad/s^2: torque over its own moment.
-    inertia: (3, 3), kg m^2. rate_C, acceleration_C: reference's rate and its change against H, in c. reference:
-    REFERENCE.
+    rate_H, change_H: of the axes, rad/s, rad/s^2, zero of the Hill frame. inertia: (3, 3), kg m^2. rate_C,
+    acceleration_C: reference's rate and its change against H, in c. reference: REFERENCE.
     """
     w, dw, force = stack.vector(3), stack.vector(3), stack.vector(3)
+    frame_acceleration(rate_H, change_H, reference.r_CT_H, reference.v_CT_H, force)
     for i in range(3):
-        w[i] = dw[i] = out[i] = 0.0
-    if tumble.rotates != 0:
-        tumble_rate(tumble, t_s, w, dw)
-        frame_acceleration(w, dw, reference.r_CT_H, reference.v_CT_H, force)
-        for i in range(3):
-            out[i] = force[i]
-        quat.transform_into(q_CH, w, w)
-        quat.transform_into(q_CH, dw, dw)
+        out[i] = force[i]
+    quat.transform_into(q_CH, rate_H, w)
+    quat.transform_into(q_CH, change_H, dw)
     momentum, torque, turning = stack.vector(3), stack.vector(3), stack.vector(3)
     cross_into(rate_C, w, turning)
     for i in range(3):

@@ -36,6 +36,14 @@ from hil.gnc.predictive import STEPS, predicted_burn
 from hil.maths import quat, stack
 from hil.maths.arrays import fill
 
+COAST_OF_TOLERANCE = 0.25  # that a coast may take at most
+_NEAR = 0.5  # of the tolerance
+_AGAINST = 0.51  # of a smallest firing: from half of one on, one is fired
+_FAR = 0.8
+_LARGE = 0.25  # of the required rate
+_RATE_FRACTION = 0.7  # of the required rate, that a firing may lead to
+_RATE_FRACTION_FAR = 0.8  # the same if the error is not near
+
 CONTROL_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
@@ -46,6 +54,7 @@ CONTROL_PARAMS = np.dtype(
         ("lead_bounds", "f8", (6, 2)),  # s
         ("coast_scale", "f8", 6),  # s^2/m, s^2/rad: 1 / (4 u), of the square of the smallest change of rate
         ("coast_max", "f8", 6),  # m, rad
+        ("rate_max", "f8", 6),  # m/s, rad/s: of the requirement
         ("pulse_s", "f8"),  # least time for which a valve opens
         ("correction_rate", "f8", 6),  # m/s, rad/s: greatest rate at which an error is worked off
         ("period", "i8", 6),  # cycles
@@ -97,6 +106,53 @@ def rule_of(params, axis, sigma, sigma_rate, pulse):
 
 
 @kernel
+def is_steady(params, axis, error, sustained, pulse):
+    """Return whether a small error is corrected by the firings that a sustained acceleration, m/s^2 or rad/s^2, asks.
+
+    pulse: d, m/s or rad/s. Between two of them, ``d / |a|``, at most the longest lead, the rate passes from -d/2 to d/2
+    and the error by ``ripple``; neither error nor ripple may exceed half of the tolerance.
+    """
+    near = _NEAR / COAST_OF_TOLERANCE * params.coast_max[axis]
+    often = pulse <= params.lead_bounds[axis, 1] * abs(sustained)
+    return often and abs(error) <= near and ripple(sustained, pulse) <= near
+
+
+@kernel
+def is_busy(params, feed):
+    """Return whether rotating axes ask so much torque that firings of it are seldom single. feed: FEED_FORWARD."""
+    for axis in range(3, 6):
+        pulse = params.acceleration[axis] * params.pulse_s
+        if feed.rotates != 0 and pulse <= params.lead_bounds[axis, 1] * abs(feed.acceleration[axis]):
+            return True
+    return False
+
+
+@kernel
+def ripple(sustained, pulse):
+    """Return the amplitude of the error, m or rad, if smallest firings give a sustained acceleration."""
+    return 0.125 * pulse * pulse / abs(sustained) if sustained != 0.0 else np.inf
+
+
+@kernel
+def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, pending, coming):
+    """Return what firings that a sustained acceleration asks anyway should give beyond it, m/s or rad/s.
+
+    sustained: m/s^2 or rad/s^2. pulse: d, m/s or rad/s. pending: delta-v. coming: what the next period adds
+    to it. The others as of ``update_axis``. It delays or advances firings and asks for one smallest firing
+    against the acceleration at most.
+    """
+    lead = lead_time(params, axis, sigma, sigma_rate, pulse)
+    lead = max(lead, min(2.0 * pulse / abs(sustained), params.lead_bounds[axis, 1]))
+    noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
+    reach = lead * params.correction_rate[axis]
+    s = min(reach, max(-reach, error)) + lead * (rate + pending)
+    band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
+    wanted = -math.copysign(max(0.0, abs(s) - band), s) / lead
+    sense = math.copysign(1.0, sustained)
+    return sense * max(sense * wanted, -max(0.0, _AGAINST * pulse + sense * (pending + coming)))
+
+
+@kernel
 def burn_time(error, rate, acceleration, lead, band, shortest):
     """Return for how long to fire, s, negative against a positive s; 0 in the dead band.
 
@@ -131,11 +187,48 @@ def firing_time(cycles, least, extra, dt):
 
 
 @kernel
-def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, reference_acceleration, acceleration, command):
+def yet_to_drift(params, axis, sustained, pulse, owed):
+    """Return by how much the rate changes until a sustained acceleration is next fired, m/s or rad/s.
+
+    It is fired once half a smallest firing of it is pending; no longer than half of the longest lead counts. Arguments
+    as of ``modulation``.
+    """
+    sense = math.copysign(1.0, sustained)
+    pending = max(0.0, 0.5 * pulse - sense * owed)
+    return -sense * min(pending, 0.5 * params.lead_bounds[axis, 1] * abs(sustained))
+
+
+@kernel
+def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, least, extra, acceleration):
+    """Return the cycles to command for a firing so that the requirement on the rate is kept, of the same sign or 0.
+
+    With a smallest firing d of more than a quarter of that rate, an error within the tolerance is corrected no faster.
+    A firing that is too much waits until the rate has grown against it: the limit cycle has the rates +-d / 2, after a
+    firing from rest it has d.
+    feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. The others as of ``modulation``.
+    """
+    tolerance, asked = params.coast_max[axis] / COAST_OF_TOLERANCE, cycles
+    most = _RATE_FRACTION * params.rate_max[axis]
+    if abs(error) > _NEAR * tolerance:
+        most = _RATE_FRACTION_FAR * params.rate_max[axis]
+    while cycles != 0 and pulse > _LARGE * params.rate_max[axis] and abs(error) <= tolerance:
+        gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
+        left = owed + feedback * cycles / asked - gain
+        after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))
+        leaves = abs(error) > _FAR * tolerance and error * rate >= 0.0
+        if after <= abs(rate) or after <= most or (leaves and abs(cycles) == 1):
+            break
+        cycles -= 1 if cycles > 0 else -1
+    return cycles
+
+
+@kernel
+def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sustained, acceleration, command):
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
     feed: FEED_FORWARD, of which the firings are used. error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their
-    standard deviations; nan counts as zero.
+    standard deviations; nan counts as zero. wanted: m/s^2 or rad/s^2, of the reference, with what rotating axes ask.
+    sustained: what these ask.
     """
     dt = params.dt_s
     if command.until_decision[axis] <= 0:
@@ -157,17 +250,29 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, reference_ac
             time = predicted_burn(error, rate + command.owed[axis], acceleration, lead, bands, shortest)
         else:
             time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
-        feedback = 0.0
-        if time != 0.0:
+        owed, coming, feedback = command.owed[axis], wanted * period * dt, 0.0
+        if command.boost == 0 and is_steady(params, axis, error, sustained, pulse):
+            feedback = modulation(
+                params, axis, error, rate, sigma, sigma_rate, sustained, pulse, owed, coming
+            ) / acceleration  # fmt: skip
+        elif time != 0.0:
             feedback = firing_time(burn_cycles(time, least, extra, period, dt), least, extra, dt)
-        time = feedback + (command.owed[axis] + reference_acceleration * period * dt) / acceleration
+        time = feedback + (owed + coming) / acceleration
         cycles = 0
         if abs(time) >= 0.5 * shortest:
             cycles = burn_cycles(time + math.copysign(0.5 * dt, time), least, extra, period, dt)
+        if command.boost == 0:
+            fired = cycles
+            cycles = slowed(
+                params, axis, error, rate, sustained, pulse, owed + coming, feedback * acceleration, cycles, least,
+                extra, acceleration,
+            )  # fmt: skip
+            if cycles != fired:
+                feedback = 0.0 if cycles == 0 else feedback * cycles / fired
         command.owed[axis] -= (firing_time(cycles, least, extra, dt) - feedback) * acceleration
         command.cycles_left[axis] = cycles
         command.until_decision[axis] = period
-    command.owed[axis] += reference_acceleration * dt
+    command.owed[axis] += wanted * dt
     command.until_decision[axis] -= 1
     left = command.cycles_left[axis]
     demand = 0
@@ -197,6 +302,7 @@ FEED_FORWARD = np.dtype(
         ("acceleration", "f8", 6),  # m/s^2, in H, beyond the reference's own; rad/s^2, about the axes of c
         ("rate_C", "f8", 3),  # rad/s, of the reference against H
         ("q_CH", "f8", 4),  # the reference's attitude of the cycle before
+        ("rotates", "i8"),  # 1: the axes of H are those of a target that tumbles
         ("turned", "i8"),  # 1: rate or angular acceleration were not zero
         ("transit_C", "f8", 6),  # m/s, rad/s: what has been fired and is not felt yet, as valves are late
         ("pulse_s", "f8"),  # least time for which valves open, as the thruster monitor has measured it
@@ -223,6 +329,7 @@ def control(params, navigation, reference, feed, command):
         clear_demands(command)
         return
     error_c, rate_c, acceleration_c, rotation = stack.vector(3), stack.vector(3), stack.vector(3), stack.vector(3)
+    sustained_c = stack.vector(3)
     for i in range(3):
         error_c[i] = navigation.r_CT_H[i] - reference.r_CT_H[i]
         rate_c[i] = navigation.v_CT_H[i] - reference.v_CT_H[i]
@@ -231,12 +338,17 @@ def control(params, navigation, reference, feed, command):
     for i in range(3):
         rate_c[i] += feed.transit_C[i]
         acceleration_c[i] = reference.a_CT_H[i] + feed.acceleration[i]
+        sustained_c[i] = feed.acceleration[i] if feed.rotates != 0 else 0.0
     quat.transform_into(navigation.q_CH, acceleration_c, acceleration_c)
+    quat.transform_into(navigation.q_CH, sustained_c, sustained_c)
     quat.rotation_between(navigation.q_CH, reference.q_CH, rotation)
     for i in range(3):
         acceleration = params.high_thrust_acceleration[i] if command.boost != 0 else params.acceleration[i]
         sigma, sigma_rate = navigation.sigma_r_m[i], navigation.sigma_v_mps[i]
-        update_axis(params, feed, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], acceleration, command)
+        update_axis(
+            params, feed, i, error_c[i], rate_c[i], sigma, sigma_rate, acceleration_c[i], sustained_c[i], acceleration,
+            command,
+        )  # fmt: skip
         update_axis(
             params,
             feed,
@@ -246,6 +358,7 @@ def control(params, navigation, reference, feed, command):
             navigation.sigma_attitude_rad[i],
             0.0,
             feed.acceleration[3 + i],
+            feed.acceleration[3 + i] if feed.rotates != 0 else 0.0,
             params.acceleration[3 + i],
             command,
         )

@@ -25,6 +25,7 @@ class BlockMotion(Enum):
     FILTER = "by the equations of its filter"
     CONSTANT = "constant"
     MARKOV = "first-order Gauss-Markov process"
+    EULER = "by Euler's equations of a free body"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,8 @@ PARAMETER_BLOCKS: Final = (
     _block("scale", 1, "1", BlockMotion.CONSTANT, False),  # of the distance
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
     _block("sensor_errors", ERROR_STATES_MAX, "as of the sensor", BlockMotion.MARKOV, True),  # as many as are declared
+    _block("target_rate", 3, "rad/s", BlockMotion.EULER, True),  # of a target that tumbles, in H
+    _block("target_moments", 3, "1", BlockMotion.CONSTANT, True),  # logarithms of its principal moments
     _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force apart from the thrust, in c
     _block("thrust_scale", 1, "1", BlockMotion.CONSTANT, True),  # of a commanded thrust
     _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
@@ -70,8 +73,9 @@ R, V, BIAS, ROTATION, DRIFT = 0, 3, 6, 9, 12
 """Indices of the states of PKF and AKF."""
 FILTER_ERRORS = 15
 """States of PKF and AKF together."""
-ERRORS_MAX = FILTER_ERRORS + sum(block.size for block in PARAMETER_BLOCKS)
-LANES = -8 * (-ERRORS_MAX // 8)
+ERRORS_MAX: Final = 64
+"""States of a scenario; one with more of the blocks is rejected."""
+LANES: Final = -8 * (-ERRORS_MAX // 8)
 """Length of a row of the covariance: whole vector registers. Entries beyond the states are zero."""
 
 ERROR_STATE = np.dtype(

@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.gnc import body_frame, joint_filter, pose_model, sensor_fusion, thrust_model
+from hil.gnc import body_frame, joint_filter, pose_model, sensor_fusion, target_motion, thrust_model
 from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
@@ -147,11 +147,18 @@ def _predict(params, state, step):
     if step.doubts.acts != 0:
         _admit(step.doubts, errors, filters)
     if step.hill.rotates != 0:
-        body_frame.correct_motion(step.hill, filters.akf, params.akf.initial_drift, params.akf.dt_s, axes)
+        expected_drift = stack.vector(3)
+        copy_into(expected_drift, params.akf.initial_drift)
+        if errors.target_rate != 0:
+            target_motion.move(params.orbit, errors, params.akf.dt_s, filters.parameters, step.hill)
+            copy_into(expected_drift, filters.akf.x[4:7])  # none of it is an error of the rate
+        body_frame.correct_motion(step.hill, filters.akf, expected_drift, params.akf.dt_s, axes)
         body_frame.enter_middle(axes, filters, errors.n)
     joint_filter.predict(params, filters, step)
     if step.hill.rotates != 0:
         body_frame.leave_middle(axes, filters, errors.n)
+        if errors.target_rate != 0:
+            target_motion.carry_errors(params.orbit, errors, params.akf.dt_s, filters)
 
 
 @kernel

@@ -22,6 +22,7 @@ from hil.models.profile import along_line, duration
 APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
 LINE, ARC, SLEW = range(3)  # paths of a moving phase
 STAYED, MOVED, REFUSED = range(3)  # results of advance
+HOLDS_FINAL, HOLDS_HOLD = 1, 2  # bits: a final phase must not begin, a hold must not end
 _ABORT_PHASES = 3  # brake, retreat, hold: numbered after the phases of the list
 
 GUIDANCE_PARAMS = np.dtype(
@@ -50,6 +51,7 @@ GUIDANCE_STATE = np.dtype(
     [
         ("phase", "i8"),
         ("since_s", "f8"),  # begin of the phase, time of the run
+        ("late", "i8"),  # 1: a hold has lasted beyond its time
         ("from_H", "f8", 3),  # m, where the phase began
         ("to_H", "f8", 3),  # m, where it ends
         ("brake_H", "f8", 3),  # m/s, velocity at the start of a brake
@@ -285,18 +287,21 @@ def _ends_at(params, state, go):
 def advance(params, state, t_s, go, held):
     """Move ``state`` on to the phase of ``t_s``; return STAYED, MOVED or REFUSED.
 
-    go: 1 at the order to continue, refused if the next phase is not allowed. held: 1 if a final phase must not begin.
+    go: 1 at the order to continue, refused if the next phase is not allowed. held: HOLDS_FINAL, HOLDS_HOLD, 0.
     """
     found = STAYED
     if go != 0 and kind_of(params, state.phase) == WAIT:
         found = REFUSED
     ends = _ends_at(params, state, go)
     while ends <= t_s:
-        if held != 0 and kind_of(params, state.phase + 1) == FINAL:
+        if held & HOLDS_FINAL != 0 and kind_of(params, state.phase + 1) == FINAL:
             break
-        if kind_of(params, state.phase) == WAIT:
+        if held & HOLDS_HOLD != 0 and kind_of(params, state.phase) == HOLD:
+            state.late = 1
+            break
+        if kind_of(params, state.phase) == WAIT or state.late != 0:
             state.since_s = t_s
-            go = 0
+            go = state.late = 0
         else:
             state.since_s = ends
         copy_into(state.from_H, state.to_H)

@@ -149,14 +149,15 @@ def normalised_errors(filters, orbit, truth, imu, out):
     """Write the NEES of the position filter (9 states) and of the attitude filter (6) into ``out`` (2,).
 
     filters: FILTERS, of the moment of ``truth``. orbit: their TARGET_ORBIT. ``imu`` holds the true drift and bias. A
-    drift of the gyros and an error of the known rate of H are one to the filter: its drift is compared with their sum.
+    drift of the gyros and an error of the known rate of H are one to the filter, unless it estimates that rate: its
+    drift is compared with their sum.
     """
     from_akf, from_pkf = stack.vector(6), stack.vector(9)
     of_akf, of_pkf = stack.matrix(6, 6), stack.matrix(9, 9)
     known, drift = stack.vector(3), stack.vector(3)
     frame_rate(orbit, truth.t_s, known)
     for i in range(3):
-        known[i] = truth.w_HI_H[i] - known[i]
+        known[i] = truth.w_HI_H[i] - known[i] if orbit.estimated == 0 else 0.0
     quat.transform_into(truth.q_CH, known, drift)
     for i in range(3):
         drift[i] += imu.drift_C[i]

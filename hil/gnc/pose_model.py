@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from hil.core.jit import kernel
-from hil.gnc import akf, joint_filter, pkf
+from hil.gnc import akf, joint_filter, pkf, target_motion
 from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION, R, V
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
@@ -117,6 +117,7 @@ def start(params, pose, noise, filters):
     fill_matrix(p, 0.0)
     for i in range(FILTER_ERRORS, n):
         filters.parameters[i] = 0.0
+    target_motion.start(params.orbit, errors, pose.t_s, filters.parameters)
     for i in range(3):
         p[V + i, V + i], p[BIAS + i, BIAS + i] = of_pkf.initial_velocity_sigma**2, of_pkf.initial_bias_sigma**2
         p[DRIFT + i, DRIFT + i] = of_akf.initial_drift_sigma**2

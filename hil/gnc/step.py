@@ -23,6 +23,7 @@ from hil.gnc import (
     guidance,
     navigation,
     reactions,
+    target_motion,
     thruster_monitor,
 )
 from hil.gnc.allocation import ROWS
@@ -42,6 +43,7 @@ _GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 
 APPROACH_PARAMS = np.dtype(
     [
+        ("target_rate_sigma", "f8"),  # rad/s, of a component of the target's rate, up to which the approach holds
         ("dwell_s", "f8"),  # for which the ready state must have held for docking to be a go
         ("guidance", GUIDANCE_PARAMS),
         ("monitor", APPROACH_MONITOR_PARAMS),
@@ -91,6 +93,7 @@ APPROACH_STATE = np.dtype(
         ("reactions", REACTION_STATE),
         ("abort_ordered", "i8"),  # 1: by the operator
         ("abort_began", "i8"),  # 1: in this cycle
+        ("target_unknown", "i8"),  # 1: the rate of a target that tumbles is not known well enough for an approach
         ("monitor_disagrees", "i8"),  # 1: the docking monitor's interlock is set
         ("bench_disagrees", "i8"),  # 1: the encoders contradict the estimate
         ("bench_breach", "f8", 3),  # component of their difference nearest its limit: number, size, limit, m or rad
@@ -134,6 +137,8 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     if backends.navigation.step == 0:
         copy_into(approach.go.level_m, state.navigation.integrity.go_m)
         copy_matrix(approach.reactions.terms, state.navigation.integrity.terms)
+    sigma = target_motion.largest_sigma(params.navigation.fusion, state.navigation.fusion)
+    approach.target_unknown = 1 if sigma > params.approach.target_rate_sigma else 0
     ordered = approach.progress.go
     guide(params.approach, approach, t_s, supervision, reference)
     watch_approach(params.approach, approach, t_s, estimate, reference, supervision, False)
@@ -197,7 +202,8 @@ def guide(params, state, t_s, supervision, reference):
     )
     progress.docking_go = 1 if is_go else 0
     progress.ready_since_s = supervision.ready_since_s
-    did = guidance.advance(params.guidance, state.guidance, t_s, progress.go, 0 if is_go else 1)
+    held = (0 if is_go else guidance.HOLDS_FINAL) | (guidance.HOLDS_HOLD if state.target_unknown != 0 else 0)
+    did = guidance.advance(params.guidance, state.guidance, t_s, progress.go, held)
     if did != guidance.STAYED:
         progress.go = 0
     if did == guidance.MOVED:
@@ -251,10 +257,13 @@ def _feed_forward(params, state, reference):
     """
     feed, dt = state.feed, params.control.dt_s
     thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
-    feed.pulse_s, feed.extra_s = thruster_monitor.shortest_firing(params.thruster_monitor, state.thrusters)
-    p, q, tumble = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble
+    p, q, rotates = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble.rotates
+    for i in range(3):  # of the cycle before
+        state.approach.go.firing[i] = feed.pulse_s * params.control.acceleration[3 + i]
+    busy = control.is_busy(params.control, feed)
+    feed.pulse_s, feed.extra_s = thruster_monitor.shortest_firing(params.thruster_monitor, state.thrusters, busy)
     turned = p[0] != q[0] or p[1] != q[1] or p[2] != q[2] or p[3] != q[3]
-    if not turned and tumble.rotates == 0 and feed.turned == 0:
+    if not turned and rotates == 0 and feed.turned == 0:
         return  # with a feed that is zero
     if p[0] == 0.0 and p[1] == 0.0 and p[2] == 0.0 and p[3] == 0.0:
         turned = False  # the first cycle
@@ -270,9 +279,15 @@ def _feed_forward(params, state, reference):
         if rate[i] != 0.0 or change[i] != 0.0:
             feed.turned = 1
     copy_into(feed.q_CH, reference.q_CH)
-    t_s = state.navigation.t_s - params.navigation.dt_s
+    rate_H, change_H = stack.vector(3), stack.vector(3)
+    fill(rate_H, 0.0)
+    fill(change_H, 0.0)
+    feed.rotates = rotates
+    if rotates != 0:
+        t_s = state.navigation.t_s - params.navigation.dt_s
+        target_motion.present_rate(params.navigation.fusion, state.navigation.fusion, t_s, rate_H, change_H)
     body_frame.feed_forward(
-        tumble, t_s, params.control.inertia, reference.q_CH, rate, change, reference, feed.acceleration
+        rate_H, change_H, params.control.inertia, reference.q_CH, rate, change, reference, feed.acceleration
     )  # fmt: skip
 
 

@@ -51,6 +51,9 @@ _ARM_MAX = 0.5  # m, of the accelerometers
 _ARM_WEIGHT = 0.03  # of a cycle in its estimate
 _PULSE_WEIGHT = 0.2  # of a firing in the least time for which a valve opens
 _PULSE_MAX_S = 0.3
+_PULSE_MIN = 0.25  # cycles
+_AXIS_IDLE = 5  # cycles in which a firing about an axis is over
+_AXIS_FIRINGS = 4  # from which on they count
 _UNMEASURED = 1.5  # times the least time of the data sheet
 _REVOKED_MAX = 3  # accusations of a device that are revoked, then it stays accused
 
@@ -109,6 +112,14 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("firing_s", "f8"),  # expected
         ("firing_expected", "f8", 3),  # sum of torques over its cycles, in the units of the monitor
         ("firing_measured", "f8", 3),
+        ("busy", "i8"),  # 1: the chaser accelerates all the time, so that single firings are rare
+        # firings about one axis among those of others, while it does
+        ("axis_idle", "i8", 3),  # cycles since a torque about the axis was expected
+        ("axis_cycles", "i8", 3),  # of its firing under way, 0: none, -1: not one that is measured
+        ("axis_expected", "f8", 3),  # sum of torques over its cycles, in the units of the monitor
+        ("axis_measured", "f8", 3),
+        ("axis_firings", "i8"),  # from which ``axis_pulse_s`` is measured
+        ("axis_pulse_s", "f8"),  # as ``pulse_s``
     ],
     align=True,
 )
@@ -306,10 +317,52 @@ def _learn_pulse(params, state):
         return
     commanded_s = state.firing_s
     if commanded_s < _least_time(params) + 0.5 * params.dt_s:  # the shortest that is commanded
-        open_s = min(_PULSE_MAX_S, max(0.25 * params.dt_s, product / square * commanded_s))
         known_s = state.pulse_s if state.firings > 0 else commanded_s
         state.firings += 1
-        state.pulse_s = known_s + max(_PULSE_WEIGHT, 1.0 / (1.0 + state.firings)) * (open_s - known_s)
+        state.pulse_s = _mean_pulse(params, known_s, state.firings, product / square * commanded_s)
+
+
+@kernel
+def _mean_pulse(params, known_s, firings, open_s):
+    """Return the least time for which valves open, s, with the last one of ``firings``, which has taken ``open_s``."""
+    open_s = min(_PULSE_MAX_S, max(_PULSE_MIN * params.dt_s, open_s))
+    return known_s + max(_PULSE_WEIGHT, 1.0 / (1.0 + firings)) * (open_s - known_s)
+
+
+@kernel
+def _measure_axis_pulses(params, state, thrust, rate):
+    """Measure for how long valves open by firings that are single about their axis, but not among all axes.
+
+    A chaser that accelerates all the time seldom has a moment without thrust. Arguments as of ``_measure_pulse``.
+    """
+    shortest = int(_least_time(params) / params.dt_s + 0.5)
+    for i in range(3):
+        expected = 0.0
+        for j in range(params.n):
+            expected += thrust[j] * params.signature[j, 3 + i]
+        if abs(expected) > _RESIDUAL_MIN:
+            if state.axis_idle[i] >= _AXIS_IDLE:
+                state.axis_cycles[i] = 1
+                state.axis_expected[i] = state.axis_measured[i] = 0.0
+            elif state.axis_cycles[i] > 0 and state.axis_idle[i] == 0:
+                state.axis_cycles[i] += 1
+            else:
+                state.axis_cycles[i] = -1
+            state.axis_idle[i] = 0
+        else:
+            state.axis_idle[i] += 1
+        if state.axis_cycles[i] <= 0:
+            continue
+        state.axis_expected[i] += expected
+        state.axis_measured[i] += (rate[i] - state.rate[i]) / (params.dt_s * params.torque_unit)
+        if state.axis_idle[i] == _AXIS_IDLE:
+            if state.axis_cycles[i] == shortest:
+                commanded_s = shortest * params.dt_s
+                known_s = state.axis_pulse_s if state.axis_firings > 0 else commanded_s
+                state.axis_firings += 1
+                open_s = state.axis_measured[i] / state.axis_expected[i] * commanded_s
+                state.axis_pulse_s = _mean_pulse(params, known_s, state.axis_firings, open_s)
+            state.axis_cycles[i] = 0
 
 
 @kernel
@@ -322,13 +375,17 @@ def _mean_thrust(params, state, delay, out):
 
 
 @kernel
-def shortest_firing(params, state):
+def shortest_firing(params, state, busy):
     """Return the least time for which valves open, s, and what each firing gives beyond that of the data sheet, s.
 
-    Until it is measured with an IMU, it is taken to be larger than that of the data sheet: pulses that drive each
-    other across a dead band that is too small leave no time to measure any.
+    busy: whether the chaser accelerates all the time. Until it is measured with an IMU, it is taken to be larger than
+    that of the data sheet: pulses that drive each other across a dead band that is too small leave no time to measure
+    any.
     """
     least_s = _least_time(params)
+    state.busy = 1 if busy else 0
+    if busy and state.axis_firings >= _AXIS_FIRINGS:
+        return state.axis_pulse_s, state.axis_pulse_s - least_s
     if state.firings > 0:
         return state.pulse_s, state.pulse_s - least_s
     return (_UNMEASURED * least_s if state.calls >= 2 and state.imu_suspect == 0 else least_s), 0.0
@@ -474,6 +531,8 @@ def watch(params, state, samples, on, bias, isolated, estimate):
             measured[3 + i] = (rate[i] - state.rate[i]) * per_torque
         if state.imu_suspect == 0 and state.fault == NO_FAULT:
             _measure_pulse(params, state, thrust, since, rate)
+            if state.busy != 0:
+                _measure_axis_pulses(params, state, thrust, rate)
         _correct_for_arm(params, state, measured)
         _find_delay(params, state, measured, thrust, residual)
         for i in range(3):

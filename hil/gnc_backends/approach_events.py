@@ -17,6 +17,7 @@ from hil.gnc.approach_monitor import (
     CORRIDOR,
     DEVIATION,
     ENCODERS,
+    FIRING,
     FIRST_HEALTH_CAUSE,
     HEALTH,
     HELD_TOO_LONG,
@@ -93,7 +94,7 @@ def go_limit_text(state: np.record | None) -> str:
     numbers = f"{_AXES[axis]} {_shown(axis, value)}, allowed {_shown(axis, limit)}"
     if lacks == UNBOUNDED:
         return _level_text(state["reactions"])
-    words = {DEVIATION: "", LEVEL: "level of ", ENCODERS: "encoders show "}
+    words = {DEVIATION: "", LEVEL: "level of ", ENCODERS: "encoders show ", FIRING: "smallest firings give "}
     if lacks in words and limit > 0.0:
         return f": {words[lacks]}{numbers}"
     return ": the navigation is not healthy" if lacks == HEALTH else ""

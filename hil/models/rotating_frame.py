@@ -39,6 +39,14 @@ def tumble_rate(tumble, t_s, rate, rate_of_change):
 
 
 @kernel
+def euler_acceleration(moments, rate, out):
+    """Write the torque-free rate of change (3,), rad/s^2, of ``rate`` (3,), both in principal axes."""
+    out[0] = (moments[1] - moments[2]) / moments[0] * rate[1] * rate[2]
+    out[1] = (moments[2] - moments[0]) / moments[1] * rate[2] * rate[0]
+    out[2] = (moments[0] - moments[1]) / moments[2] * rate[0] * rate[1]
+
+
+@kernel
 def frame_acceleration(rate, rate_of_change, r, v, out):
     """Write the acceleration, m/s^2, that a motion in a rotating frame needs beyond its own into ``out`` (3,).
 

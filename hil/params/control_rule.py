@@ -13,6 +13,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.gnc.control import COAST_OF_TOLERANCE
 from hil.gnc.thruster_monitor import DELAYS
 
 _LONGEST_DELAY: Final = DELAYS - 2
@@ -20,8 +21,6 @@ _LONGEST_DELAY: Final = DELAYS - 2
 _LEAST_LEAD: Final = 6.0
 """Periods in the shortest lead."""
 _LEAD_MAX_S: Final = 20.0
-_COAST_OF_TOLERANCE: Final = 0.25
-"""Fraction of a tolerance that the coast may take."""
 
 
 class ControlRule(NamedTuple):
@@ -39,6 +38,8 @@ class ControlRule(NamedTuple):
     """s^2/m, s^2/rad: 1 / (4 u), u the mean acceleration that a limit cycle may use."""
     coast_max: Array
     """m, rad"""
+    rate_max: Array
+    """m/s, rad/s, of the requirement."""
 
 
 def nominal_leads(params: np.record) -> Array:
@@ -69,5 +70,8 @@ def control_rule(scenario: Scenario, strength: Array) -> ControlRule:
         period_s,
         np.array([[_LEAST_LEAD * period_s, _LEAD_MAX_S]] * 6),
         1.0 / np.maximum(4.0 * of_axis, 1e-300),
-        _COAST_OF_TOLERANCE * tolerance,
+        COAST_OF_TOLERANCE * tolerance,
+        np.array(
+            [required.axial_rate_mps, *[required.radial_rate_mps] * 2, *[math.radians(required.angular_rate_degps)] * 3]
+        ),
     )

@@ -10,7 +10,8 @@ import numpy as np
 
 from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array, new
-from hil.gnc.error_state import ERROR_STATE, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
+from hil.errors import BadInput
+from hil.gnc.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
 from hil.params.sensors import SensorErrorState, error_states
 
 _OF_POSES: Final = ("bias", "scale")
@@ -20,6 +21,7 @@ def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState
     """Return the standard deviations at the start of the states of each block that a scenario may add."""
     given, thrust = scenario.gnc.navigation.budget, scenario.gnc.navigation.thrust
     is_alone = scenario.gnc.navigation.backend == VISION_ALONE  # no accelerometer measures the thrust
+    tumbles, target = scenario.target.motion == "tumble", scenario.gnc.target
     rad, one, three = math.radians, np.ones(1), np.ones(3)
     is_correlated = max(given.vision_correlated_fraction, given.bench_sigma_m, given.bench_sigma_deg) > 0.0
     return {
@@ -28,6 +30,8 @@ def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState
         "scale": given.vision_scale_sigma * one,
         "correlated": float(is_correlated) * np.ones(6),
         "sensor_errors": np.array([error.sigma for error in sensor_errors]),
+        "target_rate": rad(float(tumbles) * target.rate_sigma_degps) * three,
+        "target_moments": float(tumbles and target.rate_sigma_degps > 0.0) * target.moments_sigma * three,
         "disturbance": float(thrust.enabled) * thrust.disturbance_mps2 * three,
         "thrust_scale": float(is_alone) * thrust.scale_sigma * one,
         "gyro_scale": given.gyro_scale_sigma * three,
@@ -55,6 +59,9 @@ def error_state(scenario: Scenario) -> np.record:
         if not np.any(sigmas[block.name]):
             continue
         size = len(sigmas[block.name])
+        if n + size > ERRORS_MAX:
+            text = f"{block.name} would be errors {n} to {n + size - 1} of the navigation, allowed {ERRORS_MAX} in all"
+            raise BadInput.single(scenario.name, "gnc.navigation.budget", text)
         here = slice(n, n + size)
         params[block.name] = n
         params.variance[here] = sigmas[block.name] ** 2

@@ -36,7 +36,7 @@ from hil.params.control_rule import control_rule
 from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_state import error_state
 from hil.params.sensors import NIS_TAIL, sensor_fusion
-from hil.params.target import known_tumble
+from hil.params.target import known_tumble, principal_axes
 
 _CORRELATION_S = 10.0  # of the filters' errors
 _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
@@ -50,6 +50,7 @@ _MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever
 _QUIET_WINDOW_S = 0.32  # over which quiet readings are averaged
 _QUIET_SIGMAS = 5.0  # of a reading that is quiet
 _WITNESS_AGE_MAX_S = 2.0  # of a measurement of a witness
+_TARGET_RATE_FRACTION = 0.25  # of the required rate, that an error of the target's rate may take
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
 
@@ -57,6 +58,8 @@ def gnc(scenario: Scenario) -> np.record:
     """Return GNC_PARAMS of ``scenario``. Raises ValueError if the thruster layout cannot move an axis."""
     params = new(GNC_PARAMS)
     sets, strength = allocation(scenario.chaser)
+    largest = math.radians(scenario.requirements.angular_rate_degps) / scenario.gnc.corridor.confidence
+    params.approach.target_rate_sigma = _TARGET_RATE_FRACTION * largest
     params.approach.dwell_s = scenario.requirements.dwell_s
     params.approach.guidance = guidance(scenario)
     params.approach.monitor = approach_monitor(scenario)
@@ -258,6 +261,8 @@ def target_orbit(scenario: Scenario) -> np.record:
     ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(known)
     params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg) + ahead)
     params.tumble = known_tumble(scenario, params.mean_motion)
+    params.estimated = scenario.target.motion == "tumble" and scenario.gnc.target.rate_sigma_degps > 0.0
+    params.moments, params.q_PB = scenario.target.moments_kg_m2, principal_axes(scenario.target)
     return params
 
 
@@ -429,6 +434,7 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
     params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
+    params.rate_max = rule.rate_max
     params.lead_bounds = rule.lead_bounds_s
     params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))

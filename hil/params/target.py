@@ -15,10 +15,10 @@ from hil.dynamics.target_attitude import (
     TARGET_ATTITUDE,
     TUMBLE,
     add_limit_cycle,
-    euler_acceleration,
 )
 from hil.maths import euler, quat
 from hil.models import rotating_frame
+from hil.models.rotating_frame import euler_acceleration
 
 MOTIONS = {"aligned": ALIGNED, "tumble": TUMBLE, "limit_cycle": LIMIT_CYCLE}
 _STEADY = 1e-14  # rad/s^2: a body that rotates about a principal axis, or a sphere
@@ -29,7 +29,7 @@ def target_attitude(scenario: Scenario) -> np.record:
     """Return TARGET_ATTITUDE: the true motion."""
     params, target = new(TARGET_ATTITUDE), scenario.target
     params.motion = MOTIONS[target.motion]
-    params.moments, params.q_PB = target.moments_kg_m2, _principal_axes(target)
+    params.moments, params.q_PB = target.moments_kg_m2, principal_axes(target)
     cycle = target.limit_cycle
     params.amplitude, params.rate = np.radians(cycle.amplitude_deg), np.radians(cycle.rate_degps)
     params.acceleration, params.phase = math.radians(cycle.acceleration_degps2), cycle.phase_cycles
@@ -58,7 +58,7 @@ def known_rate(scenario: Scenario) -> Array:
 
 def inertia(target: MovingTarget) -> Array:
     """Return the inertia (3, 3) of the target's body, kg m^2, in its axes."""
-    axes = quat.to_matrix(_principal_axes(target))
+    axes = quat.to_matrix(principal_axes(target))
     found: Array = axes.T @ np.diag(target.moments_kg_m2) @ axes
     return found
 
@@ -68,7 +68,7 @@ def tumble(target: MovingTarget, rate: Array) -> np.record:
 
     Closed solution of Euler's equations: Landau and Lifshitz, Mechanics, 37.
     """
-    params, axes = new(rotating_frame.TUMBLE), quat.to_matrix(_principal_axes(target))
+    params, axes = new(rotating_frame.TUMBLE), quat.to_matrix(principal_axes(target))
     params.rotates = 1
     w, moments, change = axes @ rate, np.array(target.moments_kg_m2), np.empty(3)
     euler_acceleration(moments, w, change)
@@ -111,6 +111,7 @@ def start_attitude(scenario: Scenario, q_HI: Array, w_HI_H: Array) -> tuple[Arra
     return q, w
 
 
-def _principal_axes(target: MovingTarget) -> Array:
+def principal_axes(target: MovingTarget) -> Array:
+    """Return the quaternion from the body axes of a target to its principal ones."""
     found: Array = euler.to_quaternion(np.radians(target.principal_axes_deg), euler.YAW_PITCH_ROLL)
     return found

@@ -13,11 +13,11 @@ from hil.config.load import load_scenario
 from hil.config.target import MovingTarget
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.target_attitude import TARGET_ATTITUDE, euler_acceleration, limit_cycle, tumble
+from hil.dynamics.target_attitude import TARGET_ATTITUDE, limit_cycle, tumble
 from hil.dynamics.truth import TRUTH_MEMORY
 from hil.maths import euler, quat
 from hil.maths.elliptic import jacobi_into
-from hil.models.rotating_frame import tumble_rate
+from hil.models.rotating_frame import euler_acceleration, tumble_rate
 from hil.params import dynamics as dynamics_params
 from hil.params import target as target_params
 

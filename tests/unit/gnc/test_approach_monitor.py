@@ -15,6 +15,7 @@ from hil.gnc.approach_monitor import (
     CLOSING_RATE,
     CORRIDOR,
     ENCODERS,
+    FIRING,
     GO,
     GO_CHECK,
     LEVEL,
@@ -230,6 +231,17 @@ def test_go_requires_a_level_within_table_iii_and_the_encoders(
     if lacks != GO:
         assert go.value == pytest.approx(max(level_m if lacks == LEVEL else abs(off_m), 0.017))
         assert go.value > go.limit > 0.0
+
+
+@pytest.mark.parametrize(("firing_degps", "lacks"), [(0.099, GO), (0.101, FIRING)])
+def test_go_requires_smallest_firings_that_leave_room_for_the_rate(
+    params: np.record, firing_degps: float, lacks: int
+) -> None:
+    watch, navigation, go = new(SUPERVISION), seen((0.4, 0.0, 0.0)), new(GO_CHECK)
+    go.firing[2] = math.radians(firing_degps)
+    check(params, 1.0, navigation, line(), 0, 1, watch, go)
+    assert math.isnan(watch.ready_since_s) == (lacks != GO)
+    assert (go.lacks, go.axis if lacks else 0) == (lacks, 11 if lacks else 0)
 
 
 @pytest.mark.parametrize(("r", "outside"), [((5.0, 0.1, 0.0), 0), ((5.8, 0.0, 0.0), 1), ((5.0, 0.5, 0.0), 1)])

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.config.load import load_scenario
 from hil.core.messages import IMU, REFERENCE, new
-from hil.gnc import body_frame, fusion
+from hil.gnc import body_frame, fusion, target_motion
 from hil.gnc.akf import AKF_STATE
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import FILTER_ERRORS, FILTERS
@@ -44,6 +44,7 @@ def test_filter_follows_a_free_point_without_poses() -> None:
     filters = state.filters
     filters.akf.x[:4], filters.akf.x[4:] = [0.0, 0.0, 0.0, 1.0], params.akf.initial_drift
     filters.p[:15, :15] = np.diag(np.repeat([1e-6, 1e-8], [9, 6]))
+    target_motion.start(params.orbit, params.errors, 0.0, filters.parameters)
     w, aside = np.empty(3), np.empty(3)
     tumble_rate(known_tumble(SCENARIO, 0.0), 0.0, w, aside)
     r = np.array([0.9, -0.2, 0.3])
@@ -91,7 +92,7 @@ def test_feed_forward_keeps_a_rigid_body_on_the_axes() -> None:
     tumble_rate(tumble, 7.0, w, dw)
     reference = new(REFERENCE)
     reference.r_CT_H = [0.9, 0.0, 0.0]
-    body_frame.feed_forward(tumble, 7.0, inertia, np.array([0.0, 0.0, 0.0, 1.0]), rest, rest, reference, out)
+    body_frame.feed_forward(w, dw, inertia, np.array([0.0, 0.0, 0.0, 1.0]), rest, rest, reference, out)
     torque = out[3:] * np.diag(inertia)
     np.testing.assert_allclose(np.linalg.solve(inertia, torque - np.cross(w, inertia @ w)), dw, atol=1e-15)
     np.testing.assert_allclose(

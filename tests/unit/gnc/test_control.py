@@ -319,3 +319,75 @@ def test_feedback_leaves_to_feed_forward_what_is_owed(params: np.record) -> None
     navigation.r_CT_H[0] = -0.4 * 20.0 * pulse
     control(params, navigation, held(), new(FEED_FORWARD), command)
     assert command.force[0] == 0
+
+
+STRONG = 0.04  # rad/s^2 about x: 0.046 deg/s in a cycle, 0.14 deg/s in three
+
+
+class SteadyAxis:
+    """Rotation about x that rotating axes accelerate all the time, with thrusters whose smallest firing is large."""
+
+    def __init__(self, scenario: Scenario, sustained: float, cycles: int) -> None:
+        self.params = gnc_params.control(scenario, gnc_params.allocation(scenario.chaser)[1])
+        self.params.acceleration[3:] = STRONG
+        self.navigation, self.feed, self.command = seen(), new(FEED_FORWARD), new(COMMAND)
+        self.navigation.sigma_attitude_rad = 1e-4
+        self.feed.acceleration[3], self.feed.rotates = sustained, 1
+        self.feed.pulse_s, self.feed.extra_s = cycles * DT, (cycles - 1) * DT
+        self.least, self.sustained = cycles, sustained
+        self.angle, self.rate, self.open = 0.0, 0.0, 0.0
+
+    def fly(self, seconds: float) -> tuple[np.ndarray, np.ndarray, list[int]]:
+        """Return angles, rates and demands; a valve stays open for ``least`` cycles."""
+        angles, rates, demands, left = [], [], [], 0
+        for _ in range(round(seconds / DT)):
+            self.navigation.q_CH = Rotation.from_rotvec([self.angle, 0.0, 0.0]).as_quat()
+            self.navigation.w_CH_C[0] = self.rate
+            control(self.params, self.navigation, held(), self.feed, self.command)
+            demand = int(self.command.torque[0])
+            demands.append(demand)
+            if demand != 0:
+                self.open, left = float(demand), max(left, self.least) if left == 0 else left
+            self.rate += DT * (STRONG * (self.open if left > 0 else 0.0) - self.sustained)
+            left = max(0, left - 1)
+            self.angle += DT * self.rate
+            angles.append(self.angle)
+            rates.append(self.rate)
+        return np.degrees(angles), np.degrees(rates), demands
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_sustained_acceleration_is_fired_in_pulses_of_its_own_sign_that_also_correct(
+    scheme_1: Scenario, sign: float
+) -> None:
+    axis = SteadyAxis(scheme_1, sign * math.radians(0.02), 2)
+    axis.angle = math.radians(0.15)
+    pulse = math.degrees(2.0 * STRONG * DT)
+    axis.fly(60.0)
+    angles, rates, demands = axis.fly(120.0)
+    assert {*demands} == {0, round(sign)}
+    assert np.abs(rates).max() < 0.75 * pulse  # half of it, and what corrections add
+    assert np.abs(angles).max() < 0.2
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_sustained_acceleration_is_fired_against_by_single_smallest_firings(scheme_1: Scenario, sign: float) -> None:
+    axis = SteadyAxis(scheme_1, sign * math.radians(0.02), 1)
+    axis.rate = sign * math.radians(0.15)
+    _, rates, demands = axis.fly(3.0)
+    fired = np.flatnonzero(demands)
+    assert np.diff(fired).min() > 1
+    assert abs(rates[-1]) < 0.05
+
+
+def test_large_smallest_firing_waits_until_the_rate_has_grown_against_it(scheme_1: Scenario) -> None:
+    axis = SteadyAxis(scheme_1, 0.0, 2)
+    pulse = math.degrees(2.0 * STRONG * DT)
+    limit = 0.1
+    assert 0.7 * limit < pulse < limit
+    axis.angle, axis.rate = math.radians(0.2), math.radians(0.01)
+    angles, rates, demands = axis.fly(30.0)
+    first = demands.index(-1)
+    assert not any(demands[:first])
+    assert 0.25 <= angles[first] <= 0.41  # of the tolerance of 0.5 deg
+    assert np.abs(rates).max() < limit

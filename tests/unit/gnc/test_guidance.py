@@ -10,7 +10,7 @@ import pytest
 from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import REFERENCE, new
-from hil.gnc.guidance import GUIDANCE_STATE, advance, reference, start, start_abort
+from hil.gnc.guidance import GUIDANCE_STATE, HOLDS_HOLD, advance, reference, start, start_abort
 from hil.maths import euler, quat
 from hil.models.profile import along_line, duration
 from hil.params import gnc as gnc_params
@@ -190,3 +190,17 @@ def test_slew_ends_at_its_attitude_which_stays_in_an_abort() -> None:
     at(params, other, 5.0)
     start_abort(params, other, 5.0, params.start, np.zeros(3))
     np.testing.assert_allclose(at(params, other, 9.0).q_CH, turning.q_CH, atol=1e-12)
+
+
+def test_hold_goes_on_until_it_may_end_and_the_next_phase_begins_then() -> None:
+    params = listed(
+        'sequence=["stay", "approach"]', "phases.stay.kind='hold'", "phases.stay.duration_s=10.0"
+    )  # fmt: skip
+    state = begun(params)
+    np.testing.assert_array_equal(at(params, state, 25.0, held=HOLDS_HOLD).v_CT_H, 0.0)
+    assert state.phase == 0
+    at(params, state, 30.0)
+    assert (state.phase, state.since_s) == (1, 30.0)
+    punctual = begun(params)
+    at(params, punctual, 10.01)
+    assert (punctual.phase, punctual.since_s) == (1, 10.0)

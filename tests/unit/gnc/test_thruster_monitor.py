@@ -97,6 +97,23 @@ def test_impulse_of_the_shortest_firing_is_measured(chaser: MonitoredChaser, giv
         assert chaser.state.pulse_s == pytest.approx(given * STEP_S, rel=0.05)
 
 
+def test_shortest_firing_of_a_chaser_that_accelerates_all_the_time_is_measured(chaser: MonitoredChaser) -> None:
+    push, turn, given = [0, 4], [8, 13], 3.0  # along x, about y
+    for cycle in range(1000):
+        chaser._on[:] = 0
+        thrust = {}
+        for pair, every, first in ((push, 8, 0), (turn, 25, 3)):
+            age = (cycle - first) % every
+            chaser._on[pair] = age == 0
+            thrust |= dict.fromkeys(pair, 1.0 if age < given else 0.0)
+        chaser.state.busy = 1
+        chaser.cycle(thrust, wanted=None)
+    assert chaser.state.firings == 0
+    found = thruster_monitor.shortest_firing(chaser.params, chaser.state, True)
+    np.testing.assert_allclose(found, [given * STEP_S, (given - 1.0) * STEP_S], rtol=0.05)
+    assert thruster_monitor.shortest_firing(chaser.params, chaser.state, False)[0] < 2.0 * STEP_S
+
+
 @pytest.mark.parametrize("thruster", range(N))
 def test_thruster_stuck_open_is_found_within_a_second(chaser: MonitoredChaser, thruster: int) -> None:
     for _ in range(50):
