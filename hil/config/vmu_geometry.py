@@ -30,6 +30,9 @@ class VmuCamera(ConfigModel):
     """Image height."""
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1 k2 p1 p2 k3, in OpenCV's order."""
+    row_time_s: Annotated[float, Field(ge=-1e-3, le=1e-3)] = 0.0
+    """From the exposure of an image row to that of the next one below, of a rolling shutter; negative if they are read
+    upwards, 0 with a global shutter. The time of an image is that of its middle row."""
 
 
 class Sensor(ConfigModel):
@@ -73,7 +76,7 @@ class Tolerances(ConfigModel):
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
-    leds_m: Annotated[tuple[Triple, ...], Field(min_length=3, max_length=8)]
+    leds_m: Annotated[tuple[Triple, ...], Field(min_length=3, max_length=32)]
     """LEDs in the frame of the ring, t."""
     left: VmuCamera
     """Left camera."""

@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.camera_images import Shape
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import RingScene
-from hil.vmu.kernels.refine import place
+from hil.vmu.kernels.refine import place_when_seen
 from hil.vmu.pose import matrix_of
 from hil.vmu.unit import PREDICTED, SUSPECT, Solution
 
@@ -74,7 +74,7 @@ def _leds(scene: RingScene, solution: Solution, camera: int) -> list[Shape]:
     r, arm, point = matrix_of(solution.pose.q_vt), np.empty(3), np.empty(3)
     found: list[Shape] = []
     for led in scene.leds:
-        place(scene.rotation[camera], scene.translation[camera], r, solution.pose.t_v, led, arm, point)
+        place_when_seen(scene, camera, led, r, solution.pose.t_v, arm, point)
         u, v = project(scene.lens[camera], point[0], point[1], point[2])
         if math.isfinite(u + v) and max(abs(u), abs(v)) < _FARTHEST_PX:
             found.append({"kind": "cross", "at": _at(u, v), "good": True, "part": LED})

@@ -29,7 +29,7 @@ from hil.vmu.identify import (
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import SPOT, RingScene, View
-from hil.vmu.kernels.refine import place
+from hil.vmu.kernels.refine import place_when_seen
 from hil.vmu.pose import Prediction, Solver, SolverSettings
 from hil.vmu.reflections import Doubt, reflection
 from hil.vmu.track import Track, TrackSettings
@@ -204,7 +204,7 @@ class VisionUnit:
         scene, arm, point = self.solver.scene, np.empty(3), np.empty(3)
         spots = np.zeros(len(scene.leds), SPOT)
         for spot, led in zip(spots, scene.leds, strict=True):
-            place(scene.rotation[camera], scene.translation[camera], r, t, led, arm, point)
+            place_when_seen(scene, camera, led, r, t, arm, point)
             spot["u"], spot["v"] = project(scene.lens[camera], point[0], point[1], point[2])
             spot["var_u"] = spot["var_v"] = 0.01
         return spots

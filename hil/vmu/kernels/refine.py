@@ -17,6 +17,7 @@ from hil.maths.arrays import copy_into, copy_matrix
 from hil.vmu.kernels.lens import project, project_slopes
 
 _STEPS = 30
+_ROW_STEPS = 3
 _SMALL = 1e-8  # square of a step in sigmas, at convergence
 
 
@@ -38,6 +39,31 @@ def place(rotation, translation, r, t, led, arm, point):
     x, y, z = arm[0] + t[0], arm[1] + t[1], arm[2] + t[2]
     for i in range(3):
         point[i] = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + translation[i]
+
+
+@kernel
+def place_when_seen(scene, c, led, r, t, arm, point):
+    """Write as ``place`` for camera ``c``, the LED where it is as its row is exposed; return how long after the image, s.
+
+    With a rolling shutter the row depends on the motion and the motion on the row: two steps leave 1e-4 px.
+    """
+    place(scene.rotation[c], scene.translation[c], r, t, led, arm, point)
+    if scene.row_s[c] == 0.0:
+        return 0.0
+    later, moved, w = 0.0, np.empty(3), scene.rates
+    for _ in range(_ROW_STEPS):
+        _, v = project(scene.lens[c], point[0], point[1], point[2])
+        if not math.isfinite(v):
+            return later
+        later = scene.row_s[c] * (v - 0.5 * (scene.lens[c].height - 1.0))
+        moved[0] = arm[0] + t[0] + later * (w[0] + w[4] * arm[2] - w[5] * arm[1])
+        moved[1] = arm[1] + t[1] + later * (w[1] + w[5] * arm[0] - w[3] * arm[2])
+        moved[2] = arm[2] + t[2] + later * (w[2] + w[3] * arm[1] - w[4] * arm[0])
+        for i in range(3):
+            point[i] = scene.translation[c, i]
+            for j in range(3):
+                point[i] += scene.rotation[c, i, j] * moved[j]
+    return later
 
 
 @kernel
@@ -68,7 +94,7 @@ def accumulate(scene, view, spot, r, t, normal, gradient):
             if k < 0:
                 continue
             measured = view.spots[c, k]
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
@@ -100,7 +126,7 @@ def chi_square(scene, view, spot, r, t):
             if k < 0:
                 continue
             measured = view.spots[c, k]
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):

@@ -11,8 +11,8 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.vmu.kernels.lens import project
-from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
-from hil.vmu.kernels.refine import jacobian, place
+from hil.vmu.kernels.records import MAX_SPOTS
+from hil.vmu.kernels.refine import jacobian, place_when_seen
 
 _FEWEST = 6  # spots
 _LEAST_PX2 = 0.004  # 1 sigma of an elongation: sums of pixels, texture, a lens that is not round
@@ -39,8 +39,9 @@ def doubled_lights(scene, view, fit):
     explains the elongations.
     """
     arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
-    e, apart, turned = np.empty((2 * MAX_LEDS, 2)), np.empty((2 * MAX_LEDS, 2)), np.empty((2 * MAX_LEDS, 2, 2))
-    along, weight = np.empty(2 * MAX_LEDS), np.empty(2 * MAX_LEDS)
+    most = 2 * scene.leds.shape[0]
+    e, apart, turned = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2, 2))
+    along, weight = np.empty(most), np.empty(most)
     mean, weights = np.zeros(2), 0.0
     m, rear = 0, -np.inf
     for n in range(scene.leds.shape[0]):
@@ -50,7 +51,7 @@ def doubled_lights(scene, view, fit):
             k = fit.spot[c, n]
             if k < 0 or not math.isfinite(view.spots[c, k].elongation[0]):
                 continue
-            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
             for i in range(2):
                 apart[m, i] = j[i, 0] * fit.r[0, 2] + j[i, 1] * fit.r[1, 2] + j[i, 2] * fit.r[2, 2]
@@ -134,7 +135,7 @@ def plate_shows(scene, view, fit):
                     led[0], led[1], led[2] = scene.leds[n, 0], scene.leds[n, 1], scene.leds[n, 2]
                     if end == 1:
                         led[2] += 2.0 * (rear + plate - led[2])
-                    place(scene.rotation[c], scene.translation[c], fit.r, fit.t, led, arm, point)
+                    place_when_seen(scene, c, led, fit.r, fit.t, arm, point)
                     image[end, 0], image[end, 1] = project(scene.lens[c], point[0], point[1], point[2])
                 away = math.hypot(image[1, 0] - image[0, 0], image[1, 1] - image[0, 1])
                 reach = min(_ACROSS_PX + _LEANING * away, 0.5 * away)  # not the light of the LED itself
