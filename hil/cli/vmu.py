@@ -207,7 +207,7 @@ def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float)
     wait_s = 0.5 / rate_hz  # poses are not due at once
     settings = VisionCameras(left=cameras[0], right=cameras[1], pair_within_s=0.1 / rate_hz, pair_wait_s=wait_s)
     vmu = Vmu.model_validate({"driver": "cameras", "cameras": settings, "rate_hz": rate_hz, "timeout_s": 2.0})
-    return CameraPairs(vmu, [(camera.width, camera.height) for camera in (geometry.left, geometry.right)])
+    return CameraPairs(vmu, geometry)
 
 
 def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:

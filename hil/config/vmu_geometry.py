@@ -30,9 +30,10 @@ class VmuCamera(ConfigModel):
     """Image height."""
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1 k2 p1 p2 k3, in OpenCV's order."""
-    row_time_s: Annotated[float, Field(ge=-1e-3, le=1e-3)] = 0.0
-    """From the exposure of an image row to that of the next one below, of a rolling shutter; negative if they are read
-    upwards, 0 with a global shutter. The time of an image is that of its middle row."""
+    row_time_s: Annotated[float, Field(ge=-1e-3, le=1e-3)] | None = None
+    """From the exposure of an image row to that of the next one below, of a rolling shutter; negative if rows are read
+    upwards. The time of an image is that of its middle row. Default: a global shutter, of cameras that report no other.
+    """
 
 
 class Sensor(ConfigModel):

@@ -237,7 +237,7 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
         np.int64,
     )
     tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
-    rows_s = np.array([geometry.left.row_time_s, geometry.right.row_time_s])
+    rows_s = np.array([geometry.left.row_time_s or 0.0, geometry.right.row_time_s or 0.0])
     found = RingScene(
         pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2), rows_s,
         _USUAL_MOTION.rates, _USUAL_MOTION.covariance,

@@ -370,6 +370,8 @@ def weigh(scene, view, density, clean, fit):
         if not math.isfinite(cost):
             return
         away = abs(distance_of(fit.t) / before - 1.0)
+        if scene.row_s[0] != 0.0 or scene.row_s[1] != 0.0:  # a large part of the residuals is shared, by the tilt too
+            away = _NEAR
         if turn < 2:
             fit.misfit = cost
             usual = degrees <= 0.0 or cost <= degrees + _USUAL_SIGMA * math.sqrt(2.0 * degrees)

@@ -88,9 +88,10 @@ class RingScene(NamedTuple):
     camera in front, 1 or -1; 0 if it depends on the pose. tolerance: (24 + 3 n, 24 + 3 n), covariance of the considered
     parameters: fx fy cx cy k1 k2 p1 p2 k3 of the left and of the right camera, small rotation of the right one about
     its axes, its position, positions of the LEDs. floors: (k,), px, floors of a spot's error, ascending. slack: (2,),
-    px^2, variance per camera that gates and search add to a spot's. row_s: (2,), s, from the exposure of a row to that of
-    the next, 0 with a global shutter; the middle row is exposed at the time of the image. rates, rates_covariance: (6,),
-    (6, 6), velocity of the target and rotation rate about v's axes, m/s, rad/s, with which LEDs move between the rows.
+    px^2, variance per camera that gates and search add to a spot's. row_s: (2,), s, from the exposure of a row to
+    that of the next, 0 with a global shutter; the middle row is exposed at the time of the image. rates: (6,), m/s,
+    rad/s, velocity and rotation rate of the target about v's axes, with which the LEDs move between the rows.
+    rates_covariance: (6, 6).
     """
 
     lens: np.ndarray
