@@ -57,7 +57,7 @@ class CameraServer:
 
     @property
     def shutter(self) -> str:
-        """The camera's shutter, empty if it does not say."""
+        """The camera's shutter, empty without one."""
         return self._camera.shutter
 
     def run(self, parent: Parent) -> None:

@@ -51,7 +51,7 @@ class SolverSettings:
     """
 
     near_m: float = 0.2
-    far_m: float = 25.0
+    far_m: float = 40.0
     steepest_deg: float = 70.0
     reach_px: float = 1.5
     decisive: float = 8.0

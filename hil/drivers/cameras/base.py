@@ -46,7 +46,7 @@ class Camera(Protocol):
 
     @property
     def shutter(self) -> str:
-        """The camera's ``SensorShutterMode`` (SFNC): Global, Rolling, GlobalReset; empty if it does not say."""
+        """The camera's ``SensorShutterMode`` (SFNC): Global, Rolling, GlobalReset; empty without one."""
 
     def start(self) -> None:
         """Start the acquisition."""

@@ -70,7 +70,7 @@ class NodeMap:
 
     @property
     def shutter(self) -> str:
-        """The camera's shutter, empty if it does not say."""
+        """The camera's shutter, empty without one."""
         return str(self._attribute(SHUTTER, "Value")) if self.has(SHUTTER) else ""
 
     def set_exposure(self, exposure_s: float) -> None:

@@ -49,7 +49,7 @@ class CameraProcesses:
         self.skipped = 0
         """Frames that were overwritten before they were read."""
         self.shutters: dict[str, str] = {}
-        """Shutters of the cameras by their names, empty for one that does not say."""
+        """Shutters of the cameras by their names, empty for one that reports none."""
         self._rings = [frame_ring(size) for size in sizes]
         try:
             for (name, identifier), size, ring in zip(cameras.items(), sizes, self._rings, strict=True):

@@ -42,7 +42,7 @@ class V4l2Camera:
 
     @property
     def shutter(self) -> str:
-        """See ``Camera``: V4L2 does not say."""
+        """See ``Camera``: V4L2 reports none."""
         return ""
 
     def start(self) -> None:
