@@ -104,7 +104,7 @@ def test_time_that_runs_backwards_begins_a_new_track(unit: VisionUnit, rng: np.r
 
 
 def test_a_flat_ring_keeps_its_identity_while_its_tilt_is_open(rng: np.random.Generator) -> None:
-    """Head-on from afar a frame has a position alone; close by the tilt shows, and the LEDs are still the right ones."""
+    """Head-on from afar a frame has a position alone; close by the tilt shows, and the LEDs are still the same."""
     unit, said = VisionUnit(ring(raised_m=0.0)), []
     for k in range(45):
         truth = Truth(np.array([0.1, 0.01, 8.0 - 0.14 * k]), np.array([0.01, 0.02, 0.3 + 0.005 * k]))
