@@ -72,7 +72,7 @@ class Identifier:
         self._solver = solver
         self._settings: SolverSettings = solver.settings
         self._marked = marked_led
-        self._slack = max(float(solver.scene.slack.max()) - OPTICS_PX**2, 0.0)
+        self._slack = max(float(solver.slack.max()) - OPTICS_PX**2, 0.0)
 
     def tracked(self, view: View, prediction: Prediction) -> LedIdentification | None:
         """Return the identification by the prediction's gates only, None if a search is needed."""

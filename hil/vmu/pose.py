@@ -51,7 +51,7 @@ class SolverSettings:
     """
 
     near_m: float = 0.2
-    far_m: float = 40.0
+    far_m: float = 32.0
     steepest_deg: float = 70.0
     reach_px: float = 1.5
     decisive: float = 8.0
@@ -80,6 +80,11 @@ class TargetMotion:
     rates: Array
     covariance: Array
 
+    @property
+    def table(self) -> Array:
+        """Rates, and below their covariance, (7, 6)."""
+        return np.vstack([self.rates, self.covariance])
+
 
 _USUAL_MOTION = TargetMotion(
     np.array([0.0, 0.0, _USUAL_RANGE_M]), np.zeros(6), np.diag([_USUAL_MPS**2] * 3 + [_USUAL_RADPS**2] * 3)
@@ -93,6 +98,10 @@ class Solver:
         self.settings = settings
         self.scene = scene_of(geometry, settings)
         self._still, self._sync_s = self.scene.tolerance, geometry.tolerances.sync_s
+        moving = _with_motion(self.scene, self._still, self._sync_s, _USUAL_MOTION)
+        self.slack = _slack(self.scene._replace(tolerance=moving))
+        """Variance per camera, px^2, that gates and search add to a spot's, (2,)."""
+        self._rolling = bool(self.scene.lens["row_s"].any())
         self.consider_motion(None)
         self.normal_t = thin_axis(self.scene.leds)
         self.centre_t = np.asarray(self.scene.leds.mean(axis=0))
@@ -114,11 +123,13 @@ class Solver:
 
         A target that moves between them is one at rest for a right camera that moves the other way.
         """
+        if not (self._sync_s or self._rolling):
+            return
         motion = motion or _USUAL_MOTION
         if self._sync_s:
             self.scene = self.scene._replace(tolerance=_with_motion(self.scene, self._still, self._sync_s, motion))
-        if self.scene.row_s.any():
-            self.scene = self.scene._replace(rates=motion.rates, rates_covariance=motion.covariance)
+        if self._rolling:
+            self.scene = self.scene._replace(motion=motion.table)
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
@@ -129,7 +140,7 @@ class Solver:
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
             for k, index in enumerate(chosen):
-                fill_spot_ray(self.scene.lens[c], self.scene.slack[c], spots[index], rays[c, k])
+                fill_spot_ray(self.scene.lens[c], self.slack[c], spots[index], rays[c, k])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
         return View(rays, counts, order)
@@ -237,13 +248,8 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
         np.int64,
     )
     tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
-    rows_s = np.array([geometry.left.row_time_s or 0.0, geometry.right.row_time_s or 0.0])
-    found = RingScene(
-        pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2), rows_s,
-        _USUAL_MOTION.rates, _USUAL_MOTION.covariance,
-    )  # fmt: skip
-    moving = found._replace(tolerance=_with_motion(found, tolerance, geometry.tolerances.sync_s, _USUAL_MOTION))
-    return found._replace(slack=_slack(moving))
+    moved = _USUAL_MOTION.table
+    return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, moved)
 
 
 def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMotion) -> Array:

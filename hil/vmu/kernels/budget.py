@@ -28,7 +28,7 @@ from hil.maths.record_view import copy_record
 from hil.vmu.kernels.lens import in_image, lens_slopes, project
 from hil.vmu.kernels.match import assign, chi_square_limit, count, keep_assigned
 from hil.vmu.kernels.records import MAX_LEDS, SHARED
-from hil.vmu.kernels.refine import jacobian, place_when_seen, rotate
+from hil.vmu.kernels.refine import jacobian, place, place_in_row, place_when_seen, rotate
 
 _STEPS = 20
 _SMALL = 1e-6  # square of a step in sigmas, at convergence
@@ -58,7 +58,9 @@ def residuals(scene, view, spot, r, t, which, residual, jac):
             k = spot[c, n]
             if k < 0:
                 continue
-            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
+            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if not (math.isfinite(u) and math.isfinite(v)):
                 return -1
@@ -96,7 +98,9 @@ def shared_slopes(scene, r, t, c, n, out):
     """
     arm, point = np.empty(3), np.empty(3)
     slopes, j, inner = np.empty((2, 3)), np.empty((2, 6)), np.empty((2, 9))
-    place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
+    place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+    if scene.lens[c].row_s != 0.0:
+        place_in_row(scene, c, t, arm, point)
     lens_slopes(scene.lens[c], point[0] / point[2], point[1] / point[2], inner)
     jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
     for i in range(2):
@@ -135,7 +139,7 @@ def add_motion(scene, r, t, which, m, shared):
         for b in range(6):
             row[b] = 0.0
             for a in range(6):
-                row[b] += moved[k, a] * scene.rates_covariance[a, b]
+                row[b] += moved[k, a] * scene.motion[1 + a, b]
         for q in range(k + 1):
             total = 0.0
             for a in range(6):
@@ -171,7 +175,7 @@ def fill_shared(scene, r, t, which, m, shared):
                         total += row[columns[q, a]] * slopes[q, j, a]
                     shared[2 * k + i, 2 * q + j] = total
                     shared[2 * q + j, 2 * k + i] = total
-    if scene.row_s[0] != 0.0 or scene.row_s[1] != 0.0:
+    if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0:
         add_motion(scene, r, t, which, m, shared)
 
 
@@ -370,7 +374,9 @@ def weigh(scene, view, density, clean, fit):
         if not math.isfinite(cost):
             return
         away = abs(distance_of(fit.t) / before - 1.0)
-        if scene.row_s[0] != 0.0 or scene.row_s[1] != 0.0:  # a large part of the residuals is shared, by the tilt too
+        if (
+            scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0
+        ):  # a large part of the residuals is shared, by the tilt too
             away = _NEAR
         if turn < 2:
             fit.misfit = cost
@@ -470,7 +476,9 @@ def add_lights(scene, view, density, fit):
             if fit.spot[c, n] >= 0:
                 fit.score -= math.log(density[c])
                 continue
-            place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
+            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, fit.t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if in_image(scene.lens[c], u, v, _EDGE_PX):
                 fit.unseen += 1

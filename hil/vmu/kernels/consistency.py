@@ -27,7 +27,7 @@ def add_information(scene, view, fit, floor_square, information, product):
     most = 4 * scene.leds.shape[0]
     which, columns = np.empty((most // 2, 2), np.int64), np.empty(18, np.int64)
     residual, jac, slopes = np.empty(most), np.empty((most, 12)), np.empty((2, 18))
-    nuisance = 12 if scene.row_s[0] != 0.0 or scene.row_s[1] != 0.0 else 6
+    nuisance = 12 if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0 else 6
     m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
     if m < 4:
         return 0

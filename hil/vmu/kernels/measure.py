@@ -192,12 +192,11 @@ def measure(image, label, name, queue, component, level, dark, per_level, limits
         return count
     hot = mark_hot(image, label, queue, component, background, deviation)
     patch = np.empty((component[V1] - component[V0] + 1, component[U1] - component[U0] + 1))
-    single = np.empty_like(patch)
-    sum_patch(image, label, component, background, patch, single)
+    sum_patch(image, label, component, background, patch)
     if hot > 0 and patch.max() < 3.0 * limits.sigmas * deviation:
         return count
     peaks = np.empty((MOST_PEAKS, 2), dtype=np.int64)
-    found = find_peaks(patch, single, label, name, component, dark, per_level, peaks)
+    found = find_peaks(patch, image, background, label, name, component, dark, per_level, peaks)
     if found == 0:
         return count
     p = np.empty(PLANE + POINT * found)

@@ -36,11 +36,8 @@ def mark_hot(image, label, queue, component, background, deviation):
 
 
 @kernel
-def sum_patch(image, label, component, background, patch, single):
-    """Write the sums of 3 x 3 above the background over the component's box to ``patch``; bad pixels count as zero.
-
-    single: of the same shape, the pixels above the background; bad ones are infinite.
-    """
+def sum_patch(image, label, component, background, patch):
+    """Write the sums of 3 x 3 above the background over the component's box to ``patch``; bad pixels count as zero."""
     for i in range(patch.shape[0]):
         for j in range(patch.shape[1]):
             v, u = component[V0] + i, component[U0] + j
@@ -50,8 +47,6 @@ def sum_patch(image, label, component, background, patch, single):
                     if label[a, b] != BAD:
                         total += image[a, b] - background
             patch[i, j] = total
-            v, u = component[V0] + i, component[U0] + j
-            single[i, j] = np.inf if label[v, u] == BAD else image[v, u] - background
 
 
 @kernel
@@ -76,19 +71,24 @@ def _dip(patch, i, j, k, m):
 
 
 @kernel
-def _dips(values, i, j, k, m, dark, per_level, portion):
-    """Return whether ``values`` between a peak i, j and a brighter one k, m dip by ``portion`` and five sigma."""
-    dip = _dip(values, i, j, k, m)
-    here = values[i, j]
-    return dip < (1.0 - portion) * here and here - dip > 5.0 * math.sqrt(dark + per_level * max(here, 0.0))
+def _pixels_dip(image, label, background, i, j, k, m, dark, per_level):
+    """Return whether the pixels between a peak i, j and a brighter one k, m of the image dip by a third and 5 sigma."""
+    here, least = image[i, j] - background, np.inf
+    steps = 2 * max(abs(k - i), abs(m - j))
+    for n in range(1, steps):
+        part = n / steps
+        v, u = round(i + part * (k - i)), round(j + part * (m - j))
+        if label[v, u] != BAD:
+            least = min(least, image[v, u] - background)
+    return label[i, j] != BAD and least < 0.67 * here and here - least > 5.0 * math.sqrt(dark + per_level * here)
 
 
 @kernel
-def find_peaks(patch, single, label, name, component, dark, per_level, peaks):
+def find_peaks(patch, image, background, label, name, component, dark, per_level, peaks):
     """Write the positions (row, column of ``patch``) of up to len(peaks) lights, brightest first; return how many.
 
-    patch, single: from ``sum_patch``. A second light counts only if the sums between it and a brighter one dip by a
-    sixth and five sigma, or the single pixels, which the sums blur, by a third.
+    patch: from ``sum_patch``. A second light counts only if the sums between it and a brighter one dip by a sixth and
+    five sigma, or the pixels of the image, which the sums blur, by a third.
     """
     count = 0
     before = np.inf
@@ -102,13 +102,15 @@ def find_peaks(patch, single, label, name, component, dark, per_level, peaks):
         if at_i < 0 or not best > 0.05 * patch.max():
             break
         before = best
-        apart = True
+        sigma = math.sqrt(9.0 * dark + per_level * best)
+        apart, v0, u0 = True, component[V0], component[U0]
         for k in range(count):
             to_i, to_j = peaks[k, 0], peaks[k, 1]
-            apart = apart and (
-                _dips(patch, at_i, at_j, to_i, to_j, 9.0 * dark, per_level, 0.17)
-                or (single[at_i, at_j] < np.inf and _dips(single, at_i, at_j, to_i, to_j, dark, per_level, 0.33))
-            )
+            dip = _dip(patch, at_i, at_j, to_i, to_j)
+            if not (dip < 0.83 * best and best - dip > 5.0 * sigma):
+                apart = apart and _pixels_dip(
+                    image, label, background, v0 + at_i, u0 + at_j, v0 + to_i, u0 + to_j, dark, per_level
+                )
         if apart:
             peaks[count, 0], peaks[count, 1] = at_i, at_j
             count += 1

@@ -42,20 +42,14 @@ def place(rotation, translation, r, t, led, arm, point):
 
 
 @kernel
-def place_when_seen(scene, c, led, r, t, arm, point):
-    """Write as ``place`` for camera ``c`` with the LED where it is as its row is exposed; return how much later, s.
-
-    Later than the image. With a rolling shutter row and motion depend on each other: three steps leave 1e-5 px.
-    """
-    place(scene.rotation[c], scene.translation[c], r, t, led, arm, point)
-    if scene.row_s[c] == 0.0:
-        return 0.0
-    later, moved, w = 0.0, np.empty(3), scene.rates
+def place_in_row(scene, c, t, arm, point):
+    """Move the LED at ``point`` (3,), with ``arm``, to where it is as its row is exposed; return how much later, s."""
+    later, moved, w = 0.0, np.empty(3), scene.motion[0]
     for _ in range(_ROW_STEPS):
         _, v = project(scene.lens[c], point[0], point[1], point[2])
         if not math.isfinite(v):
             return later
-        later = scene.row_s[c] * (v - 0.5 * (scene.lens[c].height - 1.0))
+        later = scene.lens[c].row_s * (v - 0.5 * (scene.lens[c].height - 1.0))
         moved[0] = arm[0] + t[0] + later * (w[0] + w[4] * arm[2] - w[5] * arm[1])
         moved[1] = arm[1] + t[1] + later * (w[1] + w[5] * arm[0] - w[3] * arm[2])
         moved[2] = arm[2] + t[2] + later * (w[2] + w[3] * arm[1] - w[4] * arm[0])
@@ -64,6 +58,16 @@ def place_when_seen(scene, c, led, r, t, arm, point):
             for j in range(3):
                 point[i] += scene.rotation[c, i, j] * moved[j]
     return later
+
+
+@kernel
+def place_when_seen(scene, c, led, r, t, arm, point):
+    """Write as ``place`` for camera ``c`` with the LED where it is as its row is exposed; return how much later, s.
+
+    Later than the image. With a rolling shutter row and motion depend on each other: three steps leave 1e-5 px.
+    """
+    place(scene.rotation[c], scene.translation[c], r, t, led, arm, point)
+    return 0.0 if scene.lens[c].row_s == 0.0 else place_in_row(scene, c, t, arm, point)
 
 
 @kernel
@@ -94,7 +98,9 @@ def accumulate(scene, view, spot, r, t, normal, gradient):
             if k < 0:
                 continue
             measured = view.spots[c, k]
-            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
+            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
@@ -126,7 +132,9 @@ def chi_square(scene, view, spot, r, t):
             if k < 0:
                 continue
             measured = view.spots[c, k]
-            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
+            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):

@@ -13,7 +13,7 @@ from hil.core.jit import kernel
 from hil.vmu.kernels.budget import fill_shared, fill_weights, normal_equations, residuals, whiten
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import MAX_SPOTS
-from hil.vmu.kernels.refine import jacobian, place_when_seen
+from hil.vmu.kernels.refine import jacobian, place, place_in_row
 
 _FEWEST = 6  # spots
 _LEAST_PX2 = 0.004  # 1 sigma of an elongation: sums of pixels, texture, a lens that is not round
@@ -54,7 +54,9 @@ def doubled_lights(scene, view, fit, shift):
             k = fit.spot[c, n]
             if k < 0 or not math.isfinite(view.spots[c, k].elongation[0]):
                 continue
-            place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
+            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, fit.t, arm, point)
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
             for i in range(2):
                 apart[m, i] = j[i, 0] * fit.r[0, 2] + j[i, 1] * fit.r[1, 2] + j[i, 2] * fit.r[2, 2]
@@ -149,7 +151,9 @@ def plate_shows(scene, view, fit):
                     led[0], led[1], led[2] = scene.leds[n, 0], scene.leds[n, 1], scene.leds[n, 2]
                     if end == 1:
                         led[2] += 2.0 * (rear + plate - led[2])
-                    place_when_seen(scene, c, led, fit.r, fit.t, arm, point)
+                    place(scene.rotation[c], scene.translation[c], fit.r, fit.t, led, arm, point)
+                    if scene.lens[c].row_s != 0.0:
+                        place_in_row(scene, c, fit.t, arm, point)
                     image[end, 0], image[end, 1] = project(scene.lens[c], point[0], point[1], point[2])
                 away = math.hypot(image[1, 0] - image[0, 0], image[1, 1] - image[0, 1])
                 reach = min(_ACROSS_PX + _LEANING * away, 0.5 * away)  # not the light of the LED itself

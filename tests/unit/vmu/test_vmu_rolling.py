@@ -49,7 +49,7 @@ def test_rates_of_the_track_move_the_leds_between_the_rows() -> None:
         tally.add(unit.solve(*scene.pair(truth.turn, truth.t_v, rng), PERIOD_S * k), truth, 0.0)
     assert tally.solved == 9, tally.line()
     assert np.abs(tally.ratios).max() < 4.5, tally.line()
-    off = unit.solver.scene.rates - np.concatenate([scene.speed, scene.rate])
+    off = unit.solver.scene.motion[0] - np.concatenate([scene.speed, scene.rate])
     assert np.abs(off).max() < 0.1
 
 
