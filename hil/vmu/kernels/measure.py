@@ -23,7 +23,7 @@ LIMITS = np.dtype(
     align=True,
 )
 
-MOST_PEAKS = 9
+MOST_PEAKS = 16
 _MOST_STEPS = 12
 _NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a light is no round Gaussian
 _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
