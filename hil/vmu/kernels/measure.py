@@ -28,7 +28,7 @@ _MOST_STEPS = 12
 _NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a light is no round Gaussian
 _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
-_BESIDE_PX = 1.5  # of a second light from the first
+_APART_PX = 1.5  # of a second light from the first
 _LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
 
@@ -86,7 +86,7 @@ def disc_start(p, disc):
 
 @kernel
 def pair_start(box, p, pixels, weighed, dark, per_level, model, light, pair):
-    """Write initial parameters of two lights: the point or disc ``p``, and one where most light is left over beside it.
+    """Write initial parameters of two lights: the point or disc ``p``, and one where it leaves most light.
 
     Return False if no light is left over.
     """
@@ -94,7 +94,7 @@ def pair_start(box, p, pixels, weighed, dark, per_level, model, light, pair):
     best, u, v, flux = _LEFT_OVER, 0.0, 0.0, 0.0
     for i in range(1, down - 1):
         for j in range(1, across - 1):
-            if math.hypot(box[0] + j - p[PLANE + U], box[1] + i - p[PLANE + V]) < _BESIDE_PX:
+            if math.hypot(box[0] + j - p[PLANE + U], box[1] + i - p[PLANE + V]) < _APART_PX:
                 continue
             excess, variance = 0.0, 0.0
             for a in range(i - 1, i + 2):
@@ -119,7 +119,7 @@ def are_two_lights(pair):
     """Return whether two points of light (11,) are apart, of one blur, and none is a halo of the other."""
     du, dv = pair[PLANE + POINT + U] - pair[PLANE + U], pair[PLANE + POINT + V] - pair[PLANE + V]
     part, alike = pair[PLANE + POINT] / pair[PLANE], pair[PLANE + POINT + SIGMA] / pair[PLANE + SIGMA]
-    return du * du + dv * dv > _BESIDE_PX**2 and 0.03 < part < 30.0 and 0.7 < alike < 1.4
+    return du * du + dv * dv > _APART_PX**2 and 0.03 < part < 30.0 and 0.7 < alike < 1.4
 
 
 @kernel
