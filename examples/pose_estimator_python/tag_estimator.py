@@ -1,4 +1,4 @@
-"""Pose estimator for hil: three AprilTags on a board, in two calibrated cameras, jointly by least squares."""
+"""Pose estimator for hil: five AprilTags on a board, in two calibrated cameras, jointly by least squares."""
 
 import cv2
 import numpy as np
@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from hil.vmu.boards import refined
 from hil.vmu.estimators import FlatTarget, PoseEstimate
 
-TAGS = {0: (0.06, 0.0), 1: (0.18, -0.14), 2: (0.18, 0.14)}  # number: side and x of the centre, m
-CORNER_PX, CALIBRATION_PX, PER_M = 0.1, 0.05, 3000
+TAGS = {0: (0.06, 0.0), 1: (0.14, -0.12), 2: (0.14, 0.12), 3: (0.36, -0.42), 4: (0.36, 0.42)}  # number: side, x, m
+CORNER_PX, CALIBRATION_PX, PER_M, SIZE_M = 0.1, 0.05, 3000, (1.3, 0.5)
 
 
 class BoardEstimator:
@@ -23,13 +23,15 @@ class BoardEstimator:
             for c in (geometry.left, geometry.right)
         ]
         self.turn, self.base = Rotation.from_rotvec(geometry.right_rotation_rad).inv(), np.array(geometry.baseline_m)
-        picture, self.points = np.full((750, 1500), 255, np.uint8), np.zeros((12, 3))
+        wide, high = (round(PER_M * size) for size in SIZE_M)
+        picture, self.points = np.full((high, wide), 255, np.uint8), np.zeros((4 * len(TAGS), 3))
         for k, (side, x) in TAGS.items():
             square = 0.5 * side * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
             self.points[4 * k : 4 * k + 4] = square + np.array([x, 0.0, 0.0])
-            u, v, pixels = round(750 + PER_M * (x - 0.5 * side)), round(375 - PER_M * 0.5 * side), round(PER_M * side)
+            pixels = round(PER_M * side)
+            u, v = (wide - pixels) // 2 + round(PER_M * x), (high - pixels) // 2
             picture[v : v + pixels, u : u + pixels] = tags.generateImageMarker(k, pixels)
-        self.board = FlatTarget(picture, 1500 / PER_M, 750 / PER_M)
+        self.board = FlatTarget(picture, *SIZE_M)
 
     def warm_up(self):
         """OpenCV compiles nothing."""

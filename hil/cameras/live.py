@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
 
 from hil.config.rig import Vmu
+from hil.config.vmu_geometry import VmuGeometry
 from hil.core.clock import Clock, WallClock
 from hil.core.messages import PoseFrame
+from hil.drivers.cameras.base import SHUTTER
 from hil.drivers.cameras.pairing import FramePair, TimedFrame
-from hil.drivers.cameras.processes import vision_cameras, vision_pairing
+from hil.drivers.cameras.processes import CameraProcesses, vision_cameras, vision_pairing
+from hil.errors import DeviceError
 from hil.vmu.estimators import PoseEstimator, solve_pair
 from hil.vmu.sources import Pair
 
@@ -28,12 +31,13 @@ _OLDEST_S: Final = 2.0  # no image takes longer from exposure to arrival
 class LiveVision:
     """Solves the frames of two cameras; times are bench time.
 
-    A pair of which one image is missing or incomplete is solved from the other one. ``counters`` are those of a run's
-    ``vision`` (docs/reference/wire-formats.md).
+    A pair of which one image is missing or incomplete is solved from the other one. middle_row_s: from the exposure of
+    the first row, which the cameras stamp, to that of the middle row, for which the pose holds. ``counters`` are those
+    of a run's ``vision`` (docs/reference/wire-formats.md).
     """
 
-    def __init__(self, estimator: PoseEstimator, vmu: Vmu) -> None:
-        self._estimator = estimator
+    def __init__(self, estimator: PoseEstimator, vmu: Vmu, middle_row_s: float = 0.0) -> None:
+        self._estimator, self._middle_row_s = estimator, middle_row_s
         estimator.warm_up()
         self._rate_hz, self._only_noise = vmu.rate_hz, vmu.covariance == "noise"
         self._pairing = vision_pairing(vmu)
@@ -74,7 +78,7 @@ class LiveVision:
             if images[0] is None and images[1] is None:
                 self._counts["lost"] += 1
                 continue
-            solution = solve_pair(self._estimator, images[0], images[1], t_s)
+            solution = solve_pair(self._estimator, images[0], images[1], t_s + self._middle_row_s)
             frame = solution.frame(self._counter & 0xFFFF_FFFF, math.nan, self._only_noise)
             if frame is None:
                 self._counts["no_pose"] += 1
@@ -100,18 +104,51 @@ class LiveVision:
         return found
 
 
+def middle_row_s(geometry: VmuGeometry) -> float:
+    """Return the time from the exposure of a rolling shutter's first row to that of its middle row."""
+    cameras = (geometry.left, geometry.right)
+    return sum(0.25 * abs(camera.row_time_s or 0.0) * (camera.height - 1) for camera in cameras)
+
+
+def sized_cameras(vmu: Vmu, geometry: VmuGeometry, clock: WallClock) -> CameraProcesses:
+    """Return the cameras of ``[vmu.cameras]`` for images as in ``geometry``. Raises DeviceError that names a camera."""
+    sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
+    cameras = vision_cameras(vmu, sizes, clock)
+    try:
+        check_shutters(cameras.shutters, geometry)
+    except DeviceError:
+        cameras.close()
+        raise
+    return cameras
+
+
+def check_shutters(shutters: Mapping[str, str], geometry: VmuGeometry) -> None:
+    """Raise DeviceError for a camera with a rolling shutter whose row time the geometry file does not state.
+
+    shutters: of ``vmu.left`` and ``vmu.right``, as the cameras report them.
+    """
+    for name, shutter in shutters.items():
+        side = name.rpartition(".")[2]
+        if shutter.startswith("Rolling") and getattr(geometry, side).row_time_s is None:
+            raise DeviceError(
+                name,
+                f"has a rolling shutter ({SHUTTER} = {shutter}), and the geometry file no row time: state "
+                f'{side}.row_time_s, s, from one row to the next, or set features.{SHUTTER} = "Global"',
+            )
+
+
 class CameraPairs:
     """Pairs of two cameras with software triggers, numbered by their triggers from the first one on, until ``close``.
 
-    vmu: with the cameras; sizes: (width, height) of their images, px. The first pairs are missing: cameras need some
+    vmu: with the cameras; geometry: theirs. The first pairs are missing: cameras need some
     exposures until their clocks are known. Raises DeviceError that names the camera.
     """
 
-    def __init__(self, vmu: Vmu, sizes: Sequence[tuple[int, int]]) -> None:
+    def __init__(self, vmu: Vmu, geometry: VmuGeometry) -> None:
         self._clock = WallClock(time.monotonic_ns())
         self._pairing = vision_pairing(vmu)
         self._rate_hz = vmu.rate_hz
-        self._cameras = vision_cameras(vmu, sizes, self._clock)
+        self._cameras = sized_cameras(vmu, geometry, self._clock)
 
     def __iter__(self) -> Iterator[Pair]:
         first: int | None = None

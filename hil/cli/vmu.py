@@ -52,6 +52,8 @@ COLUMNS = (
     *(f"sigma_{name}" for name in _POSE),
     "epipolar_px",
     "scale",
+    *(f"sight_{axis}" for axis in "xyz"),
+    "sigma_sight_rad",
     "doubt",
 )
 _START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
@@ -204,7 +206,7 @@ def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float)
     wait_s = 0.5 / rate_hz  # poses are not due at once
     settings = VisionCameras(left=cameras[0], right=cameras[1], pair_within_s=0.1 / rate_hz, pair_wait_s=wait_s)
     vmu = Vmu.model_validate({"driver": "cameras", "cameras": settings, "rate_hz": rate_hz, "timeout_s": 2.0})
-    return CameraPairs(vmu, [(camera.width, camera.height) for camera in (geometry.left, geometry.right)])
+    return CameraPairs(vmu, geometry)
 
 
 def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:
@@ -239,11 +241,13 @@ def row(frame: int, solution: Solution) -> dict[str, Any]:
     """Return the row of ``solution`` under COLUMNS; nan without a pose."""
     import numpy as np
 
-    values, sigmas = np.full(6, math.nan), np.full(6, math.nan)
+    values, sigmas = np.full(6, math.nan), np.sqrt(np.diag(solution.covariance))
+    values[:3] = solution.t
     if solution.pose is not None:
-        values = np.concatenate([solution.pose.t_v, solution.pose.rotation_vector])
-        sigmas = np.sqrt(np.diag(solution.pose.covariance))
-    numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale)]
+        values[3:] = solution.pose.rotation_vector
+    partial = solution.partial
+    sight = [math.nan] * 4 if partial is None else [*partial.sight, partial.sight_sigma_rad]
+    numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale, *sight)]
     head = (frame, f"{solution.t_s:.6f}", solution.status, solution.n_leds)
     doubt = "" if solution.doubt is None else str(solution.doubt)
     return dict(zip(COLUMNS, (*head, *numbers, doubt), strict=True))

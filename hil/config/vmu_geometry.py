@@ -30,6 +30,10 @@ class VmuCamera(ConfigModel):
     """Image height."""
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1 k2 p1 p2 k3, in OpenCV's order."""
+    row_time_s: Annotated[float, Field(ge=-1e-3, le=1e-3)] | None = None
+    """From the exposure of an image row to that of the next one below, of a rolling shutter; negative if rows are read
+    upwards. The time of an image is that of its middle row. Default: a global shutter, of cameras that report no other.
+    """
 
 
 class Sensor(ConfigModel):
@@ -73,7 +77,7 @@ class Tolerances(ConfigModel):
 class VmuGeometry(ConfigModel):
     """Target and cameras of a vision unit."""
 
-    leds_m: Annotated[tuple[Triple, ...], Field(min_length=3, max_length=8)]
+    leds_m: Annotated[tuple[Triple, ...], Field(min_length=3, max_length=32)]
     """LEDs in the frame of the ring, t."""
     left: VmuCamera
     """Left camera."""

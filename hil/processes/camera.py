@@ -55,6 +55,11 @@ class CameraServer:
         self._ended = threading.Event()
         self._failures: list[DeviceError] = []
 
+    @property
+    def shutter(self) -> str:
+        """The camera's shutter, empty without one."""
+        return self._camera.shutter
+
     def run(self, parent: Parent) -> None:
         """Serve until the parent ends. Raises DeviceError."""
         if self._brightness is not None:
@@ -132,7 +137,7 @@ def main() -> None:
         camera_type(settings_of(parent.configuration).interface)
         take_fifo(FIFO_PRIORITY - 5)  # after the imports, which fill a core; before the library starts its threads
         server = CameraServer(parent.configuration)
-        parent.send(ready=True)
+        parent.send(ready=True, shutter=server.shutter)
         server.run(parent)
     except DeviceError as error:
         parent.send(failure=[type(error).__name__, error.device, error.what])

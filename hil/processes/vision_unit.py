@@ -11,14 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from hil.cameras.live import LiveVision
+from hil.cameras.live import LiveVision, middle_row_s, sized_cameras
 from hil.cameras.pose_sensor import estimator_of_unit, geometry_of_unit
 from hil.config.rig import Vmu
 from hil.core.child_process import Parent
 from hil.core.clock import WallClock
 from hil.core.messages import VMU_FRAME
 from hil.core.realtime import drop_priority, limit_fifo, take_fifo
-from hil.drivers.cameras.processes import vision_cameras
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.server import FIFO_PRIORITY
 from hil.drivers.vmu import NAME
@@ -38,10 +37,9 @@ def main() -> None:
     vmu = Vmu.model_validate(configuration["vmu"], strict=False)
     clock = WallClock(configuration["epoch_ns"], configuration["speed"])
     geometry = geometry_of_unit(vmu)
-    sizes = [(camera.width, camera.height) for camera in (geometry.left, geometry.right)]
     try:
-        vision = LiveVision(estimator_of_unit(vmu), vmu)
-        cameras = vision_cameras(vmu, sizes, clock)
+        vision = LiveVision(estimator_of_unit(vmu), vmu, middle_row_s(geometry))
+        cameras = sized_cameras(vmu, geometry, clock)
     except BadInput as error:
         parent.send(failure=["DeviceError", NAME, str(error)])
         return

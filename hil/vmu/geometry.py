@@ -18,6 +18,7 @@ def lenses(*cameras: VmuCamera) -> np.ndarray:
     for record, camera in zip(found, cameras, strict=True):
         for name in ("fx", "fy", "cx", "cy", "width", "height"):
             record[name] = getattr(camera, name)
+        record["row_s"] = camera.row_time_s or 0.0
         for name, value in zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=True):
             record[name] = value
     return found

@@ -41,6 +41,7 @@ _SHIFTED = 4.5  # sigmas between the two images
 _APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
 _OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
 _SECOND = 4  # LEDs, all of other lights, that make a second pattern
+_RANDOM = 1.0  # ln of the number of patterns by other lights up to which a position is reported
 _LIGHTS = 4  # in an image in which as many LEDs should be seen
 _EDGE_PX = 4.0
 _EPIPOLAR_PX = 3.0
@@ -53,7 +54,7 @@ class LedIdentification:
 
     on_track: all candidates of an ``ambiguous`` one continue the track, whose identification holds; only the tilt is
     ambiguous. jump: the status is ``ambiguous`` only because the single pose that fits, the first candidate, does not
-    continue a mature track.
+    continue a mature track. open: another pose than the candidates may be the true one.
     """
 
     status: str
@@ -61,6 +62,7 @@ class LedIdentification:
     candidates: Sequence[np.void] = ()
     on_track: bool = False
     jump: bool = False
+    open: bool = False
 
 
 class Identifier:
@@ -70,7 +72,7 @@ class Identifier:
         self._solver = solver
         self._settings: SolverSettings = solver.settings
         self._marked = marked_led
-        self._slack = max(float(solver.scene.slack.max()) - OPTICS_PX**2, 0.0)
+        self._slack = max(float(solver.slack.max()) - OPTICS_PX**2, 0.0)
 
     def tracked(self, view: View, prediction: Prediction) -> LedIdentification | None:
         """Return the identification by the prediction's gates only, None if a search is needed."""
@@ -131,9 +133,11 @@ class Identifier:
             if (apart := self._apart(view, fits, alone.fit)) != OK:
                 return LedIdentification(apart, candidates=alone.candidates)
             if not all_kept and int(alone.fit["points"]) < 2 * len(self._solver.scene.leds) - 1:
-                alone = LedIdentification(AMBIGUOUS, candidates=alone.candidates)  # another one may not have been tried
+                alone = LedIdentification(
+                    AMBIGUOUS, candidates=alone.candidates, open=True
+                )  # of one that was not tried
             elif len(second := self._second_pattern(view, alone.candidates[0])):
-                alone = LedIdentification(AMBIGUOUS, candidates=[*alone.candidates, *second])
+                alone = LedIdentification(AMBIGUOUS, candidates=[*alone.candidates, *second], open=True)
         elif (apart := self._apart(view, fits, alone.candidates[0])) != OK:
             alone = LedIdentification(apart, candidates=alone.candidates)
         if prediction is None or (alone.fit is not None and not mature):
@@ -150,6 +154,23 @@ class Identifier:
         ):
             return tracked
         return LedIdentification(AMBIGUOUS, candidates=[alone.fit], jump=True)
+
+    def partly(self, view: View, found: LedIdentification) -> bool:
+        """Return whether one of the candidates of ``found`` is the true pose, so that what they agree on is known.
+
+        The lights have to be those of the LEDs: hardly any of another pattern, none that the best candidate leaves out
+        near it, and none at all with three LEDs, which other lights may be as well.
+        """
+        if found.open or found.jump or not found.candidates or not fits_within_budget(found.candidates[0]):
+            return False
+        best = found.candidates[0]
+        used = (best["spot"] >= 0).sum(axis=1)
+        if self._log_false_alarms(view, best, None) > _RANDOM or used.min() < 2:
+            return False
+        if (best["spot"] >= 0).any(axis=0).sum() < _SECOND:
+            return bool((used == view.counts).all())
+        strays = any(self._near_strays(view, [k for k in best["spot"][c] if k >= 0], c) for c in range(2))
+        return not strays and not len(self._second_pattern(view, best))
 
     def _second_pattern(self, view: View, best: np.void) -> np.ndarray:
         """Return the poses of at least four LEDs by the lights that ``best`` does not use, (n,) of FIT.

@@ -11,7 +11,7 @@ import numpy as np
 from hil.core.camera_images import Shape
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import RingScene
-from hil.vmu.kernels.refine import place
+from hil.vmu.kernels.refine import place_when_seen
 from hil.vmu.pose import matrix_of
 from hil.vmu.unit import PREDICTED, SUSPECT, Solution
 
@@ -24,7 +24,9 @@ _FARTHEST_PX: Final = 1e5
 _WHITE, _GREY, _GREEN, _AMBER, _RED, _BLUE = (
     (255, 255, 255), (150, 150, 150), (90, 220, 90), (60, 180, 255), (80, 80, 255), (255, 170, 80),
 )  # fmt: skip
-_COLOURS: Final = {"ok": _GREEN, "predicted": _AMBER, "suspect": _AMBER, "ambiguous": _AMBER}
+_COLOURS: Final = {"ok": _GREEN} | dict.fromkeys(
+    ("predicted", "suspect", "ok_position", "ok_sight", "ambiguous"), _AMBER
+)
 _CAPTION_COLOURS: Final = {VALUE: _WHITE, NOTE: _GREY}
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ARM_PX: Final = 5
@@ -51,6 +53,10 @@ def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
         found.append((f"r  {rotation[0]:+.3f} {rotation[1]:+.3f} {rotation[2]:+.3f} deg", VALUE))
         s = np.degrees(sigma[3:])
         found.append((f"sigma {s[0]:.4f} {s[1]:.4f} {s[2]:.4f} deg", NOTE))
+    elif solution.partial is not None:
+        t, sigma = solution.t, np.sqrt(np.diag(solution.covariance))
+        found.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m, no attitude", VALUE))
+        found.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", NOTE))
     if solution.doubt is not None:
         found.append((str(solution.doubt), NOTE))
     if solution.degrees:
@@ -74,7 +80,7 @@ def _leds(scene: RingScene, solution: Solution, camera: int) -> list[Shape]:
     r, arm, point = matrix_of(solution.pose.q_vt), np.empty(3), np.empty(3)
     found: list[Shape] = []
     for led in scene.leds:
-        place(scene.rotation[camera], scene.translation[camera], r, solution.pose.t_v, led, arm, point)
+        place_when_seen(scene, camera, led, r, solution.pose.t_v, arm, point)
         u, v = project(scene.lens[camera], point[0], point[1], point[2])
         if math.isfinite(u + v) and max(abs(u), abs(v)) < _FARTHEST_PX:
             found.append({"kind": "cross", "at": _at(u, v), "good": True, "part": LED})

@@ -51,7 +51,7 @@ class SolverSettings:
     """
 
     near_m: float = 0.2
-    far_m: float = 25.0
+    far_m: float = 32.0
     steepest_deg: float = 70.0
     reach_px: float = 1.5
     decisive: float = 8.0
@@ -80,6 +80,16 @@ class TargetMotion:
     rates: Array
     covariance: Array
 
+    @property
+    def table(self) -> Array:
+        """Rates, and below their covariance, (7, 6)."""
+        return np.vstack([self.rates, self.covariance])
+
+
+_USUAL_MOTION = TargetMotion(
+    np.array([0.0, 0.0, _USUAL_RANGE_M]), np.zeros(6), np.diag([_USUAL_MPS**2] * 3 + [_USUAL_RADPS**2] * 3)
+)
+
 
 class Solver:
     """Scene and scratch memory of one vision unit."""
@@ -88,6 +98,10 @@ class Solver:
         self.settings = settings
         self.scene = scene_of(geometry, settings)
         self._still, self._sync_s = self.scene.tolerance, geometry.tolerances.sync_s
+        moving = _with_motion(self.scene, self._still, self._sync_s, _USUAL_MOTION)
+        self.slack = _slack(self.scene._replace(tolerance=moving))
+        """Variance per camera, px^2, that gates and search add to a spot's, (2,)."""
+        self._rolling = bool(self.scene.lens["row_s"].any())
         self.consider_motion(None)
         self.normal_t = thin_axis(self.scene.leds)
         self.centre_t = np.asarray(self.scene.leds.mean(axis=0))
@@ -98,19 +112,24 @@ class Solver:
         self._search.gate_px = 2.0 * settings.reach_px
         self._search.normal, self._search.centre = self.normal_t, self.centre_t
         self._starts = np.zeros(_REMEMBERED + 1, FIT)
+        self._starts["spot"] = -1
         self._fits = np.zeros(_FITS + 1, FIT)
         self._settled = np.zeros(_FITS + 1, FIT)
         self._state = np.zeros(STATE_WIDTH, np.int64)
         self._turns = list(ring_turns(self.scene.leds, self.normal_t))
 
     def consider_motion(self, motion: TargetMotion | None) -> None:
-        """Set the target's motion between the exposures of both cameras; None: unknown, of usual rates.
+        """Set the target's motion between the exposures of cameras and rows; None: unknown, of usual rates.
 
         A target that moves between them is one at rest for a right camera that moves the other way.
         """
-        if not self._sync_s:
+        if not (self._sync_s or self._rolling):
             return
-        self.scene = self.scene._replace(tolerance=_with_motion(self.scene, self._still, self._sync_s, motion))
+        motion = motion or _USUAL_MOTION
+        if self._sync_s:
+            self.scene = self.scene._replace(tolerance=_with_motion(self.scene, self._still, self._sync_s, motion))
+        if self._rolling:
+            self.scene = self.scene._replace(motion=motion.table)
 
     def view(self, left: np.ndarray, right: np.ndarray) -> View:
         """Return the spots (SPOT) of both images as rays; of more than MAX_SPOTS the brightest."""
@@ -121,7 +140,7 @@ class Solver:
             if len(spots) > MAX_SPOTS:
                 chosen = np.sort(np.argsort(spots["flux"])[::-1][:MAX_SPOTS])
             for k, index in enumerate(chosen):
-                fill_spot_ray(self.scene.lens[c], self.scene.slack[c], spots[index], rays[c, k])
+                fill_spot_ray(self.scene.lens[c], self.slack[c], spots[index], rays[c, k])
             counts[c] = len(chosen)
             order[c, : len(chosen)] = chosen
         return View(rays, counts, order)
@@ -229,20 +248,16 @@ def scene_of(geometry: VmuGeometry, settings: SolverSettings) -> RingScene:
         np.int64,
     )
     tolerance, floors = considered_covariance(geometry), spot_floors(geometry.tolerances.spot_px)
-    found = RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, np.zeros(2))
-    moving = found._replace(tolerance=_with_motion(found, tolerance, geometry.tolerances.sync_s, None))
-    return found._replace(slack=_slack(moving))
+    moved = _USUAL_MOTION.table
+    return RingScene(pair.lens, pair.rotation, pair.translation, leds, squares, sides, tolerance, floors, moved)
 
 
-def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMotion | None) -> Array:
+def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMotion) -> Array:
     """Return the covariance ``still`` of the considered parameters with the motion between the exposures added.
 
     With rates v, w of a target at t, and a right camera at b with axes R, the right image of ``sync_s`` later is that
     of a camera turned by ``-R.T w sync_s`` and at ``b + (w x (t - b) - v) sync_s``.
     """
-    motion = motion or TargetMotion(
-        np.array([0.0, 0.0, _USUAL_RANGE_M]), np.zeros(6), np.diag([_USUAL_MPS**2] * 3 + [_USUAL_RADPS**2] * 3)
-    )
     arm = motion.t_v + scene.rotation[1].T @ scene.translation[1]
     turn = np.array([[0.0, -arm[2], arm[1]], [arm[2], 0.0, -arm[0]], [-arm[1], arm[0], 0.0]])
     moved = np.block([[np.zeros((3, 3)), -scene.rotation[1]], [-np.eye(3), -turn]])

@@ -14,8 +14,8 @@ from hil.vmu.kernels.reflections import mirrored
 REFLECTION: Final = "reflection"
 DOUBLED: Final = "doubled_lights"
 
-_RATIO: Final = 2.5  # of variances with 18 or more degrees of freedom
-_ALLOWED: Final = 1.0  # sigma of the position along the ring's axis, by which the lights may be displaced
+_RATIO: Final = 1.6  # of variances with 18 or more degrees of freedom: real lenses stay below 1.5
+_ALLOWED: Final = 0.5  # sigma of a component of the pose, by which the lights may displace it
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,7 @@ class Doubt:
 
 def reflection(scene: RingScene, view: View, fit: np.void) -> Doubt | None:
     """Return the doubt if something shows that the LEDs of the pose ``fit`` are mirrored behind themselves."""
-    shows, depth, ratio = mirrored(scene, view, fit)
+    shows, depth, ratio, moved = mirrored(scene, view, fit)
     if shows:
         return Doubt(REFLECTION)
-    if not ratio > _RATIO:
-        return None
-    along = fit["r"][:, 2]
-    sigmas = depth / math.sqrt(along @ fit["covariance"][:3, :3] @ along)
-    return Doubt(DOUBLED, 1e3 * depth, "mm") if sigmas > _ALLOWED else None
+    return Doubt(DOUBLED, 1e3 * depth, "mm") if ratio > _RATIO and moved > _ALLOWED else None

@@ -29,7 +29,8 @@ from hil.vmu.identify import (
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import SPOT, RingScene, View
-from hil.vmu.kernels.refine import place
+from hil.vmu.kernels.refine import place_when_seen
+from hil.vmu.partial import PartialPose, partial_pose
 from hil.vmu.pose import Prediction, Solver, SolverSettings
 from hil.vmu.reflections import Doubt, reflection
 from hil.vmu.track import Track, TrackSettings
@@ -72,8 +73,9 @@ class Pose:
 class Solution:
     """Result of one stereo pair.
 
-    status: ``ok``, ``predicted``, ``suspect``, ``ambiguous``, ``too_few`` or ``rejected_<why>``. pose: with the first
-    three only.
+    status: ``ok``, ``predicted``, ``suspect``, ``ok_position``, ``ok_sight``, ``ambiguous``, ``too_few`` or
+    ``rejected_<why>``. pose: with the first three only. partial: with the next two only, which are no pose for the
+    bench.
     spots: SPOT of each image, as far as it was searched. leds: for each image, the index into spots of each
     LED, -1 for none. chi2, degrees: of the fit. candidates: number of remaining poses. epipolar_px: root mean square
     distance of the right spots from the epipolar lines of the left ones, NaN unless both images have spots of an LED.
@@ -93,11 +95,14 @@ class Solution:
     epipolar_px: float = math.nan
     scale: float = math.nan
     doubt: Doubt | None = None
+    partial: PartialPose | None = None
 
     @property
     def t(self) -> Array:
-        """Position of the target's frame t in the left camera's frame v, (3,), m; nan without a pose."""
-        return np.full(3, np.nan) if self.pose is None else self.pose.t_v
+        """Position of the target's frame t in the left camera's frame v, (3,), m; nan without pose and position."""
+        if self.pose is not None:
+            return self.pose.t_v
+        return np.full(3, np.nan) if self.partial is None or self.partial.t_v is None else self.partial.t_v
 
     @property
     def R(self) -> Array:
@@ -111,9 +116,15 @@ class Solution:
     def covariance(self) -> Array:
         """Covariance, (6, 6), of t and of the small rotation e about v's axes, ``R_est = exp([e]x) R_true``.
 
-        m^2, m rad, rad^2; nan without a pose.
+        m^2, m rad, rad^2; nan without a pose, infinite variances of e with a position alone.
         """
-        return np.full((6, 6), np.nan) if self.pose is None else self.pose.covariance
+        if self.pose is not None:
+            return self.pose.covariance
+        found = np.full((6, 6), np.nan)
+        if self.partial is not None and self.partial.covariance is not None:
+            found = np.diag(np.full(6, np.inf))
+            found[:3, :3] = self.partial.covariance
+        return found
 
     @property
     def n_leds(self) -> int:
@@ -204,7 +215,7 @@ class VisionUnit:
         scene, arm, point = self.solver.scene, np.empty(3), np.empty(3)
         spots = np.zeros(len(scene.leds), SPOT)
         for spot, led in zip(spots, scene.leds, strict=True):
-            place(scene.rotation[camera], scene.translation[camera], r, t, led, arm, point)
+            place_when_seen(scene, camera, led, r, t, arm, point)
             spot["u"], spot["v"] = project(scene.lens[camera], point[0], point[1], point[2])
             spot["var_u"] = spot["var_v"] = 0.01
         return spots
@@ -282,13 +293,12 @@ class VisionUnit:
                     self.track.update(t_s, widened(verdict.candidates))
                 else:
                     self.track.fail()
-                return Solution(
-                    t_s, AMBIGUOUS, None, spots, (self._none, self._none), candidates=len(verdict.candidates)
-                )
+                return self._partly(verdict, view, spots, t_s)
             if verdict.status in (NOT_TOGETHER, GEOMETRY_FILE):
                 self.track.fail()
                 return Solution(t_s, verdict.status, None, spots, (self._none, self._none))
-            return self._predicted(t_s, verdict.status, spots)
+            expected = self._predicted(t_s, verdict.status, spots)
+            return expected if expected.pose is not None else self._partly(verdict, view, spots, t_s)
         fit = with_strained_tolerances(verdict.fit)
         self.track.update(t_s, fit)
         doubt = reflection(self.solver.scene, view, fit)
@@ -311,6 +321,19 @@ class VisionUnit:
             t_s, status, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame, distance_px,
             scale, doubt,
         )  # fmt: skip
+
+    def _partly(
+        self, verdict: LedIdentification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float
+    ) -> Solution:
+        """Return the solution without a pose, with what all candidates agree on."""
+        known = partial_pose(verdict.candidates) if self._identifier.partly(view, verdict) else None
+        if known is not None and (
+            self._consistency.doubt or reflection(self.solver.scene, view, verdict.candidates[0])
+        ):
+            known = None
+        status = verdict.status if known is None else known.status
+        candidates = len(verdict.candidates) if verdict.status == AMBIGUOUS else 0
+        return Solution(t_s, status, None, spots, (self._none, self._none), candidates=candidates, partial=known)
 
     def _confirmed(self, verdict: LedIdentification, t_s: float) -> LedIdentification:
         """Return a jump off the track as ``ok`` once it has come several times in a row; the old track then ends."""

@@ -129,6 +129,11 @@ LOOKALIKE_ROWS = (
             expected=_MIRRORED)
         for depth, brightness in ((0.03, 0.4), (0.03, 0.2), (0.03, 0.6), (0.01, 0.4), (0.06, 0.4))
     ),
+    *(
+        Row(f"plate {100 * depth:.0f} cm behind, {100 * brightness:.0f} %, 6 to 12 m", VERY_GOOD,
+            mirror_behind(depth, brightness, 6.0, 12.0), expected=_MIRRORED)
+        for depth, brightness in ((0.03, 0.2), (0.01, 0.2), (0.03, 0.4))
+    ),
     Row("focal lengths 0.5 % longer, not stated", None, other_scale(focal=0.005), expected=Expectation(drawn=False)),
     Row("ring 0.5 % larger, not stated", None, other_scale(ring=0.005), expected=Expectation(drawn=False)),
 )  # fmt: skip

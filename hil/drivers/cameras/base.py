@@ -11,6 +11,7 @@ import numpy as np
 from hil.config.cameras import CameraInterface, CameraSettings, PixelFormat
 from hil.errors import DeviceError
 
+SHUTTER: Final = "SensorShutterMode"
 SIDES: Final = ("left", "right")
 BITS: Final[dict[PixelFormat, int]] = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 
@@ -42,6 +43,10 @@ class CameraFrame:
 
 class Camera(Protocol):
     """A camera that is open and set up; not thread-safe except for ``trigger``."""
+
+    @property
+    def shutter(self) -> str:
+        """The camera's ``SensorShutterMode`` (SFNC): Global, Rolling, GlobalReset; empty without one."""
 
     def start(self) -> None:
         """Start the acquisition."""

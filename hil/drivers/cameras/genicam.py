@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.cameras import CameraSettings
-from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
+from hil.drivers.cameras.base import BITS, SHUTTER, CameraFrame, CameraInfo, check_size, to_8_bits
 from hil.drivers.cameras.libaravis import AravisError, aravis
 from hil.errors import DeviceError, LinkLost
 
@@ -100,6 +100,16 @@ class GenicamCamera:
         names = [found[k].decode() for k in range(count.value)]
         if wanted not in names:
             raise DeviceError(self._name, f"{what} {wanted!r}: the camera has {', '.join(names) or 'none'}")
+
+    @property
+    def shutter(self) -> str:
+        """See ``Camera``."""
+        device = self._library.camera_get_device(self._camera)
+        try:
+            found: bytes | None = self._library.device_get_string_feature_value(device, SHUTTER.encode())
+        except AravisError:
+            return ""
+        return (found or b"").decode(errors="replace")
 
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""

@@ -56,6 +56,11 @@ class GentlCamera:
             self.close()
             raise
 
+    @property
+    def shutter(self) -> str:
+        """See ``Camera``."""
+        return self._nodes.shutter
+
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""
         with link_lost(self._name, self._errors, "acquisition"):

@@ -40,6 +40,7 @@ _FUNCTIONS: Final[dict[str, tuple[Any, list[Any]]]] = {
     "arv_camera_is_gv_device": (c_int, [c_void_p]),
     "arv_camera_get_device": (c_void_p, [c_void_p]),
     "arv_device_set_features_from_string": (c_int, [c_void_p, c_char_p, "error"]),
+    "arv_device_get_string_feature_value": (c_char_p, [c_void_p, c_char_p, "error"]),
     "arv_camera_get_sensor_size": (None, [c_void_p, _INT_P, _INT_P, "error"]),
     "arv_camera_set_region": (None, [c_void_p, c_int, c_int, c_int, c_int, "error"]),
     "arv_camera_get_region": (None, [c_void_p, _INT_P, _INT_P, _INT_P, _INT_P, "error"]),

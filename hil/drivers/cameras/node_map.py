@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 from hil.config.cameras import CameraSettings
-from hil.drivers.cameras.base import check_size
+from hil.drivers.cameras.base import SHUTTER, check_size
 from hil.errors import DeviceError, LinkLost
 
 _OFFSETS: Final = ("OffsetX", "OffsetY")
@@ -67,6 +67,11 @@ class NodeMap:
     def whole(self, feature: str, limit: str = "Value") -> int:
         """Return a whole number: the value of ``feature``, or its limit ``Max`` or ``Inc``."""
         return int(self._attribute(feature, limit))
+
+    @property
+    def shutter(self) -> str:
+        """The camera's shutter, empty without one."""
+        return str(self._attribute(SHUTTER, "Value")) if self.has(SHUTTER) else ""
 
     def set_exposure(self, exposure_s: float) -> None:
         """Set the exposure time."""

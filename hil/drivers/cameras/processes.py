@@ -48,6 +48,8 @@ class CameraProcesses:
         """Jumps of the cameras' clocks."""
         self.skipped = 0
         """Frames that were overwritten before they were read."""
+        self.shutters: dict[str, str] = {}
+        """Shutters of the cameras by their names, empty for one that reports none."""
         self._rings = [frame_ring(size) for size in sizes]
         try:
             for (name, identifier), size, ring in zip(cameras.items(), sizes, self._rings, strict=True):
@@ -68,8 +70,10 @@ class CameraProcesses:
                 self._children.append(
                     ChildProcess(f"{name} camera", "hil.processes.camera", configuration, descriptors)
                 )
-            for child in self._children:
-                raise_failure(child.wait_ready(_READY_WALL_S))
+            for camera, child in zip(cameras, self._children, strict=True):
+                ready = child.wait_ready(_READY_WALL_S)
+                raise_failure(ready)
+                self.shutters[camera] = ready["shutter"]
         except BaseException:
             self.close()
             raise

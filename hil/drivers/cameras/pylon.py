@@ -51,6 +51,11 @@ class PylonCamera:
             self.close()
             raise
 
+    @property
+    def shutter(self) -> str:
+        """See ``Camera``."""
+        return self._nodes.shutter
+
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""
         with link_lost(self._name, self._errors, "acquisition"):

@@ -40,6 +40,11 @@ class V4l2Camera:
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
 
+    @property
+    def shutter(self) -> str:
+        """See ``Camera``: V4L2 reports none."""
+        return ""
+
     def start(self) -> None:
         """Do nothing: the device runs when it is read."""
 

@@ -87,7 +87,7 @@ class FrameCodec:
         numbers: list[float] = []
         for field in self.frame.fields:
             given = field.value if field.name == "constant" else values.get(field.name, 0)
-            wraps = field.name in ("counter", "time")
+            wraps = field.name in ("counter", "time", "leds_left", "leds_right")
             each = _raw(np.broadcast_to(np.asarray(given, dtype=float), field.count), field)
             numbers += [_on_wire(float(value), field.type, wraps) for value in each]
         data = self.sync + self.body.pack(*numbers)
@@ -208,7 +208,7 @@ class FrameDecoder:
         q_vt = self._quaternion(values)
         if q_vt is None:
             return None
-        leds = [int(values[name][0]) & 0xFF if name in values else 0 for name in ("leds_left", "leds_right")]
+        leds = [int(values[name][0]) if name in values else 0 for name in ("leds_left", "leds_right")]
         covariance = self._covariance(values)
         return checked_pose(
             PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], STATUS_GOOD)

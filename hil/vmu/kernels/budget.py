@@ -28,9 +28,8 @@ from hil.maths.record_view import copy_record
 from hil.vmu.kernels.lens import in_image, lens_slopes, project
 from hil.vmu.kernels.match import assign, chi_square_limit, count, keep_assigned
 from hil.vmu.kernels.records import MAX_LEDS, SHARED
-from hil.vmu.kernels.refine import jacobian, place, rotate
+from hil.vmu.kernels.refine import jacobian, place, place_in_row, place_when_seen, rotate
 
-_MOST = 4 * MAX_LEDS  # residuals
 _STEPS = 20
 _SMALL = 1e-6  # square of a step in sigmas, at convergence
 _FITS = 4  # twice with the least floor, twice with an estimated one
@@ -60,6 +59,8 @@ def residuals(scene, view, spot, r, t, which, residual, jac):
             if k < 0:
                 continue
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if not (math.isfinite(u) and math.isfinite(v)):
                 return -1
@@ -98,6 +99,8 @@ def shared_slopes(scene, r, t, c, n, out):
     arm, point = np.empty(3), np.empty(3)
     slopes, j, inner = np.empty((2, 3)), np.empty((2, 6)), np.empty((2, 9))
     place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+    if scene.lens[c].row_s != 0.0:
+        place_in_row(scene, c, t, arm, point)
     lens_slopes(scene.lens[c], point[0] / point[2], point[1] / point[2], inner)
     jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
     for i in range(2):
@@ -113,6 +116,37 @@ def shared_slopes(scene, r, t, c, n, out):
             k += 6
         for a in range(3):
             out[i, k + a] = j[i, 0] * r[0, a] + j[i, 1] * r[1, a] + j[i, 2] * r[2, a]
+
+
+@kernel
+def motion_slopes(scene, r, t, c, n, out):
+    """Write the derivatives of LED n's pixel in camera c by the target's rates, through its row, to out (2, 6)."""
+    arm, point, slopes = np.empty(3), np.empty(3), np.empty((2, 3))
+    later = place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
+    jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, out)
+    for i in range(2):
+        for a in range(6):
+            out[i, a] *= later
+
+
+@kernel
+def add_motion(scene, r, t, which, m, shared):
+    """Add to ``shared`` that the rates are uncertain with which the LEDs move between the rows of a rolling shutter."""
+    moved, row = np.empty((2 * m, 6)), np.empty(6)
+    for k in range(m):
+        motion_slopes(scene, r, t, which[k, 0], which[k, 1], moved[2 * k : 2 * k + 2])
+    for k in range(2 * m):
+        for b in range(6):
+            row[b] = 0.0
+            for a in range(6):
+                row[b] += moved[k, a] * scene.motion[1 + a, b]
+        for q in range(k + 1):
+            total = 0.0
+            for a in range(6):
+                total += row[a] * moved[q, a]
+            shared[k, q] += total
+            if q < k:
+                shared[q, k] += total
 
 
 @kernel
@@ -141,6 +175,8 @@ def fill_shared(scene, r, t, which, m, shared):
                         total += row[columns[q, a]] * slopes[q, j, a]
                     shared[2 * k + i, 2 * q + j] = total
                     shared[2 * q + j, 2 * k + i] = total
+    if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0:
+        add_motion(scene, r, t, which, m, shared)
 
 
 @kernel
@@ -277,7 +313,7 @@ def estimate_floor(scene, view, fit, which, m, shared, low, residual, jac, flat_
     Else a floor would hide two images that do not belong together.
     """
     low6, best, floor = np.zeros((6, 6)), -np.inf, scene.floors[0]
-    free = np.empty((_MOST, _MOST))
+    free = np.empty((2 * m, 2 * m))
     for k in range(m):
         for q in range(m):
             added = _SHIFT_PX * _SHIFT_PX if which[k, 0] == 1 and which[q, 0] == 1 else 0.0
@@ -310,9 +346,10 @@ def weigh(scene, view, density, clean, fit):
     that explains no more and needs a much larger scale of its errors is not valid.
     """
     fit.valid = 0
-    which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
-    residual, jac = np.empty(_MOST), np.empty((_MOST, 6))
-    flat_residual, flat = np.empty(_MOST), np.empty((_MOST, 6))
+    most = 4 * scene.leds.shape[0]
+    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
+    residual, jac = np.empty(most), np.empty((most, 6))
+    flat_residual, flat = np.empty(most), np.empty((most, 6))
     normal, gradient, low6, column = np.empty((6, 6)), np.empty(6), np.zeros((6, 6)), np.empty(6)
     count(fit, scene.leds.shape[0])
     m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
@@ -337,6 +374,10 @@ def weigh(scene, view, density, clean, fit):
         if not math.isfinite(cost):
             return
         away = abs(distance_of(fit.t) / before - 1.0)
+        if (
+            scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0
+        ):  # a large part of the residuals is shared, by the tilt too
+            away = _NEAR
         if turn < 2:
             fit.misfit = cost
             usual = degrees <= 0.0 or cost <= degrees + _USUAL_SIGMA * math.sqrt(2.0 * degrees)
@@ -362,7 +403,7 @@ def weigh(scene, view, density, clean, fit):
 @kernel
 def write_noise(view, fit, which, m, low, flat):
     """Write the part of the pose's covariance that the noise of the spots causes, ``K N K.T``."""
-    gain, part = np.empty((_MOST, 6)), np.zeros((6, 6))
+    gain, part = np.empty((2 * m, 6)), np.zeros((6, 6))
     for a in range(6):
         for k in range(2 * m - 1, -1, -1):  # S^-1 J = L^-T (L^-1 J)
             s = flat[k, a]
@@ -392,7 +433,7 @@ def write_shift(fit, which, m, shared, view, residual, jac):
     The mean residual of the right image minus that of the left one: large if the images are not of one moment, or the
     cameras are not those of the calibration. Zero with fewer than two spots in one image.
     """
-    side = np.empty(2 * MAX_LEDS)
+    side = np.empty(m)
     totals = np.zeros(2)
     for k in range(m):
         totals[which[k, 0]] += 1.0
@@ -436,6 +477,8 @@ def add_lights(scene, view, density, fit):
                 fit.score -= math.log(density[c])
                 continue
             place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, fit.t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if in_image(scene.lens[c], u, v, _EDGE_PX):
                 fit.unseen += 1
@@ -445,9 +488,10 @@ def add_lights(scene, view, density, fit):
 @kernel
 def worst_spot(scene, view, fit, where):
     """Write camera and LED of the spot whose removal lowers chi-square most to where (2,); return by how much."""
-    which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
-    residual, jac = np.empty(_MOST), np.empty((_MOST, 6))
-    flat_residual, flat, inverse = np.empty(_MOST), np.empty((_MOST, 6)), np.zeros((_MOST, _MOST))
+    most = 4 * scene.leds.shape[0]
+    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
+    residual, jac = np.empty(most), np.empty((most, 6))
+    flat_residual, flat, inverse = np.empty(most), np.empty((most, 6)), np.zeros((most, most))
     m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
     if m < 3:
         return 0.0
@@ -582,8 +626,9 @@ def chi_square_growth(scene, view, fit, direction, sigmas):
     direction: (6,), one sigma of the pose along an axis of its covariance. 1 if the problem is linear up to there, so
     that the covariance is valid.
     """
-    which, shared, low = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty((_MOST, _MOST)), np.zeros((_MOST, _MOST))
-    residual, jac, flat_residual = np.empty(_MOST), np.empty((_MOST, 6)), np.empty(_MOST)
+    most = 4 * scene.leds.shape[0]
+    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
+    residual, jac, flat_residual = np.empty(most), np.empty((most, 6)), np.empty(most)
     r, t, e = np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(3):
         t[i] = fit.t[i] + sigmas * direction[i]

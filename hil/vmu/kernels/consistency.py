@@ -3,6 +3,7 @@
 The residuals of a fit are ``B p + J x + n``: p, the considered parameters (``budget``), x the error of the pose, n the
 noise. With the pose eliminated, ``M = W - W J (J.T W J)^-1 J.T W`` and ``W`` the inverse of the noise's covariance, the
 information about p is ``B.T M B``, and ``B.T M residual`` its product with the estimate.
+With a rolling shutter the rates of the target are eliminated with its pose.
 """
 
 from __future__ import annotations
@@ -12,10 +13,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.vmu.kernels.budget import columns_of, residuals, shared_slopes
-from hil.vmu.kernels.records import MAX_LEDS
+from hil.vmu.kernels.budget import columns_of, motion_slopes, residuals, shared_slopes
 
-_MOST = 4 * MAX_LEDS
 _DEPENDENT = 1e-9  # of a column's square
 
 
@@ -25,8 +24,10 @@ def add_information(scene, view, fit, floor_square, information, product):
 
     floor_square: px^2, variance of each coordinate of a spot beyond its noise.
     """
-    which, columns = np.empty((2 * MAX_LEDS, 2), np.int64), np.empty(18, np.int64)
-    residual, jac, slopes = np.empty(_MOST), np.empty((_MOST, 6)), np.empty((2, 18))
+    most = 4 * scene.leds.shape[0]
+    which, columns = np.empty((most // 2, 2), np.int64), np.empty(18, np.int64)
+    residual, jac, slopes = np.empty(most), np.empty((most, 12)), np.empty((2, 18))
+    nuisance = 12 if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0 else 6
     m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
     if m < 4:
         return 0
@@ -43,12 +44,14 @@ def add_information(scene, view, fit, floor_square, information, product):
         for a in range(width):
             rows[2 * k, columns[a]] = slopes[0, a] / first
             rows[2 * k + 1, columns[a]] = (slopes[1, a] - below * rows[2 * k, columns[a]]) / second
+        if nuisance > 6:
+            motion_slopes(scene, fit.r, fit.t, c, n, jac[2 * k : 2 * k + 2, 6:])
         residual[2 * k] /= first
         residual[2 * k + 1] = (residual[2 * k + 1] - below * residual[2 * k]) / second
-        for a in range(6):
+        for a in range(nuisance):
             jac[2 * k, a] /= first
             jac[2 * k + 1, a] = (jac[2 * k + 1, a] - below * jac[2 * k, a]) / second
-    for a in range(6):  # the columns of J, orthonormal, are taken out of all others
+    for a in range(nuisance):  # the columns of J, orthonormal, are taken out of all others
         before = 0.0
         for k in range(2 * m):
             before += jac[k, a] * jac[k, a]

@@ -26,6 +26,7 @@ LENS = np.dtype(
         ("k3", "f8"),
         ("width", "f8"),  # px
         ("height", "f8"),
+        ("row_s", "f8"),  # s, from the exposure of a row to that of the next; 0: a global shutter
     ],
     align=True,
 )

@@ -10,7 +10,7 @@ from hil.core.jit import kernel
 from hil.maths.arrays import copy_matrix
 from hil.vmu.kernels.lens import project, undistort
 from hil.vmu.kernels.records import MAX_LEDS
-from hil.vmu.kernels.refine import jacobian, place, refine
+from hil.vmu.kernels.refine import jacobian, place, place_in_row, refine
 
 _GATE = 20.0  # chi-square of two components that one true spot in 22000 exceeds
 _ROUNDS = 10
@@ -68,14 +68,16 @@ def assign(scene, view, r, t, covariance, reach_px, spot):
     than one spot or share one.
     """
     arm, point, slopes, j, s = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6)), np.empty(3)
-    distance = np.empty(MAX_LEDS)
+    distance = np.empty(scene.leds.shape[0])
     contested = 0
     for c in range(2):
-        for n in range(MAX_LEDS):
+        for n in range(scene.leds.shape[0]):
             spot[c, n] = -1
             distance[n] = np.inf
         for n in range(scene.leds.shape[0]):
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if not math.isfinite(u):
                 continue
@@ -164,6 +166,8 @@ def led_windows(scene, r, t, covariance, out, counts):
         lens = scene.lens[c]
         for n in range(scene.leds.shape[0]):
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(lens, point[0], point[1], point[2])
             if not math.isfinite(u + v):
                 continue

@@ -23,11 +23,13 @@ LIMITS = np.dtype(
     align=True,
 )
 
-MOST_PEAKS = 3
+MOST_PEAKS = 16
 _MOST_STEPS = 12
 _NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a light is no round Gaussian
 _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
+_APART_PX = 1.5  # of a second light from the first
+_LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
 
 @kernel
@@ -80,6 +82,44 @@ def disc_start(p, disc):
     radius = 2.0 * math.sqrt(max(total * total - blur * blur, 0.04))
     disc[PLANE + SIGMA] = blur
     disc[PLANE + WIDTH], disc[PLANE + SHEAR], disc[PLANE + HEIGHT] = radius, 0.0, radius
+
+
+@kernel
+def pair_start(box, p, pixels, weighed, dark, per_level, model, light, pair):
+    """Write initial parameters of two lights: the point or disc ``p``, and one where it leaves most light.
+
+    Return False if no light is left over.
+    """
+    across, down = box[2] - box[0], box[3] - box[1]
+    best, u, v, flux = _LEFT_OVER, 0.0, 0.0, 0.0
+    for i in range(1, down - 1):
+        for j in range(1, across - 1):
+            if math.hypot(box[0] + j - p[PLANE + U], box[1] + i - p[PLANE + V]) < _APART_PX:
+                continue
+            excess, variance = 0.0, 0.0
+            for a in range(i - 1, i + 2):
+                for b in range(j - 1, j + 2):
+                    at = a * across + b
+                    excess += pixels[at] - model[at]
+                    variance += dark + per_level * max(light[at], 0.0)
+            if excess > best * math.sqrt(variance):
+                best, u, v, flux = excess / math.sqrt(variance), box[0] + j, box[1] + i, excess
+    if flux == 0.0:
+        return False
+    for i in range(PLANE + SIGMA):
+        pair[i] = p[i]
+    blur = size_of(p, PLANE, p.shape[0] == PLANE + DISC)
+    pair[PLANE + SIGMA] = pair[PLANE + POINT + SIGMA] = max(0.8 * blur, 0.5)
+    pair[PLANE + POINT], pair[PLANE + POINT + U], pair[PLANE + POINT + V] = 1.5 * flux, u, v
+    return True
+
+
+@kernel
+def are_two_lights(pair):
+    """Return whether two points of light (11,) are apart, of one blur, and none is a halo of the other."""
+    du, dv = pair[PLANE + POINT + U] - pair[PLANE + U], pair[PLANE + POINT + V] - pair[PLANE + V]
+    part, alike = pair[PLANE + POINT] / pair[PLANE], pair[PLANE + POINT + SIGMA] / pair[PLANE + SIGMA]
+    return du * du + dv * dv > _APART_PX**2 and 0.03 < part < 30.0 and 0.7 < alike < 1.4
 
 
 @kernel
@@ -156,7 +196,7 @@ def measure(image, label, name, queue, component, level, dark, per_level, limits
     if hot > 0 and patch.max() < 3.0 * limits.sigmas * deviation:
         return count
     peaks = np.empty((MOST_PEAKS, 2), dtype=np.int64)
-    found = find_peaks(patch, label, name, component, dark, per_level, peaks)
+    found = find_peaks(patch, image, background, label, name, component, dark, per_level, peaks)
     if found == 0:
         return count
     p = np.empty(PLANE + POINT * found)
@@ -274,6 +314,24 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
             elongation[1] = 0.25 * disc[PLANE + SHEAR] * disc[PLANE + HEIGHT]
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
+    if strong and chi2 > allowed:
+        pair, pair_covariance = np.empty(PLANE + 2 * POINT), np.empty((PLANE + 2 * POINT, PLANE + 2 * POINT))
+        if pair_start(box, p, pixels, weighed, dark, per_level, model, light, pair):
+            pair_model, pair_light, pair_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + 2 * POINT))
+            pair_weighed = np.empty(size)
+            read_window(image, label, name, box, pixels, pair_weighed)
+            pair_total = fit(
+                False, box, pixels, pair_weighed, dark, per_level, 2 * _MOST_STEPS, pair, pair_covariance, pair_model,
+                pair_light, pair_slopes,
+            )  # fmt: skip
+            pair_chi2, pair_allowed = clean(
+                False, box, pixels, pair_weighed, dark, per_level, pair, pair_covariance, pair_model, pair_light,
+                pair_slopes, pair_total,
+            )  # fmt: skip
+            if pair_chi2 <= pair_allowed and are_two_lights(pair):
+                is_disc, p, covariance, chi2, allowed, found = False, pair, pair_covariance, pair_chi2, pair_allowed, 2
+                model, light, slopes, weighed = pair_model, pair_light, pair_slopes, pair_weighed
+                elongation[0] = elongation[1] = np.nan
     if not math.isfinite(chi2):
         return count
     stretch = chi2 if chi2 > allowed else 1.0
@@ -290,6 +348,6 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
     if count > before and chi2 < 4.0 * allowed:
         if is_disc:
             noise[0], noise[1] = light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance)
-        elif strong:
+        elif strong and found == 1:
             noise[0], noise[1] = light_noise(pixels, weighed, dark, per_level, light, wide_model, wide, wide_inverse)
     return count

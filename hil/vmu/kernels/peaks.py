@@ -71,10 +71,24 @@ def _dip(patch, i, j, k, m):
 
 
 @kernel
-def find_peaks(patch, label, name, component, dark, per_level, peaks):
+def _pixels_dip(image, label, background, i, j, k, m, dark, per_level):
+    """Return whether the pixels between a peak i, j and a brighter one k, m of the image dip by a third and 5 sigma."""
+    here, least = image[i, j] - background, np.inf
+    steps = 2 * max(abs(k - i), abs(m - j))
+    for n in range(1, steps):
+        part = n / steps
+        v, u = round(i + part * (k - i)), round(j + part * (m - j))
+        if label[v, u] != BAD:
+            least = min(least, image[v, u] - background)
+    return label[i, j] != BAD and least < 0.67 * here and here - least > 5.0 * math.sqrt(dark + per_level * here)
+
+
+@kernel
+def find_peaks(patch, image, background, label, name, component, dark, per_level, peaks):
     """Write the positions (row, column of ``patch``) of up to len(peaks) lights, brightest first; return how many.
 
-    A second light counts only if the sums between it and a brighter one dip by a sixth and five sigma.
+    patch: from ``sum_patch``. A second light counts only if the sums between it and a brighter one dip by a sixth and
+    five sigma, or the pixels of the image, which the sums blur, by a third.
     """
     count = 0
     before = np.inf
@@ -89,11 +103,14 @@ def find_peaks(patch, label, name, component, dark, per_level, peaks):
             break
         before = best
         sigma = math.sqrt(9.0 * dark + per_level * best)
-        apart = True
+        apart, v0, u0 = True, component[V0], component[U0]
         for k in range(count):
-            dip = _dip(patch, at_i, at_j, peaks[k, 0], peaks[k, 1])
+            to_i, to_j = peaks[k, 0], peaks[k, 1]
+            dip = _dip(patch, at_i, at_j, to_i, to_j)
             if not (dip < 0.83 * best and best - dip > 5.0 * sigma):
-                apart = False
+                apart = apart and _pixels_dip(
+                    image, label, background, v0 + at_i, u0 + at_j, v0 + to_i, u0 + to_j, dark, per_level
+                )
         if apart:
             peaks[count, 0], peaks[count, 1] = at_i, at_j
             count += 1

@@ -19,7 +19,7 @@ from hil.vmu.kernels.budget import passes, settle
 from hil.vmu.kernels.hypotheses import acceptable, is_known, mirror
 from hil.vmu.kernels.match import converge
 from hil.vmu.kernels.p3p import axes_of_three, ray_lengths
-from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
+from hil.vmu.kernels.records import MAX_SPOTS
 from hil.vmu.kernels.start_poses import is_tried, near_prediction, plausible, pose_of_three, take_spots
 from hil.vmu.kernels.stereo import allow_pairs
 
@@ -179,7 +179,7 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
                         continue
                     if other_spots < 2 and least == 3 and not near_prediction(settings, fit):
                         continue
-                    for e in range(MAX_LEDS):
+                    for e in range(n):
                         fit.spot[0, e] = -1
                         fit.spot[1, e] = -1
                     fit.spot[c, p], fit.spot[c, q], fit.spot[c, s] = i, j, k

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hil.core.messages import Array
 
-MAX_LEDS: Final = 8
+MAX_LEDS: Final = 32
 MAX_SPOTS: Final = 64
 """Spots per image used by identification."""
 SHARED: Final = 24
@@ -64,7 +64,7 @@ FIT = np.dtype(
         ("t", "f8", 3),  # m
         ("covariance", "f8", (6, 6)),  # of t and of the small rotation e about v's axes
         ("noise", "f8", (6, 6)),  # the part of it that is independent between images
-        ("spot", "i8", (2, MAX_LEDS)),  # of each camera and LED, -1: none
+        ("spot", "i2", (2, MAX_LEDS)),  # of each camera and LED, -1: none
         ("chi2", "f8"),
         ("misfit", "f8"),  # chi2 with the least floor
         ("floor", "f8"),  # px, estimated error of a spot beyond noise and tolerances
@@ -87,8 +87,9 @@ class RingScene(NamedTuple):
     in t. squares: (n, n), m^2, of the LEDs' distances. sides: (n, n, n), orientation in which three LEDs appear to a
     camera in front, 1 or -1; 0 if it depends on the pose. tolerance: (24 + 3 n, 24 + 3 n), covariance of the considered
     parameters: fx fy cx cy k1 k2 p1 p2 k3 of the left and of the right camera, small rotation of the right one about
-    its axes, its position, positions of the LEDs. floors: (k,), px, floors of a spot's error, ascending. slack: (2,),
-    px^2, variance per camera that gates and search add to a spot's.
+    its axes, its position, positions of the LEDs. floors: (k,), px, floors of a spot's error, ascending. motion:
+    (7, 6), velocity and rotation rate of the target about v's axes, m/s, rad/s, and below their covariance: with a
+    rolling shutter the LEDs move between the rows, of which the middle one is exposed at the time of the image.
     """
 
     lens: np.ndarray
@@ -99,7 +100,7 @@ class RingScene(NamedTuple):
     sides: npt.NDArray[np.int64]
     tolerance: Array
     floors: Array
-    slack: Array
+    motion: Array
 
 
 class View(NamedTuple):

@@ -17,6 +17,7 @@ from hil.maths.arrays import copy_into, copy_matrix
 from hil.vmu.kernels.lens import project, project_slopes
 
 _STEPS = 30
+_ROW_STEPS = 3
 _SMALL = 1e-8  # square of a step in sigmas, at convergence
 
 
@@ -38,6 +39,35 @@ def place(rotation, translation, r, t, led, arm, point):
     x, y, z = arm[0] + t[0], arm[1] + t[1], arm[2] + t[2]
     for i in range(3):
         point[i] = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z + translation[i]
+
+
+@kernel
+def place_in_row(scene, c, t, arm, point):
+    """Move the LED at ``point`` (3,), with ``arm``, to where it is as its row is exposed; return how much later, s."""
+    later, moved, w = 0.0, np.empty(3), scene.motion[0]
+    for _ in range(_ROW_STEPS):
+        _, v = project(scene.lens[c], point[0], point[1], point[2])
+        if not math.isfinite(v):
+            return later
+        later = scene.lens[c].row_s * (v - 0.5 * (scene.lens[c].height - 1.0))
+        moved[0] = arm[0] + t[0] + later * (w[0] + w[4] * arm[2] - w[5] * arm[1])
+        moved[1] = arm[1] + t[1] + later * (w[1] + w[5] * arm[0] - w[3] * arm[2])
+        moved[2] = arm[2] + t[2] + later * (w[2] + w[3] * arm[1] - w[4] * arm[0])
+        for i in range(3):
+            point[i] = scene.translation[c, i]
+            for j in range(3):
+                point[i] += scene.rotation[c, i, j] * moved[j]
+    return later
+
+
+@kernel
+def place_when_seen(scene, c, led, r, t, arm, point):
+    """Write as ``place`` for camera ``c`` with the LED where it is as its row is exposed; return how much later, s.
+
+    Later than the image. With a rolling shutter row and motion depend on each other: three steps leave 1e-5 px.
+    """
+    place(scene.rotation[c], scene.translation[c], r, t, led, arm, point)
+    return 0.0 if scene.lens[c].row_s == 0.0 else place_in_row(scene, c, t, arm, point)
 
 
 @kernel
@@ -69,6 +99,8 @@ def accumulate(scene, view, spot, r, t, normal, gradient):
                 continue
             measured = view.spots[c, k]
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
@@ -101,6 +133,8 @@ def chi_square(scene, view, spot, r, t):
                 continue
             measured = view.spots[c, k]
             place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):

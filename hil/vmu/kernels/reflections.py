@@ -10,9 +10,10 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.vmu.kernels.budget import fill_shared, fill_weights, normal_equations, residuals, whiten
 from hil.vmu.kernels.lens import project
-from hil.vmu.kernels.records import MAX_LEDS, MAX_SPOTS
-from hil.vmu.kernels.refine import jacobian, place
+from hil.vmu.kernels.records import MAX_SPOTS
+from hil.vmu.kernels.refine import jacobian, place, place_in_row
 
 _FEWEST = 6  # spots
 _LEAST_PX2 = 0.004  # 1 sigma of an elongation: sums of pixels, texture, a lens that is not round
@@ -24,13 +25,15 @@ _RELATIVE = 0.1  # 1 sigma of an elongation that is not small against the spot
 _PLATES, _NEAREST_M, _FARTHEST_M = 24, 0.005, 0.15
 _ACROSS_PX = 2.0  # distance of a light from the reflection
 _LEANING = 0.12  # of the distance of the reflection from its LED: a plate that is not parallel, a displaced pose
-_MERGED_PX = 4.0  # nearer to a spot, a reflection is no spot of its own
+_SEEN_PX, _MERGED_PX = 1.5, 4.0  # farther from its LED, a reflection may be a spot of its own; nearer, it need not
 _MOST = 0.3  # of w1 w2, which is at most 1/4
 
 
 @kernel
-def doubled_lights(scene, view, fit):
+def doubled_lights(scene, view, fit, shift):
     """Return the depth, m, by which reflections displace the foremost LED, and the ratio of variances F that shows it.
+
+    shift: (2, n, 2), px, displacement of each LED's spot in each camera, written.
 
     Two lights of the fractions ``w1`` and ``w2`` with images ``a`` apart are a spot whose covariance has
     ``w1 w2 a a.T`` more. A plate that is ``d`` behind an LED puts its reflection 2 d behind it, with ``a`` the image of
@@ -39,8 +42,9 @@ def doubled_lights(scene, view, fit):
     explains the elongations.
     """
     arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
-    e, apart, turned = np.empty((2 * MAX_LEDS, 2)), np.empty((2 * MAX_LEDS, 2)), np.empty((2 * MAX_LEDS, 2, 2))
-    along, weight = np.empty(2 * MAX_LEDS), np.empty(2 * MAX_LEDS)
+    most = 2 * scene.leds.shape[0]
+    e, apart, turned = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2, 2))
+    along, weight = np.empty(most), np.empty(most)
     mean, weights = np.zeros(2), 0.0
     m, rear = 0, -np.inf
     for n in range(scene.leds.shape[0]):
@@ -51,6 +55,8 @@ def doubled_lights(scene, view, fit):
             if k < 0 or not math.isfinite(view.spots[c, k].elongation[0]):
                 continue
             place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
+            if scene.lens[c].row_s != 0.0:
+                place_in_row(scene, c, fit.t, arm, point)
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
             for i in range(2):
                 apart[m, i] = j[i, 0] * fit.r[0, 2] + j[i, 1] * fit.r[1, 2] + j[i, 2] * fit.r[2, 2]
@@ -71,7 +77,7 @@ def doubled_lights(scene, view, fit):
             power += weight[k] * e[k, i] ** 2
     if alike < _UNLIKE:
         return 0.0, 0.0
-    least, depth = np.inf, 0.0
+    least, depth, at_u, at_v, behind, portion = np.inf, 0.0, 0.0, 0.0, 0.0, 0.0
     for plate in _PLATES_M:
         for x in range(_LEANS):
             for y in range(_LEANS):
@@ -89,7 +95,18 @@ def doubled_lights(scene, view, fit):
                 left = power - part * product
                 if 0.0 < part < _MOST and left < least:
                     least = left
-                    depth = farthest * (0.5 - math.sqrt(max(0.25 - part, 0.0)))
+                    portion = 0.5 - math.sqrt(max(0.25 - part, 0.0))
+                    depth, at_u, at_v, behind = farthest * portion, lean_u, lean_v, plate
+    m = 0
+    for c in range(2):
+        for n in range(scene.leds.shape[0]):
+            shift[c, n, 0] = shift[c, n, 1] = 0.0
+            if fit.spot[c, n] < 0 or not math.isfinite(view.spots[c, fit.spot[c, n]].elongation[0]):
+                continue
+            far = 2.0 * portion * (rear + behind - scene.leds[n, 2])
+            for i in range(2):
+                shift[c, n, i] = far * (apart[m, i] + at_u * turned[m, i, 0] + at_v * turned[m, i, 1])
+            m += 1
     return depth, alike / max(least / (2 * m - 4), 1.0)
 
 
@@ -135,10 +152,12 @@ def plate_shows(scene, view, fit):
                     if end == 1:
                         led[2] += 2.0 * (rear + plate - led[2])
                     place(scene.rotation[c], scene.translation[c], fit.r, fit.t, led, arm, point)
+                    if scene.lens[c].row_s != 0.0:
+                        place_in_row(scene, c, fit.t, arm, point)
                     image[end, 0], image[end, 1] = project(scene.lens[c], point[0], point[1], point[2])
                 away = math.hypot(image[1, 0] - image[0, 0], image[1, 1] - image[0, 1])
                 reach = min(_ACROSS_PX + _LEANING * away, 0.5 * away)  # not the light of the LED itself
-                if away > _MERGED_PX and nearest(view, c, image[1, 0], image[1, 1], in_use, 0) < reach:
+                if away > _SEEN_PX and nearest(view, c, image[1, 0], image[1, 1], in_use, 0) < reach:
                     seen += 1
                 elif nearest(view, c, image[1, 0], image[1, 1], in_use, 1) < _MERGED_PX:
                     merged += 1
@@ -152,9 +171,39 @@ def plate_shows(scene, view, fit):
 
 
 @kernel
+def moved_pose(scene, view, fit, shift):
+    """Return by how many of its sigmas at most a component of the pose is off, if its spots are off by ``shift``."""
+    n_leds = scene.leds.shape[0]
+    most = 4 * n_leds
+    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
+    residual, jac = np.empty(most), np.empty((most, 6))
+    flat_residual, flat = np.empty(most), np.empty((most, 6))
+    normal, gradient = np.empty((6, 6)), np.empty(6)
+    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
+    if m < 3:
+        return 0.0
+    fill_shared(scene, fit.r, fit.t, which, m, shared)
+    if not math.isfinite(fill_weights(view, fit.spot, which, m, shared, fit.floor, low)):
+        return 0.0
+    for k in range(m):
+        for i in range(2):
+            residual[2 * k + i] = shift[which[k, 0], which[k, 1], i]
+    whiten(low, m, residual, jac, flat_residual, flat)
+    normal_equations(m, flat_residual, flat, normal, gradient)
+    largest = 0.0
+    for a in range(6):
+        moved = 0.0
+        for b in range(6):
+            moved += fit.covariance[a, b] * gradient[b]
+        largest = max(largest, abs(moved) / math.sqrt(fit.covariance[a, a]))
+    return largest
+
+
+@kernel
 def mirrored(scene, view, fit):
-    """Return ``plate_shows`` and, unless it does, the two results of ``doubled_lights``: one call costs less."""
+    """Return ``plate_shows`` and, unless it does, the results of ``doubled_lights`` and ``moved_pose`` for it."""
     if plate_shows(scene, view, fit):
-        return True, 0.0, 0.0
-    depth, ratio = doubled_lights(scene, view, fit)
-    return False, depth, ratio
+        return True, 0.0, 0.0, 0.0
+    shift = np.zeros((2, scene.leds.shape[0], 2))
+    depth, ratio = doubled_lights(scene, view, fit, shift)
+    return False, depth, ratio, moved_pose(scene, view, fit, shift) if ratio > 1.0 else 0.0

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.vmu.unit import VisionUnit
+from hil.vmu.detect import SpotDetector
+from hil.vmu.unit import Solution, VisionUnit
 from tests.support.vmu_disturbances import (
     USUAL,
     VERY_GOOD,
@@ -17,7 +18,7 @@ from tests.support.vmu_disturbances import (
     somewhere,
 )
 from tests.support.vmu_lookalikes import LOOKALIKE_ROWS, mirror_behind, other_scale
-from tests.support.vmu_pixels import Image, PixelOptics
+from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene
 
 BY_NAME = {row.name: row for row in LOOKALIKE_ROWS}
 
@@ -45,20 +46,42 @@ def test_track_is_kept_while_its_own_leds_are_where_they_are_expected() -> None:
 
 @pytest.mark.parametrize("name", [row.name for row in LOOKALIKE_ROWS if row.name.startswith("plate")])
 def test_pose_of_a_ring_before_a_mirroring_plate_is_not_ok_beyond_its_sigmas(name: str) -> None:
-    tally = BY_NAME[name].run(5, 2)
+    tally = BY_NAME[name].run(8 if "12 m" in name else 5, 2)
     assert not tally.ratios or np.abs(tally.ratios).max() < 5.0, tally.line()
+
+
+@pytest.mark.parametrize(("beside_px", "part"), [(2.6, 0.3), (3.3, 0.2), (4.6, 0.2), (4.6, 0.5)])
+def test_weak_light_beside_an_led_is_a_spot_of_its_own(beside_px: float, part: float) -> None:
+    """It is no peak of the sums of 3 x 3 pixels; left in the LED's spot it would displace that."""
+    rng = np.random.default_rng(7)
+    camera = PixelCamera(1200.0, 1200.0, 63.5, 63.5, 128, 128)
+    for _ in range(6):
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        places = np.array([30.0, 40.0]) + np.array([[0, 0], [55, 0], [30, 25], [0, 50], [55, 50]]) + rng.random((5, 2))
+        on_ray = np.column_stack([(places - 63.5) / 1200.0 * 8.0, np.full(5, 8.0)])
+        aside = places[2] + beside_px * np.array([np.cos(angle), np.sin(angle)])
+        other = np.array([[*((aside - 63.5) / 1200.0 * 8.0), 8.0, part]])
+        scene = PixelScene(camera, camera, on_ray - [0.0, 0.0, 8.0], lights_v=other)
+        found = SpotDetector((128, 128)).spots(scene.image(0, np.zeros(3), np.array([0.0, 0.0, 8.0]), rng))
+        assert len(found) == 6
+        for place in [*places, aside]:
+            assert np.hypot(found["u"] - place[0], found["v"] - place[1]).min() < 0.15
+
+
+def sigmas(solution: Solution) -> Array:
+    """Return the standard deviations (6,) of a pose."""
+    return np.asarray(np.sqrt(np.diag(solution.covariance)))
 
 
 def test_ring_before_a_mirroring_plate_is_suspect_with_what_shows_it() -> None:
     """Either the raised LED's reflection is a light of its own, or it makes the LED's spot longer than the others'."""
     rng, unit, doubts = np.random.default_rng([0, 20]), VisionUnit(known_geometry(VERY_GOOD)), set()
-    for scene, truth in mirror_behind(0.03, 0.4, 6.0, 12.0)(rng, 6):
+    for scene, truth in mirror_behind(0.01, 0.4, 8.0, 14.0)(rng, 12):
         unit.track.drop()
         solution = unit.solve(*scene.pair(truth.turn, truth.t_v, rng), 0.0)
-        assert solution.status != "ok"
-        assert solution.frame(0, 0.0) is None
+        assert solution.status != "ok" or np.abs(truth.error(solution) / sigmas(solution)).max() < 5.0
         doubts.add(solution.doubt and solution.doubt.what)
-    assert {"reflection", "doubled_lights"} < doubts
+    assert {"reflection", "doubled_lights"} <= doubts
     unit.track.drop()
     assert unit.solve(*replace(scene, lights_v=np.zeros((0, 4))).pair(truth.turn, truth.t_v, rng), 0.0).status == "ok"
 
