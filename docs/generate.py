@@ -15,7 +15,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from docs import record_pages
+from docs import package_pages, record_pages, wire_pages
 from hil.cli.main import app
 from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
@@ -258,6 +258,9 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "hazards": hazards,
     "rig": rig_keys,
     "files": other_files,
+    "packages": package_pages.packages,
+    "wires": wire_pages.wires,
+    "modes": wire_pages.modes,
     "records": record_pages.records,
     "gnc-records": record_pages.gnc_records,
     "backend-records": record_pages.backend_records,

@@ -16,6 +16,10 @@ from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.modes import Mode
+from hil.core.operator_commands import OperatorCommand
+from hil.drivers.vmu import COUNTERS
+from hil.frmn.mailboxes import BY_NUMBER
 from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 from hil.report.limits import LIMITS
 
@@ -59,5 +63,16 @@ def test_columns_of_a_campaign_are_described() -> None:
     page = (ROOT / "docs" / "reference" / "columns.md").read_text().split("## Campaigns")[1]
     described = set(re.findall(r"`(\w+)`", page))
     plain = [name for name in (*FLAGS, *COUNTS, *TEXTS, *NUMBERS) if not name.startswith("margin_")]
-    names = {re.sub(r"_[xyz]$", "", name) for name in (*plain, *LIMITS)}
+    names = {re.sub(r"_[xyz]$", "", name) for name in plain}
     assert names <= {re.sub(r"_[xyz]$", "", name) for name in described}
+
+
+def test_modes_commands_and_codecs_have_their_places_on_generated_pages() -> None:
+    modes, wires = generate.PAGES["modes"](), generate.PAGES["wires"]()
+    assert all(f"- **{mode.name}**: " in modes for mode in (*Mode, *OperatorCommand))
+    assert all(f"| `{name}` |" in modes for name in LIMITS)
+    assert all(f"| `{box.name}` |" in wires for box in BY_NUMBER.values())
+    assert {name for row in re.findall(r"^- \*\*(.*)\*\*: ", wires, re.MULTILINE) for name in row.split(", ")} == set(
+        COUNTERS
+    )
+    assert "| 159 | checksum | | crc16-ccitt-false |" in wires  # 161 bytes, as the wire has them
