@@ -277,6 +277,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "records": record_pages.records,
     "gnc-records": record_pages.gnc_records,
     "backend-records": record_pages.backend_records,
+    "model-records": record_pages.model_records,
 }
 
 
