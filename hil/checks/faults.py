@@ -22,7 +22,8 @@ def check_faults(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     for index, fault in enumerate(faults):
         if text := _why_not(fault, scenario.value, rig.value):
             found.append(Problem(scenario.where(KEY), f"{KEY}[{index}]", text))
-    for family, count in Counter(fault.family for fault in faults).items():
+    tables = Counter("sensor" if fault.family == "monitor" else fault.family for fault in faults)
+    for family, count in tables.items():
         if count > MAX_FAULTS:
             text = f"{count} of {family}: at most {MAX_FAULTS} are allowed"
             found.append(Problem(scenario.where(KEY), KEY, text))

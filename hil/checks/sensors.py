@@ -6,7 +6,8 @@ from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.errors import Problem
-from hil.sensors.registry import sensors_of
+from hil.params.monitor import MONITOR
+from hil.params.sensors import sensors_of
 
 
 def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
@@ -19,9 +20,12 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
     elsewhere = value.gnc.foreign.get("navigation") or value.gnc.binary
     if rig.value.flight_computer.command_words != "none":
         elsewhere = f"rig.flight_computer.command_words = {rig.value.flight_computer.command_words}"
-    for name, sensor in sensors_of(value).items():
-        config = value.sensors[name]
-        if elsewhere is not None:
+    modules = sensors_of(value)
+    if MONITOR in value.sensors:
+        problem(MONITOR, "is the name of the docking monitor, table [monitor]")
+    for name, config in value.sensors.items():
+        sensor = modules[name].kind
+        if elsewhere is not None and config.use == "fusion":
             problem(name, f"not available: the navigation is elsewhere ({elsewhere}), only the built-in one uses it")
         rate_hz = config.rate_hz or sensor.module.rate_hz
         if config.rate_hz is not None and rate_hz * value.step_s > 1.0 + 1e-9:
@@ -35,10 +39,9 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
             problem(f"{name}.source", f'"udp": needs the wall clock, which rig "{rig.value.name}" does not follow')
         if config.source == "model" and rig.value.kind == "hardware" and sensor.module.sees == "bench":
             problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')
-    modules = sensors_of(value)
     for index, fault in enumerate(value.faults):
-        if fault.family == "sensor" and fault.kind not in modules[fault.member].module.faults:
-            known = ", ".join(modules[fault.member].module.faults)
-            text = f'kind = "{fault.kind}": {modules[fault.member].kind} has {known}'
+        if fault.family == "sensor" and fault.kind not in modules[fault.member].kind.module.faults:
+            known = ", ".join(modules[fault.member].kind.module.faults)
+            text = f'kind = "{fault.kind}": {modules[fault.member].config.kind} has {known}'
             problems.append(Problem(scenario.where("faults"), f"faults[{index}]", text))
     return problems

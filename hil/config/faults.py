@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -120,6 +120,10 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
                              "1", "", 1e-6, 1.0),
         "noise_scale": ErrorTerm("the noise is this multiple of the reported one, which does not change", 1, "1", "",
                                  1.0, FACTOR_MAX),
+        "sigma_scale": ErrorTerm("the reported standard deviations are multiplied by this factor", 1, "1", "",
+                                 1.0 / FACTOR_MAX, FACTOR_MAX),
+        "latency": ErrorTerm("measurements come later by this time; `stamp` is their moment, or their arrival", 1, "s",
+                             "", 0.0, 1.0, options=("stamp",)),
     },
     "target": {
         "jump": ErrorTerm("the target is displaced", 3, "m", "H", 0.0, 10.0),
@@ -130,6 +134,7 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
 """Kind of device -> kind of fault -> term: for models, injection, tests and the generated reference."""
 _OF_LEDS: Final = ("misidentified", "dimmed")
 TERMS["monitor"].update({kind: term for kind, term in TERMS["vmu"].items() if kind not in _OF_LEDS})
+TERMS["monitor"] |= {kind: replace(TERMS["vmu"][kind], frame="c") for kind in ("offset", "drift")}
 
 
 @dataclass(frozen=True)
@@ -217,6 +222,10 @@ RESPONSES: Final[dict[str, FaultResponse]] = {
     "sensor.drift": _excluded("sensor suspect, by the CUSUM of its innovations"),
     "sensor.outlier": _within("the gate rejects outliers; sensor suspect if they are many"),
     "sensor.noise_scale": _within("sensor suspect, by its mean NIS, if much larger than reported"),
+    "sensor.sigma_scale": _within("sensor suspect, by its mean NIS, if much smaller than the noise"),
+    "sensor.latency": _within(
+        "none with the stamp of the measurement; that of the arrival shifts innovations in motion"
+    ),
     "target.jump": _guard("axis against the demand, if farther than the axes move in three cycles"),
     "target.drift": _both("axis against the demand, if faster than the axes can follow"),
     "target.plume": _within("none: control allows for it as for stronger or weaker thrusters"),

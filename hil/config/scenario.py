@@ -34,7 +34,7 @@ from hil.config.target import KnownTarget, MovingTarget
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.backend_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
-from hil.core.sensor_records import MAX_SENSORS
+from hil.core.sensor_records import ADDED_SENSORS_MAX
 
 DURATION_MAX_S = 1e6
 CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
@@ -782,7 +782,7 @@ class Scenario(ConfigModel):
     reachability: Reachability = Reachability()
     monitor: DockingMonitorConfig = DockingMonitorConfig()
     bench: BenchScale = BenchScale()
-    sensors: Annotated[dict[str, SensorConfig], Field(max_length=MAX_SENSORS)] = Field(default_factory=dict)
+    sensors: Annotated[dict[str, SensorConfig], Field(max_length=ADDED_SENSORS_MAX)] = Field(default_factory=dict)
     """Sensors other than vision unit, IMU and docking monitor, by name."""
     faults: Annotated[tuple[TimedFault, ...], Field(max_length=5 * MAX_FAULTS)] = ()
     """Faults of devices, in the run's time."""

@@ -25,6 +25,13 @@ class SensorConfig(ConfigModel):
     """Kind of sensor: that of a shipped module, or of a package with an entry point of the group `hil.sensors`."""
     enabled: bool = True
     """Whether its measurements are used; false: they are made and recorded alone."""
+    use: Literal["fusion", "witness"] = "fusion"
+    """"fusion": the filters use its measurements; "witness": they are compared with the navigation, whose error they
+    bound, and a disagreement is an alarm, to which `gnc.reactions` reacts."""
+    interlock_sigmas: Positive = 5.0
+    """Of a witness: standard deviations of both by which they may differ, in addition to its constant errors."""
+    interlock_samples: Annotated[int, Field(ge=1, le=100)] = 2
+    """Of a witness: consecutive samples that set the interlock, and release it."""
     rate_hz: Positive | None = None
     """Measurements per second, at most one per cycle; unless set, the module's."""
     latency_s: Delay = 0.0

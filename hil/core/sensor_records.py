@@ -14,8 +14,10 @@ import numpy as np
 
 from hil.core.fields import Field, record_dtype
 
-MAX_SENSORS: Final = 8
+ADDED_SENSORS_MAX: Final = 8
 """Sensors that a scenario can add."""
+MAX_SENSORS: Final = ADDED_SENSORS_MAX + 1
+"""Sensors of a loop: those, and the docking monitor."""
 COMPONENTS_MAX: Final = 6
 """Components of a measurement."""
 SENSOR_ERRORS_MAX: Final = 6
@@ -42,7 +44,9 @@ SENSOR_SAMPLE_FIELDS: Final = (
 SENSOR_SAMPLE = record_dtype(SENSOR_SAMPLE_FIELDS)
 
 NOT_USED, REJECTED, ACCEPTED, EXCLUDED, LATE = range(5)
-"""What became of a sample. EXCLUDED: its sensor is suspect; LATE: older than the memory of the filters, or too many."""
+"""What became of a sample. EXCLUDED: its sensor is suspect; LATE: older than the memory of the filters, or too many.
+
+A sample of a witness is ACCEPTED if it agrees with the navigation, REJECTED if not, LATE if too old to be compared."""
 SENSOR_RESULTS: Final = ("not used", "rejected", "accepted", "excluded", "too late")
 
 SENSOR_ARRIVAL_FIELDS: Final = (
@@ -105,6 +109,7 @@ SENSOR_INNOVATION = np.dtype(
         ("h", "f8", (COMPONENTS_MAX, STATES)),  # its sensitivity to the errors of the estimate
         ("h_errors", "f8", (COMPONENTS_MAX, SENSOR_ERRORS_MAX)),  # and to the sensor's own; preset: 1 on its component
         ("noise", "f8", (COMPONENTS_MAX, COMPONENTS_MAX)),  # covariance of the white noise
+        ("tolerance", "f8", COMPONENTS_MAX),  # largest constant error of a sound witness; preset: 3 sigma of its errors
     ],
     align=True,
 )

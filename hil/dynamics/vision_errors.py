@@ -13,7 +13,7 @@ from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 from hil.models.camera import edge_distance
-from hil.models.faults import normal, uniform
+from hil.models.faults import displace_at_random, normal, uniform
 
 VISION_ERRORS = np.dtype(
     [
@@ -42,19 +42,6 @@ LEAST_LEDS = 3
 """LEDs that both images must show; with fewer the pose of a ring is not determined."""
 PLACES = 6  # of the LEDs on the ring
 _CORRELATED_LANE, _OUTLIER_LANE, _MISIDENTIFIED_LANE = 2048, 8192, 8196  # beyond those of the faults
-
-
-@kernel
-def throw(probability, size, seed, number, lane, t_v):
-    """Displace ``t_v`` (3,), m, by ``size`` in a random direction, with ``probability``."""
-    if uniform(seed, number, lane) >= probability:
-        return
-    height = 2.0 * uniform(seed, number, lane + 1) - 1.0
-    angle = 2.0 * math.pi * uniform(seed, number, lane + 2)
-    level = math.sqrt(1.0 - height * height)
-    t_v[0] += size * level * math.cos(angle)
-    t_v[1] += size * level * math.sin(angle)
-    t_v[2] += size * height
 
 
 @kernel
@@ -92,7 +79,7 @@ def distort(errors, number, t_v, q_vt):
     quat.multiply_into(errors.q_misaligned, before, q_vt)
     for i in range(3):
         t_v[i] += errors.scale_error * t_v[i] + errors.bias[i]
-    throw(errors.outlier_probability, errors.outlier_size, errors.seed, number, _OUTLIER_LANE, t_v)
+    displace_at_random(errors.outlier_probability, errors.outlier_size, errors.seed, number, _OUTLIER_LANE, t_v)
     if uniform(errors.seed, number, _MISIDENTIFIED_LANE) < errors.misidentified_probability:
         misidentify(1.0 + math.floor((PLACES - 1) * uniform(errors.seed, number, _MISIDENTIFIED_LANE + 1)), q_vt)
 

@@ -12,13 +12,12 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import VMU_FRAME
 from hil.dynamics.plume import share_at
-from hil.dynamics.vision_errors import misidentify, throw
+from hil.dynamics.vision_errors import misidentify
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
-from hil.models.faults import AT, KIND, OPTION, SIZE, VALUE, is_active, normal
+from hil.models.faults import AT, AT_ARRIVAL, KIND, OPTION, SIZE, VALUE, displace_at_random, is_active, normal
 
 NO_POSE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY, MISIDENTIFIED, DIMMED = range(10)
-AT_ARRIVAL = 1.0
 """Option of LATENCY: frames are stamped when they arrive."""
 
 _OUTLIER_LANE, _NOISE_LANE, _PLUME_LANE = 0, 8, 1024
@@ -125,7 +124,7 @@ def disturb_frame(faults, mounting, zero_s, memory, frame):
                 displacement[j] = row[VALUE + j] * (t_s - row[AT] if kind == DRIFT else 1.0)
             _displace(mounting, displacement, frame)
         elif kind == OUTLIER:
-            throw(row[VALUE], row[SIZE], faults.seed, frame.counter, _OUTLIER_LANE + 32 * i, frame.t_v)
+            displace_at_random(row[VALUE], row[SIZE], faults.seed, frame.counter, _OUTLIER_LANE + 32 * i, frame.t_v)
         elif kind == NOISE_SCALE:
             _add_noise(math.sqrt(row[VALUE] ** 2 - 1.0), faults.seed, _NOISE_LANE + 16 * i, frame)
         elif kind == SIGMA_SCALE:

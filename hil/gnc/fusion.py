@@ -375,7 +375,7 @@ def _fuse_step(params, state, memory, step, cycle):
     moment_s = cycle * params.pkf.dt_s
     for k in range(step.is_start, step.n_poses):
         step.gated[k] = _fuse_pose(params, state, step.poses[k], moment_s, step.gated[k])
-    if params.sensors.n > 0:
+    if params.sensors.fused > 0:
         sensor_fusion.fuse_samples(params, state, memory, cycle)
 
 
@@ -402,7 +402,7 @@ def begin_step(params, state, memory, imu):
         state.corrected[i] *= 1.0 - params.pkf.dt_s / thrust_model.MEMORY_S
     move_hill_frame(params.orbit, (state.cycle - 1) * params.pkf.dt_s, params.pkf.dt_s, step.hill)
     step.n_poses = 0
-    if params.sensors.n > 0:
+    if params.sensors.fused > 0:
         sensor_step_at(params, memory, state.cycle).n = 0
     step.is_start = 0
     state.nis_position = np.nan

@@ -94,7 +94,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
             accepted = fused.accepted
             fusion.fuse(params.fusion, fused, memory, poses[i])
             _watch_update(params, state, accepted)
-    if params.fusion.sensors.n > 0:
+    if params.fusion.sensors.fused > 0:
         fusion.fuse_sensors(params.fusion, fused, memory)
     fusion.predict_step(params.fusion, fused, memory)
     fused.cycle += 1
@@ -102,7 +102,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
     x = fused.filters.pkf.x
     distance = math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
     out.health = integrity.vision_health(params.integrity, state.integrity, age_s, fused.rejected_in_a_row, distance)
-    if params.fusion.sensors.n > 0 and sensor_monitor.is_suspect(params.fusion.sensors, fused.sensors):
+    if params.fusion.sensors.fused > 0 and sensor_monitor.is_suspect(params.fusion.sensors, fused.sensors):
         out.health |= SENSOR_SUSPECT
     if fused.started != 0:
         _write_filters(fused.filters, out)

@@ -14,11 +14,9 @@ import math
 import numpy as np
 
 from hil.core.backend_records import MAX_SETTINGS
-from hil.core.foreign_call import call_address
 from hil.core.jit import entry, kernel
 from hil.core.sensor_records import (
     ACCEPTED,
-    COMPONENTS_MAX,
     EXCLUDED,
     LATE,
     MAX_SENSORS,
@@ -32,9 +30,10 @@ from hil.core.sensor_records import (
 )
 from hil.gnc import joint_filter
 from hil.gnc.error_state import FILTER_ERRORS, ROTATION, R, V
+from hil.gnc.sensor_innovation import innovate
 from hil.gnc.sensor_monitor import SENSOR_MONITOR, bound_missed, count, watch
+from hil.gnc.sensor_witness import WITNESS, WITNESS_PARAMS
 from hil.gnc.step_memory import SAMPLES_PER_STEP, sensor_step_at
-from hil.maths import quat, stack
 from hil.maths.arrays import fill, fill_matrix
 from hil.maths.limits import to_integer
 from hil.maths.record_view import copy_record
@@ -48,10 +47,14 @@ SENSOR_SLOT = np.dtype(
         ("settings", "f8", MAX_SETTINGS),  # nominal, as the module declares them; first: the argument of ``innovate``
         ("innovate", "i8"),  # address
         ("enabled", "i8"),
+        ("witness", "i8"),  # 1: it is compared, not fused
+        ("sigmas", "f8"),  # of a witness: standard deviations of both that are allowed
+        ("samples", "i8"),  # of a witness: consecutive, that set its interlock or release it
         ("n", "i8"),  # components
         ("gate", "f8", 2),  # largest NIS of the first three components, and of the others
         ("errors", "i8"),
         ("component", "i8", SENSOR_ERRORS_MAX),  # of each error
+        ("sigma", "f8", SENSOR_ERRORS_MAX),  # its standard deviation
         ("state", "i8", SENSOR_ERRORS_MAX),  # its index in the error state, 0: it is left out
     ],
     align=True,
@@ -59,7 +62,9 @@ SENSOR_SLOT = np.dtype(
 SENSOR_FUSION_PARAMS = np.dtype(
     [
         ("n", "i8"),
+        ("fused", "i8"),  # of them those that are no witnesses
         ("slot", SENSOR_SLOT, MAX_SENSORS),
+        ("witness", WITNESS_PARAMS),
         ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
         ("cusum_limit", "f8"),
         ("nis_weight", "f8"),  # of a sample in the mean NIS
@@ -75,6 +80,9 @@ SENSOR_FUSION_STATE = np.dtype(
         ("arrived", "i8"),  # samples of this cycle
         ("arrival", SENSOR_ARRIVAL, SAMPLES_PER_CYCLE),
         ("monitor", SENSOR_MONITOR, MAX_SENSORS),
+        ("witness", WITNESS, MAX_SENSORS),
+        ("bound_m", "f8"),  # on the position error by the newest samples of witnesses, 0 for none
+        ("bound_s", "f8"),  # when they were measured
         ("estimate", SENSOR_ESTIMATE),
         ("innovation", SENSOR_INNOVATION),
     ],
@@ -98,6 +106,8 @@ def place_samples(params, state, memory):
     for k in range(sensors.arrived):
         arrival = sensors.arrival[k]
         sample = arrival.sample
+        if params.sensors.slot[sample.sensor].witness != 0:
+            continue
         arrival.result, arrival.nis = NOT_USED, np.nan
         fill(arrival.innovation, np.nan)
         if params.sensors.slot[sample.sensor].enabled == 0 or state.started == 0:
@@ -139,27 +149,9 @@ def fuse_samples(params, state, memory, cycle):
 def _innovate(params, state, sample, cycle, group):
     """Write innovation and gain of a group of components into ``state.found_position``; return the NIS."""
     sensors, filters, found = state.sensors, state.filters, state.found_position
-    slot, estimate, innovation = params.sensors.slot[sample.sensor], sensors.estimate, sensors.innovation
+    slot, innovation, x = params.sensors.slot[sample.sensor], sensors.innovation, filters.pkf.x
     delta_s = sample.t_s - cycle * params.pkf.dt_s
-    turn, rotation = stack.vector(3), stack.vector(4)
-    estimate.t_s = sample.t_s
-    for i in range(3):
-        estimate.r_CT_H[i] = filters.pkf.x[i] + delta_s * filters.pkf.x[3 + i]
-        estimate.v_CT_H[i] = filters.pkf.x[3 + i]
-        estimate.w_CH_C[i] = filters.akf.w_CH_C[i]
-        turn[i] = delta_s * filters.akf.w_CH_C[i]
-    quat.from_rotation_vector_into(turn, rotation)
-    quat.multiply_into(rotation, filters.akf.x[0:4], estimate.q_CH)
-    copy_record(sample, innovation.sample)
-    fill(innovation.value, 0.0)
-    fill_matrix(innovation.h, 0.0)
-    fill_matrix(innovation.h_errors, 0.0)
-    for k in range(slot.errors):
-        innovation.h_errors[slot.component[k], k] = 1.0
-    for i in range(COMPONENTS_MAX):
-        for j in range(COMPONENTS_MAX):
-            innovation.noise[i, j] = sample.covariance[i, j]
-    call_address(slot.innovate, estimate, innovation, slot)
+    innovate(slot, sensors, sample, x[0:3], x[3:6], filters.akf.x[0:4], filters.akf.w_CH_C, delta_s)
     first = 3 * group
     fill_matrix(found.h, 0.0)
     fill_matrix(found.noise, 0.0)

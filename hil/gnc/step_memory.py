@@ -94,7 +94,7 @@ def _filter_words(params):
 def _words(params):
     """Return the length in the memory of a step."""
     words = _filter_words(params)
-    return words + _SENSOR_WORDS if params.sensors.n > 0 else words
+    return words + _SENSOR_WORDS if params.sensors.fused > 0 else words
 
 
 @kernel

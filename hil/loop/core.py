@@ -1,7 +1,7 @@
 """The cycle as compiled calls on one state record: what is computed, without input, output, clock or random numbers.
 
 ``hil.loop.cycle`` makes these calls around devices of any kind, ``hil.loop.compiled.run_cycles`` around the bench in
-memory, both in the same order: read, ``guard_bench``, ``receive_poses``, ``compare_monitor``, the GNC
+memory, both in the same order: read, ``guard_bench``, ``receive_poses``, ``compare_witnesses``, the GNC
 (``hil.gnc.step``), ``command``, ``check_consistency``, record, ``advance``, ``next_setpoint``, send. The cycle of
 devices asks its GNC for the consistency, whose filters may be elsewhere. Axes that are faster than the cycle have
 ``next_setpoint`` alone between two cycles.
@@ -23,13 +23,12 @@ from hil.dynamics.imu_faults import IMU_MEMORY
 from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
-from hil.gnc import integrity, navigation
+from hil.gnc import integrity, navigation, sensor_witness
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
 from hil.gnc_backends.library_kernel import LIBRARY
 from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
-from hil.loop.monitor_kernel import MONITOR_PARAMS, MONITOR_STATE, compare_received
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
@@ -58,7 +57,6 @@ LOOP_PARAMS = np.dtype(
         ("gnc", GNC_PARAMS),
         ("ready", READY_PARAMS),
         ("integrity", INTEGRITY_PARAMS),
-        ("monitor", MONITOR_PARAMS),
         ("sensors", SENSOR_PARAMS),
         ("vmu_faults", FAULTS),
         ("mock", MOCK_PARAMS),  # used by the bench in memory alone
@@ -86,7 +84,6 @@ LOOP_STATE = np.dtype(
         ("bench_guard", BENCH_GUARD_MEMORY),
         ("limited", "i8"),  # setpoints that were limited
         ("limited_in_row", "i8"),  # setpoints in a row, the last one included
-        ("monitor", MONITOR_STATE),
         ("sensors", SENSOR_STATE),
         ("sensors_logged", "i8"),  # rows of SENSOR_ARRIVAL written
         ("gnc", GNC_STATE),
@@ -258,14 +255,15 @@ def _log_poses(state, poses, arrived, logged, arrivals):
 
 
 @entry
-def compare_monitor(params, state, t_s):
-    """Compare the navigation with what the docking monitor has measured by ``t_s``, for GNC and row."""
-    approach, now = state.gnc.approach, state.now
+def compare_witnesses(params, state, t_s):
+    """Compare the navigation with what witnesses have measured and delivered by ``t_s``, for GNC and row."""
+    approach, now, sensors = state.gnc.approach, state.now, state.gnc.navigation.fusion.sensors
     state.disagreed_before = approach.monitor_disagrees
-    approach.monitor_disagrees = compare_received(params.monitor, state.monitor, t_s, now.navigation)
-    bound_m, measured_s = state.monitor.interlock.bound_m, state.monitor.interlock.last_s
-    integrity.set_second(state.gnc.navigation.integrity, bound_m, measured_s)
-    now.monitor_bound_m, now.monitor_bound_s = bound_m, measured_s
+    approach.monitor_disagrees = sensor_witness.compare_witnesses(
+        params.gnc.navigation.fusion.sensors, sensors, t_s, now.navigation
+    )
+    integrity.set_second(state.gnc.navigation.integrity, sensors.bound_m, sensors.bound_s)
+    now.monitor_bound_m, now.monitor_bound_s = sensors.bound_m, sensors.bound_s
 
 
 @kernel

@@ -12,11 +12,9 @@ from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE, MAX_POSES, POSE, VMU_FRAME, imu_samples, new
 from hil.loop.core import LOOP_PARAMS, LOOP_STATE
-from hil.loop.monitor_kernel import MONITOR_PARAMS
 from hil.models.frame_transit import SPARE_FRAMES
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
-from hil.params import monitor as monitor_params
 from hil.params import vision as vision_params
 from hil.params.faults import fault_rows
 from hil.params.sensors import sensor_sources
@@ -118,27 +116,14 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     return params
 
 
-def set_truth(params: np.record, scenario: Scenario, truth: Scenario, seed: int, dss: np.record) -> None:
+def set_truth(params: np.record, truth: Scenario, seed: int, dss: np.record) -> None:
     """Write vehicle, sensors, transport of frames and faults of ``truth`` to ``params`` (LOOP_PARAMS). dss: DSS_PARAMS.
 
-    scenario: as the loop has it. seed: of the run.
+    seed: of the run.
     """
     vmu = truth.vmu
     params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
     params.mock.vision = vision_params.vision(truth, seed)
     params.mock.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
-    params.monitor = monitor_record(scenario, truth, seed)
     params.sensors = sensor_sources(truth, seed)
     params.vmu_faults, params.mock.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)
-
-
-def monitor_record(scenario: Scenario, truth: Scenario, seed: int) -> np.record:
-    """Return MONITOR_PARAMS. scenario: as the loop has it; truth: with the monitor's errors and faults."""
-    params = new(MONITOR_PARAMS)
-    if truth.monitor.source == "none" or not scenario.monitor.interlock:
-        return params
-    params.acts, params.models = 1, truth.monitor.source == "model"
-    params.model = monitor_params.monitor_model(truth)
-    params.interlock = monitor_params.interlock(scenario)
-    params.faults = fault_rows(truth, "monitor", seed)
-    return params

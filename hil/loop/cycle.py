@@ -17,7 +17,6 @@ from hil.gnc_backends.base import GncBackend
 from hil.loop import core
 from hil.loop.bench_stage import BenchStage
 from hil.loop.core_memory import CoreMemory, CycleData
-from hil.loop.monitor_stage import MonitorStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.sensor_stage import SensorStage
@@ -47,10 +46,8 @@ class Loop:
     target: TargetStage = field(default_factory=FixedTarget)
     axis_faults: Callable[[float], None] | None = None
     """Applies the faults of axes in memory that act at a time of the run; None if there are none."""
-    monitor: MonitorStage | None = None
-    """Docking monitor with its interlock; None without one."""
     sensors: SensorStage | None = None
-    """Further sensors of the scenario; None without any."""
+    """Sensors other than vision unit and IMU; None without any."""
     now: CycleData = field(init=False)
     done: int = 0
     """Completed cycles of the run."""
@@ -117,10 +114,8 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.bench.guard(bench_s, run_zero_s)  #    bench guard
     loop.gnc.set_bench_check(now.bench_off[0], now.bench_breach[0], bool(state.gnc.approach.bench_disagrees))
     loop.vision.receive(bench_s, run_zero_s)  # 3  poses from the vision unit
-    if loop.monitor is not None:
-        loop.monitor.check(t_s, loop.gnc)  #    docking monitor against navigation
     if loop.sensors is not None:
-        loop.sensors.receive(t_s, bench_s, run_zero_s)  #    further sensors
+        loop.sensors.receive(t_s, bench_s, run_zero_s, loop.gnc)  #    further sensors, witnesses against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control
     if loop.sensors is not None:
         loop.sensors.record(k)

@@ -13,7 +13,6 @@ from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics.truth import rate_against_hill
 from hil.dynamics.vision import VISION_PARAMS, measure_frame
 from hil.dynamics.vision_errors import VISION_MEMORY
-from hil.loop.monitor_kernel import is_measured, measure_bench
 from hil.maths import stack
 from hil.models.axis_faults import NOMINAL_AXES
 from hil.models.camera import CAMERA
@@ -112,15 +111,6 @@ def receive_frames(params, state, now_s, frames):
     transit = state.mock.transit
     n = receive_from(transit, now_s, frames)
     return -1 if now_s - transit.last_rx_s > params.mock.vmu_timeout_s else n
-
-
-@kernel
-def measure_monitor(params, state, t_s, noise, first):
-    """Let the statistical model of the docking monitor measure, if it is due. first: number of the first row."""
-    if is_measured(params.monitor, state.monitor, t_s):
-        r, q = stack.vector(3), stack.vector(4)
-        kinematics.pose_of_axes(params.bench, state.mock.rails.position, state.mock.turntable.position, r, q)
-        measure_bench(params.monitor, state.monitor, t_s, r, q, noise, first)
 
 
 @kernel

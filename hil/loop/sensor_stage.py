@@ -1,8 +1,8 @@
-"""Further sensors as a stage of the cycle: modelled ones, and those whose samples a program of the user's own sends."""
+"""Further sensors as a stage of the cycle: modelled ones, and those whose samples come from elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -13,8 +13,13 @@ from hil.core.messages import Array
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.dynamics.truth import rate_against_hill
 from hil.frmn.ring import Telemetry
+from hil.gnc_backends.base import GncBackend
+from hil.loop import core
 from hil.loop.core_memory import CoreMemory
+from hil.params.monitor import MONITOR
+from hil.safety.condition_alarms import Disagreement
 from hil.sensors.measurement import deliver, is_any_due, log_arrivals, measure, put_sample
+from hil.sensors.module import SensorKind
 
 
 class SampleSource(Protocol):
@@ -31,7 +36,7 @@ class SampleSource(Protocol):
 
 
 class SensorStage:
-    """Sensors of a scenario, by ``names`` in its order.
+    """Sensors of a loop by their names, in the order of its records.
 
     axes: returns the positions of rails and turntable, m and rad, that modelled ones see. sources: of those that are
     not modelled.
@@ -40,11 +45,11 @@ class SensorStage:
     def __init__(
         self,
         memory: CoreMemory,
-        names: Sequence[str],
+        kinds: Mapping[str, SensorKind],
         axes: Callable[[], tuple[Array, Array]],
         sources: Sequence[SampleSource] = (),
     ) -> None:
-        self._memory, self._names, self._axes, self.sources = memory, tuple(names), axes, tuple(sources)
+        self._memory, self._kinds, self._axes, self.sources = memory, dict(kinds), axes, list(sources)
         self._params, self._state = kernel_record(memory.params.sensors), memory.view("sensors")
         self._bench = kernel_record(memory.params.bench)
         self.arrivals = kernel_record(memory.state.gnc.navigation.fusion.sensors)
@@ -54,8 +59,11 @@ class SensorStage:
         self._r, self._q, self._rate = np.empty(3), np.empty(4), np.empty(3)
         self._log = np.zeros(len(self.arrivals.arrival), SENSOR_ARRIVAL).view(np.recarray)
 
-    def receive(self, t_s: float, now_s: float, run_zero_s: float) -> None:
-        """Measure what is due at ``t_s`` of the run, and pass what has arrived on to the navigation."""
+    def receive(self, t_s: float, now_s: float, run_zero_s: float, gnc: GncBackend) -> None:
+        """Measure what is due at ``t_s`` of the run, and pass what has arrived on to the navigation.
+
+        Witnesses are compared with the estimate of the cycle before; ``gnc`` receives what they have found.
+        """
         if is_any_due(self._params, self._state, t_s):
             pose_of_axes(self._bench, *self._axes(), self._r, self._q)
             truth = self._memory.now.truth
@@ -65,6 +73,18 @@ class SensorStage:
             for sample in source.poll(now_s, run_zero_s).view(np.recarray):
                 put_sample(self._params, self._state, sample)
         deliver(self._state, t_s, self.arrivals)
+        core.compare_witnesses(self._memory.params, self._memory.state, t_s)
+        gnc.set_monitor_disagrees(bool(self._memory.state.gnc.approach.monitor_disagrees))
+        gnc.set_monitor_bound(float(self.arrivals.bound_m), float(self.arrivals.bound_s))
+
+    def disagreement(self) -> Disagreement | None:
+        """Return the last disagreement of the first witness whose interlock is set, None if none is."""
+        for (name, kind), witness in zip(self._kinds.items(), self.arrivals.witness, strict=False):
+            if witness.disagrees:
+                component = kind.components[int(witness.component)]
+                device, label = name if name == MONITOR else f"sensor.{name}", component.doc or component.name
+                return Disagreement(device, label, component.unit, float(witness.value), float(witness.limit))
+        return None
 
     def record(self, cycle: int) -> None:
         """Send the samples of ``cycle``, with what the navigation has made of them, to the sink."""
@@ -76,7 +96,7 @@ class SensorStage:
     def numbers(self) -> dict[str, dict[str, float | int | None]]:
         """Return for JSON what became of the samples of each sensor, by name, and its mean NIS per component."""
         found = {}
-        for name, monitor in zip(self._names, self.arrivals.monitor, strict=False):
+        for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False):
             judged = int(monitor.judged)
             found[name] = {
                 "accepted": int(monitor.accepted),

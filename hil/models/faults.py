@@ -17,6 +17,8 @@ KIND, NUMBER, AT, UNTIL, VALUE, SIZE, OPTION = 0, 1, 2, 3, 4, 7, 8
 """Columns of a row. NUMBER: of thruster or axis. VALUE: the first of three, SI. SIZE: of an outlier, m, or the least
 light of visible LEDs, 1/m^2. OPTION: sensor, or stamp."""
 COLUMNS = 9
+AT_ARRIVAL = 1.0
+"""Option of a latency: what comes late is stamped with its arrival."""
 
 FAULTS = np.dtype([("n", "i8"), ("seed", "i8"), ("row", "f8", (MAX_FAULTS, COLUMNS))], align=True)
 
@@ -52,3 +54,16 @@ def normal(seed, number, lane):
     """Return a standard normal number that depends on the three integers alone (Box and Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(uniform(seed, number, 2 * lane)))
     return radius * math.cos(2.0 * math.pi * uniform(seed, number, 2 * lane + 1))
+
+
+@kernel
+def displace_at_random(probability, size, seed, number, lane, position):
+    """Displace ``position`` (3,), m, by ``size`` in a random direction, with ``probability``."""
+    if uniform(seed, number, lane) >= probability:
+        return
+    height = 2.0 * uniform(seed, number, lane + 1) - 1.0
+    angle = 2.0 * math.pi * uniform(seed, number, lane + 2)
+    level = math.sqrt(1.0 - height * height)
+    position[0] += size * level * math.cos(angle)
+    position[1] += size * level * math.sin(angle)
+    position[2] += size * height

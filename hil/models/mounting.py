@@ -28,16 +28,24 @@ MOUNTING = np.dtype(
 @kernel
 def camera_pose(mounting, r_CT_H, q_CH, t_v, q_vt):
     """Write the pose t -> v, ``t_v`` (3,), m, and ``q_vt`` (4,), of a chaser at ``r_CT_H`` with ``q_CH``."""
-    ring_c, q_ht, q_ct = stack.vector(3), stack.vector(4), stack.vector(4)
+    target_pose(
+        mounting.camera_position, mounting.q_vc, mounting.led_ring_position, mounting.q_th, r_CT_H, q_CH, t_v, q_vt
+    )  # fmt: skip
+
+
+@kernel
+def target_pose(camera, q_vc, target, q_th, r_CT_H, q_CH, t_v, q_vt):
+    """Write the same of a camera at ``camera`` (3,), in c, and a target at ``target`` (3,), in H, with their axes."""
+    target_c, q_ht, q_ct = stack.vector(3), stack.vector(4), stack.vector(4)
     for i in range(3):
-        ring_c[i] = mounting.led_ring_position[i] - r_CT_H[i]
-    quat.transform_into(q_CH, ring_c, ring_c)
+        target_c[i] = target[i] - r_CT_H[i]
+    quat.transform_into(q_CH, target_c, target_c)
     for i in range(3):
-        ring_c[i] -= mounting.camera_position[i]
-    quat.transform_into(mounting.q_vc, ring_c, t_v)
-    quat.conjugate_into(mounting.q_th, q_ht)
+        target_c[i] -= camera[i]
+    quat.transform_into(q_vc, target_c, t_v)
+    quat.conjugate_into(q_th, q_ht)
     quat.multiply_into(q_CH, q_ht, q_ct)
-    quat.multiply_into(mounting.q_vc, q_ct, q_vt)
+    quat.multiply_into(q_vc, q_ct, q_vt)
 
 
 @kernel

@@ -18,7 +18,6 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
-from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.dynamics.imu import IMU_NOISE
 from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BadInput, BenchError, LinkTimeout, SafetyTrip
@@ -182,7 +181,6 @@ class CaseRunner:
             imu_noise,
             noise_source(seed, "vision").standard_normal(out=self._vision_noise),
             noise_source(seed, "transport").random(out=self._travel_draws),
-            self._drawn_monitor_noise(seed),
             self._state,
             self._core.now.samples,
             self._memory,
@@ -196,15 +194,6 @@ class CaseRunner:
             _NO_IMU_SAMPLES,
             _NO_SENSOR_ARRIVALS,
         )
-
-    def _drawn_monitor_noise(self, seed: int) -> np.ndarray:
-        """Return the noise of the modelled docking monitor's measurements, no rows without one."""
-        monitor = self._params.monitor
-        n = 0
-        if monitor.acts and monitor.models:
-            n = math.floor((self.cycles - 1) * self.scenario.step_s * monitor.model.rate_hz) + 2
-        noise: np.ndarray = noise_source(seed, "monitor").standard_normal((n, MONITOR_NOISE))
-        return noise
 
     def noise(self) -> dict[str, tuple[np.ndarray, float]]:
         """Return the standard normals of the last case, rows in the order of time, and rows per second, by source."""
@@ -230,7 +219,7 @@ class CaseRunner:
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        set_truth(params, self.scenario, truth, seed, dss_as_built(truth, seed))
+        set_truth(params, truth, seed, dss_as_built(truth, seed))
         integrity_params.set_faults(params.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)

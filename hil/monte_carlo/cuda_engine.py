@@ -27,6 +27,7 @@ from hil.loop.compiled.run_cycles import COMPLETED, run_cycles
 from hil.maths.random_streams import NoiseSource, noise_source
 from hil.monte_carlo.batch import Batch, Case, DrawnCase, Rows, Spec, not_flown, worker_count
 from hil.monte_carlo.outcome import NUMERIC, TEXTS
+from hil.params.sensors import sensors_of
 
 _THREADS: Final = 64  # per block
 _CYCLES: Final = 500  # of a launch, unless the run is shorter
@@ -39,7 +40,7 @@ BOUND: Final = 1e-6
 
 _NAMES: Final = tuple(inspect.signature(run_cycles).parameters)
 """Names of the arguments of ``run_cycles``."""
-_UPLOADED: Final = ("params", "field", "vision_noise", "travel_draws", "monitor_noise", "state", "samples", "stats")
+_UPLOADED: Final = ("params", "field", "vision_noise", "travel_draws", "state", "samples", "stats")
 """Arguments that are copied to the GPU for each case."""
 _BY_CASE: Final = (*_UPLOADED, "memory", "imu_noise", "poses", "frames", "delayed", "codes")
 """Arrays on the GPU with a leading axis of cases."""
@@ -76,6 +77,9 @@ class CudaEngine:
         for each in scenarios:
             if each.value.gnc.binary is not None or each.value.gnc.foreign:
                 raise BadInput.single(each.where("gnc"), "gnc", "an external GNC does not run on a GPU: --engine cpu")
+            if sensors := sensors_of(each.value):
+                text = f"{', '.join(sensors)}: modules of sensors do not run on a GPU: --engine cpu"
+                raise BadInput.single(each.where("sensors"), "sensors", text)
         self._cuda = cuda_of_numba()
         self.workers = worker_count(threads)
         self._agreement: dict[str, Any] = {}

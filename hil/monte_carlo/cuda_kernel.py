@@ -53,13 +53,13 @@ def clear_words(words):
 
 @cuda.jit(cache=True)
 def run_cases(
-    cases, end, params, field, leds, imu_noise, vision_noise, travel_draws, monitor_noise, state, samples, memory,
+    cases, end, params, field, leds, imu_noise, vision_noise, travel_draws, state, samples, memory,
     poses, frames, delayed, stats, history, arrivals, axes_log, samples_log, sensor_log, codes,
 ):  # fmt: skip
     """Run the first ``cases`` cases to cycle ``end``; write why each ended, COMPLETED if at ``end``, into ``codes``.
 
-    imu_noise: (n, rows, IMU_NOISE), of the cycles of this launch. vision_noise, travel_draws, monitor_noise: of the
-    whole run. leds, history, arrivals, axes_log, samples_log, sensor_log: as for ``run_cycles``, shared. codes:
+    imu_noise: (n, rows, IMU_NOISE), of the cycles of this launch. vision_noise, travel_draws: of the whole run. leds,
+    history, arrivals, axes_log, samples_log, sensor_log: as for ``run_cycles``, shared. codes:
     (n,), COMPLETED at the start. The others: (n, ...) of what ``run_cycles`` takes.
     """
     i = cuda.grid(1)
@@ -67,10 +67,10 @@ def run_cases(
         return
     case = state[i]
     transit = case.mock.transit
-    exposed, measured = transit.next_exposure - transit.first_exposure, case.monitor.next
+    exposed = transit.next_exposure - transit.first_exposure
     case.end = end
     codes[i] = run_cycles(
         params[i], field[i], leds, imu_noise[i], vision_noise[i][exposed:], travel_draws[i][exposed:],
-        monitor_noise[i][measured:], case, samples[i], memory[i], poses[i], frames[i], delayed[i], stats[i],
+        case, samples[i], memory[i], poses[i], frames[i], delayed[i], stats[i],
         history, arrivals, axes_log, samples_log, sensor_log,
     )  # fmt: skip

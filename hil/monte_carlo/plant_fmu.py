@@ -18,6 +18,7 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 
+from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
@@ -39,7 +40,7 @@ from hil.monte_carlo.case_runner import CaseRunner
 _OMITTED: Final = ("history", "arrivals", "axes_log", "samples_log")
 """Last arguments of ``run_cycles``, which the FMU does without."""
 _PARTS: Final = tuple(inspect.signature(run_cycles).parameters)[: -len(_OMITTED)]
-_FIXED: Final = ("params", "field", "leds", "imu_noise", "vision_noise", "travel_draws", "monitor_noise")
+_FIXED: Final = ("params", "field", "leds", "imu_noise", "vision_noise", "travel_draws")
 _CHANGED: Final = tuple(name for name in _PARTS if name not in _FIXED)
 _CODES: Final = (
     "COMPLETED",
@@ -81,9 +82,13 @@ def export_plant(case: PlantCase, version: int, out: Path) -> None:
     if models := case.truth.models:
         text = f"{', '.join(models)}: in an FMU already: the exported plant has the built-in models"
         raise BadInput.single("hil fmu-export", f"{next(iter(models))}.fmu", text)
-    scenario = case.scenario.model_copy(update={"gnc": case.scenario.gnc.built_in()})
+    if case.truth.sensors:
+        text = "are not available in an exported plant, which has vision unit and IMU alone"
+        raise BadInput.single("hil fmu-export", "sensors", f"{', '.join(case.truth.sensors)}: {text}")
+    alone = {"gnc": case.scenario.gnc.built_in(), "monitor": DockingMonitorConfig()}
+    scenario = case.scenario.model_copy(update=alone)
     runner = CaseRunner(scenario, case.rig, case.duration_s)
-    prepared = runner.prepared(case.truth, case.seed)
+    prepared = runner.prepared(case.truth.model_copy(update={"monitor": alone["monitor"]}), case.seed)
     arguments = dict(zip(_PARTS, prepared, strict=False))
     with tempfile.TemporaryDirectory(prefix="hil-fmu-") as name:
         folder = Path(name)

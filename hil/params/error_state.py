@@ -48,6 +48,7 @@ def error_state(scenario: Scenario) -> np.record:
         "gyro_instability": given.gyro_instability_time_s,
         "accelerometer_instability": given.accelerometer_instability_time_s,
     }
+    is_fused = any(sensor.use == "fusion" for sensor in scenario.sensors.values())
     n, params.imu = FILTER_ERRORS, 0
     params.kept = np.ones(LANES)
     for block in PARAMETER_BLOCKS:
@@ -59,7 +60,7 @@ def error_state(scenario: Scenario) -> np.record:
         params.variance[here] = sigmas[block.name] ** 2
         # with further sensors bias and scale of the vision unit can be observed: unless estimated, its innovations have
         # a mean
-        params.estimated[here] = block.estimated or (block.name in _OF_POSES and bool(scenario.sensors))
+        params.estimated[here] = block.estimated or (block.name in _OF_POSES and is_fused)
         if block.name == "sensor_errors":
             params.kept[here] = [math.exp(-scenario.sample_s / error.time_s) for error in of_sensors]
             params.moves = params.moves or any(math.isfinite(error.time_s) for error in of_sensors)

@@ -12,7 +12,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.dynamics import imu_faults, target_faults, thruster_faults, vision_faults
 from hil.models import axis_faults
-from hil.models.faults import AT, FAULTS, KIND, NUMBER, OPTION, SIZE, UNTIL, VALUE
+from hil.models.faults import AT, AT_ARRIVAL, FAULTS, KIND, NUMBER, OPTION, SIZE, UNTIL, VALUE
 from hil.params.errors import SEED_BITS, least_light
 from hil.sensors import measurement
 
@@ -21,7 +21,7 @@ _KERNELS: Final = {
     "imu": imu_faults,
     "thruster": thruster_faults,
     "axis": axis_faults,
-    "monitor": vision_faults,
+    "monitor": measurement,
     "sensor": measurement,
     "target": target_faults,
 }
@@ -31,14 +31,14 @@ CODES: Final = {
 """Kind of device -> kind of fault -> its number in the kernels."""
 
 
-def fault_rows(scenario: Scenario, family: str, seed: int = 0) -> np.record:
-    """Return FAULTS of the kind of device ``family``. seed: of the run, for kinds with random numbers."""
+def fault_rows(scenario: Scenario, family: str, seed: int = 0, *more: str) -> np.record:
+    """Return FAULTS of the kind of device ``family`` and ``more``. seed: of the run, for kinds with random numbers."""
     table = new(FAULTS)
     table.seed = seed & SEED_BITS
-    found = [fault for fault in scenario.faults if fault.family == family]
+    found = [fault for fault in scenario.faults if fault.family in (family, *more)]
     table.n = len(found)
     for row, fault in zip(table.row, found, strict=False):
-        row[KIND], row[NUMBER] = CODES[family][fault.kind], fault.number
+        row[KIND], row[NUMBER] = CODES[fault.family][fault.kind], fault.number
         row[AT], row[UNTIL] = fault.at_s, fault.end_s
         values = np.array(fault.values) * _si_per_unit(fault)
         row[VALUE : VALUE + len(values)] = values
@@ -50,7 +50,7 @@ def fault_rows(scenario: Scenario, family: str, seed: int = 0) -> np.record:
 def _option(fault: TimedFault) -> float:
     if fault.sensor == "accelerometer":
         return imu_faults.ACCELEROMETER
-    return vision_faults.AT_ARRIVAL if fault.stamp == "arrival" else 0.0
+    return AT_ARRIVAL if fault.stamp == "arrival" else 0.0
 
 
 def _si_per_unit(fault: TimedFault) -> np.ndarray | float:

@@ -49,6 +49,7 @@ _AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no g
 _MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever arm of the accelerometers
 _QUIET_WINDOW_S = 0.32  # over which quiet readings are averaged
 _QUIET_SIGMAS = 5.0  # of a reading that is quiet
+_WITNESS_AGE_MAX_S = 2.0  # of a measurement of a witness
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
 
@@ -121,6 +122,10 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.errors = error_state(scenario)
     fusion.thrust = _thrust_model(scenario)
     fusion.sensors = sensor_fusion(scenario, int(fusion.errors.sensor_errors), _gate_tail(scenario))
+    witness = fusion.sensors.witness
+    witness.acceleration, witness.angular_acceleration = largest_accelerations(scenario.chaser)
+    witness.age_max_s, witness.step_s = _WITNESS_AGE_MAX_S, scenario.step_s
+    witness.bound_sigmas = protection_sigmas(scenario)
     if params.sensors == VISION_ALONE:  # the drift is the error of a rate that starts from zero
         akf.initial_drift, akf.initial_drift_sigma = np.zeros(3), math.radians(gnc.navigation.thrust.rate_sigma_degps)
     params.dt_s = scenario.step_s

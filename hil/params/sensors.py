@@ -11,17 +11,41 @@ from hil.config.scenario import Scenario
 from hil.config.sensors import SensorConfig
 from hil.core.messages import Array, new
 from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
-from hil.maths import chi_square
-from hil.models.faults import NUMBER
+from hil.maths import chi_square, quat
+from hil.models.faults import NUMBER, VALUE
 from hil.params.errors import SEED_BITS
 from hil.params.faults import fault_rows
+from hil.params.monitor import MONITOR, monitor_sensor, mounting
 from hil.sensors.compiled import addresses
 from hil.sensors.measurement import SENSOR_PARAMS
 from hil.sensors.module import SensorKind
-from hil.sensors.registry import sensors_of
+from hil.sensors.registry import sensor
 
 NIS_TAIL: Final = 1e-10
 """False-alarm probability of a mean NIS, of poses and of further sensors."""
+
+
+class LoopSensor(NamedTuple):
+    """A sensor of a loop. kind: its module. models: whether its measurements are modelled."""
+
+    kind: SensorKind
+    config: SensorConfig
+    models: bool
+
+
+def sensors_of(scenario: Scenario) -> dict[str, LoopSensor]:
+    """Return the sensors of the scenario's loop by their names: added ones, then the docking monitor. Raises BadInput.
+
+    The docking monitor is one of them if its interlock acts.
+    """
+    found = {
+        name: LoopSensor(sensor(config.kind), config, config.source == "model")
+        for name, config in scenario.sensors.items()
+    }
+    if scenario.monitor.source != "none" and scenario.monitor.interlock:
+        config = monitor_sensor(scenario)
+        found[MONITOR] = LoopSensor(sensor(config.kind), config, scenario.monitor.source == "model")
+    return found
 
 
 class SensorErrorState(NamedTuple):
@@ -34,40 +58,44 @@ class SensorErrorState(NamedTuple):
 
 
 def error_states(scenario: Scenario) -> list[SensorErrorState]:
-    """Return the errors of all sensors whose standard deviations are above 0, in the order of their states."""
+    """Return the errors of all fused sensors with standard deviations above 0, in the order of their states."""
     found = []
-    for number, (name, sensor) in enumerate(sensors_of(scenario).items()):
-        values = sensor.values(scenario.sensors[name].settings)
-        for index, error in enumerate(sensor.module.errors):
+    for number, (kind, config, _) in enumerate(sensors_of(scenario).values()):
+        if config.use == "witness":
+            continue
+        values = kind.values(config.settings)
+        for index, error in enumerate(kind.module.errors):
             if values[error.sigma] > 0.0:
                 time_s = math.inf if error.time_s is None else values[error.time_s]
                 found.append(SensorErrorState(number, index, values[error.sigma], time_s))
     return found
 
 
-def settings_row(sensor: SensorKind, config: SensorConfig) -> Array:
+def settings_row(kind: SensorKind, config: SensorConfig) -> Array:
     """Return the settings of a sensor in the order of their declaration."""
-    return np.array(list(sensor.values(config.settings).values()), float)
+    return np.array(list(kind.values(config.settings).values()), float)
 
 
 def sensor_sources(scenario: Scenario, seed: int) -> np.record:
     """Return SENSOR_PARAMS: sensors as they truly are. scenario: of the truth."""
-    params = new(SENSOR_PARAMS)
-    if not scenario.sensors:
+    params, sensors = new(SENSOR_PARAMS), sensors_of(scenario)
+    if not sensors:
         return params
-    params.seed = seed & SEED_BITS
-    params.faults = fault_rows(scenario, "sensor", seed)
-    for row, fault in zip(params.faults.row, (f for f in scenario.faults if f.family == "sensor"), strict=False):
-        row[NUMBER] = list(scenario.sensors).index(fault.member)
-    for number, (name, sensor) in enumerate(sensors_of(scenario).items()):
-        config, source = scenario.sensors[name], params.source[number]
-        row = settings_row(sensor, config)
+    params.n, params.seed = len(sensors), seed & SEED_BITS
+    params.faults = fault_rows(scenario, "sensor", seed, MONITOR)
+    names = list(sensors)
+    faults = [fault for fault in scenario.faults if fault.family in ("sensor", MONITOR)]
+    for row, fault in zip(params.faults.row, faults, strict=False):
+        row[NUMBER] = names.index(fault.member or MONITOR)
+        if fault.family == MONITOR and fault.kind in ("offset", "drift"):  # of the chaser in c: the target moves in v
+            row[VALUE : VALUE + 3] = -quat.transform(mounting(scenario.monitor).q_vc, row[VALUE : VALUE + 3].copy())
+    for source, (kind, config, models) in zip(params.source, sensors.values(), strict=False):
+        row = settings_row(kind, config)
         source.settings[: len(row)] = row
-        source.measure, source.models = addresses(sensor).measure, config.source == "model"
-        source.sees_bench, source.n = sensor.module.sees == "bench", len(sensor.components)
-        source.rate_hz = min(config.rate_hz or sensor.module.rate_hz, 1.0 / scenario.step_s)
+        source.measure, source.models = addresses(kind).measure, models
+        source.sees_bench, source.n = kind.module.sees == "bench", len(kind.components)
+        source.rate_hz = min(config.rate_hz or kind.module.rate_hz, 1.0 / scenario.step_s)
         source.latency_s, source.loss = config.latency_s, config.loss_probability
-    params.n = len(scenario.sensors)
     return params
 
 
@@ -76,26 +104,28 @@ def sensor_fusion(scenario: Scenario, first_state: int, gate: float) -> np.recor
 
     gate: that a sound innovation is rejected.
     """
-    params, integrity = new(SENSOR_FUSION_PARAMS), scenario.gnc.integrity
-    if not scenario.sensors:
+    params, integrity, sensors = new(SENSOR_FUSION_PARAMS), scenario.gnc.integrity, sensors_of(scenario)
+    if not sensors:
         return params
+    params.n, params.fused = len(sensors), sum(config.use == "fusion" for _, config, _ in sensors.values())
     params.mean_shift, params.cusum_limit = integrity.mean_shift_sigmas, integrity.cusum_limit_sigmas
     params.nis_weight = 1.0 / integrity.nis_window
     params.suspect_after = integrity.close_after
     params.gate = math.sqrt(chi_square.upper_quantile(gate, 1))
     params.nis_limit = chi_square.limit_of_recent_mean(integrity.nis_window, 1, NIS_TAIL)
     states = error_states(scenario)
-    for number, (name, sensor) in enumerate(sensors_of(scenario).items()):
-        config, slot = scenario.sensors[name], params.slot[number]
-        row = settings_row(sensor, config)
-        slot.settings[: len(row)] = row
-        slot.innovate, slot.enabled, slot.n = addresses(sensor).innovate, config.enabled, len(sensor.components)
+    for number, (slot, (kind, config, _)) in enumerate(zip(params.slot, sensors.values(), strict=False)):
+        values = kind.values(config.settings)
+        slot.settings[: len(values)] = list(values.values())
+        slot.innovate, slot.enabled, slot.n = addresses(kind).innovate, config.enabled, len(kind.components)
+        slot.witness = config.use == "witness"
+        slot.sigmas, slot.samples = config.interlock_sigmas, config.interlock_samples
         for group in range((slot.n + 2) // 3):
             slot.gate[group] = chi_square.upper_quantile(gate, min(3, slot.n - 3 * group))
-        slot.errors = len(sensor.module.errors)
-        slot.component[: slot.errors] = [error.component for error in sensor.module.errors]
+        slot.errors = len(kind.module.errors)
+        slot.component[: slot.errors] = [error.component for error in kind.module.errors]
+        slot.sigma[: slot.errors] = [values[error.sigma] for error in kind.module.errors]
         for k, state in enumerate(states):
             if state.sensor == number:
                 slot.state[state.number] = first_state + k
-    params.n = len(scenario.sensors)
     return params

@@ -15,10 +15,10 @@ from hil.config.scenario import Scenario
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
+from hil.params.sensors import sensors_of
 from hil.recording import audit
 from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE, VERSION
 from hil.recording.writer import RecordingHeader
-from hil.sensors.registry import sensors_of
 from hil.setup.assembly import Job
 
 
@@ -62,7 +62,7 @@ def _calibrations(job: Job) -> dict[str, str]:
         files[GEOMETRY_FILE] = calibrated_geometry(rig).model_dump_json()
     if scenario.monitor.has_images:
         files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
-    if scenario.sensors:
+    if sensors_of(scenario):
         files[SENSORS_FILE] = json.dumps(sensor_columns(scenario))
     return files
 
@@ -70,8 +70,8 @@ def _calibrations(job: Job) -> dict[str, str]:
 def sensor_columns(scenario: Scenario) -> dict[str, Any]:
     """Return kind and components of each further sensor, by name: what its rows in a recording mean."""
     return {
-        name: {"kind": sensor.kind, "components": [{"name": c.name, "unit": c.unit} for c in sensor.components]}
-        for name, sensor in sensors_of(scenario).items()
+        name: {"kind": config.kind, "components": [{"name": c.name, "unit": c.unit} for c in kind.components]}
+        for name, (kind, config, _) in sensors_of(scenario).items()
     }
 
 

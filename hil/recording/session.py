@@ -21,6 +21,7 @@ from hil.errors import BadInput, DeviceError
 from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
+from hil.params.sensors import sensors_of
 from hil.recording import recorder
 from hil.recording.audit import DIGEST, ENTRIES, AuditChain
 from hil.recording.catalogue import BROKEN_OFF, DONE, Catalogue
@@ -163,7 +164,7 @@ def required_sinks(job: Job) -> set[str]:
         required.add("imu_samples")
     if job.ticks > 1:
         required.add("axes_samples")
-    if scenario.sensors:
+    if sensors_of(scenario):
         required.add("sensor_samples")
     if job.rig.value.rotated_target is not None:
         required.add("manipulator_samples")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
@@ -11,7 +12,15 @@ from hil.core.observable import ObservableList
 from hil.gnc.filter_monitor import FilterCondition
 from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog
 
-_COMPONENTS = ("to the right", "upwards", "along the line of sight", "pitch", "yaw", "roll")
+
+class Disagreement(NamedTuple):
+    """Disagreement of a witness with the navigation. component: what is off, by ``value``, SI in ``unit``."""
+
+    device: str
+    component: str
+    unit: str
+    value: float
+    limit: float
 
 
 class HealthAlarms:
@@ -19,14 +28,15 @@ class HealthAlarms:
 
     So are the checks of the filters, of the built-in GNC or of a GNC server, which are of low priority. Those to which
     the scenario's reactions are none in any phase are of low priority, the others of medium.
-    disagreement: returns component, value and limit, m or rad, of the docking monitor's last disagreement.
+    disagreement: returns that of the docking monitor or another witness whose interlock is set, None without one.
     """
 
     def __init__(
-        self, alarms: AlarmLog, scenario: Scenario, disagreement: Callable[[], tuple[int, float, float]] | None = None
+        self, alarms: AlarmLog, scenario: Scenario, disagreement: Callable[[], Disagreement | None] = lambda: None
     ) -> None:
         self._alarms = alarms
         self._disagreement = disagreement
+        self._witness = "monitor"  # the last one that disagreed
         self._health = 0
         self._checks: list[FilterCondition] = []
         lost_s, rejected = scenario.gnc.integrity.lost_after_s, scenario.gnc.integrity.suspect_after
@@ -91,9 +101,9 @@ class HealthAlarms:
         if bit is not GncHealth.MONITOR_DISAGREES:
             return self._texts[bit]
         value, limit = "beyond both sigmas", "within both sigmas"
-        if self._disagreement is not None:
-            component, off, allowed = self._disagreement()
-            unit, scale = ("m", 1.0) if component < 3 else ("deg", math.degrees(1.0))
-            value = f"off by {scale * off:.4f} {unit} {_COMPONENTS[component]}"
-            limit = f"{scale * allowed:.4f} {unit}"
-        return "monitor", "pose of the navigation", value, limit
+        if (found := self._disagreement()) is not None:
+            self._witness = found.device
+            unit, scale = ("deg", math.degrees(1.0)) if found.unit == "rad" else (found.unit, 1.0)
+            value = f"off by {scale * found.value:.4f} {unit} {found.component}"
+            limit = f"{scale * found.limit:.4f} {unit}"
+        return self._witness, "pose of the navigation", value, limit

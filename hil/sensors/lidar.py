@@ -68,6 +68,8 @@ class Lidar(SensorModule):
         "drift": "CUSUM of the innovations: unseen up to what the level has",
         "outlier": "the gate",
         "noise_scale": "mean NIS",
+        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
+        "latency": "innovations in motion, if stamped with the arrival",
     }
     rate_hz = 5.0
 

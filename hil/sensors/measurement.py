@@ -28,10 +28,24 @@ from hil.core.sensor_records import (
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.maths.record_view import copy_record
 from hil.models.camera_timing import TIME_SLACK_S, exposure_time
-from hil.models.faults import AT, FAULTS, KIND, NUMBER, VALUE, is_active, normal, uniform
+from hil.models.faults import (
+    AT,
+    AT_ARRIVAL,
+    FAULTS,
+    KIND,
+    NUMBER,
+    OPTION,
+    SIZE,
+    VALUE,
+    displace_at_random,
+    is_active,
+    normal,
+    uniform,
+)
 
-NO_SAMPLE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE = range(6)
+NO_SAMPLE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY = range(8)
 """Kinds of faults of sensors."""
+NO_POSE = NO_SAMPLE  # its name for the docking monitor
 _OUTLIER_SIGMAS = 30.0
 _WAITING_MAX = 32  # samples between measurement and arrival; further ones are lost
 _LANES = 256  # random numbers of a measurement
@@ -155,7 +169,7 @@ def _disturb(params, state, sample):
     """Let the faults act on ``sample``; return whether it is passed on."""
     track, k = state.track[sample.sensor], sample.sensor
     first = _LANES * (k + 1) + _FAULT_LANE
-    frozen = False
+    frozen = is_stamped_late = False
     for i in range(params.faults.n):
         row = params.faults.row[i]
         if int(row[NUMBER]) != k or not is_active(row, sample.t_s):
@@ -169,15 +183,26 @@ def _disturb(params, state, sample):
             factor = 1.0 if kind == OFFSET else sample.t_s - row[AT]
             for j in range(3):
                 sample.value[j] += factor * row[VALUE + j]
+        elif kind == OUTLIER and row[SIZE] > 0.0:
+            displace_at_random(row[VALUE], row[SIZE], params.faults.seed, sample.number, first, sample.value)
         elif kind == OUTLIER:
             if uniform(params.faults.seed, sample.number, first) < row[VALUE]:
                 for j in range(COMPONENTS_MAX):
                     sign = 1.0 if uniform(params.faults.seed, sample.number, first + 1 + j) < 0.5 else -1.0
                     sample.value[j] += sign * _OUTLIER_SIGMAS * math.sqrt(sample.covariance[j, j])
+        elif kind == SIGMA_SCALE:
+            for j in range(COMPONENTS_MAX):
+                for m in range(COMPONENTS_MAX):
+                    sample.covariance[j, m] *= row[VALUE] ** 2
+        elif kind == LATENCY:
+            sample.received_s += row[VALUE]
+            is_stamped_late = is_stamped_late or row[OPTION] == AT_ARRIVAL
         else:
             for j in range(COMPONENTS_MAX):
                 excess = math.sqrt(max(0.0, row[VALUE] ** 2 - 1.0) * sample.covariance[j, j])
                 sample.value[j] += excess * normal(params.faults.seed, sample.number, first + 8 + j)
+    if is_stamped_late:
+        sample.t_s = sample.received_s
     if frozen:
         copy_into(sample.value, track.frozen.value)
         for i in range(COMPONENTS_MAX):

@@ -39,6 +39,8 @@ class ExternalPose(SensorModule):
         "drift": "CUSUM of the innovations: unseen up to what the level has",
         "outlier": "the gate",
         "noise_scale": "mean NIS",
+        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
+        "latency": "innovations in motion, if stamped with the arrival",
     }
 
     @staticmethod

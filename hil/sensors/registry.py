@@ -34,6 +34,7 @@ SHIPPED: Final = {
     "lidar": "hil.sensors.lidar:Lidar",
     "star_tracker": "hil.sensors.star_tracker:StarTracker",
     "pose": "hil.sensors.pose:ExternalPose",
+    "docking_monitor": "hil.sensors.docking_monitor:DockingMonitorSensor",
 }
 """Kind -> module and class."""
 
@@ -72,11 +73,6 @@ def kinds() -> dict[str, SensorKind | str]:
         except BadInput as error:
             found[kind] = error.problems[0].message
     return found
-
-
-def sensors_of(scenario: Scenario) -> dict[str, SensorKind]:
-    """Return the modules of the scenario's sensors by their names. Raises BadInput."""
-    return {name: sensor(config.kind) for name, config in scenario.sensors.items()}
 
 
 def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:

@@ -43,6 +43,8 @@ class RelativeGnss(SensorModule):
         "drift": "CUSUM of the innovations of position and velocity: unseen up to what the level has",
         "outlier": "the gate",
         "noise_scale": "mean NIS",
+        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
+        "latency": "innovations in motion, if stamped with the arrival",
     }
     sees = "truth"
     rate_hz = 1.0

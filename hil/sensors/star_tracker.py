@@ -35,6 +35,8 @@ class StarTracker(SensorModule):
         "frozen": "gate and CUSUM of the innovations once the chaser has turned",
         "drift": "CUSUM of the innovations, against gyros and vision",
         "noise_scale": "mean NIS",
+        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
+        "latency": "innovations in motion, if stamped with the arrival",
     }
     sees = "truth"
     rate_hz = 2.0

@@ -7,18 +7,21 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from hil.config.load import load_scene
+from hil.config.scenario import Scenario
 from hil.core.clock import WallClock
 from hil.core.operator_commands import Operator
 from hil.errors import DeviceError
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
 from hil.frmn.search_region import SearchRegion
-from hil.loop.monitor_stage import PortionSource
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
 from hil.monitor.results import PORTION
+from hil.params.monitor import MONITOR
+from hil.params.sensors import sensors_of
 from hil.recording.sinks import RecordingSinks
 from hil.session import build
+from hil.setup.portion_samples import PortionSamples, PortionSource
 
 if TYPE_CHECKING:
     from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess  # imports OpenCV
@@ -29,19 +32,20 @@ _PORTIONS = 64  # in the ring that the loop reads
 class MonitorResults:
     """Results of the monitor: of_run returns those of the run that has ended, source those that arrive during it.
 
-    search: sets its region of search, None if it cannot be set.
+    number: of its sensor in the loop, None if it is none. search: sets its region of search, None if it cannot be set.
     """
 
     def __init__(
         self,
         of_run: Callable[[Outcome], MonitorOutcome | None],
         source: PortionSource | None = None,
+        number: int | None = None,
         run_time: RunTime | None = None,
         search: SearchRegion | None = None,
     ) -> None:
         self.search = search
         self._of_run = of_run
-        self._source = source
+        self._source, self._number = source, number
         self._run_time = run_time
 
     def __call__(self, outcome: Outcome) -> MonitorOutcome | None:
@@ -49,11 +53,11 @@ class MonitorResults:
         return self._of_run(outcome)
 
     def attach(self, runner: Runner) -> None:
-        """Connect the interlock of the runner's loop, if it has one, and the run's time for a live camera."""
+        """Connect the sensor of the runner's loop, if there is one, and the run's time for a live camera."""
         if self._run_time is not None:
             runner.loop.vision.on_run_zero = self._run_time.set_zero
-        if runner.loop.monitor is not None:
-            runner.loop.monitor.source = self._source
+        if runner.loop.sensors is not None and self._source is not None and self._number is not None:
+            runner.loop.sensors.sources.append(PortionSamples(self._source, self._number))
 
 
 @contextmanager
@@ -89,9 +93,8 @@ def beside(
             process.wait_ready()
             announce(f"docking monitor process {process.pid}")
             zero = run_time if recorded_time is None else None
-            yield MonitorResults(
-                lambda _: _results(process, scenario.monitor.scene), RingPortions(portions), zero, search
-            )
+            outcome = lambda _: _results(process, scenario.monitor.scene)  # noqa: E731
+            yield MonitorResults(outcome, RingPortions(portions), _number(scenario), zero, search)
     finally:
         search.close()
         if recorded_time is None:
@@ -123,13 +126,13 @@ def runner(
 
         scene = load_scene(scenario.monitor.scene).value
         with build.runner(job, on_progress, announce, operator, sinks) as in_memory:
-            if in_memory.loop.monitor is None or job.paced:  # to render takes longer than a cycle
+            if (number := _number(scenario)) is None or job.paced:  # to render takes longer than a cycle
                 yield in_memory, _after_the_run(job, sinks)
                 return
             outlets = MonitorSinks(sinks.monitor_image_encoder(rig), sinks.portions) if sinks else MonitorSinks()
             in_loop = InLoopMonitor(CameraMonitor(scenario, scene, rig, seed, outlets), in_memory.loop.telemetry)
             in_memory.loop.telemetry = in_loop
-            results = MonitorResults(lambda _: in_loop.finish(), in_loop)
+            results = MonitorResults(lambda _: in_loop.finish(), in_loop, number)
             results.attach(in_memory)
             yield in_memory, results
         return
@@ -148,6 +151,12 @@ def runner(
         prepare(bench, made)
         results.attach(made)
         yield made, results
+
+
+def _number(scenario: Scenario) -> int | None:
+    """Return the number of the docking monitor among the sensors of the loop, None if it is none of them."""
+    names = list(sensors_of(scenario))
+    return names.index(MONITOR) if MONITOR in names else None
 
 
 def _after_the_run(job: build.Job, sinks: RecordingSinks | None) -> MonitorResults:

@@ -43,7 +43,6 @@ from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set
 from hil.loop.cycle import Loop
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.model_stage import ModelDssStage
-from hil.loop.monitor_stage import MonitorStage, monitor_noise
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
@@ -57,6 +56,7 @@ from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params.sensors import sensors_of
 from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
@@ -182,7 +182,7 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
     scenario = job.scenario.value
     gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s, scenario.bench)
     params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
-    set_truth(params, scenario, job.truth, job.seed, dss_as_built(job.truth, job.seed))
+    set_truth(params, job.truth, job.seed, dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
     memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, memory.now.imu)
@@ -203,7 +203,7 @@ def assemble(
     moved = _target_stage(job, rig, target)
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
-    monitor = _docking_monitor(job, devices, stage, memory)
+    sensors = _sensors(job, devices, stage, memory)
     loop = Loop(
         memory=memory,
         dss=_dss(job.truth, job.seed, memory),
@@ -213,9 +213,8 @@ def assemble(
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
-        health_alarms=HealthAlarms(safety.alarms, scenario, monitor.disagreement if monitor else None),
-        monitor=monitor,
-        sensors=_sensors(job, devices, stage, memory),
+        health_alarms=HealthAlarms(safety.alarms, scenario, sensors.disagreement if sensors else lambda: None),
+        sensors=sensors,
     )
     if loop.gnc.filter_monitor is not None:
         loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
@@ -283,20 +282,13 @@ def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
 
 
-def _docking_monitor(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> MonitorStage | None:
-    """Return the docking monitor of a scenario that has one whose interlock acts; it sees where the bench is."""
-    if not memory.params.monitor.acts:
-        return None
-
-    return MonitorStage(memory, _seen_axes(devices, bench), monitor_noise(job.seed))
-
-
 def _sensors(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> SensorStage | None:
-    """Return the further sensors of a scenario, None without any."""
+    """Return the sensors of a scenario other than vision unit and IMU, None without any."""
     if not memory.params.sensors.n:
         return None
     scenario = job.scenario.value
-    return SensorStage(memory, tuple(scenario.sensors), _seen_axes(devices, bench), sample_sources(scenario))
+    kinds = {name: sensor.kind for name, sensor in sensors_of(scenario).items()}
+    return SensorStage(memory, kinds, _seen_axes(devices, bench), sample_sources(scenario))
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:

@@ -23,7 +23,7 @@ from hil.config.scenario import Scenario
 from hil.config.sensors import SensorConfig
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.errors import BadInput, one_line
-from hil.sensors.registry import sensors_of
+from hil.params.sensors import sensors_of
 
 _BYTES_MAX: Final = 4096
 _PER_POLL: Final = 16
@@ -133,10 +133,9 @@ def sample_sources(scenario: Scenario) -> list[UdpSamples]:
     """Return the open sockets of the scenario's sensors with ``source = "udp"``. Raises BadInput."""
     found: list[UdpSamples] = []
     try:
-        for number, (name, sensor) in enumerate(sensors_of(scenario).items()):
-            config = scenario.sensors[name]
+        for number, (name, (kind, config, _)) in enumerate(sensors_of(scenario).items()):
             if config.source == "udp":
-                found.append(UdpSamples(name, number, len(sensor.components), config))
+                found.append(UdpSamples(name, number, len(kind.components), config))
     except BadInput:
         for source in found:
             source.close()

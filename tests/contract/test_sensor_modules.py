@@ -11,7 +11,8 @@ import pytest
 
 import hil
 from hil.config.load import load_rig, load_scenario
-from hil.core.sensor_records import ACCEPTED, SENSOR_ARRIVAL
+from hil.core.gnc_records import GncHealth
+from hil.core.sensor_records import ACCEPTED, NOT_USED, SENSOR_ARRIVAL
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.recording import read
 from hil.recording.replay import replay
@@ -177,3 +178,22 @@ def test_scenario_that_nothing_could_fly_names_key_and_reason() -> None:
             build.check(build.Job(load_scenario("scheme-1", texts), rig, 0, 1.0, 1.0))
         assert [problem.key for problem in error.value.problems] == [key]
         assert reason in error.value.problems[0].message
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_as_a_witness_it_leaves_the_estimate_alone_and_accuses_it_of_what_it_sees(kind: str) -> None:
+    """An offset of the witness stands for one of the estimate; the reaction is a hold."""
+    witness = 'sensors.s.use="witness"'
+    alone, none = fly(kind, witness, "sensors.s.enabled=false")
+    sound, samples = fly(kind, witness)
+    assert not (sound["navigation"]["health"] & GncHealth.MONITOR_DISAGREES).any()
+    assert (none["result"] == NOT_USED).all()
+    assert set(samples["result"]) <= {NOT_USED, ACCEPTED}
+    np.testing.assert_array_equal(alone["navigation"]["r_CT_H"], sound["navigation"]["r_CT_H"])
+    offset = {"device": "sensor.s", "kind": "offset", "at_s": 4.0, "value": 50.0 if kind == "relative_gnss" else 0.5}
+    off, _ = fly(kind, witness, faults_setting(offset))
+    python, _ = fly(kind, witness, faults_setting(offset), compiled=False)
+    assert_same_bits(off, python)
+    accused = (off["navigation"]["health"] & GncHealth.MONITOR_DISAGREES) != 0
+    assert not accused[off["t_s"] < 4.0].any()
+    assert accused[-1]

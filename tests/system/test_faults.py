@@ -50,6 +50,8 @@ VALUES = {
     "sensor.drift": 0.06,
     "sensor.outlier": 0.4,
     "sensor.noise_scale": 5.0,
+    "sensor.sigma_scale": 3.0,
+    "sensor.latency": 0.35,
     "target.jump": [0.1, 0.0, 0.0],
     "target.drift": [0.01, 0.02, 0.0],
     "target.plume": 1.0,
@@ -61,6 +63,7 @@ MORE = {
     "vmu.latency": {"stamp": "arrival"},
     "monitor.outlier": {"size_m": 0.5},
     "monitor.latency": {"stamp": "arrival"},
+    "sensor.latency": {"stamp": "arrival"},
     "imu.stuck": {"sensor": "accelerometer"},
     "imu.bias_step": {"until_s": UNTIL_S},
 }

@@ -15,7 +15,6 @@ import numpy as np
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, new
 from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_ARRIVAL
 from hil.drivers.io.mock import MockIo
-from hil.dynamics.docking_monitor import MONITOR_NOISE
 from hil.frmn.ring import NoTelemetry
 from hil.loop.compiled import run_cycles
 from hil.loop.compiled.run_stats import RUN_STATS
@@ -25,7 +24,6 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.maths.random_streams import RandomRows
 
 _BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctrl-C and progress have their turn
-_NO_MONITOR_NOISE: Final = np.zeros((0, MONITOR_NOISE))
 _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
 _NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
 _NO_SENSOR_ARRIVALS: Final = np.zeros(0, SENSOR_ARRIVAL).view(np.recarray)
@@ -145,7 +143,7 @@ class CompiledCycles:
         loop, mocks, state, params = self._loop, self._mocks, self._state, self._params
         end_s = state.zero_s + end * params.step_s
         transit = state.mock.transit
-        next_exposure, next_measured = int(transit.next_exposure), int(state.monitor.next)
+        next_exposure = int(transit.next_exposure)
         exposures = max(0, math.ceil(end_s * params.mock.vmu_rate_hz) - next_exposure + 1)
         self._arrivals = _NO_ARRIVALS
         if loop.vision.frame_sink is not None:
@@ -164,7 +162,6 @@ class CompiledCycles:
             loop.dss.noise.peek((end - first) * self._n_samples),
             mocks.vision_noise.peek(exposures),
             mocks.travel_draws.peek(exposures),
-            self._monitor_noise(end),
             state,
             loop.now.samples,
             self._gnc.memory,
@@ -184,16 +181,7 @@ class CompiledCycles:
         loop.dss.noise.skip((int(state.cycle) - first + (code == run_cycles.NOT_FINITE)) * self._n_samples)
         for rows in (mocks.vision_noise, mocks.travel_draws):
             rows.skip(int(transit.next_exposure) - next_exposure)
-        if loop.monitor is not None:
-            loop.monitor.noise.skip(int(state.monitor.next) - next_measured)
         return code
-
-    def _monitor_noise(self, end: int) -> np.ndarray:
-        """Return the noise of the docking monitor's measurements before cycle ``end``."""
-        if self._loop.monitor is None:
-            return _NO_MONITOR_NOISE
-        last_s, rate_hz = end * self._params.step_s, self._params.monitor.model.rate_hz
-        return self._loop.monitor.noise.peek(max(0, math.ceil(last_s * rate_hz) - int(self._state.monitor.next) + 1))
 
     def _store(self, begun: int) -> None:
         """Pass lines, feedback and time of a block from tick ``begun`` on to the devices' stages."""
@@ -234,11 +222,11 @@ class CompiledCycles:
                 self._gnc.add_innovations(k, float(nis_position[i]), float(nis_attitude[i]))
             if is_last and k == end - 1:
                 self._gnc.log_step(float(rows["t_s"][i]), self._progress_before(), loop.now.supervision)
+            self._send_sensors(k)
             loop.now.t_s[0] = rows["t_s"][i]
             loop.health_alarms.update(self._tick.now_s, int(health[i]))
             loop.telemetry.put(rows[i : i + 1])
             self._send_samples()
-            self._send_sensors(k)
             self._send_axes(k * self._ticks + 1)
             loop.done = k + 1
         self._send_axes(end * self._ticks)

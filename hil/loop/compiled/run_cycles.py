@@ -110,8 +110,8 @@ def _has_event(state):
 
 @kernel
 def run_cycles(
-    params, field, leds, imu_noise, vision_noise, travel_draws, monitor_noise, state, samples, memory, poses, frames,
-    delayed, stats, history, arrivals, axes_log, samples_log, sensor_log,
+    params, field, leds, imu_noise, vision_noise, travel_draws, state, samples, memory, poses, frames, delayed,
+    stats, history, arrivals, axes_log, samples_log, sensor_log,
 ):  # fmt: skip
     """Run the cycles from ``state.cycle`` to ``state.end``; return why it ended.
 
@@ -123,8 +123,7 @@ def run_cycles(
 
     params: LOOP_PARAMS. field: harmonics, ``central_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
     IMU_NOISE), one row per sample, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
-    travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. monitor_noise: (n, MONITOR_NOISE), one row per
-    measurement of a modelled docking monitor, (0, MONITOR_NOISE) without one. state: LOOP_STATE; if not ``opened``,
+    travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``,
     zeroed but for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and
     instance of a library. samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of
     ``fusion.new_memory``. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and
@@ -136,7 +135,6 @@ def run_cycles(
     if state.opened == 0:
         _open(params, state)
     first_cycle, first, n_samples = state.cycle, transit.next_exposure, samples.shape[0]
-    first_measured = state.monitor.next
     while state.cycle < state.end:
         k = state.cycle
         begins = state.tick == 0
@@ -161,11 +159,9 @@ def run_cycles(
             if n > 0 or state.delayed > 0:
                 arrived = core.receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals)
                 forget_frames(transit, n, frames)
-            if params.monitor.acts != 0:
-                mock_bench.measure_monitor(params, state, t_s, monitor_noise, first_measured)
-                core.compare_monitor(params, state, t_s)
             if params.sensors.n != 0:
                 mock_bench.measure_sensors(params, state, t_s)
+                core.compare_witnesses(params, state, t_s)
             if not _run_gnc(params, state, memory, samples, poses, arrived, t_s):
                 return GNC_FAILED
             if params.sensors.n != 0:

@@ -21,7 +21,6 @@ from tests.support.cuda_simulator import run_simulated
 
 SETTINGS = (
     'faults=[{at_s = 2.0, device = "rails.x", kind = "stuck"}]',
-    "monitor.source=model",
     "vmu.latency_jitter_s=0.2",
     "rig.bench.axes_rate_hz=250",
 )
@@ -66,6 +65,7 @@ def test_missing_package_or_gpu_is_one_line(
     monkeypatch.setattr(cuda_engine, "_is_installed", lambda: True)
     monkeypatch.setattr("numba.cuda.is_available", lambda: False)
     assert "--engine: cuda: no GPU" in line("--engine", "cuda")
+    assert "monitor: modules of sensors do not run" in line("--engine", "cuda", "--set", "monitor.source=model")
     assert "must be one of cpu, cuda" in line("--engine", "opencl")
     assert "not together with --scheduler" in line("--engine", "cuda", "--scheduler", "tcp://host:1")
     rare = ("--rare", "position_m_x > 0.01", "--method", "importance", "--runs", "400")

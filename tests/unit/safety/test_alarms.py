@@ -9,7 +9,7 @@ import pytest
 from hil.config.load import load_scenario
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog, alarm_from_error
-from hil.safety.condition_alarms import HealthAlarms
+from hil.safety.condition_alarms import Disagreement, HealthAlarms
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
 FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
@@ -111,7 +111,9 @@ def test_bits_of_the_health_are_conditions_that_name_the_device() -> None:
     book = AlarmLog()
     kinds = ("approach", "hold", "wait", "final", "retreat")
     scenario = load_scenario("scheme-1", tuple(f"gnc.reactions.thruster_fault.{kind}=continue" for kind in kinds))
-    health = HealthAlarms(book, scenario.value, lambda: (2, 0.1234, 0.03))
+    health = HealthAlarms(
+        book, scenario.value, lambda: Disagreement("monitor", "along the line of sight", "m", 0.1234, 0.03)
+    )
     for bench_s, bits in ((1.0, 0), (2.0, 16), (3.0, 16), (4.0, 24), (5.0, 8), (6.0, 0)):
         health.update(bench_s, bits)
     first, second = book.all()

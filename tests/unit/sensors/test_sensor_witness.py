@@ -1,4 +1,4 @@
-"""Interlock: the navigation's estimate against the docking monitor."""
+"""Witness: the navigation's estimate against a sensor that is not fused, here the docking monitor."""
 
 from __future__ import annotations
 
@@ -6,43 +6,56 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_scenario
-from hil.core.messages import NAVIGATION, VMU_FRAME, new
-from hil.dynamics.docking_monitor import MONITOR_NOISE, measure_target
-from hil.loop.monitor_stage import write_measurement
+from hil.core.messages import NAVIGATION, new
+from hil.core.sensor_records import ACCEPTED, LATE, NOT_USED, REJECTED, SENSOR_SAMPLE
+from hil.gnc.sensor_fusion import SENSOR_FUSION_STATE
+from hil.gnc.sensor_witness import compare_witnesses
 from hil.maths import quat
-from hil.monitor.kernels.interlock import INTERLOCK_STATE, compare_estimate
 from hil.monitor.kernels.quantities import of_chaser
 from hil.monitor.results import QUANTITIES, Portion
-from hil.params import monitor as monitor_params
+from hil.params import gnc as gnc_params
+from hil.params.monitor import mounting
+from hil.params.sensors import sensors_of, settings_row
+from hil.sensors.check import Trial
+from hil.setup.portion_samples import write_sample
 
 R_M = np.array([3.0, -0.2, 0.1])
 AHEAD = np.array([1.0, 0.0, 0.0])
 Q = quat.from_rotation_vector(np.array([0.02, -0.03, 0.01]))
+TO_TARGET_M = np.array([-0.3, 0.0, -0.5]) - R_M
+CAMERA_M = np.array([0.8, 0.0, -0.5])
 
 
 class Interlock:
-    """Interlock of scheme-1, with a chaser at R_M and Q of which both sensors know."""
+    """Interlock of scheme-1 with a docking monitor, with a chaser at R_M and Q of which both sensors know."""
 
     def __init__(self) -> None:
-        scenario = load_scenario("scheme-1", ("monitor.source=model",)).value
-        self.params, self.model = monitor_params.interlock(scenario), monitor_params.monitor_model(scenario)
-        self.state, self.estimate, self.frame = new(INTERLOCK_STATE), new(NAVIGATION), new(VMU_FRAME)
+        self.scenario = load_scenario("scheme-1", ("monitor.source=model",)).value
+        self.params = gnc_params.navigation(self.scenario).fusion.sensors
+        self.sensors, self.estimate = new(SENSOR_FUSION_STATE), new(NAVIGATION)
+        self.state = self.sensors.witness[0]
+        self.arrival = self.sensors.arrival[0]
+        kind, config, _ = sensors_of(self.scenario)["monitor"]
+        self._trial = Trial(kind, settings_row(kind, config))
         estimate = self.estimate
         estimate.valid, estimate.r_CT_H, estimate.q_CH = 1, R_M, Q
         estimate.sigma_r_m, estimate.sigma_v_mps, estimate.sigma_attitude_rad = 1e-3, 1e-4, 1e-4
 
+    def measured(self, r: np.ndarray, q: np.ndarray) -> np.record:
+        """Return the sample of a chaser at ``r`` and ``q``, without noise."""
+        self._trial.truth.r_CT_H, self._trial.truth.q_CH, self._trial.truth.normal = r, q, 0.0
+        assert self._trial.measure()
+        sample: np.record = self._trial.output.sample
+        return sample
+
     def compare(self, r: np.ndarray = R_M, q: np.ndarray = Q, age_s: float = 0.0, far: bool = False) -> int:
         """Compare with a measurement of a chaser at ``r`` and ``q``; return whether the interlock is set."""
-        frame = self.frame
-        measure_target(self.model, r, q, np.zeros(MONITOR_NOISE), frame.t_v, frame.q_vt, frame.covariance)
-        variance = np.diag(frame.covariance).copy()
+        sample = self.measured(r, q)
         if far:
-            variance[3:5] = 1.0
-        compare_estimate(
-            self.params, self.model.mounting, self.state, 100.0, 100.0 - age_s - float(self.params.step_s),
-            frame.t_v, frame.q_vt, variance, self.estimate,
-        )  # fmt: skip
-        return int(self.state.disagrees)
+            sample.covariance[3, 3] = sample.covariance[4, 4] = 1.0
+        sample.t_s = 100.0 - age_s - float(self.params.witness.step_s)
+        self.arrival.sample, self.sensors.arrived = sample, 1
+        return int(compare_witnesses(self.params, self.sensors, 100.0, self.estimate))
 
 
 @pytest.fixture
@@ -54,15 +67,21 @@ def test_two_disagreements_in_a_row_set_it_and_two_agreements_release_it(interlo
     off = R_M + AHEAD * 0.05
     assert [interlock.compare(r) for r in (off, R_M, off, off, R_M, R_M)] == [0, 0, 0, 1, 1, 0]
     assert (interlock.state.compared, interlock.state.beyond) == (6, 3)
+    counts = interlock.sensors.monitor[0]
+    assert (counts.accepted, counts.rejected, counts.judged) == (3, 3, 36)
 
 
 @pytest.mark.parametrize("axis", range(3))
 def test_the_limit_is_the_mounting_and_five_sigmas_of_both(interlock: Interlock, axis: int) -> None:
-    distance = float(np.linalg.norm(R_M + AHEAD * 1.1))
-    limit = 0.005 + np.radians(0.1) * distance + 5.0 * np.hypot(1e-3, distance * 1e-4)
+    """An error of the attitude moves the target across its direction from the chaser's reference point."""
+    distance = float(np.linalg.norm(TO_TARGET_M - CAMERA_M))
+    lever = float(np.linalg.norm(np.cross(np.eye(3)[axis], TO_TARGET_M)))
+    limit = 0.005 + np.radians(0.1) * distance + 5.0 * np.hypot(1e-3, lever * 1e-4)
     step = limit * np.eye(3)[axis]
     assert [interlock.compare(R_M + 0.95 * step) for _ in range(3)] == [0, 0, 0]
+    assert interlock.arrival.result == ACCEPTED
     assert [interlock.compare(R_M + 1.10 * step) for _ in range(2)] == [0, 1]
+    assert interlock.arrival.result == REJECTED
     assert interlock.state.value == pytest.approx(1.1 * limit, rel=0.02)
     assert interlock.state.limit == pytest.approx(limit, rel=0.02)
 
@@ -70,10 +89,16 @@ def test_the_limit_is_the_mounting_and_five_sigmas_of_both(interlock: Interlock,
 @pytest.mark.parametrize("axis", range(3))
 def test_attitude_counts_where_it_is_measured(interlock: Interlock, axis: int) -> None:
     turned = quat.multiply(quat.from_rotation_vector(np.radians(0.3) * np.eye(3)[axis]), Q)
-    interlock.params.position = 0.1
+    interlock.params.slot[0].settings[list(interlock_settings()).index("error_m")] = 0.1
     assert [interlock.compare(q=turned) for _ in range(2)] == [0, 1]
     assert interlock.state.component >= 3
-    assert [interlock.compare(q=turned, far=True) for _ in range(2)] == [1, 0]
+    roll_is_measured = axis == 0
+    assert [interlock.compare(q=turned, far=True) for _ in range(2)] == [1, int(roll_is_measured)]
+
+
+def interlock_settings() -> dict[str, float]:
+    kind, config, _ = sensors_of(load_scenario("scheme-1", ("monitor.source=model",)).value)["monitor"]
+    return kind.values(config.settings)
 
 
 def test_the_estimate_is_carried_back_to_the_measurement(interlock: Interlock) -> None:
@@ -88,8 +113,10 @@ def test_the_estimate_is_carried_back_to_the_measurement(interlock: Interlock) -
 def test_old_measurements_and_those_before_the_first_estimate_do_not_count(interlock: Interlock) -> None:
     off = R_M + AHEAD * 0.5
     assert [interlock.compare(off, age_s=2.5) for _ in range(3)] == [0, 0, 0]
+    assert interlock.arrival.result == LATE
     interlock.estimate.valid = 0
     assert [interlock.compare(off) for _ in range(3)] == [0, 0, 0]
+    assert interlock.arrival.result == NOT_USED
     assert interlock.state.compared == 0
 
 
@@ -105,41 +132,41 @@ def test_a_measurement_bounds_the_error_of_an_estimate_that_is_wrong(
 ) -> None:
     """Whatever the errors of the estimate and, within the mounting's, of the monitor."""
     interlock.estimate.protection_level_rad = np.nan
-    distance = float(np.linalg.norm(R_M + AHEAD * 1.1))
+    distance = float(np.linalg.norm(TO_TARGET_M - CAMERA_M))
+    lever = float(np.linalg.norm(TO_TARGET_M))
     for _ in range(50):
         error, angle = rng.normal(0.0, 0.05, 3), rng.normal(0.0, 0.005, 3)
-        mounting = 0.005 * (lambda v: v / np.linalg.norm(v))(rng.normal(size=3))
-        interlock.compare(R_M - error + mounting, quat.multiply(quat.from_rotation_vector(angle), Q))
-        most = np.linalg.norm(error) + 0.06 + 2.5 * distance * np.linalg.norm(angle)
-        assert np.abs(error).max() <= interlock.state.bound_m <= most
+        of_mounting = 0.005 * (lambda v: v / np.linalg.norm(v))(rng.normal(size=3))
+        interlock.compare(R_M - error + of_mounting, quat.multiply(quat.from_rotation_vector(angle), Q))
+        most = np.linalg.norm(error) + 0.06 + 2.5 * lever * np.linalg.norm(angle)
+        assert np.abs(error).max() <= interlock.sensors.bound_m <= most
     interlock.compare()
-    least = 0.005 + 2.0 * np.radians(0.1) * distance
-    assert least < interlock.state.bound_m < 1.5 * least
-    nearly = float(interlock.state.bound_m)
+    least = 0.005 + np.radians(0.1) * (distance + lever)
+    assert least < interlock.sensors.bound_m < 1.5 * least
+    nearly = float(interlock.sensors.bound_m)
     interlock.compare(far=True)
     assert interlock.state.bound_m == 0.0  # neither sensor knows the attitude
     interlock.estimate.protection_level_rad = 1e-3
     interlock.compare(far=True)
-    assert interlock.state.bound_m == pytest.approx(0.005 + (np.radians(0.1) + 1e-3) * distance, rel=0.1)
+    assert interlock.state.bound_m == pytest.approx(0.005 + np.radians(0.1) * distance + 1e-3 * lever, rel=0.1)
     assert interlock.state.bound_m < nearly
 
 
 @pytest.mark.parametrize("status", ["near", "far"])
 def test_a_portion_measures_what_the_model_measures(interlock: Interlock, status: str) -> None:
     values, sigmas = np.empty(12), np.full(12, 1e-4)
-    of_chaser(interlock.model.mounting, R_M, Q, values)
+    of_chaser(mounting(interlock.scenario.monitor), R_M, Q, values)
     if status == "far":
         for name in ("d1_m", "d2_m", "d3_m", "phi1_rad", "phi2_rad"):
             values[QUANTITIES.index(name)] = sigmas[QUANTITIES.index(name)] = np.nan
-    modelled, found = interlock.frame, new(VMU_FRAME)
-    measure_target(interlock.model, R_M, Q, np.zeros(MONITOR_NOISE), modelled.t_v, modelled.q_vt, modelled.covariance)
-    assert write_measurement(Portion(1.0, 10, status, values, sigmas), found)
-    np.testing.assert_allclose(found.t_v, modelled.t_v, atol=1e-12)
-    assert (found.covariance[3, 3] == 1.0) == (status == "far")
+    found, modelled = np.zeros(1, SENSOR_SAMPLE)[0], interlock.measured(R_M, Q)
+    assert write_sample(Portion(1.0, 10, status, values, sigmas), found)
+    np.testing.assert_allclose(found["value"][:3], modelled.value[:3], atol=1e-12)
+    assert (found["covariance"][3, 3] == 1.0) == (status == "far")
     if status == "near":
-        np.testing.assert_allclose(found.q_vt, modelled.q_vt, atol=1e-12)
+        np.testing.assert_allclose(found["value"][3:], modelled.value[3:], atol=1e-12)
 
 
 def test_a_portion_without_a_target_is_no_measurement() -> None:
     nothing = np.full(12, np.nan)
-    assert not write_measurement(Portion(1.0, 0, "no_target", nothing, nothing), new(VMU_FRAME))
+    assert not write_sample(Portion(1.0, 0, "no_target", nothing, nothing), np.zeros(1, SENSOR_SAMPLE)[0])
