@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from docs import diagrams, generate, package_pages
+from tests.support import doc_words
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -79,3 +80,11 @@ def test_diagram_is_that_of_the_code(name: str) -> None:
     drawn = diagrams.DIAGRAMS[name]()
     assert (diagrams.FOLDER / name).read_text() == drawn, "run python -m docs.diagrams"
     assert all((ROOT / file).exists() for file in NAMED_FILE.findall(drawn))
+
+
+def test_pages_written_by_hand_stay_as_short_as_promised() -> None:
+    counts = doc_words.by_kind()
+    assert counts["tutorials"] >= 4000
+    assert sum(counts.values()) <= 55_000, "python -m tests.support.doc_words"
+    assert {page.name for page in (DOCS / "decisions").glob("0*.md") if doc_words.words(page) > 300} == set()
+    assert doc_words.words(ROOT / "CHANGELOG.md") <= 600
