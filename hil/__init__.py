@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
     from hil.core.build_info import VERSION
+    from hil.core.line_protocol import LineProtocol
     from hil.core.settings import Setting
     from hil.gnc_backends.kernel_backend import kernel_backend
     from hil.monitor.monitor import DockingMonitor
@@ -44,6 +45,7 @@ __all__ = [
     "Comparison",
     "Component",
     "DockingMonitor",
+    "LineProtocol",
     "RecordGroup",
     "Recording",
     "Replay",
@@ -78,6 +80,7 @@ _MODULES = {
     "Comparison": "hil.api.comparisons",
     "Component": "hil.sensors.module",
     "DockingMonitor": "hil.monitor.monitor",
+    "LineProtocol": "hil.core.line_protocol",
     "RecordGroup": "hil.api.results",
     "Recording": "hil.api.recordings",
     "Replay": "hil.api.recordings",

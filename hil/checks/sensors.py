@@ -38,7 +38,14 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
         if config.source == "udp" and in_simulated_time:
             problem(f"{name}.source", f'"udp": needs the wall clock, which rig "{rig.value.name}" does not follow')
         if config.source == "model" and rig.value.kind == "hardware" and sensor.module.sees == "bench":
-            problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')
+            if sensor.module.wire is None:
+                problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')
+            elif (line := rig.value.sensors.get(name)) is None or line.port is None:
+                key = f"sensors.{name}.port"
+                problems.append(Problem(rig.where(key), f"rig.{key}", "is missing: the serial port of the sensor"))
+            elif config.stamp != "receipt":
+                text = 'must be "receipt": a line was measured latency_s before it was sent'
+                problem(f"{name}.stamp", text)
     for index, fault in enumerate(value.faults):
         if fault.family == "sensor" and fault.kind not in modules[fault.member].kind.module.faults:
             known = ", ".join(modules[fault.member].kind.module.faults)

@@ -309,6 +309,15 @@ class VmuLine(SerialLine):
     """Pose frames: `hil`, `euler-mm` or the path of a frame file."""
 
 
+class SensorLine(ConfigModel):
+    """Serial wire of a sensor of the scenario, `[sensors.NAME]`."""
+
+    port: str | None = None
+    """Path of the port, such as `/dev/ttyUSB0`."""
+    baud: Annotated[int, Field(ge=50, le=4_000_000)] | None = None
+    """Unless set, that of the sensor's protocol."""
+
+
 class AxisGroupTable(DeviceTable):
     """Table of three axes, each in a table of its own name."""
 
@@ -598,6 +607,8 @@ class Rig(ConfigModel):
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
+    sensors: dict[Name, SensorLine] = Field(default_factory=dict)
+    """Wires of the scenario's sensors, by their names."""
     sign_off: SignOff | None = None
 
     @property
@@ -708,7 +719,8 @@ class Rig(ConfigModel):
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""
         found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
-        return found + self.flight_computer.wires()
+        lines = [Wire(f"sensors.{name}.port", "serial", line.port) for name, line in self.sensors.items()]
+        return found + lines + self.flight_computer.wires()
 
     def missing_wires(self) -> list[str]:
         """Return the keys of devices' wires that the file does not name."""

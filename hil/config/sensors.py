@@ -39,14 +39,16 @@ class SensorConfig(ConfigModel):
     loss_probability: Probability = 0.0
     """Of a measurement that never arrives."""
     source: Literal["model", "udp"] = "model"
-    """Modelled, or datagrams from a program of your own: see [Sensors](../../how-to/add-a-sensor.md)."""
+    """"model": modelled, or, unless the rig is a mock, on the serial wire that its kind has; "udp": datagrams from a
+    program of your own. See [Sensors](../../how-to/add-a-sensor.md)."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """UDP port of this computer on which datagrams arrive, for `source = "udp"`."""
     host: str = "127.0.0.1"
     """Address of this computer on which they are received."""
     stamp: Literal["capture", "receipt"] | None = None
     """What the time of a datagram means: the moment of the measurement on the bench's clock, or nothing, and
-    `latency_s` before its receipt is taken. For `source = "udp"` it must be given."""
+    `latency_s` before its receipt is taken. It must be given for `source = "udp"`; "receipt" for a serial wire of
+    hardware, whose lines have no time."""
 
     @model_validator(mode="after")
     def _source_is_complete(self) -> Self:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Self
 
-from hil.config.rig import Rig
+from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
@@ -18,11 +19,17 @@ _ORDERS = {"io": Order.COUPLER, "rails": Order.AXES, "turntable": Order.AXES, "t
 class EmulatedDevices:
     """Starts an emulator process for each device of ``rig`` and keeps them until ``close``.
 
-    images: memory for those of a rendered vision unit; None: not sent.
+    images: memory for those of a rendered vision unit; None: not sent. sensors: names of those on wires of their own.
     """
 
     def __init__(
-        self, scenario: Scenario, rig: Rig, clock: BenchClock, seed: int, images: ImageMemory | None = None
+        self,
+        scenario: Scenario,
+        rig: Rig,
+        clock: BenchClock,
+        seed: int,
+        images: ImageMemory | None = None,
+        sensors: Sequence[str] = (),
     ) -> None:
         self.board = SharedAxisState.create()
         self._rig = rig
@@ -35,7 +42,7 @@ class EmulatedDevices:
         self._processes: dict[str, ChildProcess] = {}
         self._sends_images = "vmu" if images else ""
         try:
-            for device in _devices(scenario, rig):
+            for device in (*_devices(scenario, rig), *(f"sensor.{name}" for name in sensors)):
                 memory = images if device == "vmu" else None
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",
@@ -103,4 +110,9 @@ def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
     names = dict.fromkeys(("target_manipulator", "rotary_manipulator"), "target")
     tables = {key: table.connected(names.get(key, key), addresses) for key, table in rig.device_tables().items()}
-    return rig.model_copy(update=tables)
+    lines = {
+        name.removeprefix("sensor."): SensorLine(port=address)
+        for name, address in addresses.items()
+        if name.startswith("sensor.") and not name.endswith(".faults")
+    }
+    return rig.model_copy(update={**tables, "sensors": rig.sensors | lines})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -17,13 +17,26 @@ from hil.gnc_backends.base import GncBackend
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
 from hil.params.monitor import MONITOR
+from hil.safety.alarms import LOW, Alarm, AlarmLog
 from hil.safety.condition_alarms import Disagreement
 from hil.sensors.measurement import deliver, is_any_due, log_arrivals, measure, put_sample
 from hil.sensors.module import SensorKind
 
+_SILENT_S: Final = 1.0  # after the last sample of a source
+
 
 class SampleSource(Protocol):
-    """A sensor whose samples arrive while the loop runs."""
+    """A sensor whose samples arrive while the loop runs.
+
+    name: of the device, for alarms. last_s: bench time of its last sample. failure: why its wire is gone, "" if not.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def last_s(self) -> float: ...
+    @property
+    def failure(self) -> str: ...
 
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:
         """Return what has arrived since the last call, (n,) of SENSOR_SAMPLE in the run's time; never waits.
@@ -54,6 +67,8 @@ class SensorStage:
         self._bench = kernel_record(memory.params.bench)
         self.arrivals = kernel_record(memory.state.gnc.navigation.fusion.sensors)
         """SENSOR_FUSION_STATE: samples of the present cycle, and what became of them."""
+        self.alarms: AlarmLog | None = None
+        """Receives an alarm of low priority for a source that is silent."""
         self.sink: Telemetry | None = None
         """Receives each sample that arrives, as a row of SENSOR_ARRIVAL."""
         self._r, self._q, self._rate = np.empty(3), np.empty(4), np.empty(3)
@@ -72,10 +87,23 @@ class SensorStage:
         for source in self.sources:
             for sample in source.poll(now_s, run_zero_s).view(np.recarray):
                 put_sample(self._params, self._state, sample)
+            self._watch(source, now_s)
         deliver(self._state, t_s, self.arrivals)
         core.compare_witnesses(self._memory.params, self._memory.state, t_s)
         gnc.set_monitor_disagrees(bool(self._memory.state.gnc.approach.monitor_disagrees))
         gnc.set_monitor_bound(float(self.arrivals.bound_m), float(self.arrivals.bound_s))
+
+    def _watch(self, source: SampleSource, now_s: float) -> None:
+        """Raise an alarm if ``source`` is silent: the navigation carries on without it, with a larger level."""
+        if self.alarms is None:
+            return
+        silent_s = now_s - source.last_s
+        if source.failure or silent_s > _SILENT_S:
+            value = source.failure or f"none for {silent_s:.1f} s"
+            alarm = Alarm(now_s, source.name, "samples", value, f"one within {_SILENT_S:g} s", priority=LOW)
+            self.alarms.raise_condition(alarm)
+        else:
+            self.alarms.return_to_normal(source.name, "samples")
 
     def disagreement(self) -> Disagreement | None:
         """Return the last disagreement of the first witness whose interlock is set, None if none is."""

@@ -66,6 +66,10 @@ def make_emulator(configuration: Message) -> Emulator:
 
         assert isinstance(clock, WallClock)  # as of ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
+    if device == "sensor":
+        from hil.setup.emulated_sensors import emulated_sensor
+
+        return emulated_sensor(scenario, rig, seed, board, part, clock)
     table: DeviceTable | None = rig.target_axes if device == "target" else getattr(rig, device)
     assert table is not None
     emulator: Emulator
@@ -94,7 +98,7 @@ def make(configuration: Message) -> Service:
     """
     service = FaultInjectionService(make_emulator(configuration))
     device, speed = configuration["device"], configuration["clock"].get("speed", math.inf)
-    is_camera = device == "monitor" or "." in device
+    is_camera = device == "monitor" or device.startswith("vmu.")
     makes_images = is_camera or (device == "vmu" and configuration["scenario"]["vmu"]["source"] != "model")
     if (device == "io" and speed < math.inf) or speed <= (1.0 if makes_images else 2.0 * speed_held()):
         take_fifo(_CAMERA_FIFO_PRIORITY if is_camera else _FIFO_PRIORITY)

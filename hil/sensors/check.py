@@ -84,7 +84,7 @@ def problems(found: SensorKind, values: Array | None = None, seed: int = 0) -> l
         if not trial.measure():
             continue
         seen += 1
-        lines += _finite(found, trial) or _jacobian(found, trial) or _covariance(found, trial)
+        lines += _finite(found, trial) or _jacobian(found, trial) or _covariance(found, trial) or _wire(found, trial)
         if lines:
             return lines
     if seen == 0:
@@ -169,6 +169,28 @@ def _covariance(found: SensorKind, trial: Trial) -> list[str]:
             return [f"innovate: noise of {where} is no covariance: give it there, or out.sample.covariance in measure"]
     if n > 3 and np.abs(noise[:3, 3:]).max() > 0.0:
         return ["innovate: noise of components one to three and of the others must be independent"]
+    return []
+
+
+def _wire(found: SensorKind, trial: Trial) -> list[str]:
+    """Send the measurement as a line: it must mean the same to a fraction of its noise, which no line reports."""
+    protocol, n = found.module.wire, len(found.components)
+    if protocol is None:
+        return []
+    sent = trial.output.sample.value[:n].copy()
+    try:
+        received = protocol.decode(protocol.encode(sent.tolist()).rstrip(b"\r\n"))
+    except ValueError as error:
+        return [f"wire: the line of {sent.tolist()} cannot be read: {error}"]
+    trial.output.sample.covariance = 0.0
+    trial.innovate()
+    sigmas = np.sqrt(np.maximum(np.diag(trial.innovation.noise[:n, :n]), 0.0))
+    if not sigmas.all():
+        return [
+            "innovate: noise is missing: a sensor on a wire gives it if out.noise is zero, for lines do not have it"
+        ]
+    if received is None or not np.all(np.abs(np.array(received) - sent) <= sigmas):
+        return [f"wire: {sent.tolist()} is received as {received}"]
     return []
 
 

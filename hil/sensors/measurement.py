@@ -119,6 +119,12 @@ def measure(params, state, t_s, true, w_CH_C, r_CT_H, q_CH):
 
 
 @kernel
+def noise_of(seed, k, number, i):
+    """Return standard normal ``i`` of measurement ``number`` of sensor ``k``."""
+    return normal(seed, number, _LANES * (k + 1) + _NOISE_LANE + i)
+
+
+@kernel
 def _measure_one(params, state, k, number, t_s, true, w_CH_C, r_CT_H, q_CH):
     source, track, truth, output = params.source[k], state.track[k], state.truth, state.output
     truth.t_s = t_s
@@ -138,7 +144,7 @@ def _measure_one(params, state, k, number, t_s, true, w_CH_C, r_CT_H, q_CH):
     copy_into(truth.memory, track.memory)
     first = _LANES * (k + 1)
     for i in range(NORMALS):
-        truth.normal[i] = normal(params.seed, number, first + _NOISE_LANE + i)
+        truth.normal[i] = noise_of(params.seed, k, number, i)
     sample = output.sample
     output.valid = 1
     sample.sensor, sample.number, sample.t_s, sample.status = k, number, t_s, 0

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from hil.config.faults import TERMS
 from hil.config.sensors import SensorConfig
+from hil.core.line_protocol import LineProtocol
 from hil.core.sensor_records import COMPONENTS_MAX, SENSOR_ERRORS_MAX
 from hil.core.settings import Setting, checked_settings
 
@@ -65,6 +66,8 @@ class SensorModule:
     sees: ClassVar[Literal["bench", "truth"]] = "bench"
     rate_hz: ClassVar[float] = 10.0
     """Measurements per second unless the scenario sets another rate."""
+    wire: ClassVar[LineProtocol | None] = None
+    """Lines of the sensor on a serial wire; None: it has none. ``innovate`` then gives the noise: no line has it."""
 
     @staticmethod
     def measure(settings: Any, truth: Any, out: Any) -> None:
@@ -123,6 +126,7 @@ class SensorKind:
             "errors": list(self.error_columns()),
             "faults": dict(self.module.faults),
             "sees": self.module.sees,
+            "wire": self.module.wire is not None,
             "rate_hz": self.module.rate_hz,
         }
 

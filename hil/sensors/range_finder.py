@@ -12,6 +12,7 @@ import math
 from hil.core.jit import kernel
 from hil.core.settings import Setting
 from hil.maths import quat, stack
+from hil.sensors.dimetix import DimetixLines
 from hil.sensors.module import Component, SensorError, SensorModule
 
 
@@ -45,6 +46,7 @@ class RangeFinder(SensorModule):
         Setting("range_max_m", 100.0, "m", 0.1, 1e5, "longest distance that is measured"),
     )
     errors = (SensorError("bias", 0, "bias_sigma_m"),)
+    wire = DimetixLines()
     faults = {
         "no_sample": "no measurement: known at once; nothing is unseen",
         "frozen": "a distance that stands still: gate and CUSUM of the innovations once the chaser has moved by sigmas",
@@ -75,6 +77,8 @@ class RangeFinder(SensorModule):
         distance = max(1e-9, math.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2))
         arm[0], arm[1], arm[2] = settings.aperture_x_m, settings.aperture_y_m, settings.aperture_z_m
         out.value[0] = out.sample.value[0] - distance
+        if out.noise[0, 0] <= 0.0:  # of a line, which does not report it
+            out.noise[0, 0] = settings.sigma_m**2
         for i in range(3):
             line[i] /= distance
             out.h[0, i] = line[i]

@@ -56,6 +56,7 @@ from hil.setup.clock_watch import ClockWatch
 from hil.setup.compiled import compiled_cycles
 from hil.setup.compiled import runs_compiled as runs_compiled
 from hil.setup.exchange_rates import ExchangeRates
+from hil.setup.sample_sources import wired_sensors
 from hil.setup.true_axes import TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
@@ -168,7 +169,9 @@ class WiredBench:
         step_s = self.job.tick_s
         clock = self.clock
         rate = WallClockRate(clock, step_s) if isinstance(clock, WallClock) else LockStepRate(clock, step_s)
-        context = RunContext(operator, on_progress, self.scheduling, self.telemetry, _FRAMES_TO_ARM)
+        context = RunContext(
+            operator, on_progress, self.scheduling, self.telemetry, _FRAMES_TO_ARM, clock=self.clock
+        )  # fmt: skip
         made = assemble(self.job, self.rig, rate, self.devices, context)
         made.process_pauses = self.pauses
         return made
@@ -297,7 +300,7 @@ def _emulators(
             yield rig, None, {}
         return
     images = sinks.image_memory() if sinks else None
-    with EmulatedDevices(job.truth, rig, clock, job.seed, images) as emulated:
+    with EmulatedDevices(job.truth, rig, clock, job.seed, images, wired_sensors(job.truth, rig)) as emulated:
         wired, addresses = emulated.wait_ready()
         for device, pid in emulated.pids.items():
             wires = ", ".join(f"{n} on {a}" for n, a in addresses.items() if emulated.process_of(n) == device)

@@ -16,6 +16,7 @@ from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
+from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
 from hil.core.operator_commands import Operator
@@ -62,7 +63,7 @@ from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
 from hil.setup.plant_models import plant_models
-from hil.setup.sample_sources import sample_sources
+from hil.setup.sample_sources import sample_sources, wired_sensors
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""
@@ -85,7 +86,8 @@ class RunContext:
     """Connections of a run other than its devices. operator: gives the commands; None: the run is unattended.
 
     on_progress: called periodically with the mode and the completed fraction. scheduling: of the loop's thread.
-    telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed.
+    telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed. clock: bench time of a
+    bench on wires.
     """
 
     operator: Operator | None = None
@@ -93,6 +95,7 @@ class RunContext:
     scheduling: SchedulingPolicy | None = None
     telemetry: Telemetry | None = None
     frames_to_arm: int = 0
+    clock: BenchClock | None = None
 
 
 @dataclass(frozen=True)
@@ -203,7 +206,9 @@ def assemble(
     moved = _target_stage(job, rig, target)
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
-    sensors = _sensors(job, devices, stage, memory)
+    sensors = _sensors(job, rig, devices, stage, memory, context.clock)
+    if sensors is not None:
+        sensors.alarms = safety.alarms
     loop = Loop(
         memory=memory,
         dss=_dss(job.truth, job.seed, memory),
@@ -282,13 +287,19 @@ def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
 
 
-def _sensors(job: Job, devices: Devices, bench: BenchStage, memory: CoreMemory) -> SensorStage | None:
+def _sensors(
+    job: Job, rig: Rig, devices: Devices, bench: BenchStage, memory: CoreMemory, clock: BenchClock | None
+) -> SensorStage | None:
     """Return the sensors of a scenario other than vision unit and IMU, None without any."""
     if not memory.params.sensors.n:
         return None
     scenario = job.scenario.value
     kinds = {name: sensor.kind for name, sensor in sensors_of(scenario).items()}
-    return SensorStage(memory, kinds, _seen_axes(devices, bench), sample_sources(scenario))
+    wired = wired_sensors(scenario, rig) if clock is not None else []
+    for number, name in enumerate(kinds):
+        if name in wired:
+            memory.params.sensors.source[number].models = 0
+    return SensorStage(memory, kinds, _seen_axes(devices, bench), sample_sources(scenario, rig, clock))
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:

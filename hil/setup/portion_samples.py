@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
 
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.monitor.results import NO_TARGET, Portion
+from hil.params.monitor import MONITOR
 from hil.sensors.docking_monitor import UNOBSERVED_RAD
 
 
@@ -23,6 +25,7 @@ class PortionSamples:
 
     def __init__(self, source: PortionSource, number: int) -> None:
         self._source, self._number, self._count = source, number, 0
+        self.name, self.failure, self.last_s = MONITOR, "", math.inf  # never an alarm: no target, no samples
 
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:
         """Return what has arrived since the last call, (n,) of SENSOR_SAMPLE, in the run's time."""

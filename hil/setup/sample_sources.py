@@ -19,10 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.sensors import SensorConfig
+from hil.core.clock import BenchClock
 from hil.core.sensor_records import SENSOR_SAMPLE
-from hil.errors import BadInput, one_line
+from hil.drivers.line_sensor.driver import LineSensor, LineSettings
+from hil.errors import BadInput, LinkLost, one_line
 from hil.params.sensors import sensors_of
 
 _BYTES_MAX: Final = 4096
@@ -41,6 +44,9 @@ class UdpSamples:
         self, name: str, number: int, n: int, config: SensorConfig, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self.refused: Counter[str] = Counter()
+        self.name, self.failure = f"sensor.{name}", ""
+        self.last_s = -math.inf
+        """Bench time of the last usable datagram; -inf before the first ``poll``."""
         self._number, self._n, self._config, self._now_s = number, n, config, now_s
         self._count, self._last_s = 0, -math.inf
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -60,6 +66,7 @@ class UdpSamples:
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:
         """Return what has arrived since the last call, (n,) of SENSOR_SAMPLE, in the run's time."""
         rows = []
+        self.last_s = now_s if self.last_s == -math.inf else self.last_s
         for _ in range(_PER_POLL):
             try:
                 data = self._socket.recv(_BYTES_MAX + 1)
@@ -67,6 +74,7 @@ class UdpSamples:
                 break
             if (row := self._sample(data, now_s, run_zero_s)) is not None:
                 rows.append(row)
+                self.last_s = now_s
         return np.concatenate([np.zeros(0, SENSOR_SAMPLE), *rows])
 
     def close(self) -> None:
@@ -129,14 +137,37 @@ class UdpSamples:
         return max(0.0, age_s)
 
 
-def sample_sources(scenario: Scenario) -> list[UdpSamples]:
-    """Return the open sockets of the scenario's sensors with ``source = "udp"``. Raises BadInput."""
-    found: list[UdpSamples] = []
+def wired_sensors(scenario: Scenario, rig: Rig) -> list[str]:
+    """Return the names of the sensors that are on serial wires of ``rig``: all that have a wire, unless it is a mock.
+
+    On hardware those alone that the rig has a port for.
+    """
+    if rig.kind == "mock":
+        return []
+    return [
+        name
+        for name, (kind, _, models) in sensors_of(scenario).items()
+        if models and kind.module.wire is not None and (rig.kind == "emulated" or name in rig.sensors)
+    ]
+
+
+def sample_sources(scenario: Scenario, rig: Rig, clock: BenchClock | None) -> list[UdpSamples | LineSensor]:
+    """Return the open sockets and ports of the scenario's sensors. clock: bench time, of a rig on wires.
+
+    Raises BadInput for a socket, LinkLost for a port that cannot be opened.
+    """
+    found: list[UdpSamples | LineSensor] = []
+    wired = wired_sensors(scenario, rig)
     try:
         for number, (name, (kind, config, _)) in enumerate(sensors_of(scenario).items()):
             if config.source == "udp":
                 found.append(UdpSamples(name, number, len(kind.components), config))
-    except BadInput:
+            elif name in wired and clock is not None and kind.module.wire is not None:
+                line = rig.sensors[name]
+                settings = LineSettings(line.port or "", line.baud, config.latency_s)
+                device = f"sensor.{name}"
+                found.append(LineSensor(device, number, len(kind.components), kind.module.wire, settings, clock))
+    except (BadInput, LinkLost):
         for source in found:
             source.close()
         raise

@@ -17,6 +17,7 @@ from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbu
 from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
+from hil.drivers.fault_injection import Faults, InjectableFault
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes
 from hil.drivers.remote.io_layout import IO, IoSharedMemory
@@ -46,6 +47,8 @@ class Backend:
     pass_time: Callable[[float], None]
     low: np.ndarray
     high: np.ndarray
+    faults: Faults | None = None
+    """Of the emulator on the other end of a wire."""
 
     def wait_until(self, reached: Callable[[], bool], limit_s: float = 5.0) -> bool:
         """Let bench time pass until ``reached`` or ``limit_s`` is over."""
@@ -80,7 +83,7 @@ def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
         emulator = config.make_emulator(clock, board, name=config.device)
         wired = config.connected(config.device, emulator.start())
         with serving(clock, emulator), closing(wired.make_driver(clock, config.device)) as device:
-            yield Backend(device, clock.now_s, clock.sleep, *_travel(config))
+            yield Backend(device, clock.now_s, clock.sleep, *_travel(config), emulator.faults)
 
 
 @contextmanager
@@ -114,26 +117,38 @@ def _ascii(protocol: str, turntable: Turntable = RIG.turntable) -> Turntable:
     return turntable.model_copy(update={"driver": "ascii", "ascii": AsciiTurntableLine(protocol=protocol)})
 
 
+WIRED: dict[str, Callable[[], AxisGroupTable]] = {
+    "rails-modbus": lambda: RIG.rails,
+    "rails-modbus-gateway": lambda: GATEWAY,
+    "rails-modbus-rtu": lambda: RTU_RAILS,
+    "rails-of-another-package": lambda: load_rig(example_driver.RIG).value.rails,
+    "turntable-cia402": lambda: RIG.turntable,
+    "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
+    "turntable-acu": lambda: _ascii("acu"),
+}
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
-    "rails-modbus": lambda: _on_wires(RIG.rails),
-    "rails-modbus-gateway": lambda: _on_wires(GATEWAY),
-    "rails-modbus-rtu": lambda: _on_wires(RTU_RAILS),
-    "rails-of-another-package": lambda: _on_wires(load_rig(example_driver.RIG).value.rails),
     "turntable-mock": lambda: _mock(RIG.turntable),
-    "turntable-cia402": lambda: _on_wires(RIG.turntable),
     "rails-remote": lambda: _behind_the_io_process(RIG.rails),
     "turntable-remote": lambda: _behind_the_io_process(RIG.turntable),
-    "turntable-hil-ascii": lambda: _on_wires(_ascii("hil-ascii")),
-    "turntable-acu": lambda: _on_wires(_ascii("acu")),
-}
+} | {name: lambda table=table: _on_wires(table()) for name, table in WIRED.items()}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test on all backends, or on rails and turntable of the rig file given by --driver-rig."""
+    rig_file = metafunc.config.getoption("--driver-rig", default=None)
+    if "wired" in metafunc.fixturenames and rig_file is None:
+        metafunc.parametrize("wired", [pytest.param(table, id=name) for name, table in WIRED.items()])
+        return
+    if "wired" in metafunc.fixturenames:
+        rig = load_rig(rig_file).value
+        found = {"rails": rig.rails, "turntable": rig.turntable}
+        metafunc.parametrize(
+            "wired", [pytest.param(lambda each=each: each, id=name) for name, each in found.items() if each.has_wires]
+        )
+        return
     if "backend" not in metafunc.fixturenames:
         return
-    rig_file = metafunc.config.getoption("--driver-rig", default=None)
     if rig_file is None:
         metafunc.parametrize("backend", [pytest.param(make, id=name) for name, make in BACKENDS.items()], indirect=True)
         return
@@ -276,3 +291,92 @@ def test_closed_device_refuses_with_its_name(backend: Backend) -> None:
     device.close()
     with pytest.raises(DeviceError, match=device.name):
         device.read(backend.now_s())
+
+
+@dataclass
+class Motion:
+    """What a loop sees of axes that are moved for a second: positions (n, 3), ages of the feedback (n,), s, error."""
+
+    position: np.ndarray
+    age_s: np.ndarray
+    error: DeviceError | None = None
+
+
+PERIOD_S, BEFORE, CYCLES, SPEED = 0.02, 10, 60, 0.03
+
+
+def moved(backend: Backend, on: Callable[[], None] = lambda: None) -> Motion:
+    """Move all axes of an open device evenly; call ``on`` after BEFORE cycles; end with the first error."""
+    device, now_s = backend.device, backend.now_s
+    start, rows, ages = device.read(now_s()).position.copy(), [], []
+    for k in range(CYCLES):
+        if k == BEFORE:
+            on()
+        try:
+            feedback = device.read(now_s())
+            device.send(start + SPEED * k * PERIOD_S, np.full(3, SPEED), now_s())
+        except DeviceError as error:
+            return Motion(np.array(rows), np.array(ages), error)
+        rows.append(feedback.position - start)
+        ages.append(now_s() - feedback.t_s)
+        backend.pass_time(PERIOD_S)
+    return Motion(np.array(rows), np.array(ages))
+
+
+def _has_effect(fault: str, healthy: Motion, found: Motion) -> bool:
+    """Whether a fault shows: as an error that names the device, in the positions, or as feedback that is late."""
+    if found.error is not None:
+        return True
+    if fault in ("duplicate", "corrupt"):  # a driver may see none: what comes twice is used once, what is damaged not
+        return True
+    apart = np.abs(found.position - healthy.position).max(axis=1)
+    return bool(apart[BEFORE:].max() > 1e-4 or (found.age_s - healthy.age_s)[BEFORE:].max() > 0.05)
+
+
+def test_each_declared_fault_has_its_effect_alone_and_is_over_once_cleared(
+    wired: Callable[[], AxisGroupTable],
+) -> None:
+    """Late, damaged and lost answers, and the faults of the axes: none is without effect, and none is taken as true."""
+    config = wired()
+    with _on_wires(config) as backend:
+        backend.device.open(backend.now_s())
+        healthy = moved(backend)
+        assert backend.faults is not None
+        kinds = dict(backend.faults.kinds)
+    assert healthy.error is None
+    assert {"drop", "corrupt", "delay", "link_down", "stuck"} <= set(kinds)
+    without = [kind for kind, fault in kinds.items() if not _acts(config, kind, fault, healthy)]
+    assert without == []
+
+
+def _acts(config: AxisGroupTable, kind: str, fault: InjectableFault, healthy: Motion) -> bool:
+    """Return whether the fault has its effect before it is cleared, and the device works again afterwards."""
+    with _on_wires(config) as backend:
+        device, faults = backend.device, backend.faults
+        assert faults is not None
+        device.open(backend.now_s())
+        axis = faults.axes[1] if fault.of_axis else ""
+        value = {"drop": 1.0, "corrupt": 1.0, "delay": 0.2, "scaled": 0.5}.get(kind)
+        found = moved(backend, lambda: faults.on(kind, axis, value))
+        if found.error is not None:
+            assert device.name in str(found.error)
+        np.testing.assert_allclose(found.position[:BEFORE], healthy.position[:BEFORE], atol=1e-9)
+        if kind in ("drop", "link_down", "delay", "duplicate", "corrupt"):  # nothing that was read is wrong
+            n = len(found.position)
+            assert np.abs(found.position - healthy.position[:n]).max() < 1.1 * SPEED * config.timeout_s + 1e-3
+        faults.clear()
+        device.close()
+        backend.pass_time(0.1)
+        assert backend.wait_until(lambda: _is_sound(backend))
+        return _has_effect(kind, healthy, found)
+
+
+def _is_sound(backend: Backend) -> bool:
+    """Whether the device can be opened and gives feedback of now."""
+    try:
+        backend.device.open(backend.now_s())
+        backend.pass_time(0.1)
+        return backend.now_s() - backend.device.read(backend.now_s()).t_s < 0.2
+    except DeviceError:
+        backend.device.close()
+        return False

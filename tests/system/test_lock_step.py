@@ -45,7 +45,7 @@ def rows_of(rig: str, seconds: float, seed: int = 1) -> np.ndarray:
     """Return the rows of a run in lock-step."""
     overrides = dict(LOCK_STEP)
     if rig == "ascii":
-        rig, overrides = "emulated", LOCK_STEP | {"rig.turntable.driver": "ascii"}
+        rig, overrides = "emulated", LOCK_STEP | {"rig.turntable.driver": "ascii", "sensors.s.kind": "range_finder"}
     run = hil.run("scheme-1", rig, seed, seconds, overrides)
     assert run.stop == "completed"
     return run.history
