@@ -17,12 +17,15 @@ from hil.gnc.filter_monitor import nis_band
 from hil.maths.limits import finite_or_none
 from hil.monitor.results import QUANTITIES
 from hil.monitor.screen.overlay import NUMBERS
+from hil.params.sensors import sensors_of
 
 _NIS_TAIL: Final = 0.0027  # probability beyond three sigma of a normal variable
 SILENT_S: Final = 2.0
 """The recorder reports ten times per second; after this time without a report it counts as dead."""
 _SHOWN_EVENTS: Final = 20
 _AXES_MAX: Final = len(BENCH_AXES) + len(TARGET_AXES)
+_SENSOR_PERIODS: Final = 3.0  # without a sample, after which a sensor is shown as silent
+SENSOR_STATES: Final = ("", "suspect", "disagrees")
 TARGET: Final = "target"
 """Device of the rotary manipulator, as in the names of its axes."""
 
@@ -170,6 +173,15 @@ class SessionState:
             "overruns": int(status.overruns),
             "skipped_periods": int(status.skipped_periods),
             "limited_cycles": int(status.limited_cycles),
+            "sensors": [
+                {
+                    "name": name,
+                    "age_s": finite_or_none(status.run_s - row["measured_s"] + since_s),
+                    "sigmas": finite_or_none(row["sigmas"]),
+                    "state": SENSOR_STATES[row["state"]],
+                }
+                for name, row in zip(self.bench.get("sensors", {}), status.sensors, strict=False)
+            ],
             **(_target(status) if self._is_rotated else {}),
         }
 
@@ -252,6 +264,10 @@ def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
         "duration_s": scenario.duration_s,
         "picture_stale_s": 2.0 * rig.recording.image_interval_s + 1.0,
         "monitor": _monitor_numbers(scenario),
+        "sensors": {
+            name: max(1.0, _SENSOR_PERIODS / (config.rate_hz or kind.module.rate_hz))
+            for name, (kind, config, _) in sensors_of(scenario).items()
+        },
         "nis_bound": nis_band(1, _NIS_TAIL)[1],
         "late_us": rig.host.late_wakeup_us,
         "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],

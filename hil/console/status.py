@@ -12,6 +12,7 @@ from hil.bench.kinematics import write_axes
 from hil.bench.manipulator import relative_axes
 from hil.core.messages import AXES
 from hil.core.modes import Mode
+from hil.core.sensor_records import MAX_SENSORS
 from hil.errors import BenchError
 from hil.loop.bench_stage import Manipulator
 from hil.loop.runner import Runner
@@ -21,6 +22,8 @@ MODES: Final = tuple(Mode)
 DEVICES: Final = ("rails", "turntable", "vmu", "io")
 UNKNOWN: Final = -1
 
+SENSOR = np.dtype([("measured_s", "f8"), ("sigmas", "f8"), ("state", "i8")])
+"""As of ``SensorState``."""
 STATUS = np.dtype(
     [
         ("mode", "i8"),  # index in MODES
@@ -41,6 +44,7 @@ STATUS = np.dtype(
         ("target_radps", "f8", 3),
         ("target_age_s", "f8"),
         ("relative", AXES),  # ``feedback`` relative to the target
+        ("sensors", SENSOR, MAX_SENSORS),  # in the order of the loop's records
     ],
     align=True,
 )
@@ -77,6 +81,9 @@ class StatusWriter:
                 self._read_manipulator(bench.manipulator, now_s)
             out.age_s[2] = self._age_of_frames(now_s)
             self._read_safety_io(now_s)
+        if loop.sensors is not None:
+            for number, state in enumerate(loop.sensors.states()):
+                self.record["sensors"][0, number] = state
         rate = runner.rate
         out.overruns, out.skipped_periods = rate.overruns, rate.skipped_periods
         out.limited_cycles = bench.limited_cycles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -48,6 +48,17 @@ class SampleSource(Protocol):
         """Release the wire; may be called more than once."""
 
 
+class SensorState(NamedTuple):
+    """Present state of a sensor. measured_s: time of the run at which its newest sample was measured, nan for none.
+
+    sigmas: its largest normalised innovation. state: 0 sound, 1 suspect, 2 a witness that disagrees.
+    """
+
+    measured_s: float
+    sigmas: float
+    state: int
+
+
 class SensorStage:
     """Sensors of a loop by their names, in the order of its records.
 
@@ -71,6 +82,8 @@ class SensorStage:
         """Receives an alarm of low priority for a source that is silent."""
         self.sink: Telemetry | None = None
         """Receives each sample that arrives, as a row of SENSOR_ARRIVAL."""
+        self._newest = dict.fromkeys(kinds, np.nan)
+        self._sigmas = dict(self._newest)
         self._r, self._q, self._rate = np.empty(3), np.empty(4), np.empty(3)
         self._log = np.zeros(len(self.arrivals.arrival), SENSOR_ARRIVAL).view(np.recarray)
 
@@ -116,10 +129,30 @@ class SensorStage:
 
     def record(self, cycle: int) -> None:
         """Send the samples of ``cycle``, with what the navigation has made of them, to the sink."""
-        if self.sink is None or not self.arrivals.arrived:
+        if not self.arrivals.arrived:
+            return
+        names = tuple(self._kinds)
+        for arrival in self.arrivals.arrival[: self.arrivals.arrived]:
+            name = names[arrival.sample.sensor]
+            self._newest[name] = float(arrival.sample.t_s)
+            self._sigmas[name] = float(np.abs(arrival.innovation[: len(self._kinds[name].components)]).max())
+        if self.sink is None:
             return
         for i in range(log_arrivals(self.arrivals, cycle, self._log, 0)):
             self.sink.put(self._log[i : i + 1])
+
+    def suspect(self) -> str:
+        """Return the device of the first sensor that is excluded, "" without one."""
+        found = (name for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False) if monitor.suspect)
+        return next((f"sensor.{name}" for name in found), "")
+
+    def states(self) -> list[SensorState]:
+        """Return the present state of each sensor, in the order of the records."""
+        monitors = zip(self._kinds, self.arrivals.monitor, self.arrivals.witness, strict=False)
+        return [
+            SensorState(self._newest[name], self._sigmas[name], 1 if monitor.suspect else 2 if witness.disagrees else 0)
+            for name, monitor, witness in monitors
+        ]
 
     def numbers(self) -> dict[str, dict[str, float | int | None]]:
         """Return for JSON what became of the samples of each sensor, by name, and its mean NIS per component."""

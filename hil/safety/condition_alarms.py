@@ -29,14 +29,20 @@ class HealthAlarms:
     So are the checks of the filters, of the built-in GNC or of a GNC server, which are of low priority. Those to which
     the scenario's reactions are none in any phase are of low priority, the others of medium.
     disagreement: returns that of the docking monitor or another witness whose interlock is set, None without one.
+    suspect: returns the device of a sensor that is excluded, "" without one.
     """
 
     def __init__(
-        self, alarms: AlarmLog, scenario: Scenario, disagreement: Callable[[], Disagreement | None] = lambda: None
+        self,
+        alarms: AlarmLog,
+        scenario: Scenario,
+        disagreement: Callable[[], Disagreement | None] = lambda: None,
+        suspect: Callable[[], str] = str,
     ) -> None:
         self._alarms = alarms
         self._disagreement = disagreement
-        self._witness = "monitor"  # the last one that disagreed
+        self._suspect = suspect
+        self._witness, self._excluded = "monitor", "sensors"  # the last one that disagreed, and that was excluded
         self._health = 0
         self._checks: list[FilterCondition] = []
         lost_s, rejected = scenario.gnc.integrity.lost_after_s, scenario.gnc.integrity.suspect_after
@@ -98,6 +104,9 @@ class HealthAlarms:
 
     def _of(self, bit: GncHealth) -> tuple[str, str, str, str]:
         """Return device, quantity, value and limit."""
+        if bit is GncHealth.SENSOR_SUSPECT:
+            self._excluded = self._suspect() or self._excluded
+            return self._excluded, *self._texts[bit][1:]
         if bit is not GncHealth.MONITOR_DISAGREES:
             return self._texts[bit]
         value, limit = "beyond both sigmas", "within both sigmas"

@@ -218,7 +218,9 @@ def assemble(
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
-        health_alarms=HealthAlarms(safety.alarms, scenario, sensors.disagreement if sensors else lambda: None),
+        health_alarms=HealthAlarms(
+            safety.alarms, scenario, *((sensors.disagreement, sensors.suspect) if sensors else ())
+        ),
         sensors=sensors,
     )
     if loop.gnc.filter_monitor is not None:

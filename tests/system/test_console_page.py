@@ -393,3 +393,28 @@ def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictu
         assert line.inner_text().startswith("WAIVED rig.io.driver = none")
         assert line.evaluate("line => getComputedStyle(line).backgroundColor") == "rgb(184, 79, 0)"
         assert screen.errors == []
+
+
+def test_sensors_have_their_ages_and_sizes_and_one_that_is_excluded_says_so(browser: Any, pictures: Path) -> None:
+    fault = '[{device = "sensor.ranger", kind = "offset", at_s = 6.0, value = 0.3}]'
+    sensors = ("sensors.ranger.kind=range_finder", "sensors.mocap.kind=pose", 'sensors.mocap.use="witness"')
+    with console("--rig", "mock", *typed(*NEAR, *sensors, f"faults={fault}")) as c:
+        screen = open_screen(browser, c, pictures)
+        screen.press("t", "take")
+        screen.press("n", "open", confirm=True)
+        screen.until_mode("standby", 400.0)
+        screen.press("m", "order_arm", confirm=True)
+        screen.until_mode("armed")
+        screen.press("s", "order_start", confirm=True)
+        screen.until(
+            "(window.hil.now.sensors || []).some(s => s.name === 'ranger' && s.sigmas !== null && s.age_s < 0.5)"
+        )
+        assert [each["name"] for each in screen.page.evaluate("window.hil.now.sensors")] == ["ranger", "mocap"]
+        screen.until("window.hil.now.sensors[0].state === 'suspect'")
+        screen.until("document.querySelector('#ages span.old')")
+        screen.picture("sensors")
+        assert screen.page.inner_text("#ages span.old") == "ranger suspect"
+        assert "mocap" in screen.page.inner_text("#ages")
+        assert screen.errors == []
+        screen.press("x", "stop")
+        screen.until("!window.hil.now.open", 240.0)

@@ -65,15 +65,21 @@ function statusText(now, page) {
 // link_age_s: time since the last message
 export function ages(now, page, link_age_s) {
   const stale = page.bench.stale_s || {};
+  const sensors = (now.sensors || []).map(({ name, age_s, sigmas, state }) => {
+    const text = state || (sigmas === null ? "" : `${sigmas.toFixed(1)} \u03c3`);
+    return [text ? `${name} ${text}` : name, age_s, page.bench.sensors[name], state];
+  });
   const entries = [
     ...["rails", "turntable", ...("target" in stale ? ["target"] : []), "vmu", "io"].map((name) => [name, now.ages_s ? now.ages_s[name] : null, stale[name]]),
+    ...sensors,
     ["loop", now.status_age_s ?? null, STATUS_OLD_S],
     ["link", link_age_s, STATUS_OLD_S],
   ];
-  fill($("ages"), entries, "div", (row, [name, age_s, limit_s]) => {
+  fill($("ages"), entries, "div", (row, [name, age_s, limit_s, state]) => {
     if (!row.firstChild) row.innerHTML = "<span></span><b></b>";
     row.firstChild.textContent = name;
     row.lastChild.textContent = age_s === null || age_s === undefined ? "-" : age_s < 100 ? `${Math.max(0, age_s).toFixed(2)} s` : "old";
+    row.firstChild.className = state ? "old" : "";
     const old = limit_s && age_s > limit_s;
     row.lastChild.className = old ? "old" : age_s === null || age_s === undefined ? "stale" : "";
   });

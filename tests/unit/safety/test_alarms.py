@@ -164,3 +164,13 @@ def test_link_watch_counts_what_is_new_and_names_the_device() -> None:
     assert alarm.text == "vmu: lost packets 3.9, allowed 2 at once, 1 per 1 s"
     watch.restart()
     assert watch.check(0.3) is None
+
+
+def test_an_excluded_sensor_is_named_also_once_it_is_used_again() -> None:
+    book, suspects = AlarmLog(), ["sensor.lidar"]
+    health = HealthAlarms(book, load_scenario("scheme-1").value, suspect=lambda: suspects[0])
+    health.update(1.0, 128)
+    suspects[0] = ""
+    health.update(2.0, 0)
+    (alarm,) = book.all()
+    assert (alarm.device, alarm.active) == ("sensor.lidar", False)
