@@ -61,7 +61,7 @@ def markdown(text: str) -> str:
 def _mailboxes() -> str:
     rows = [
         f"| {box.number} | `{box.name}` | {box.dtype.itemsize} | {box.writer.name} | `{box.layout:04x}` | "
-        f"{', '.join(box.dtype.names or ())} |"
+        f"{', '.join(f'`{field}`' for field in box.dtype.names or ())} |"
         for box in BY_NUMBER.values()
     ]
     head = "| number | mailbox | bytes | written by | layout | fields |\n|---|---|---|---|---|---|\n"
