@@ -89,7 +89,7 @@ def timed_cycles(
         core.check_consistency(params, state)
         now.t_s, now.commanded_s = t_s, now_s
         at = since(at, COMMAND, spent)
-        count_cycle(params, state, stats)
+        count_cycle(params.stats, stats, now)
         at = since(at, COUNT, spent)
         history[k] = now
         row = k * samples.shape[0]

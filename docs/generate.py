@@ -20,7 +20,7 @@ from hil.cli.main import app
 from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
 from hil.config.driver_registry import DeviceTable
-from hil.config.faults import RESPONSES, TERMS, ErrorTerm
+from hil.config.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
 from hil.config.key_reference import KeyTable, own_keys, tables
 from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.protocol import Protocol
@@ -130,7 +130,14 @@ information and outside of the [keep-out](../../explanation/safety.md#what-is-mo
         ]
         head = "| `kind` | `value` | unit | frame | allowed | effect | detection | reaction | test |"
         parts.append(f"## {family}\n\n{devices[family]}.\n\n{head}\n|{'---|' * 9}\n" + "\n".join(rows) + "\n")
-    return "\n".join(parts)
+    parts.append("## Emulated devices\n\nSwitched at the control port of the device: `on drop 0.2`, `on stuck y`.\n")
+    parts.append("| part | fault | number | allowed | unless given | effect |\n|---|---|---|---|---|---|")
+    for part, kinds in EMULATED.items():
+        for name, term in kinds.items():
+            default = f"{term.default:g}" if term.default is not None else ""
+            shown = f"{name} AXIS" if term.of_axis else name
+            parts.append(f"| {part} | `{shown}` | {term.unit} | {_fault_range(term)} | {default} | {term.effect} |")
+    return "\n".join([*parts, ""])
 
 
 def _fault_value(term: ErrorTerm) -> str:

@@ -29,12 +29,13 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.api.jobs import IN_LOCK_STEP
+from hil.config.faults import EMULATED
 from hil.config.load import load_rig, load_scenario
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
-from hil.drivers.fault_injection import AXIS, WIRE, FaultControl
+from hil.drivers.fault_injection import FaultControl
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import Tick
 from hil.loop.runner import Runner
@@ -310,8 +311,8 @@ def representatives() -> list[FaultCase]:
     def represents(case: FaultCase) -> bool:
         kind, _, rest = case.line.removeprefix("on ").partition(" ")
         if case.device == "rails":
-            return kind in AXIS and rest.startswith("y")
-        return kind in WIRE if case.device == "turntable" else kind not in of_any_link
+            return kind in EMULATED["drive"] and rest.startswith("y")
+        return kind in EMULATED["wire"] if case.device == "turntable" else kind not in of_any_link
 
     return [case for case in matrix((Mode.RUNNING,)) if represents(case)]
 

@@ -18,16 +18,22 @@ from hil.errors import BadInput, Problem
 from hil.monte_carlo.campaign import RIG, CampaignJob, Progress, Sweep, Watch, write_summary
 from hil.monte_carlo.engines import ENGINES, Engine, engine_identity, engine_of
 from hil.monte_carlo.figure import draw_indices, draw_integrity, draw_percentiles, draw_sweep
+from hil.monte_carlo.importance_campaign import ImportanceSettings
 from hil.monte_carlo.page import write_page
+from hil.monte_carlo.rare_campaign import RareSettings
 from hil.monte_carlo.rare_events import RareEvent
-from hil.monte_carlo.rare_methods import settings_of
 from hil.monte_carlo.sobol_campaign import SobolCampaign
 from hil.monte_carlo.statistics import compare
 from hil.monte_carlo.store import Store, parquet
 
 STUDIES: Final = ("rare", "sobol", "against", "sweep")
 """Arguments that ask for more than a campaign of one scenario: one of them at a time."""
-_LEAST_CASES: Final = {"subset": 500, "importance": 200}  # of a rare event, by method
+_METHODS: Final[dict[str, type[RareSettings] | type[ImportanceSettings]]] = {
+    "subset": RareSettings,
+    "importance": ImportanceSettings,
+}
+"""Method of a rare event -> its settings, made of the event and the number of cases."""
+_LEAST_CASES: Final = {"subset": 500, "importance": 200}  # by method
 
 Results = Campaign | Comparison | SweepResults | StudyResults
 Show = Callable[[str, float], None]
@@ -80,6 +86,8 @@ class CampaignRequest:
         if self.sobol is not None and self.runs is not None:
             found.append(("sobol", "not together with --runs"))
         if self.rare is not None:
+            if self.method not in _METHODS:
+                found.append(("method", f"{self.method:.40}: must be {' or '.join(_METHODS)}"))
             least = _LEAST_CASES.get(self.method, 1)
             if self.runs is not None and self.runs < least:
                 each = " per level" if self.method == "subset" else ""
@@ -158,7 +166,8 @@ class CampaignRequest:
 
     def _study(self, job: CampaignJob) -> _Study:
         if self.rare is not None:
-            settings = settings_of(self.method, RareEvent.parse(self.rare), self.runs)
+            event, cases = RareEvent.parse(self.rare), () if self.runs is None else (self.runs,)
+            settings = _METHODS[self.method](event, *cases)
             return _Study(settings.run, settings.identity(), settings.columns)
         if self.sobol is not None:
             indices = SobolCampaign(job, self.sobol)

@@ -15,16 +15,18 @@ from hil.api.runs import raise_user_error
 from hil.config.gnc_override import with_other_gnc
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
-from hil.core.messages import Event
+from hil.core.messages import Event, new
 from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc
+from hil.loop.compiled.run_stats import NAVIGATION_SUMS, count_navigation_of_rows
+from hil.params.ready import SETTLED_S
 from hil.recording.read import Recorded, RowBatch, load, load_without_rows, row_batches
 from hil.recording.replay import Difference, Replayed, replay
-from hil.report.long_run import NavigationSums
 from hil.report.summary import summary_of
+from hil.report.vehicle import navigation_numbers
 from hil.safety.alarms import Alarm
 from hil.setup.assembly import make_backend
 from hil.setup.gnc_setup import backend_setup
@@ -181,16 +183,16 @@ def _replayed(
         scenario = named(Loaded(scenario, str(recorded.path), {}), own).value
         changed = changed or scenario.gnc != recorded.scenario.gnc
         backend = make_backend(scenario, own)
-    errors = {"recorded": NavigationSums(), "replayed": NavigationSums()}
+    errors = {which: new(NAVIGATION_SUMS) for which in ("recorded", "replayed")}
 
     def add(before: np.ndarray, now: np.ndarray) -> None:
-        errors["recorded"].add(before)
-        errors["replayed"].add(now)
+        for which, rows in (("recorded", before), ("replayed", now)):
+            count_navigation_of_rows(SETTLED_S, errors[which], rows.view(np.ndarray))
         keep(before, now)
 
     found = replay(recorded, scenario, backend, batches, add)
     raise_user_error(backend)
-    return scenario, changed, found, {which: sums.errors() for which, sums in errors.items()}
+    return scenario, changed, found, {which: navigation_numbers(sums) for which, sums in errors.items()}
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:

@@ -18,11 +18,12 @@ from hil.core.clock import utc_ns
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event
 from hil.core.text_files import write_text
 from hil.errors import BadInput
+from hil.loop.compiled.run_stats import counted
 from hil.loop.runner import Outcome
 from hil.monitor.results import PORTION, portion_row
 from hil.report.limits import why_of
-from hil.report.summary import judge_integrity, limits_of
-from hil.report.verdict import Verdict, judge_rows
+from hil.report.summary import limits_of
+from hil.report.verdict import Verdict, verdict_of
 from hil.safety.alarms import Alarm
 from hil.setup.assembly import Job
 
@@ -118,8 +119,11 @@ class Run:
     @cached_property
     def verdict(self) -> Verdict:
         """Ready phase and largest deviations of the truth in it, (3,) per row of Table III: m, m/s, deg, deg/s."""
-        wanted = self.scenario.requirements
-        return judge_rows(self.history, wanted)
+        return verdict_of(self._counted.ready, self.scenario.requirements)
+
+    @cached_property
+    def _counted(self) -> np.record:
+        return counted(self.history, self.scenario, self.rig)
 
     def to_pandas(self) -> Any:
         """Return a DataFrame of all records, one row per cycle, indexed by time, s. Raises BadInput without pandas."""
@@ -138,8 +142,7 @@ class Run:
         found = self.summary
         if "limits" not in found:  # a recording of an earlier version
             outcome = Outcome(self.history, self.stop, alarms=self.alarms)
-            state = judge_integrity(self.history, self.scenario, self.rig)
-            found = found | limits_of(outcome, state, self.verdict, found, self.scenario)
+            found = found | limits_of(outcome, self._counted, found, self.scenario)
         return why_of(found)
 
     @property

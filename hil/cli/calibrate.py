@@ -28,7 +28,7 @@ from hil.cli.options import (
     refuse,
     refuse_wires_in_use,
 )
-from hil.cli.output import base_of, say, write_json
+from hil.cli.output import base_of, deliver, say, write_json
 from hil.cli.progress import ProgressBar
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
@@ -306,8 +306,7 @@ def _calibrate(
         limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))
         outcome = job.calibrate(loaded, rig.value, geometry, given, limit_values, label, guess, bar.show)
     fit = outcome.solved.fit
-    if result.json is not None:
-        write_json(as_json(outcome), result.json)
+    write_json(as_json(outcome), result.json)
     if result.figure is not None:
         from hil.vmu.calibration.figure import draw
 
@@ -347,8 +346,7 @@ def _calibrate_television(
     with ProgressBar(Console(stderr=True), "reading the images") as bar:
         fit = fit_camera(board_images(folder, size, board, bar.show), size, board)
     passed = fit.rms_px <= limits.max_rms_px
-    if result.json is not None:
-        write_json(fit.as_json(passed, limits.max_rms_px), result.json)
+    write_json(fit.as_json(passed, limits.max_rms_px), result.json)
     if not passed:
         text = f"residuals {fit.rms_px:.3f} px RMS, allowed {limits.max_rms_px:g} px: no scene file is written"
         raise BadInput.single(str(folder), "", text)
@@ -380,10 +378,7 @@ def _check(
     with ProgressBar(Console(stderr=True), "reading the views") as bar:
         checked = job.check(loaded, known, _board(start), drift.moved, limits.range_m, bar.show)
     allowed = job.DriftLimits(limits.max_rms_px, drift.max_drift_px, drift.alarm)
-    if json_path is not None:
-        write_json(drift_as_json(checked, allowed), json_path)
-    if json_path != "-":
-        print_check(checked, allowed, Console())
+    deliver(drift_as_json(checked, allowed), json_path, lambda: print_check(checked, allowed, Console()))
     return _FAILED if checked.refusal(allowed)[0] else _PASSED
 
 

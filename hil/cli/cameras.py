@@ -22,7 +22,7 @@ from hil.cli.options import (
     refuse,
     within,
 )
-from hil.cli.output import print_columns, write_json
+from hil.cli.output import deliver, print_columns
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -78,10 +78,11 @@ def list_found(*, json: File = None) -> int:
     from hil.drivers.cameras.interfaces import list_cameras
 
     found = list_cameras()
-    if json is not None:
-        write_json({"cameras": [camera._asdict() for camera in found]}, json)
-    if json != "-":
-        print_columns(CameraInfo._fields, [list(camera) for camera in found])
+    deliver(
+        {"cameras": [camera._asdict() for camera in found]},
+        json,
+        lambda: print_columns(CameraInfo._fields, [list(camera) for camera in found]),
+    )
     return 0 if found else 1
 
 

@@ -134,8 +134,7 @@ def campaign(
     if json != "-":
         _render(found, Console())
         say(f"results in {out}")
-    if json is not None:
-        write_json(found, json)
+    write_json(found, json)
     if study.rare is not None:
         return _DONE if found["rare"]["probability"] is not None else _NOT_SHOWN
     return _DONE if all(each["verdict"] == "verified" for each in found.get("requirements", ())) else _NOT_SHOWN

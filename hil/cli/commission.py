@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, TomlFile, refuse, refuse_wires_in_use
-from hil.cli.output import base_of, chosen_axes
+from hil.cli.output import base_of, chosen_axes, say
 from hil.core.text_files import write_text
 from hil.errors import BadInput, Problem
 
@@ -170,7 +170,7 @@ def commission(
 
 
 def _failed(text: str, console: Console) -> int:
-    console.print(text, style="red", highlight=False, soft_wrap=True, markup=False)
+    say(text, console, "red")
     console.print("not signed", style="red", highlight=False)
     return _FAILED
 
@@ -197,7 +197,7 @@ def _asked_name() -> str:
 
 
 def _show(console: Console) -> Callable[[str], None]:
-    return lambda text: console.print(text, highlight=False, soft_wrap=True, markup=False)
+    return lambda text: say(text, console)
 
 
 class Terminal:
@@ -208,7 +208,7 @@ class Terminal:
 
     def show(self, text: str) -> None:
         """Print a line."""
-        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+        say(text, self._console)
 
     def ask(self, question: str) -> bool:
         """Ask until the answer is y or n; without standard input the answer is no."""

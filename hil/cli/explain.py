@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.cli.options import File, OptionalCase, refuse
-from hil.cli.output import print_columns, say, write_json
+from hil.cli.output import deliver, print_columns, say
 from hil.errors import Problem
 
 _ROWS = 12  # margins that are printed
@@ -32,10 +32,7 @@ def explain(source: str, /, *, case: OptionalCase = None, json: File = None) -> 
         problems.append(Problem("hil explain", "", f"{source}: does not exist: a campaign's folder or a recording"))
     refuse(problems)
     found = _of_run(source) if is_run else _of_campaign(Path(source), case)
-    if json != "-":
-        _print(found, is_run or case is not None)
-    if json is not None:
-        write_json(found, json)
+    deliver(found, json, lambda: _print(found, is_run or case is not None))
     return 0
 
 

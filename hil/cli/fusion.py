@@ -65,8 +65,7 @@ def fusion(
         counted = finished
 
     found = run_fusion(vmu_noise, runs, seed, settings, worker_count(workers), watch, akf_form)
-    if json is not None:
-        write_json(found, json)
+    write_json(found, json)
     if figure is not None:
         from hil.monte_carlo.fusion import draw
 

@@ -90,8 +90,7 @@ def gnc(
     for complaint in link.complaints:
         announce(complaint)
     announce(f"{stats.steps} steps, {stats.bridged} bridged: {stats.end}")
-    if json is not None:
-        write_json(stats.as_json(link), json)
+    write_json(stats.as_json(link), json)
     return 0
 
 

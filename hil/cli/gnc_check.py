@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from hil.cli.options import File, Flag, Seconds, Settings
-from hil.cli.output import write_json
+from hil.cli.output import deliver, say
 from hil.errors import BadInput
 
 if TYPE_CHECKING:
@@ -55,10 +55,7 @@ def gnc_check(
             report = check_gnc(partner, loaded, lambda name: status.update(f"playing: {name}"))
     finally:
         partner.close()
-    if json is not None:
-        write_json(report.as_json(), json)
-    if json != "-":
-        _print(report)
+    deliver(report.as_json(), json, lambda: _print(report))
     return _PASSED if report.passed else _FAILED
 
 
@@ -88,8 +85,8 @@ def _print(report: Report) -> None:
     for finding in report.findings:
         mark = "[green]ok  [/green]" if finding.passed else "[red]FAIL[/red]"
         console.print(f"{mark} {finding.check:<9}", end="", highlight=False)
-        console.print(finding.text, highlight=False, soft_wrap=True, markup=False)
+        say(finding.text, console)
     faults = sum(not finding.passed for finding in report.findings)
     verdict = "PASS" if report.passed else "FAIL"
     text = f"{verdict} {report.gnc}" + ("" if report.passed else f" ({faults} faults)")
-    console.print(text, highlight=False, markup=False, style="bold")
+    say(text, console, "bold")

@@ -75,8 +75,7 @@ def identify(
         runner.axes_only() as sequencer,
     ):
         results = Identification(sequencer, bar.show).measure(chosen_axes(axis))
-    if json is not None:
-        write_json(as_json(results, rig, loaded.value.step_s), json)
+    write_json(as_json(results, rig, loaded.value.step_s), json)
     if out is not None:
         write_text(as_toml(results, rig, out, settings), out)
     if json != "-":

@@ -31,8 +31,7 @@ def list(kind: str | None = None, /, *, json: File = None) -> int:
         hint = f"did you mean {close[0]}? " if close else ""
         raise BadInput.single("hil list", "", f"{kind}: {hint}give one of {', '.join(kinds)}")
     found = {name: entries() for name, entries in kinds.items() if kind in (None, name)}
-    if json is not None:
-        write_json(dict(found), json)
+    write_json(dict(found), json)
     if json != "-":
         rows = [(name, each, text) for name, entries in found.items() for each, text in entries.items()]
         print_columns(("kind", "name", ""), rows, left=range(3))

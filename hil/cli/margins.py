@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.cli.options import File, Output, Runs, Seed, Settings, Workers
-from hil.cli.output import write_json
+from hil.cli.output import deliver
 
 _PASSED, _FAILED = 0, 1
 _REASONS = 2
@@ -53,10 +53,7 @@ def margins(
     with console.status("compiling the loop if it is not cached, up to two minutes") as status:
         flown, rig = loaded_scenario(scenario, settings).value, loaded_rig("mock", settings).value
         found = search_margins(flown, rig, runs, out, seed, workers, status.update)
-    if json != "-":
-        _render(found, Console())
-    if json is not None:
-        write_json(found, json)
+    deliver(found, json, lambda: _render(found, Console()))
     return _FAILED if any(margin["margin_s"] is None for margin in found["margins"]) else _PASSED
 
 

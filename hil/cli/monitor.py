@@ -120,8 +120,7 @@ def monitor(
             if source.image_count:
                 bar.show("frames", min(len(looks) / source.image_count, 1.0))
     summary = _summary(portions, looks) | {"warning": watched.warning}
-    if json is not None:
-        write_json(summary, json)
+    write_json(summary, json)
     if json != "-" and out != "-":
         _render(summary, portions, Console())
     return _PASSED

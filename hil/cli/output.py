@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +47,17 @@ def say(text: str, console: Console | None = None, style: str | None = None) -> 
     (console or Console()).print(text, style=style, highlight=False, soft_wrap=True, markup=False)
 
 
-def write_json(content: dict[str, Any], path: str) -> None:
-    """Write ``content`` to ``path``, "-" for standard output, completely or not at all."""
+def deliver(content: dict[str, Any], path: str | None, show: Callable[[], object]) -> None:
+    """Write ``content`` as ``write_json`` does; print by ``show`` unless standard output has the JSON."""
+    write_json(content, path)
+    if path != "-":
+        show()
+
+
+def write_json(content: dict[str, Any], path: str | None) -> None:
+    """Write ``content`` to ``path`` completely or not at all; "-" for standard output, None for nothing."""
+    if path is None:
+        return
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     if path == "-":
         sys.stdout.write(text)

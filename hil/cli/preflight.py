@@ -58,8 +58,7 @@ def preflight(
         measured_s = 0.0 if late is None else late.cycles * late.period_s
         write_record(loaded_rig, found.rate_hz, measured_s, found.passed, who)
     waived = [waiver.as_json() for waiver in waivers(loaded_rig.value, loaded.value)]
-    if json is not None:
-        write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers(), "waived": waived}, json)
+    write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers(), "waived": waived}, json)
     if json != "-":
         console = Console()
         table = Table(title=f"Preflight of {rig} for {loaded.value.name}")

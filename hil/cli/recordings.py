@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from cyclopts import App, Parameter
 
 from hil.cli.options import File, Flag
-from hil.cli.output import print_columns, write_json
+from hil.cli.output import deliver, print_columns, write_json
 from hil.errors import BadInput
 
 _FOLDER = "recordings"
@@ -57,10 +57,7 @@ def list_recordings(
         entries = catalogue.runs(RecordingFilter(failed, passed, scenario, _begin(since)))
     except sqlite3.Error as error:
         raise BadInput.single(str(catalogue.path), "", f"cannot be read: {error}") from error
-    if json is not None:
-        write_json({"catalogue": str(catalogue.path), "runs": entries}, json)
-    if json != "-":
-        _print(entries, catalogue.path)
+    deliver({"catalogue": str(catalogue.path), "runs": entries}, json, lambda: _print(entries, catalogue.path))
     return 0
 
 
@@ -157,8 +154,7 @@ def place_recordings(
     if json != "-":
         for run in runs:
             _render_places(run)
-    if json is not None:
-        write_json({"campaign": campaign, "runs": runs}, json)
+    write_json({"campaign": campaign, "runs": runs}, json)
     return int(any(_is_outside(cell) for run in runs for cell in run["outcomes"].values()))
 
 
@@ -213,8 +209,7 @@ def verify_recordings(
 
     audits = [_audit(Path(name), json == "-") for name in recordings]
     if campaign is None or any(found["problems"] for found in audits):
-        if json is not None:
-            write_json({"audits": audits}, json)
+        write_json({"audits": audits}, json)
         return int(any(found["problems"] for found in audits))
     return _add_to_evidence(recordings, campaign, out, json)
 
@@ -266,8 +261,7 @@ def _add_to_evidence(recordings: list[str], campaign: str, out: str | None, json
         print_columns(("id", "step", "evidence", "result", "margin", "status"), cells, left=(0, 1, 2, 3, 5))
         print(f"results in {folder / 'requirements.html'}")  # noqa: T201
         print(f"{verdict.upper()} requirements of {scenario}: {steps_text(rows)}")  # noqa: T201
-    if json is not None:
-        write_json(evidence_json(scenario, sources, rows), json)
+    write_json(evidence_json(scenario, sources, rows), json)
     return int(verdict == "fail")
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from hil.cli.options import File, Flag, Group, Integer, Settings, refuse
-from hil.cli.output import print_columns, say, write_json
+from hil.cli.output import deliver, print_columns, say
 from hil.errors import Problem
 
 if TYPE_CHECKING:
@@ -116,10 +116,11 @@ def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_p
     from hil.api.recordings import replay_file
 
     recorded, scenario, changed, found, errors = replay_file(Path(recording), gnc, settings)
-    if json_path is not None:
-        write_json(_as_json(recorded, found, changed, errors), json_path)
-    if json_path != "-":
-        _print(recorded, scenario, found, changed, errors)
+    deliver(
+        _as_json(recorded, found, changed, errors),
+        json_path,
+        lambda: _print(recorded, scenario, found, changed, errors),
+    )
     return _SAME if found.identical or (changed and not found.ended) else _DIFFERS
 
 

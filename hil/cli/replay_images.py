@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from hil.cli.output import print_columns, say, write_json
+from hil.cli.output import deliver, print_columns, say
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
@@ -32,10 +32,7 @@ def replay_images(
             found["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
         if monitor:
             found["monitor"] = (replay_monitor(recorded, _scene(recorded, scene)), scene is not None)
-    if json_path is not None:
-        write_json(_as_json(recorded, found), json_path)
-    if json_path != "-":
-        _print(recorded, found)
+    deliver(_as_json(recorded, found), json_path, lambda: _print(recorded, found))
     same = all(replayed.identical or changed for replayed, changed in found.values())
     return _SAME if same else _DIFFERS
 

@@ -50,8 +50,7 @@ def check(name: str, /, *, seed: Seed = 0, json: File = None) -> int:
 
     found = sensor(name)
     lines = problems(found, seed=seed)
-    if json is not None:
-        write_json({"sensor": name, "passed": not lines, "problems": lines} | found.as_json(), json)
+    write_json({"sensor": name, "passed": not lines, "problems": lines} | found.as_json(), json)
     if lines:
         raise BadInput.single("hil sensors check", name, lines[0])
     if json != "-":

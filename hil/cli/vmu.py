@@ -30,7 +30,7 @@ from hil.cli.options import (
     above_zero,
     bounded,
 )
-from hil.cli.output import file_path_problem, say, write_json
+from hil.cli.output import deliver, file_path_problem, say
 from hil.cli.progress import ProgressBar
 from hil.errors import BadInput
 
@@ -182,10 +182,7 @@ def vmu(
             bar.show(f"frame {pair.frame} {solution.status}", (done + 1) / count if count else 0.0)
     write_csv(rows, out)
     summary = summarise(solutions, folder)
-    if json is not None:
-        write_json(summary, json)
-    if json != "-":
-        _print(summary, out, Console())
+    deliver(summary, json, lambda: _print(summary, out, Console()))
     return _PASSED if summary["solved"] else _FAILED
 
 

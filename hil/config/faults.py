@@ -1,6 +1,6 @@
-"""Faults of devices, as data: the table of all kinds, and the timetable ``[[faults]]`` of a scenario.
+"""Faults of devices, as data: the tables of all kinds, and the timetable ``[[faults]]`` of a scenario.
 
-A fault is a term of a device's error model that acts for a time.
+A fault is a term of a device's error model that acts for a time; an emulated device has those of its wires as well.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class ErrorTerm:
     """A kind of fault of a kind of device.
 
     values: number of components of ``value``, 0 for none; default: of a value that may be omitted. unit, frame: of the
-    value. low, high: range of each component; for a vector of its magnitude. effect: what the device does.
+    value. low, high: range of each component; for a vector of its magnitude. effect: what the device does. of_axis: it
+    hits one axis of an emulated device. once: it happens when it is switched on, and is over then.
     """
 
     effect: str
@@ -39,6 +40,8 @@ class ErrorTerm:
     high: float = 0.0
     default: float | None = None
     options: tuple[str, ...] = ()
+    of_axis: bool = False
+    once: bool = False
 
     @property
     def count(self) -> str:
@@ -47,7 +50,7 @@ class ErrorTerm:
 
     @property
     def _in_unit(self) -> str:
-        return f" in {self.unit}" if self.unit not in ("", "1") else ""
+        return f" in {self.unit}" if self.unit not in ("", "1", "share", "factor") else ""
 
     def problem(self, value: tuple[float, ...]) -> str:
         """Return what is wrong with ``value``, "" if it is allowed."""
@@ -135,6 +138,45 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
 _OF_LEDS: Final = ("misidentified", "dimmed")
 TERMS["monitor"].update({kind: term for kind, term in TERMS["vmu"].items() if kind not in _OF_LEDS})
 TERMS["monitor"] |= {kind: replace(TERMS["vmu"][kind], frame="c") for kind in ("offset", "drift")}
+
+EMULATED: Final[dict[str, dict[str, ErrorTerm]]] = {
+    "wire": {
+        "drop": ErrorTerm("packets are lost", 1, "share", "", 0.0, 1.0, 1.0),
+        "corrupt": ErrorTerm("bits of packets are flipped", 1, "share", "", 0.0, 1.0, 1.0),
+        "delay": ErrorTerm("packets come late", 1, "s", "", 0.0, 10.0, 0.2),
+        "duplicate": ErrorTerm("packets come twice", 1, "share", "", 0.0, 1.0, 1.0),
+        "freeze": ErrorTerm("the device repeats its last values"),
+        "link_down": ErrorTerm("the wire is dead"),
+    },
+    "drive": {
+        "stuck": ErrorTerm("the axis does not move, whatever its setpoint", of_axis=True),
+        "jump": ErrorTerm("the encoder jumps", 1, "m or deg", "", -100.0, 100.0, 0.1, of_axis=True, once=True),
+        "reversed": ErrorTerm("the encoder counts the wrong way", of_axis=True),
+        "mirrored": ErrorTerm("motor and encoder are both the wrong way round", of_axis=True),
+        "scaled": ErrorTerm("the drive counts a multiple of the displacement", 1, "factor", "", 0.0, FACTOR_MAX, 1.0,
+                            of_axis=True),
+        "runaway": ErrorTerm("the drive ignores all commands and moves at a constant speed, 0 for its present one", 1,
+                             "m/s or deg/s", "", 0.0, 100.0, 0.0, of_axis=True),
+        "drive_fault": ErrorTerm("the drive reports a fault", 1, "code", "", 0.0, 65535.0, 0.0, of_axis=True,
+                                 once=True),
+    },
+    "vmu": {"clock_jump": ErrorTerm("the unit's clock is off", 1, "s", "", 0.0, 1e6, 10.0)},
+    "io": {
+        "estop": ErrorTerm("the emergency stop is pressed"),
+        "interlock": ErrorTerm("an interlock's contact is open", of_axis=True),
+        "brakes_open": ErrorTerm("the holding brakes do not close, nor does their contact"),
+        "pump_ignored": ErrorTerm("the relay does not monitor the charge pump"),
+        "local_enable_off": ErrorTerm("the switch at the bench does not permit power and motion"),
+    },
+    "camera": {
+        "drop": ErrorTerm("packets are lost", 1, "share", "", 0.0, 1.0, 1.0),
+        "delay": ErrorTerm("images come late", 1, "s", "", 0.0, 10.0, 0.1),
+        "freeze": ErrorTerm("the camera repeats its last image"),
+        "dark": ErrorTerm("the lens is covered"),
+        "link_down": ErrorTerm("the wire is dead"),
+    },
+}  # fmt: skip
+"""Part of an emulated device -> kind of fault -> term: for the emulators and their control ports, and the reference."""
 
 
 @dataclass(frozen=True)

@@ -19,46 +19,12 @@ from typing import Any, Final, NamedTuple, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from hil.config.model import Live
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.units import UNITS, split
 from hil.errors import BadInput
 
-UNITS: Final = {
-    "db": "dB",
-    "m": "m",
-    "mm": "mm",
-    "m2": "m²",
-    "mps": "m/s",
-    "mps2": "m/s²",
-    "mps3": "m/s³",
-    "deg": "deg",
-    "degps": "deg/s",
-    "degps2": "deg/s²",
-    "degps3": "deg/s³",
-    "rad": "rad",
-    "s": "s",
-    "us": "us",
-    "hz": "Hz",
-    "kg": "kg",
-    "kg_m2": "kg m²",
-    "kgpm2": "kg/m²",
-    "kgpm3": "kg/m³",
-    "km": "km",
-    "km3ps2": "km³/s²",
-    "au": "au",
-    "d": "d",
-    "n": "N",
-    "n_per_mps": "N s/m",
-    "nm": "Nm",
-    "nm_per_degps": "Nm s/deg",
-    "px": "px",
-    "levels": "grey levels",
-    "per_s": "1/s",
-    "per_level": "1/grey level",
-    "cycles": "cycles",
-    "bytes": "bytes",
-}
-"""Last words of a key -> unit."""
 NO_UNIT: Final = re.compile(
     r"(^|_)(sigmas?|scale|factor|fraction|probability|confidence|eccentricity|relative|damping|coupling|specular|diffuse"
     r"|direction|pole|zonal|normal|axis|axes|max|distortion|k|noise|covariance|error|low|high|mean|value|weight|ratio|risk|exponent)$"
@@ -141,7 +107,9 @@ def _key(model: type[BaseModel], name: str, field: FieldInfo, schema: dict[str, 
     options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
     option = options[0]
     kind = " or ".join(dict.fromkeys(_type(each) for each in options))
-    return KeyRow(name, kind, unit_of(name, kind), _allowed(option), default, meanings(model).get(name, ""))
+    live = [f"{each.low:g} to {each.high:g} during a run" for each in field.metadata if isinstance(each, Live)]
+    allowed = "; ".join(filter(None, (_allowed(option), *live)))
+    return KeyRow(name, kind, unit_of(name, kind), allowed, default, meanings(model).get(name, ""))
 
 
 def unit_of(name: str, kind: str) -> str:
@@ -150,10 +118,8 @@ def unit_of(name: str, kind: str) -> str:
         return NOTATION[name]
     if "number" not in kind:
         return ""
-    words = name.split("_")
-    for start in range(len(words)):
-        if start > 0 and (unit := UNITS.get("_".join(words[start:]))):
-            return unit
+    if unit := split(name)[1]:
+        return UNITS[unit].text
     if NO_UNIT.search(name):
         return ""
     raise ValueError(f"{name}: a key with a number needs a unit at the end of its name")

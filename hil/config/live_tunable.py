@@ -1,4 +1,8 @@
-"""Settings that an operator may change during a run, and their ranges."""
+"""Settings that an operator may change during a run, and their ranges.
+
+Each cycle reads the keys again that are declared ``Live``. All others determine the initial state (vehicle, step,
+geometry, plan, filters) or the verdict (requirements): they are fixed for the whole run.
+"""
 
 from __future__ import annotations
 
@@ -9,40 +13,31 @@ from typing import Any, Final
 
 from pydantic import BaseModel, field_validator
 
-from hil.config.model import ConfigModel
-
-LIVE_TUNABLE: Final = {
-    "gnc.control.deadband_m": (0.0, 0.2),
-    "gnc.control.lead_s": (0.0, 100.0),
-    "gnc.control.period_s": (0.0, 60.0),
-    "gnc.control.deadband_sigmas": (0.0, 10.0),
-    "gnc.control.correction_rate_mps": (1e-4, 0.5),
-    "gnc.control.deadband_deg": (0.0, 5.0),
-    "gnc.control.attitude_lead_s": (0.0, 100.0),
-    "gnc.control.attitude_period_s": (0.0, 60.0),
-    "gnc.control.attitude_deadband_sigmas": (0.0, 10.0),
-    "gnc.control.slew_rate_degps": (0.01, 5.0),
-    "gnc.corridor.half_angle_deg": (0.5, 30.0),
-    "gnc.corridor.minimum_radius_m": (0.01, 1.0),
-    "gnc.corridor.closing_rate_mps": (1e-3, 0.5),
-    "gnc.corridor.closing_rate_slope_per_s": (0.0, 1.0),
-    "gnc.corridor.closing_rate_max_mps": (1e-2, 0.5),
-    "gnc.corridor.confidence": (0.0, 10.0),
-    "gnc.corridor.persistence_s": (0.0, 5.0),
-    "gnc.navigation.gate_sigma": (2.0, 10.0),
-    "gnc.navigation.noise_scale": (0.1, 10.0),
-    "gnc.akf.gyro_noise_degps": (1e-8, 1.0),
-    "gnc.akf.gyro_drift_noise_degps2": (0.0, 0.1),
-    "gnc.pkf.accelerometer_noise_mps2": (1e-8, 0.1),
-    "gnc.pkf.accelerometer_bias_noise_mps3": (0.0, 0.01),
-}
-"""Key -> range during a run: neither gate nor supervision can be switched off by a number.
-
-Each cycle reads these keys again. All others determine the initial state (vehicle, step, geometry, plan, filters) or
-the verdict (requirements): they are fixed for the whole run."""
+from hil.config.model import ConfigModel, Live
 
 BACKEND_SETTINGS: Final = ("gnc.navigation.settings.", "gnc.control.settings.")
 """Beginnings of the keys that backends declare; each may change, within the range that its backend declares."""
+
+
+@cache
+def live_ranges(model: type[BaseModel], place: str = "") -> dict[str, Live]:
+    """Return the ranges during a run by the dotted keys of ``model``, those that are declared ``Live``."""
+    found: dict[str, Live] = {}
+    for name, field in model.model_fields.items():
+        key = f"{place}.{name}".lstrip(".")
+        for each in field.metadata:
+            if isinstance(each, Live):
+                found[key] = each
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            found |= live_ranges(inner, key)
+    return found
+
+
+def _of_scenario() -> dict[str, Live]:
+    from hil.config.scenario import Scenario  # has a table of this module
+
+    return live_ranges(Scenario)
 
 
 class LiveTuning(ConfigModel):
@@ -54,11 +49,12 @@ class LiveTuning(ConfigModel):
     @field_validator("adjustable")
     @classmethod
     def _each_is_live_tunable(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        ranges = _of_scenario() if value else {}
         for key in value:
-            if key not in LIVE_TUNABLE and not key.startswith(BACKEND_SETTINGS):
-                close = difflib.get_close_matches(key, LIVE_TUNABLE, n=1, cutoff=0.8)
+            if key not in ranges and not key.startswith(BACKEND_SETTINGS):
+                close = difflib.get_close_matches(key, ranges, n=1, cutoff=0.8)
                 hint = f"did you mean {close[0]}? " if close else ""
-                allowed = ", ".join(LIVE_TUNABLE)
+                allowed = ", ".join(ranges)
                 raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {allowed}")
             if value.count(key) > 1:
                 raise ValueError(f"{json.dumps(key)}: is listed twice")
@@ -67,11 +63,11 @@ class LiveTuning(ConfigModel):
 
 @cache
 def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
-    """Return the limits of the number at the dotted ``key`` of ``model``; those of a run, if it is in LIVE_TUNABLE.
+    """Return the limits of the number at the dotted ``key`` of ``model``; those of a run, if it is ``Live``.
 
     low, high: None if unlimited. low_open, high_open: the limit itself is excluded. words: the range as text.
     """
-    whole = key
+    live = live_ranges(model).get(key)
     *tables, last = key.split(".")
     for table in tables:
         inner = model.model_fields[table].annotation
@@ -81,11 +77,11 @@ def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
     schema = model.model_json_schema()["properties"][last]
     low, low_open = schema.get("exclusiveMinimum", schema.get("minimum")), "exclusiveMinimum" in schema
     high, high_open = schema.get("exclusiveMaximum", schema.get("maximum")), "exclusiveMaximum" in schema
-    if (live := LIVE_TUNABLE.get(whole)) is not None:
-        if low is None or live[0] > low:
-            low, low_open = live[0], False
-        if high is None or live[1] < high:
-            high, high_open = live[1], False
+    if live is not None:
+        if low is None or live.low > low:
+            low, low_open = live.low, False
+        if high is None or live.high < high:
+            high, high_open = live.high, False
     if low is not None and high is not None:
         words = f"{'above ' if low_open else ''}{low:g} to {'below ' if high_open else ''}{high:g}"
     elif low is not None:

@@ -26,7 +26,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.sensors import by_name
-from hil.config.units import converted
+from hil.config.units import converted, split
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text
@@ -59,10 +59,6 @@ _TYPE_LABEL = re.compile(r"float|int|bool|str|constrained-\w+|[A-Z]\w*|.*\[.*")
 """What pydantic adds to the location of an error in a value of several types: the type that it tried."""
 _MUST = "Input should be "
 _TOO_FEW = re.compile(r"^\w+ should have (.*?) after validation")
-
-_UNIT = re.compile(
-    r"_(m|mm|cm|km|au|s|ms|us|d|kg|kgpm2|kgpm3|g|n|deg|rad|hz|mps|mmps|degps|radps|mps2|degps2|mps3|degps3|km3ps2|kg_m2)$"
-)
 
 
 @cache
@@ -476,10 +472,8 @@ def _shown(value: Any) -> str:
 def _expected(model: type[BaseModel], location: list[str]) -> str:
     """Return the expected value, as far as the unit in the name gives it."""
     parent = _model_at(model, location[:-1])
-    unit = _UNIT.search(location[-1])
-    if parent is None or unit is None:
-        return ""
-    return f": a value in {unit.group(1)}"
+    unit = split(location[-1])[1]
+    return f": a value in {unit}" if parent is not None and unit else ""
 
 
 def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str:
@@ -488,8 +482,8 @@ def _unknown_key(model: type[BaseModel], location: list[str], value: Any) -> str
     key = location[-1]
     if meant := converted(key, value, known):
         return f"unknown key: did you mean {meant}?"
-    stem = _UNIT.sub("", key)
-    same_stem = [name for name in known if _UNIT.sub("", name) == stem]
+    stem = split(key)[0]
+    same_stem = [name for name in known if split(name)[0] == stem]
     if same_stem:
         return f"unknown key: the unit is part of the name, here it is {' or '.join(same_stem)}"
     close = difflib.get_close_matches(key, known, n=1)

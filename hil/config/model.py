@@ -6,6 +6,7 @@ errors. Angles are in degrees; ``hil.params`` converts them to radians.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator
@@ -22,6 +23,17 @@ def _printable(text: str) -> str:
     if "/" in text or "\\" in text or text.startswith("."):
         raise ValueError(f"{text!r}: must have no / or \\ and not begin with a dot")
     return text
+
+
+@dataclass(frozen=True)
+class Live:
+    """Range in which a number may be changed during a run, declared with the type of its key.
+
+    Neither gate nor supervision can be switched off by a number within it.
+    """
+
+    low: float
+    high: float
 
 
 Positive = Annotated[float, Field(gt=0.0)]

@@ -20,6 +20,7 @@ from hil.config.model import (
     AngleTriple,
     ConfigModel,
     Delay,
+    Live,
     Matrix3,
     Name,
     NotNegative,
@@ -239,15 +240,16 @@ class Navigation(ConfigModel):
     `file.py:name`, a shared library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
-    gate_sigma: Positive
+    gate_sigma: Annotated[Positive, Live(2.0, 10.0)]
     """Poses with a larger innovation are rejected and counted."""
-    noise_scale: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
+    noise_scale: Annotated[float, Field(ge=0.1, le=10.0), Live(0.1, 10.0)] = 1.0
     """Standard deviations that poses report are taken times this factor."""
     memory_s: Positive = 1.28
     """Time for which samples and filters are kept: an older pose cannot be fused at its exposure and is discarded."""
     budget: ErrorBudget = ErrorBudget()
-    handover: Handover | None = None
     """Sizes of the sensors' errors, for the filters."""
+    handover: Handover | None = None
+    """Start without a pose: what another navigation hands over."""
     thrust: CommandedThrust = CommandedThrust()
     """Use of the commanded thrust."""
 
@@ -257,9 +259,9 @@ class AttitudeFilter(ConfigModel):
 
     form: Literal["multiplicative"] = "multiplicative"
     """Six-component multiplicative error state; the paper's seven additive states are in ``hil fusion``."""
-    gyro_noise_degps: Positive
+    gyro_noise_degps: Annotated[Positive, Live(1e-8, 1.0)]
     """Noise of a gyro sample."""
-    gyro_drift_noise_degps2: NotNegative
+    gyro_drift_noise_degps2: Annotated[NotNegative, Live(0.0, 0.1)]
     """Random walk of the drift."""
     gyro_drift_degps: Triple
     """Initial estimate of the drift."""
@@ -280,9 +282,9 @@ class AttitudeFilter(ConfigModel):
 class PositionFilter(ConfigModel):
     """Accelerometer model and initial covariance of the PKF."""
 
-    accelerometer_noise_mps2: Positive
+    accelerometer_noise_mps2: Annotated[Positive, Live(1e-8, 0.1)]
     """Noise of an accelerometer sample."""
-    accelerometer_bias_noise_mps3: NotNegative
+    accelerometer_bias_noise_mps3: Annotated[NotNegative, Live(0.0, 0.01)]
     """Random walk of the bias."""
     accelerometer_bias_mps2: Triple
     """Initial estimate of the bias."""
@@ -386,19 +388,19 @@ class Corridor(ConfigModel):
 
     axis: Triple = (1.0, 0.0, 0.0)
     """In H, from the target outwards: docking axis, along which an abort retreats."""
-    half_angle_deg: Annotated[float, Field(gt=0.0, lt=90.0)]
+    half_angle_deg: Annotated[float, Field(gt=0.0, lt=90.0), Live(0.5, 30.0)]
     """Radius of the corridor over range."""
-    minimum_radius_m: Positive
+    minimum_radius_m: Annotated[Positive, Live(0.01, 1.0)]
     """Its smallest radius."""
-    closing_rate_mps: Positive
+    closing_rate_mps: Annotated[Positive, Live(1e-3, 0.5)]
     """Largest closing rate up to the range of the ready point."""
-    closing_rate_slope_per_s: NotNegative
+    closing_rate_slope_per_s: Annotated[NotNegative, Live(0.0, 1.0)]
     """Its increase with range."""
-    closing_rate_max_mps: Positive
+    closing_rate_max_mps: Annotated[Positive, Live(1e-2, 0.5)]
     """Its maximum."""
-    confidence: NotNegative = 3.0
+    confidence: Annotated[NotNegative, Live(0.0, 10.0)] = 3.0
     """Standard deviations of the velocity that are added to the closing rate."""
-    persistence_s: NotNegative
+    persistence_s: Annotated[NotNegative, Live(0.0, 5.0)]
     """A limit is violated if exceeded for this time."""
 
     @model_validator(mode="after")
@@ -536,25 +538,25 @@ class Control(ConfigModel):
     an entry point, `file.py:name`, a shared library (`.so`), or an FMU (`.fmu`)."""
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
-    deadband_m: NotNegative = 0.0
+    deadband_m: Annotated[NotNegative, Live(0.0, 0.2)] = 0.0
     """Least coast in the dead band; 0: that of the rule, by valve, propellant and requirement."""
-    lead_s: NotNegative = 0.0
+    lead_s: Annotated[NotNegative, Live(0.0, 100.0)] = 0.0
     """Weight of the rate relative to the position; 0: that of the rule, by noise and valve."""
-    period_s: NotNegative = 0.0
+    period_s: Annotated[NotNegative, Live(0.0, 60.0)] = 0.0
     """An axis decides once per period; 0: that of the rule, by the valve."""
-    deadband_sigmas: NotNegative = 2.0
+    deadband_sigmas: Annotated[NotNegative, Live(0.0, 10.0)] = 2.0
     """Standard deviations of the switching function in the dead band."""
-    correction_rate_mps: Positive = 0.05
+    correction_rate_mps: Annotated[Positive, Live(1e-4, 0.5)] = 0.05
     """Largest rate at which a position error is corrected; plus the approach speed, below the largest closing rate."""
-    deadband_deg: NotNegative = 0.0
+    deadband_deg: Annotated[NotNegative, Live(0.0, 5.0)] = 0.0
     """Least coast of the attitude in its dead band; 0: that of the rule."""
-    attitude_lead_s: NotNegative = 0.0
+    attitude_lead_s: Annotated[NotNegative, Live(0.0, 100.0)] = 0.0
     """Weight of the angular rate; 0: that of the rule."""
-    attitude_period_s: NotNegative = 0.0
+    attitude_period_s: Annotated[NotNegative, Live(0.0, 60.0)] = 0.0
     """Decision period of an attitude axis; 0: that of the rule."""
-    attitude_deadband_sigmas: NotNegative = 0.0
+    attitude_deadband_sigmas: Annotated[NotNegative, Live(0.0, 10.0)] = 0.0
     """Standard deviations of the attitude in the dead band."""
-    slew_rate_degps: Positive = 0.6
+    slew_rate_degps: Annotated[Positive, Live(0.01, 5.0)] = 0.6
     """Largest rate at which an attitude error is corrected."""
 
 

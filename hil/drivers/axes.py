@@ -1,4 +1,4 @@
-"""Servo model of three axes with its parameters, for mocks and emulators."""
+"""Servo model of three axes with its parameters, for mocks and emulators; limits of setpoints, for drivers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from hil.config.mechanics import DriveMechanics
 from hil.config.rig import AxisGroupTable
-from hil.core.messages import new
+from hil.core.messages import Array, new
+from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.models.drive_mechanics import DRIVE_MECHANICS, drive_mechanics_step, encoder_reading
 from hil.models.servo import SERVO, servo_step
 
@@ -112,3 +113,27 @@ def axes_of(config: AxisGroupTable) -> ServoAxes:
     """Return the axes of an emulated device, with its mechanics if it has some."""
     mechanics = config.emulated_mechanics
     return ServoAxes(config) if mechanics is None else MechanicalAxes(config, mechanics)
+
+
+class SetpointLimits:
+    """Names of the axes of a device, and the limits of their setpoints, (3,) each, in SI units."""
+
+    def __init__(self, name: str, config: AxisGroupTable) -> None:
+        axes = ServoAxes(config)
+        self.names = full_names(name, config.axis_names)
+        self.low, self.high = axes.low, axes.high
+        self.rate_max, self.acceleration_max = axes.rate_max, axes.acceleration_max
+
+    def accepted(self, position: Array, rate: Array, jogging: bool) -> tuple[Array, Array]:
+        """Return position and rate (3,) within the limits; an axis that is limited in position gets rate 0.
+
+        jogging: the position is not limited. Raises SafetyTrip for a value that is not finite.
+        """
+        accepted = accepted_setpoint(self.names, position, *setpoint_bounds(self.low, self.high, jogging))
+        accepted_rate = accepted_setpoint(self.names, rate, -self.rate_max, self.rate_max, "rate")
+        return accepted, np.where(accepted == position, accepted_rate, 0.0)
+
+    def accepted_goal(self, position: Array, rate: Array) -> tuple[Array, Array]:
+        """Return the goal of a move (3,), and its largest rate, within the limits; errors as of ``accepted``."""
+        goal = accepted_setpoint(self.names, position, self.low, self.high)
+        return goal, accepted_setpoint(self.names, np.abs(rate), np.zeros(3), self.rate_max, "rate")

@@ -15,8 +15,7 @@ import numpy as np
 from hil.config.rig import AxisGroupTable
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
-from hil.drivers.axes import ServoAxes
-from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
+from hil.drivers.axes import SetpointLimits
 from hil.drivers.exchange_pacer import ExchangePacer
 from hil.drivers.latest import Latest
 from hil.drivers.profiled_move import ProfiledMove, compile_profile
@@ -78,11 +77,9 @@ class CyclicAxisGroup:
 
     def __init__(self, config: AxisGroupTable, clock: BenchClock, link: ExchangeLink, name: str) -> None:
         self.name = name
-        self.axis_names = full_names(name, config.axis_names)
+        self._limits = SetpointLimits(name, config)
+        self.axis_names = self._limits.names
         self._config = config
-        axes = ServoAxes(config)
-        self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
-        self._acceleration_max = axes.acceleration_max
         self._timeout_s = config.timeout_s
         self._clock = clock
         self._link = link
@@ -156,8 +153,7 @@ class CyclicAxisGroup:
         until the next ``open``. Errors as for ``send``.
         """
         self._box.check()
-        goal = accepted_setpoint(self.axis_names, position, self._low, self._high)
-        speed = accepted_setpoint(self.axis_names, np.abs(rate), np.zeros(3), self._rate_max, "rate")
+        goal, speed = self._limits.accepted_goal(position, rate)
         feedback = self._box.peek()
         if feedback is not None and self._rejects_setpoints(feedback):
             return feedback.position.copy()
@@ -172,12 +168,11 @@ class CyclicAxisGroup:
         Raises SafetyTrip for a value that is not finite, DeviceError once the link has failed.
         """
         self._box.check()
-        accepted = accepted_setpoint(self.axis_names, position, *setpoint_bounds(self._low, self._high, self._jogging))
-        accepted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
+        accepted, accepted_rate = self._limits.accepted(position, rate, self._jogging)
         feedback = self._box.peek()
         if feedback is not None and (self._goal is not None or self._rejects_setpoints(feedback)):
             return feedback.position.copy()
-        self._setpoint = (accepted, np.where(accepted == position, accepted_rate, 0.0), now_s)
+        self._setpoint = (accepted, accepted_rate, now_s)
         if self._pacer.is_due(now_s):
             self._wake.set()
         return accepted.copy()
@@ -258,7 +253,7 @@ class CyclicAxisGroup:
         position, rate, sent_s = self._setpoint
         if self._goal is not None and not self._stopped.is_set():
             if self._profile is None:
-                self._profile = ProfiledMove(position, *self._goal, self._acceleration_max, now_s)
+                self._profile = ProfiledMove(position, *self._goal, self._limits.acceleration_max, now_s)
                 if self._link.has_profiles:
                     self._link.move_to(*self._goal)
             return self._limited(*self._profile.at(now_s), now_s, now_s)

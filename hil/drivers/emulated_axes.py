@@ -14,7 +14,7 @@ from hil.config.rig import AxisGroupTable
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, Homing
 from hil.drivers.axes import axes_of
-from hil.drivers.fault_injection import AXIS, WIRE, Faults, kinds
+from hil.drivers.fault_injection import Faults
 from hil.drivers.io.relay import HoldingBrakes
 from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.maths.random_streams import stream
@@ -60,7 +60,7 @@ class EmulatedAxes:
     ) -> None:
         self.device = device
         self.names = config.axis_names
-        self.faults = faults or Faults(device, kinds(WIRE, AXIS), self.names)
+        self.faults = faults or Faults(device, ("wire", "drive"), self.names)
         self.overdue = [False, False, False]
         self.astray = [False, False, False]
         self.torque_off = False
@@ -181,14 +181,6 @@ class EmulatedAxes:
         self._braking[axis] = False
         self._deadline_s[axis] = math.inf
         self._homing_until_s[axis] = self._t_s + _HOMING_TIME_MAX_S
-
-    def power_off(self, axis: int) -> None:
-        """Switch the supply off: an incremental encoder loses its zero."""
-        self.brake(axis)
-        if not self._absolute[axis]:
-            self.homing[axis] = Homing.NEEDED
-            self._offset[axis] = -self._axes.counted[axis]
-            self._damage[axis] = 0.0
 
     def advance(self, now_s: float) -> None:
         """Advance to bench time ``now_s`` and publish the axes."""

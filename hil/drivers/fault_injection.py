@@ -17,63 +17,24 @@ import itertools
 import json
 import math
 import socket
-import sys
 import threading
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Final
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class InjectableFault:
-    """One kind of fault. of_axis: it hits one axis. value: what its number means, "" when it has none.
-
-    once: it happens when it is switched on, and is over then.
-    """
-
-    text: str
-    of_axis: bool = False
-    value: str = ""
-    default: float = 1.0
-    high: float = math.inf
-    once: bool = False
-
-
-WIRE: Final = {
-    "drop": InjectableFault("packets are lost", value="share", high=1.0),
-    "corrupt": InjectableFault("bits of packets are flipped", value="share", high=1.0),
-    "delay": InjectableFault("packets come late", value="s", default=0.2, high=10.0),
-    "duplicate": InjectableFault("packets come twice", value="share", high=1.0),
-    "freeze": InjectableFault("the device repeats its last values"),
-    "link_down": InjectableFault("the wire is dead"),
-}
-AXIS: Final = {
-    "stuck": InjectableFault("the axis does not move, whatever its setpoint", of_axis=True),
-    "jump": InjectableFault("the encoder jumps", of_axis=True, value="m or deg", default=0.1, once=True),
-    "reversed": InjectableFault("the encoder counts the wrong way", of_axis=True),
-    "mirrored": InjectableFault("motor and encoder are both the wrong way round", of_axis=True),
-    "scaled": InjectableFault("the drive counts a multiple of the displacement", of_axis=True, value="factor"),
-    "runaway": InjectableFault(
-        "the drive ignores all commands and moves at a constant speed, 0 for its present one",
-        of_axis=True,
-        value="m/s or deg/s",
-        default=0.0,
-    ),
-    "drive_fault": InjectableFault("the drive reports a fault", of_axis=True, value="code", default=0.0, once=True),
-}
+from hil.config.faults import EMULATED, ErrorTerm
 
 
 class Faults:
     """Which faults of ``device`` are on. Any thread may switch; the emulator looks.
 
-    kinds: name -> Kind of what this device can have. axes: short names of its axes.
+    parts: of EMULATED, of which this device consists. axes: short names of its axes.
     """
 
-    def __init__(self, device: str, kinds: dict[str, InjectableFault], axes: Sequence[str] = ()) -> None:
+    def __init__(self, device: str, parts: Sequence[str], axes: Sequence[str] = ()) -> None:
         self.device = device
-        self.kinds = kinds
+        self.kinds = {name: term for part in parts for name, term in EMULATED[part].items()}
         self.axes = tuple(axes)
         self._lock = threading.Lock()
         self._on: dict[tuple[str, str], float] = {}
@@ -82,11 +43,10 @@ class Faults:
 
     def on(self, kind: str, axis: str = "", value: float | None = None) -> None:
         """Switch a fault on; ValueError, with a message for the user, if there is no such fault."""
-        known = self._kind(kind, axis)
-        size = known.default if value is None else value
-        if not (math.isfinite(size) and size <= known.high and (size >= 0.0 or known.once)):
-            allowed = f"0 to {known.high:g}" if math.isfinite(known.high) else "a finite number"
-            raise ValueError(f"{kind} {size:g}: allowed {allowed}")
+        term = self._kind(kind, axis)
+        if value is not None and (problem := term.problem((value,)) if term.values else "takes no number"):
+            raise ValueError(f"{kind} {problem.removeprefix('value = ')}")
+        size = value if value is not None else 1.0 if term.default is None else term.default
         with self._lock:
             self._on[kind, axis] = size
 
@@ -145,14 +105,10 @@ class Faults:
         if line.strip() == "list":
             return self.shown()
         if line.strip() == "kinds":
-            return json.dumps({"axes": self.axes, "kinds": {name: asdict(kind) for name, kind in self._finite_kinds()}})
+            return json.dumps({"axes": self.axes, "kinds": {name: _told(term) for name, term in self.kinds.items()}})
         return f"error: allowed: on FAULT, off FAULT, clear, list; faults: {self._menu()}"
 
-    def _finite_kinds(self) -> list[tuple[str, InjectableFault]]:
-        """Return the kinds with a number for an end that is not there: JSON has no infinity."""
-        return [(name, replace(kind, high=min(kind.high, sys.float_info.max))) for name, kind in self.kinds.items()]
-
-    def _kind(self, kind: str, axis: str) -> InjectableFault:
+    def _kind(self, kind: str, axis: str) -> ErrorTerm:
         known = self.kinds.get(kind)
         if known is None:
             raise ValueError(f"unknown fault {kind!r}, {self.device} has: {self._menu()}")
@@ -161,11 +117,18 @@ class Faults:
         return known
 
     def _menu(self) -> str:
-        def entry(name: str, kind: InjectableFault) -> str:
-            axis = f" {'|'.join(self.axes)}" if kind.of_axis else ""
-            return f"{name}{axis}" + (f" [{kind.value}]" if kind.value else "")
+        def entry(name: str, term: ErrorTerm) -> str:
+            axis = f" {'|'.join(self.axes)}" if term.of_axis else ""
+            return f"{name}{axis}" + (f" [{term.unit}]" if term.values else "")
 
-        return ", ".join(entry(name, kind) for name, kind in self.kinds.items())
+        return ", ".join(entry(name, term) for name, term in self.kinds.items())
+
+
+def _told(term: ErrorTerm) -> dict[str, Any]:
+    """Return ``term`` for programs, by the keys of the line ``kinds``; value: what its number means."""
+    default = 1.0 if term.default is None else term.default
+    return {"text": term.effect, "of_axis": term.of_axis, "value": term.unit, "default": default, "high": term.high,
+            "once": term.once}  # fmt: skip
 
 
 class FaultyWire:
@@ -279,8 +242,3 @@ class FaultControl:
     def close(self) -> None:
         self._lines.close()
         self._socket.close()
-
-
-def kinds(*groups: dict[str, InjectableFault], without: Iterable[str] = ()) -> dict[str, InjectableFault]:
-    """Return the union of groups of faults."""
-    return {name: kind for group in groups for name, kind in group.items() if name not in set(without)}

@@ -139,14 +139,6 @@ def closing_margin(params, r_CT_H, v_CT_H):
 
 
 @kernel
-def margins(params, from_H, to_H, r_CT_H, v_CT_H, corridor, closing):
-    """Write ``corridor_margin`` and ``closing_margin`` of each row of the four arrays (n, 3) into (n,)."""
-    for k in range(corridor.shape[0]):
-        corridor[k] = corridor_margin(params, from_H[k], to_H[k], r_CT_H[k])
-        closing[k] = closing_margin(params, r_CT_H[k], v_CT_H[k])
-
-
-@kernel
 def range_of(r_CT_H):
     """Return the distance from the target, m."""
     return math.sqrt(r_CT_H[0] ** 2 + r_CT_H[1] ** 2 + r_CT_H[2] ** 2)

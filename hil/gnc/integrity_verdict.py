@@ -226,13 +226,6 @@ def update_integrity(params, state, now):
 
 
 @kernel
-def update_integrity_all(params, state, rows):
-    """``update_integrity`` for each of ``rows`` (n,) of CYCLE."""
-    for k in range(rows.shape[0]):
-        update_integrity(params, state, rows[k])
-
-
-@kernel
 def stanford(params, rows, errors, levels, limits):
     """Write errors, protection levels and alert limits (n, 3) of each of ``rows`` (n,) of CYCLE."""
     for k in range(rows.shape[0]):

@@ -160,13 +160,6 @@ def update(params, state, t_s, deviation):
 
 
 @kernel
-def update_all(params, state, t_s, deviation):
-    """``update`` for each of the moments ``t_s`` (n,) with its row of ``deviation`` (n, 12)."""
-    for k in range(t_s.shape[0]):
-        update(params, state, t_s[k], deviation[k])
-
-
-@kernel
 def all_deviations(params, r_CT_H, v_CT_H, q_CH, w_CI_C, w_HI_H, out):
     """``deviations_of`` each row of the arrays (n, 3), q_CH (n, 4), into those of ``out`` (n, 12)."""
     for k in range(out.shape[0]):

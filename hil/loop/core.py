@@ -24,10 +24,9 @@ from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
 from hil.gnc import integrity, navigation, sensor_witness
-from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
-from hil.gnc.ready_phase import READY_PARAMS
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
 from hil.gnc_backends.library_kernel import LIBRARY
+from hil.loop.compiled.run_stats import RUN_STATS_PARAMS
 from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
@@ -47,7 +46,6 @@ LOOP_PARAMS = np.dtype(
         ("tick_s", "f8"),  # between two setpoints
         ("counts", "i8"),  # 1: RUN_STATS are counted
         ("reports", "i8"),  # 1: returns after a cycle with an event
-        ("steady_state_after_s", "f8"),  # navigation errors are counted from here on
         ("dss", DSS_PARAMS),
         ("imu", IMU_PARAMS),
         ("mounting", MOUNTING),
@@ -55,8 +53,7 @@ LOOP_PARAMS = np.dtype(
         ("guard", GUARD),
         ("bench_guard", BENCH_GUARD_PARAMS),
         ("gnc", GNC_PARAMS),
-        ("ready", READY_PARAMS),
-        ("integrity", INTEGRITY_PARAMS),
+        ("stats", RUN_STATS_PARAMS),
         ("sensors", SENSOR_PARAMS),
         ("vmu_faults", FAULTS),
         ("mock", MOCK_PARAMS),  # used by the bench in memory alone

@@ -179,8 +179,11 @@ class CampaignJob:
             self._write_evidence(store, requirements)
         return summary
 
-    def fly(self, spec: Spec, store: Store, runs: int, engine: Engine, watch: Watch) -> dict[int, str]:
-        """Run the missing ones of ``runs`` cases of ``spec``; return the tracebacks of the first that failed."""
+    def fly(self, spec: Spec, store: Store, runs: int, engine: Engine, watch: Watch, title: str = "") -> dict[int, str]:
+        """Run the missing ones of ``runs`` cases of ``spec``; return the tracebacks of the first that failed.
+
+        title: of the progress; the scenario's name without one.
+        """
         missing = store.missing(runs)
         left = sum(count for _, count in missing)
         begun_s = time.perf_counter()
@@ -191,7 +194,7 @@ class CampaignJob:
                 store.put(first, rows)
                 done += len(rows)
                 speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
-                watch(Progress(self.scenario.value.name, runs - left + done, runs, speed))
+                watch(Progress(title or self.scenario.value.name, runs - left + done, runs, speed))
         store.finish(runs)
         return failures
 

@@ -31,7 +31,7 @@ from hil.gnc_backends.open_backends import OpenBackends
 from hil.gnc_backends.shared_library import gnc_name, library_failure
 from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_cycles import run_cycles
-from hil.loop.compiled.run_stats import RUN_STATS, start_run_stats
+from hil.loop.compiled.run_stats import RUN_STATS, run_stats_params, start_run_stats
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.runner import COMPLETED
 from hil.maths.random_streams import noise_source
@@ -41,8 +41,7 @@ from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import integrity as integrity_params
 from hil.params import vision as vision_params
-from hil.params.ready import ready_params
-from hil.report.summary import SETTLED_S
+from hil.params.ready import settled_s
 from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
@@ -109,9 +108,7 @@ class CaseRunner:
         self._limits: SafetyLimits = safety_limits(rig, bench_params.axis_guard(rig, scenario))
         params = loop_params(scenario, rig, gnc_params.gnc(scenario), bench, self._limits.guard)
         params.counts = 1
-        params.steady_state_after_s = SETTLED_S if (self.cycles - 1) * scenario.step_s >= SETTLED_S else 0.0
-        params.ready = ready_params(scenario.requirements)
-        params.integrity = integrity_params.integrity(scenario, rig)
+        params.stats = run_stats_params(scenario, rig, settled_s((self.cycles - 1) * scenario.step_s))
         return params
 
     def set_gnc_scenario(self, scenario: Scenario) -> None:
@@ -220,7 +217,7 @@ class CaseRunner:
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
         set_truth(params, truth, seed, dss_as_built(truth, seed))
-        integrity_params.set_faults(params.integrity, truth.faults)
+        integrity_params.set_faults(params.stats.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)
         draw_initial_imu_errors(truth, seed, state.now.imu)

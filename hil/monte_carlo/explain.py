@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.config.units import UNITS, split
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
 from hil.errors import BadInput, one_line
 from hil.maths.limits import finite_or_none
@@ -231,16 +232,9 @@ def _measured(term: Term) -> str:
 
 
 def _unit_of_term(term: Term, names: list[str]) -> str:
-    return _unit(names[term.numbers[0]]) if len(term.numbers) == 1 else ""
-
-
-_UNITS: Final = {"m": "m", "mps": "m/s", "deg": "deg", "degps": "deg/s", "s": "s", "kg": "kg", "n": "N", "m2": "m^2",
-                 "mps2": "m/s^2", "rad": "rad", "px": "px", "hz": "Hz"}  # fmt: skip
-
-
-def _unit(name: str) -> str:
-    """Return the unit that the key ``name`` ends with, "" for none."""
-    return _UNITS.get(name.partition("[")[0].rpartition("_")[2], "")
+    key = names[term.numbers[0]].partition("[")[0]
+    unit = split(key)[1] if len(term.numbers) == 1 else ""
+    return UNITS[unit].text if unit else ""
 
 
 def shown(value: float, unit: str) -> str:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -97,17 +95,8 @@ class ImportanceCampaign:
         if density is None:
             return self._finish(None)
         job, settings, store = self._job, self._settings, self._store
-        missing = store.missing(settings.cases)
-        left = sum(count for _, count in missing)
         spec = dataclasses.replace(job.spec, density=density.text())
-        begun_s, done = time.perf_counter(), 0
-        with closing(self._engine.run(spec, missing)) as results:
-            for first, rows in results:
-                store.put(first, rows)
-                done += len(rows)
-                speed = done * job.duration_s / max(1e-9, time.perf_counter() - begun_s)
-                watch(Progress(f"{settings.event}:", settings.cases - left + done, settings.cases, speed))
-        store.finish(settings.cases)
+        job.fly(spec, store, settings.cases, self._engine, watch, f"{settings.event}:")
         return self._finish(density)
 
     def _density(self, watch: Watch) -> ImportanceDensity | None:

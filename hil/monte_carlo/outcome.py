@@ -10,15 +10,15 @@ import numpy as np
 from hil.config.required_parts import PART_COLUMNS
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
-from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
+from hil.loop.compiled.run_stats import SETTLED
 from hil.loop.runner import COMPLETED
 from hil.maths.limits import finite_or_none
-from hil.params.ready import ROW_NAMES, tolerances
+from hil.params.ready import ROW_NAMES
 from hil.report.acceptance import is_accepted
-from hil.report.integrity import SafeStop, decision_part, detection, integrity_part, mean_nees
+from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
 from hil.report.limits import (
     LIMITS,
     RunNumbers,
@@ -28,8 +28,9 @@ from hil.report.limits import (
     margins_of,
     stop_of_alarm,
 )
-from hil.report.verdict import verdict_of
-from hil.report.verdict_parts import energy_part, is_secure
+from hil.report.vehicle import navigation_means, propellant_kg
+from hil.report.verdict import control_precision, verdict_of
+from hil.report.verdict_parts import energy_part, security_part
 from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import is_of_guard
 
@@ -80,20 +81,18 @@ def row_of(
     integrity, decision = integrity_part(stats.integrity, scenario), decision_part(stats.integrity)
     limits = stats.integrity.limits
     aborted = int(limits.aborted)
-    firings = int(np.sum(stats.thruster_firings))
-    propellant_kg = _propellant_kg(stats, truth)
-    energy = energy_part(float(stats.reference_delta_v), scenario, propellant_kg, firings)
+    used_kg = propellant_kg(stats, truth)
+    energy, security = energy_part(stats, scenario, used_kg), security_part(stats)
     flown = int(stats.cycles) > 0
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
     parts = {
         "control_precision": passed,
-        "security": flown and is_secure(limits.margin[CORRIDOR], limits.margin[CLOSING]),
-        "energy": bool(flown and energy["passed"]),
+        "security": security["passed"],
+        "energy": energy["passed"],
         "field_of_view": bool(flown and stats.view_margin >= 0.0),
         "integrity": bool(flown and integrity["passed"]),
         "decision": bool(flown and decision["passed"]),
     }
-    allowed = tolerances(scenario.requirements)
     row: dict[str, Any] = {
         "passed": passed,
         "passed_all_parts": all(parts.values()),
@@ -112,7 +111,7 @@ def row_of(
         "protection_level_m": finite_or_none(stats.integrity.worst_bound),
         "availability": integrity["availability"],
         "time_to_alert_s": integrity["time_to_alert_s"],
-        "firings": firings,
+        "firings": energy["firings"],
         "limited_cycles": int(stats.limited_cycles),
         "cycles": int(stats.cycles),
         "stop": stop,
@@ -120,41 +119,41 @@ def row_of(
         "ready_time_s": verdict.ready_time_s,
         "held_since_s": verdict.held_since_s,
         "aborted_at_s": float(limits.aborted_at_s) if aborted else None,
-        "propellant_kg": propellant_kg,
-        "propellant_share": propellant_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
+        "propellant_kg": used_kg,
+        "propellant_share": used_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
         "thruster_on_time_s": scenario.step_s * float(np.sum(stats.thruster_open)),
-        "control_margin": None,
+        "control_margin": control_precision(verdict, scenario)["margin"],
         **{
             name: finite_or_none(value) if flown else None
             for name, value in (
                 ("corridor_margin_m", limits.margin[CORRIDOR]),
                 ("closing_margin_mps", limits.margin[CLOSING]),
                 ("view_margin_px", stats.view_margin),
+                ("nearest_m", stats.integrity.nearest),
             )
         },
-        "nearest_m": finite_or_none(stats.integrity.nearest) if flown else None,
         **_three("force_on_time_s", scenario.step_s * stats.force_cycles),
         **_three("torque_on_time_s", scenario.step_s * stats.torque_cycles),
         **_navigation(stats),
         **_fault(truth, stats),
     }
-    if verdict.worst is not None:
-        row["control_margin"] = min(float((1.0 - verdict.worst[n] / allowed[n]).min()) for n in ROW_NAMES)
     for name in ROW_NAMES:
         row |= _three(name, np.full(3, np.nan) if verdict.worst is None else verdict.worst[name])
-    return row | _limits(row, stats, parts, ended, scenario)
+    return row | _limits(stats, parts, energy, row["accepted"], ended, scenario)
 
 
 def _limits(
-    row: dict[str, Any], stats: np.record, parts: dict[str, bool], ended: Stop | None, scenario: Scenario
+    stats: np.record,
+    parts: dict[str, bool],
+    energy: dict[str, Any],
+    accepted: bool,
+    ended: Stop | None,
+    scenario: Scenario,
 ) -> dict[str, Any]:
     """Return the first violated limit, the alarms before it and the margins to all limits."""
     view = tuple(finite_or_none(value) for value in (stats.view_margin, stats.view_margin_s, stats.view_lost_s))
-    run = RunNumbers(
-        stats.integrity, stats.ready, parts, (view[0], view[1], view[2]),
-        (row["propellant_kg"], row["propellant_limit_kg"]), mean_nees(stats.integrity),
-        max(0, int(stats.cycles) - 1) * scenario.step_s, row["accepted"], ended,
-    )  # fmt: skip
+    end_s = max(0, int(stats.cycles) - 1) * scenario.step_s
+    run = RunNumbers(stats, parts, (view[0], view[1], view[2]), energy, end_s, accepted, ended)
     margins = margins_of(run, scenario) if stats.cycles else []
     found = first_violated(run, scenario, margins)
     columns = found | {"alarms_before": alarms_before(stats.integrity.limits, found["first_violated_s"])}
@@ -174,23 +173,15 @@ def failed_row(reason: str) -> dict[str, Any]:
     return row | dict.fromkeys(TEXTS, "") | {"stop": reason}
 
 
-def _propellant_kg(stats: np.record, truth: Scenario) -> float:
-    if truth.truth.mass_loss:
-        return float(stats.mass_start - stats.mass_end)
-    thrusters = truth.chaser.thrusters
-    open_s = truth.step_s * float(np.sum(stats.thruster_open))
-    return open_s * thrusters.force_n / (thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2)
-
-
 def _navigation(stats: np.record) -> dict[str, float | None]:
-    rms = np.sqrt(stats.square_error / stats.estimates) if stats.estimates else np.full(9, np.nan)
-    fused = int(stats.fused)
+    found = navigation_means(stats.navigation, SETTLED)
+    triples = {
+        name: found[name] or [None] * 3 for name in ("position_rmse_m", "velocity_rmse_mps", "attitude_rmse_deg")
+    }
     return {
-        **_three("position_rmse_m", rms[0:3]),
-        **_three("velocity_rmse_mps", rms[3:6]),
-        **_three("attitude_rmse_deg", np.degrees(rms[6:9])),
-        "nees_pkf": finite_or_none(stats.nees_position / fused) if fused else None,
-        "nees_akf": finite_or_none(stats.nees_attitude / fused) if fused else None,
+        **{f"{name}_{axis}": value for name, of in triples.items() for axis, value in zip(_AXES, of, strict=True)},
+        "nees_pkf": found["nees_pkf"],
+        "nees_akf": found["nees_akf"],
     }
 
 

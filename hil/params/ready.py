@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.scenario import Requirements, Scenario
+from hil.config.scenario import Requirements
 from hil.core.messages import Array, new
 from hil.gnc import ready_phase
 
 ROW_NAMES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
-_SETTLED_S = 100.0  # navigation errors count from here on, as in the paper's numerical simulation
+SETTLED_S = 100.0  # navigation errors count from here on, as in the paper's numerical simulation
 
 
-def settled_s(scenario: Scenario) -> float:
-    """Return the time of the run from which on errors of the navigation count, s; a shorter run counts whole."""
-    return _SETTLED_S if scenario.duration_s >= _SETTLED_S else 0.0
+def settled_s(duration_s: float) -> float:
+    """Return the time of a run of ``duration_s`` from which on errors of the navigation count, s; a short one whole."""
+    return SETTLED_S if duration_s >= SETTLED_S else 0.0
 
 
 def ready_params(requirements: Requirements) -> np.record:

@@ -57,7 +57,7 @@ def _compile_loop() -> None:
 
 
 def _compile_verdict() -> None:
-    from hil.report.summary import numbers_of
+    from hil.report.tally import Tally
 
     job = _job()
     scenario, rig = job.scenario.value, job.rig.value
@@ -68,7 +68,9 @@ def _compile_verdict() -> None:
     rows["navigation"]["valid"] = 1
     for name in ("r_CT_H", "q_CH"):
         rows["navigation"][name] = rows["truth"][name]
-    numbers_of(rows, scenario, rig)
+    tally = Tally(scenario, rig)
+    tally.add(rows)
+    tally.end()
 
 
 def _compile_run() -> None:

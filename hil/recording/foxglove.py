@@ -26,9 +26,15 @@ def table(title: str, properties: dict[str, Any]) -> dict[str, Any]:
     return {"title": title, "type": "object", "properties": properties}
 
 
+def list_of(title: str, properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": table(title, properties)}
+
+
+NUMBER: Final = {"type": "number"}
+COLOUR: Final = table("colour", dict.fromkeys("rgba", NUMBER))
 TIME: Final = table("time", {"sec": {"type": "integer"}, "nsec": {"type": "integer"}})
-_XYZ: Final = table("vector", {axis: {"type": "number"} for axis in "xyz"})
-_XYZW: Final = table("quaternion", {axis: {"type": "number"} for axis in "xyzw"})
+_XYZ: Final = table("vector", dict.fromkeys("xyz", NUMBER))
+_XYZW: Final = table("quaternion", dict.fromkeys("xyzw", NUMBER))
 TEXT: Final = {"type": "string"}
 
 SCHEMAS: Final[dict[str, dict[str, Any]]] = {

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.core.camera_images import Shape, image_data
-from hil.recording.foxglove import TEXT, TIME, encoded, finite, number, table, text_of, time_of
+from hil.recording.foxglove import COLOUR, NUMBER, TEXT, TIME, encoded, finite, list_of, number, table, text_of, time_of
 
 PICTURE_TOPICS: Final = "/pictures/"
 ANNOTATIONS: Final = "/annotations"
@@ -32,54 +32,44 @@ PICTURE_SCHEMA: Final = table(
     },
 )
 
-_POINT: Final = table("point", {axis: {"type": "number"} for axis in "xy"})
-_COLOUR: Final = table("colour", {part: {"type": "number"} for part in "rgba"})
+_POINT: Final = table("point", dict.fromkeys("xy", NUMBER))
 ANNOTATION_SCHEMA: Final = table(
     "foxglove.ImageAnnotations",
     {
-        "circles": {
-            "type": "array",
-            "items": table(
-                "circle",
-                {
-                    "timestamp": TIME,
-                    "position": _POINT,
-                    "diameter": {"type": "number"},
-                    "thickness": {"type": "number"},
-                    "fill_color": _COLOUR,
-                    "outline_color": _COLOUR,
-                },
-            ),
-        },
-        "points": {
-            "type": "array",
-            "items": table(
-                "points",
-                {
-                    "timestamp": TIME,
-                    "type": {"type": "integer"},
-                    "points": {"type": "array", "items": _POINT},
-                    "outline_color": _COLOUR,
-                    "outline_colors": {"type": "array", "items": _COLOUR},
-                    "fill_color": _COLOUR,
-                    "thickness": {"type": "number"},
-                },
-            ),
-        },
-        "texts": {
-            "type": "array",
-            "items": table(
-                "text",
-                {
-                    "timestamp": TIME,
-                    "position": _POINT,
-                    "text": TEXT,
-                    "font_size": {"type": "number"},
-                    "text_color": _COLOUR,
-                    "background_color": _COLOUR,
-                },
-            ),
-        },
+        "circles": list_of(
+            "circle",
+            {
+                "timestamp": TIME,
+                "position": _POINT,
+                "diameter": NUMBER,
+                "thickness": NUMBER,
+                "fill_color": COLOUR,
+                "outline_color": COLOUR,
+            },
+        ),
+        "points": list_of(
+            "points",
+            {
+                "timestamp": TIME,
+                "type": {"type": "integer"},
+                "points": {"type": "array", "items": _POINT},
+                "outline_color": COLOUR,
+                "outline_colors": {"type": "array", "items": COLOUR},
+                "fill_color": COLOUR,
+                "thickness": NUMBER,
+            },
+        ),
+        "texts": list_of(
+            "text",
+            {
+                "timestamp": TIME,
+                "position": _POINT,
+                "text": TEXT,
+                "font_size": NUMBER,
+                "text_color": COLOUR,
+                "background_color": COLOUR,
+            },
+        ),
     },
 )
 

@@ -13,39 +13,31 @@ from typing import Any, Final
 import numpy as np
 
 from hil.core.files import parse_json
-from hil.recording.foxglove import TEXT, TIME, table, time_of
+from hil.recording.foxglove import COLOUR, NUMBER, TEXT, TIME, list_of, table, time_of
 
-_NUMBER: Final = {"type": "number"}
-_POINT: Final = table("point", dict.fromkeys("xyz", _NUMBER))
-_COLOUR: Final = table("colour", dict.fromkeys("rgba", _NUMBER))
-_POSE: Final = table("pose", {"position": _POINT, "orientation": table("quaternion", dict.fromkeys("xyzw", _NUMBER))})
-
-
-def _list(title: str, properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": table(title, properties)}
-
-
-_SOLID: Final = {"pose": _POSE, "size": _POINT, "color": _COLOUR}
+_POINT: Final = table("point", dict.fromkeys("xyz", NUMBER))
+_POSE: Final = table("pose", {"position": _POINT, "orientation": table("quaternion", dict.fromkeys("xyzw", NUMBER))})
+_SOLID: Final = {"pose": _POSE, "size": _POINT, "color": COLOUR}
 _ARROW: Final = {
     "pose": _POSE,
-    **dict.fromkeys(("shaft_length", "shaft_diameter", "head_length", "head_diameter"), _NUMBER),
-    "color": _COLOUR,
+    **dict.fromkeys(("shaft_length", "shaft_diameter", "head_length", "head_diameter"), NUMBER),
+    "color": COLOUR,
 }
 _LINE: Final = {
     "type": {"type": "integer"},
     "pose": _POSE,
-    "thickness": _NUMBER,
+    "thickness": NUMBER,
     "scale_invariant": {"type": "boolean"},
     "points": {"type": "array", "items": _POINT},
-    "color": _COLOUR,
-    "colors": {"type": "array", "items": _COLOUR},
+    "color": COLOUR,
+    "colors": {"type": "array", "items": COLOUR},
     "indices": {"type": "array", "items": {"type": "integer"}},
 }
 SCENE_SCHEMA: Final = table(
     "foxglove.SceneUpdate",
     {
-        "deletions": _list("deletion", {"timestamp": TIME, "type": {"type": "integer"}, "id": TEXT}),
-        "entities": _list(
+        "deletions": list_of("deletion", {"timestamp": TIME, "type": {"type": "integer"}, "id": TEXT}),
+        "entities": list_of(
             "entity",
             {
                 "timestamp": TIME,
@@ -53,11 +45,11 @@ SCENE_SCHEMA: Final = table(
                 "id": TEXT,
                 "lifetime": TIME,
                 "frame_locked": {"type": "boolean"},
-                "metadata": _list("pair", {"key": TEXT, "value": TEXT}),
-                "arrows": _list("arrow", _ARROW),
-                "cubes": _list("cube", _SOLID),
-                "spheres": _list("sphere", _SOLID),
-                "lines": _list("line", _LINE),
+                "metadata": list_of("pair", {"key": TEXT, "value": TEXT}),
+                "arrows": list_of("arrow", _ARROW),
+                "cubes": list_of("cube", _SOLID),
+                "spheres": list_of("sphere", _SOLID),
+                "lines": list_of("line", _LINE),
             },
         ),
     },

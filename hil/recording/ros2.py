@@ -11,8 +11,9 @@ import os
 import shutil
 import struct
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -79,9 +80,38 @@ _AXES: Final = (*RAIL_NAMES, *GIMBAL_NAMES)
 _LEVELS: Final = {"alarm": 2, "fault": 2, "order": 1}
 _HILL, _CHASER = "H", "chaser"
 _NO_COVARIANCE: Final = np.zeros((3, 3))
+_NONE: Final = _NO_COVARIANCE.ravel()
+_NO_ORIENTATION: Final = np.array([-1.0] + [0.0] * 8)
 _METADATA_VERSION: Final = 5
 _Message = tuple[str, int, bytes]
 """Topic, stamp in ns, encoded message."""
+
+
+_FORMS: Final = {"int32": "i", "uint32": "I", "byte": "B", "uint8": "B", "float64": "d"}
+"""Number of ROS 2 -> its form in ``struct``."""
+
+
+@cache
+def _fields(kind: str) -> tuple[tuple[str, int | None], ...]:
+    """Return type and length of each field of ``kind``: None for a single value, 0 for a sequence of any length."""
+    found: list[tuple[str, int | None]] = []
+    for line in _DEFINITIONS[kind].splitlines():
+        name, bracket, length = line.split()[0].partition("[")
+        if "=" not in line:  # of a constant
+            found.append((_full_name(kind, name), int(length.rstrip("]") or 0) if bracket else None))
+    return tuple(found)
+
+
+def _full_name(kind: str, name: str) -> str:
+    """Return the name of a type as a definition of ``kind`` has it, in full if it is no number or text."""
+    full = name.replace("/", "/msg/") if "/" in name else f"{kind.split('/')[0]}/msg/{name}"
+    return full if full in _DEFINITIONS else name
+
+
+@cache
+def _is_numbers(kind: str) -> bool:
+    """Return whether ``kind`` consists of numbers of type float64."""
+    return kind in _DEFINITIONS and all(field == ("float64", None) for field in _fields(kind))
 
 
 class _Cdr:
@@ -90,42 +120,48 @@ class _Cdr:
     def __init__(self) -> None:
         self._bytes = bytearray()
 
-    def put(self, form: str, *values: Any) -> None:
-        """Append numbers of one type: ``form`` of ``struct``, its last letter for each."""
-        size = struct.calcsize(form[-1])
-        self._bytes += bytes(-len(self._bytes) % size)
-        self._bytes += struct.pack(f"<{form}", *values)
-
-    def put_all(self, values: Any) -> None:
-        """Append the elements of an array of float64, whose length the type fixes."""
-        self._bytes += bytes(-len(self._bytes) % 8)
-        self._bytes += np.ascontiguousarray(values, "<f8").tobytes()
-
-    def put_list(self, values: Any) -> None:
-        """Append a sequence of float64."""
-        self.put("I", len(values))
-        if len(values):
-            self.put_all(values)
-
-    def put_text(self, text: str) -> None:
-        encoded = text.encode() + b"\0"
-        self.put("I", len(encoded))
-        self._bytes += encoded
-
-    def put_block(self, block: bytes) -> None:
-        self.put("I", len(block))
-        self._bytes += block
-
-    def put_time(self, time_ns: int) -> None:
-        self.put("i", time_ns // 1_000_000_000)
-        self.put("I", time_ns % 1_000_000_000)
-
-    def put_header(self, time_ns: int, frame: str) -> None:
-        self.put_time(time_ns)
-        self.put_text(frame)
+    def put(self, kind: str, value: Any) -> None:
+        """Append ``value`` of the type ``kind``; that of a message has the values of its fields, in their order."""
+        if kind == "string":
+            encoded = value.encode() + b"\0"
+            self.put("uint32", len(encoded))
+            self._bytes += encoded
+        elif kind in _FORMS:
+            form = _FORMS[kind]
+            self._bytes += bytes(-len(self._bytes) % struct.calcsize(form)) + struct.pack(f"<{form}", value)
+        elif _is_numbers(kind):
+            self._put_numbers(value)
+        else:
+            for (field, length), inner in zip(_fields(kind), value, strict=True):
+                self._put_all(field, length, inner)
 
     def message(self) -> bytes:
         return b"\x00\x01\x00\x00" + bytes(self._bytes)
+
+    def _put_all(self, kind: str, length: int | None, value: Any) -> None:
+        if length is None:
+            self.put(kind, value)
+            return
+        if length == 0:
+            self.put("uint32", len(value))
+        if kind == "uint8":
+            self._bytes += value
+        elif kind == "float64":
+            self._put_numbers(value)
+        else:
+            for each in value:
+                self.put(kind, each)
+
+    def _put_numbers(self, values: Any) -> None:
+        if len(values):
+            self._bytes += bytes(-len(self._bytes) % 8) + np.ascontiguousarray(values, "<f8").tobytes()
+
+
+def encoded(kind: str, value: Any) -> bytes:
+    """Return a message of type ``kind``, in CDR; value: the values of its fields, in their order."""
+    cdr = _Cdr()
+    cdr.put(kind, value)
+    return cdr.message()
 
 
 def export_ros2(path: Path, out: Path) -> dict[str, int]:
@@ -179,19 +215,38 @@ def start_ns(recorded: Recorded) -> int:
 
 def _messages(recorded: Recorded) -> Iterator[_Message]:
     """Yield all messages: those of the cycles in the order of time, then the log and the images."""
+    for topic, time_ns, value in _values(recorded):
+        yield topic, time_ns, encoded(TOPICS[topic], value)
+
+
+def _values(recorded: Recorded) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, stamp and value of all messages."""
     zero_ns = start_ns(recorded)
     for row in recorded.cycles:
-        yield from _cycle(row, zero_ns)
+        time_ns = _stamp(float(row["t_s"]), zero_ns)
+        for topic, value in _cycle(row, time_ns, zero_ns):
+            yield topic, time_ns, value
     for line in recorded.log:
         time_ns = _stamp(line.get("t_s"), zero_ns)
-        yield "/diagnostics", time_ns, _diagnostics(line, time_ns)
+        values = [(key, _text(line.get(key))) for key in ("kind", "t_s", "bench_s", "cycle")]
+        level = _LEVELS.get(str(line.get("kind")), 0)
+        status = (level, str(line.get("name", "")), str(line.get("message", "")), "", values)
+        yield "/diagnostics", time_ns, (_header(time_ns, ""), [status])
     for image in recorded_images(recorded.path, LEFT, RIGHT):
         time_ns = _stamp(image.t_s, zero_ns)
-        cdr = _Cdr()
-        cdr.put_header(time_ns, image.camera)
-        cdr.put_text(image.encoding)
-        cdr.put_block(image.data)
-        yield f"/{image.camera}/image/compressed", time_ns, cdr.message()
+        yield f"/{image.camera}/image/compressed", time_ns, (_header(time_ns, image.camera), image.encoding, image.data)
+
+
+def _text(value: Any) -> str:
+    return "" if value is None else str(value)
+
+
+def _time(time_ns: int) -> tuple[int, int]:
+    return divmod(time_ns, 1_000_000_000)
+
+
+def _header(time_ns: int, frame: str) -> tuple[tuple[int, int], str]:
+    return _time(time_ns), frame
 
 
 def _stamp(t_s: float | None, zero_ns: int) -> int:
@@ -199,117 +254,50 @@ def _stamp(t_s: float | None, zero_ns: int) -> int:
     return zero_ns + (round(t_s * 1e9) if t_s is not None and t_s > 0.0 else 0)
 
 
-def _cycle(row: np.void, zero_ns: int) -> Iterator[_Message]:
-    """Yield the messages of one row (CYCLE)."""
-    t_s = float(row["t_s"])
-    time_ns = _stamp(t_s, zero_ns)
-    truth, estimate, pose = row["truth"], row["navigation"], row["pose"]
+def _cycle(row: np.void, time_ns: int, zero_ns: int) -> Iterator[tuple[str, Any]]:
+    """Yield topic and value of the messages of one row (CYCLE)."""
+    truth, estimate, pose, imu = row["truth"], row["navigation"], row["pose"], row["imu"]
     r, q = truth["r_CT_H"], truth["q_CH"]
-    yield "/truth/pose", time_ns, _pose(time_ns, _HILL, r, q, _NO_COVARIANCE, _NO_COVARIANCE)
-    yield "/truth/twist", time_ns, _twist(time_ns, truth["v_CT_H"], truth["w_CI_C"], q)
+    here, unnamed = _header(time_ns, _HILL), _header(time_ns, "")
+    yield "/truth/pose", (here, ((r, q), _covariance(_NO_COVARIANCE, _NO_COVARIANCE)))
+    yield "/truth/twist", (here, (truth["v_CT_H"], in_hill(truth["w_CI_C"], q)))
     if estimate["valid"]:
         sigma_r, sigma_q = np.diag(estimate["sigma_r_m"] ** 2), np.diag(estimate["sigma_attitude_rad"] ** 2)
         q_estimate = estimate["q_CH"]
-        yield "/navigation/pose", time_ns, _pose(time_ns, _HILL, estimate["r_CT_H"], q_estimate, sigma_r, sigma_q)
-        yield "/navigation/twist", time_ns, _twist(time_ns, estimate["v_CT_H"], estimate["w_CH_C"], q_estimate)
+        yield "/navigation/pose", (here, ((estimate["r_CT_H"], q_estimate), _covariance(sigma_r, sigma_q)))
+        yield "/navigation/twist", (here, (estimate["v_CT_H"], in_hill(estimate["w_CH_C"], q_estimate)))
     if pose["fresh"] > 0:
-        seen_ns = _stamp(float(pose["t_s"]), zero_ns)
+        seen = _header(_stamp(float(pose["t_s"]), zero_ns), _CHASER)
         target = pose["q_CH"] * (-1.0, -1.0, -1.0, 1.0)  # of the target in c
-        covariances = pose["covariance_position"], pose["covariance_attitude"]
-        yield "/vision/pose", time_ns, _pose(seen_ns, _CHASER, pose["z_TC_C"], target, *covariances)
-    yield "/imu", time_ns, _imu(row["imu"], time_ns)
+        covariance = _covariance(pose["covariance_position"], pose["covariance_attitude"])
+        yield "/vision/pose", (seen, ((pose["z_TC_C"], target), covariance))
+    turn = ((0.0, 0.0, 0.0, 1.0), _NO_ORIENTATION)
+    yield "/imu", (_header(time_ns, _CHASER), *turn, imu["rate_C"], _NONE, imu["force_C"], _NONE)
     for topic, name in (("/joint_states", "feedback"), ("/joint_setpoints", "setpoint")):
         axes = row[name]
         positions, rates = (np.concatenate([axes[a], axes[b]]) for a, b in _AXIS_FIELDS)
-        yield topic, time_ns, _joints(time_ns, _AXES, positions, rates, ())
+        yield topic, (unnamed, _AXES, positions, rates, ())
     on = row["command"]["on"]
     names = [f"thruster_{i + 1}" for i in range(len(on))]
-    yield "/thrusters", time_ns, _joints(time_ns, names, truth["thrust_fraction"], (), on.astype(float))
-    yield "/tf", time_ns, _transform(time_ns, r, q)
-    cdr = _Cdr()
-    cdr.put_header(time_ns, "")
-    cdr.put_time(round(t_s * 1e9))
-    cdr.put_text("time of the run")
-    yield "/time_of_run", time_ns, cdr.message()
+    yield "/thrusters", (unnamed, names, truth["thrust_fraction"], (), on.astype(float))
+    yield "/tf", ([(here, _CHASER, (r, q))],)
+    yield "/time_of_run", (unnamed, _time(round(float(row["t_s"]) * 1e9)), "time of the run")
 
 
 _AXIS_FIELDS: Final = (("rail_m", "gimbal_rad"), ("rail_mps", "gimbal_radps"))
 
 
-def _pose(time_ns: int, frame: str, r: Any, q: Any, position: Any, attitude: Any) -> bytes:
-    """Return a pose. position, attitude: covariances, (3, 3); those between both are left at zero."""
+def _covariance(position: Any, attitude: Any) -> Any:
+    """Return the covariance (36,) of a pose from those of its parts, (3, 3); those between both are left at zero."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3], covariance[3:, 3:] = position, attitude
-    cdr = _Cdr()
-    cdr.put_header(time_ns, frame)
-    cdr.put_all(r)
-    cdr.put_all(q)
-    cdr.put_all(covariance)
-    return cdr.message()
-
-
-def _twist(time_ns: int, v_H: Any, w_C: Any, q_CH: Any) -> bytes:
-    """Return velocity and rate, both in H."""
-    cdr = _Cdr()
-    cdr.put_header(time_ns, _HILL)
-    cdr.put_all(v_H)
-    cdr.put_all(in_hill(w_C, q_CH))
-    return cdr.message()
+    return covariance.ravel()
 
 
 def in_hill(vector_C: Any, q_CH: Any) -> Any:
     """Return a vector in c, (3,), as components in H."""
     u, s = q_CH[:3], q_CH[3]
     return vector_C + 2.0 * np.cross(u, np.cross(u, vector_C) + s * vector_C)
-
-
-def _imu(imu: np.void, time_ns: int) -> bytes:
-    unknown = np.zeros(9)
-    unknown[0] = -1.0  # no orientation
-    cdr = _Cdr()
-    cdr.put_header(time_ns, _CHASER)
-    cdr.put_all((0.0, 0.0, 0.0, 1.0))
-    for values in (unknown, imu["rate_C"], _NO_COVARIANCE, imu["force_C"], _NO_COVARIANCE):
-        cdr.put_all(values)
-    return cdr.message()
-
-
-def _joints(time_ns: int, names: Sequence[str], positions: Any, rates: Any, efforts: Any) -> bytes:
-    cdr = _Cdr()
-    cdr.put_header(time_ns, "")
-    cdr.put("I", len(names))
-    for name in names:
-        cdr.put_text(name)
-    for values in (positions, rates, efforts):
-        cdr.put_list(values)
-    return cdr.message()
-
-
-def _transform(time_ns: int, r: Any, q: Any) -> bytes:
-    cdr = _Cdr()
-    cdr.put("I", 1)
-    cdr.put_header(time_ns, _HILL)
-    cdr.put_text(_CHASER)
-    cdr.put_all(r)
-    cdr.put_all(q)
-    return cdr.message()
-
-
-def _diagnostics(line: dict[str, Any], time_ns: int) -> bytes:
-    """Return an entry of the log. Its values: kind, time of the run, bench time, cycle."""
-    values = {key: line.get(key) for key in ("kind", "t_s", "bench_s", "cycle")}
-    cdr = _Cdr()
-    cdr.put_header(time_ns, "")
-    cdr.put("I", 1)
-    cdr.put("B", _LEVELS.get(str(line.get("kind")), 0))
-    cdr.put_text(str(line.get("name", "")))
-    cdr.put_text(str(line.get("message", "")))
-    cdr.put_text("")
-    cdr.put("I", len(values))
-    for key, value in values.items():
-        cdr.put_text(key)
-        cdr.put_text("" if value is None else str(value))
-    return cdr.message()
 
 
 def definition(kind: str) -> str:
@@ -320,12 +308,7 @@ def definition(kind: str) -> str:
         if name in found:
             continue
         found.append(name)
-        package = name.split("/")[0]
-        for line in _DEFINITIONS[name].splitlines():
-            inner = line.split()[0].partition("[")[0]
-            full = inner.replace("/", "/msg/") if "/" in inner else f"{package}/msg/{inner}"
-            if full in _DEFINITIONS:
-                pending.append(full)
+        pending += [inner for inner, _ in _fields(name) if inner in _DEFINITIONS]
     separator = "\n" + "=" * 80 + "\n"
     parts = [_DEFINITIONS[name] for name in found[:1]]
     parts += [f"MSG: {name.replace('/msg/', '/')}\n{_DEFINITIONS[name]}" for name in found[1:]]

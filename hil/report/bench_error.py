@@ -1,4 +1,4 @@
-"""Bench error: pose of the bench's camera, by the encoders, against the truth, in each cycle.
+"""Bench error: pose of the bench's camera, by the encoders, against the truth, in each cycle; energy added by axes.
 
 A row's truth is of ``t_s``, its feedback was sampled at ``sampled_s``, on wires most of a cycle earlier: the encoders
 are interpolated to the times of the truth first.
@@ -6,58 +6,107 @@ are interpolated to the times of the truth first.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, Final
 
 import numpy as np
 
+from hil.bench.energy import add_work
 from hil.bench.field_of_view import camera_errors
-from hil.config.bench_scale import FULL_SCALE, BenchScale
 from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.params import bench as bench_params
+from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
+from hil.report.sums import Squares
 
 _TIME_SLACK_S = 1e-6
+ENERGY_KEYS: Final = ("translation_added_j", "translation_work_j", "rotation_added_j", "rotation_work_j")
 
 
-def judge_bench_error(
-    history: np.ndarray, rig: Rig, step_s: float, settled_s: float, shown: BenchScale = FULL_SCALE
-) -> dict[str, Any]:
-    """Return the pose error at the left camera, and its fraction of the navigation error.
+class BenchErrorSums:
+    """Errors of the bench's pose, and the energy that the axes add, over the rows of a run, which are added in order.
 
-    ``pose_error_mm`` and ``pose_error_deg``: rms and max over the run. ``share_of_navigation_error`` and
-    ``share_of_attitude_error``: rms of the pose error over rms of the estimate's error, both from
-    ``settled_s`` on (over all if the run ended before). None for quantities that the run does not have.
+    Thrusters are those of the scenario, without errors; the truth's fractions are how long they were open.
     """
-    rows, distance, angle = pose_errors(history, rig, step_s, shown)
-    if not len(rows):
-        none = {"rms": None, "max": None}
-        return {"pose_error_mm": none, "pose_error_deg": none} | _shares(None, None)
-    return {
-        "pose_error_mm": _rms_and_max(1e3 * distance),
-        "pose_error_deg": _rms_and_max(np.degrees(angle)),
-    } | _navigation_shares(rows, distance, angle, settled_s)
+
+    def __init__(self, scenario: Scenario, rig: Rig, settled_s: float) -> None:
+        self._params = bench_params.bench(rig, scenario.step_s, scenario.bench)
+        self._mounting = vision_params.mounting(rig)
+        self._wrenches = gnc_params.wrenches_of(scenario.chaser.thrusters)
+        self._settled_s = settled_s
+        self._counted_s = -math.inf
+        self._distance, self._angle = Squares(), Squares()
+        # of bench and estimate, before the navigation has settled and from then on
+        self._shares = [[(Squares(), Squares()) for _ in ("position", "attitude")] for _ in ("before", "settled")]
+        self._work = np.zeros(4)
+
+    def add(self, history: np.ndarray) -> None:
+        """Add the rows (n,) of CYCLE; the first of them is the last row that was added before, if there was any."""
+        rows, rail_m, gimbal_rad = encoders_at_truth(history)
+        if not len(rows):
+            return
+        r, q = (np.ascontiguousarray(rows["truth"][name]) for name in ("r_CT_H", "q_CH"))
+        fraction = rows["truth"]["thrust_fraction"][:, : len(self._wrenches)]
+        force, torque = fraction @ self._wrenches[:, :3], fraction @ self._wrenches[:, 3:]
+        add_work(self._params, force, torque, rail_m, gimbal_rad, r, q, self._work)
+        distance, angle = _camera_errors(self._params, self._mounting, rows, rail_m, gimbal_rad)
+        new = rows["t_s"] > self._counted_s
+        rows, distance, angle = rows[new], distance[new], angle[new]
+        self._counted_s = max(self._counted_s, *rows["t_s"][-1:])
+        self._distance.add(1e3 * distance)
+        self._angle.add(np.degrees(angle))
+        self._add_shares(rows, distance, angle)
+
+    def _add_shares(self, rows: np.ndarray, distance: Array, angle: Array) -> None:
+        truth, estimate = rows["truth"], rows["navigation"]
+        offset = np.linalg.norm(truth["r_CT_H"] - estimate["r_CT_H"], axis=1)
+        cosine = np.abs(np.sum(truth["q_CH"] * estimate["q_CH"], axis=1))
+        turned = 2.0 * np.arccos(np.minimum(1.0, cosine))
+        known, settled = estimate["valid"] == 1, rows["t_s"] >= self._settled_s
+        for span, sums in zip((known & ~settled, known & settled), self._shares, strict=True):
+            for (part, whole), error, of in zip(sums, (distance, angle), (offset, turned), strict=True):
+                part.add(error[span])
+                whole.add(of[span])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the pose error at the left camera, its fraction of the navigation error, and the energy added, J.
+
+        ``pose_error_mm`` and ``pose_error_deg``: rms and max over the run. ``share_of_navigation_error`` and
+        ``share_of_attitude_error``: rms of the pose error over rms of the estimate's error, both once the navigation
+        has settled (over all if the run ended before). None for quantities that the run does not have.
+        """
+        before, settled = self._shares
+        position, attitude = settled if settled[0][0].n else before
+        return {
+            "pose_error_mm": {"rms": self._distance.rms(), "max": self._distance.largest()},
+            "pose_error_deg": {"rms": self._angle.rms(), "max": self._angle.largest()},
+            "share_of_navigation_error": _ratio(*position),
+            "share_of_attitude_error": _ratio(*attitude),
+            "energy": dict(zip(ENERGY_KEYS, self._work.tolist(), strict=True)),
+        }
 
 
-def pose_errors(
-    history: np.ndarray, rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE
-) -> tuple[np.ndarray, Array, Array]:
-    """Return the rows (n,) with known encoders, and the left camera's errors in them: m, rad, (n,)."""
+def _ratio(part: Squares, whole: Squares) -> float | None:
+    above, below = part.rms(), whole.rms()
+    return above / below if above is not None and below else None
+
+
+def pose_errors(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[np.ndarray, Array, Array]:
+    """Return the rows (n,) of CYCLE with known encoders, and the left camera's errors in them: m, rad, (n,)."""
+    params, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
     rows, rail_m, gimbal_rad = encoders_at_truth(history)
+    return rows, *_camera_errors(params, mounting, rows, rail_m, gimbal_rad)
+
+
+def _camera_errors(
+    params: np.record, mounting: np.record, rows: np.ndarray, rail_m: Array, gimbal_rad: Array
+) -> tuple[Array, Array]:
     distance, angle = np.empty(len(rows)), np.empty(len(rows))
-    if len(rows):
-        truth = rows["truth"]
-        camera_errors(
-            bench_params.bench(rig, step_s, shown),
-            vision_params.mounting(rig),
-            rail_m,
-            gimbal_rad,
-            np.ascontiguousarray(truth["r_CT_H"]),
-            np.ascontiguousarray(truth["q_CH"]),
-            distance,
-            angle,
-        )
-    return rows, distance, angle
+    r, q = (np.ascontiguousarray(rows["truth"][name]) for name in ("r_CT_H", "q_CH"))
+    camera_errors(params, mounting, rail_m, gimbal_rad, r, q, distance, angle)
+    return distance, angle
 
 
 def encoders_at_truth(history: np.ndarray) -> tuple[np.ndarray, Array, Array]:
@@ -78,33 +127,3 @@ def _at(t_s: Array, sampled_s: Array, values: Array) -> Array:
     """Return ``values`` (m, 3), sampled at ``sampled_s`` (m,), interpolated to ``t_s`` (n,): shape (n, 3)."""
     when, first = np.unique(sampled_s, return_index=True)
     return np.column_stack([np.interp(t_s, when, values[first, i]) for i in range(3)])
-
-
-def _rms_and_max(values: Array) -> dict[str, float | None]:
-    if not np.isfinite(values).all():
-        return {"rms": None, "max": None}
-    return {"rms": float(np.sqrt(np.mean(values**2))), "max": float(values.max())}
-
-
-def _navigation_shares(rows: np.ndarray, distance: Array, angle: Array, settled_s: float) -> dict[str, float | None]:
-    known = rows["navigation"]["valid"] == 1
-    late = known & (rows["t_s"] >= settled_s)
-    chosen = late if late.any() else known
-    if not chosen.any():
-        return _shares(None, None)
-    truth, estimate = rows["truth"], rows["navigation"]
-    offset = np.linalg.norm((truth["r_CT_H"] - estimate["r_CT_H"])[chosen], axis=1)
-    cosine = np.abs(np.sum((truth["q_CH"] * estimate["q_CH"])[chosen], axis=1))
-    angle_off = 2.0 * np.arccos(np.minimum(1.0, cosine))
-    return _shares(_ratio(distance[chosen], offset), _ratio(angle[chosen], angle_off))
-
-
-def _shares(position: float | None, attitude: float | None) -> dict[str, float | None]:
-    return {"share_of_navigation_error": position, "share_of_attitude_error": attitude}
-
-
-def _ratio(error: Array, whole: Array) -> float | None:
-    """Return the ratio of the rms values, None if it is not finite."""
-    below = float(np.sqrt(np.mean(whole**2)))
-    above = float(np.sqrt(np.mean(error**2)))
-    return above / below if below > 0.0 and np.isfinite(above) and np.isfinite(below) else None

@@ -23,7 +23,7 @@ from hil.params import integrity as integrity_params
 from hil.params.ready import tolerances
 from hil.report.bench_error import pose_errors
 from hil.report.limits import TERMS
-from hil.report.summary import attitude_error
+from hil.report.vehicle import attitude_error
 from hil.report.verdict import Verdict, deviations
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for the colour-blind
@@ -75,7 +75,7 @@ def figures(history: np.ndarray, scenario: Scenario, rig: Rig, verdict: Verdict)
         yield "Integrity: protection levels over their alert limits, and the largest term", svg_address(_levels(known))
     yield "Thruster firings (bench paper figure 8)", svg_address(_firings(history, scenario))
     yield "Security: margins of the estimate", svg_address(_security(history))
-    rows, distance, angle = pose_errors(history, rig, scenario.step_s, scenario.bench)
+    rows, distance, angle = pose_errors(history, scenario, rig)
     if len(rows):
         yield "Bench: camera against the truth, by the encoders", svg_address(_bench(rows["t_s"], distance, angle))
     yield "Lateness of the cycles", svg_address(_lateness(history["lateness_s"]))

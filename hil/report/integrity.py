@@ -9,18 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.faults import TimedFault
-from hil.config.rig import Rig
 from hil.config.scenario import REACTION_NAMES, Scenario
-from hil.core.messages import new
-from hil.gnc.integrity_verdict import (
-    INTEGRITY_STATE,
-    MONITOR_DISAGREES,
-    start_integrity,
-    update_integrity_all,
-)
+from hil.gnc.integrity_verdict import MONITOR_DISAGREES
 from hil.maths import chi_square
 from hil.maths.limits import finite_or_none
-from hil.params import integrity as integrity_params
 
 SAFE_STOP: Final = "safe stop"
 _NEES_TAIL: Final = 2.5e-4  # of either filter
@@ -34,19 +26,6 @@ class SafeStop:
 
     t_s: float
     by: str
-
-
-class IntegrityJudge:
-    """Accumulates the rows of a run of ``scenario``. rig: with the limits of the axes; None without them."""
-
-    def __init__(self, scenario: Scenario, rig: Rig | None = None) -> None:
-        self._params = integrity_params.integrity(scenario, rig)
-        self.state = new(INTEGRITY_STATE)
-        start_integrity(self.state)
-
-    def add(self, rows: np.ndarray) -> None:
-        """Add the next ``rows`` (n,) of CYCLE."""
-        update_integrity_all(self._params, self.state, rows.view(np.ndarray))
 
 
 def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Final
 
 import numpy as np
 
 from hil.core.messages import Array
 
+LATENCIES: Final = ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "pose_behind_imu_ms")
 _WINDOW_S = 1.0
 _SLOWEST = (0.0005, math.radians(0.02))  # m/s and rad/s, rms: slower windows do not determine a delay
 _SIGMA_MAX_S = 0.002
@@ -18,26 +19,23 @@ _KNOWN_WITHIN = 2  # rows after the command
 _STAMP_S = 1e-3  # a command is stamped just after its lines were passed on
 
 
-def measure_latency(history: np.ndarray, step_s: float, tick_s: float) -> dict[str, Any]:
-    """Return p50, p99 and max, ms of bench time, of each latency; None if there was nothing to measure.
+def measured(rows: np.ndarray, joined: np.ndarray, step_s: float, tick_s: float) -> dict[str, Array]:
+    """Return the values of each latency, s of bench time, by the names of LATENCIES.
 
     ``pose_to_command_ms``: from the last byte of a pose's frame to the command of the cycle that used
     it. ``pose_to_wire_ms``: to the time at which the coupler of the digital lines received a command that
     changed them. ``setpoint_to_encoder_ms``: from sending a setpoint to the encoder's arrival at it, one
-    value for each second in which an axis moved. ``pose_behind_imu_ms``: see ``pose_behind_imu_s``. tick_s: period of
-    the setpoints.
+    value for each second in which an axis moved. ``pose_behind_imu_ms``: see ``pose_behind_imu_s``.
+
+    joined: ``rows`` with the row before them, unless they are the first of the run. tick_s: period of the setpoints.
     """
-    return {name: percentiles(1e3 * values) for name, values in measured(history, step_s, tick_s).items()}
-
-
-def measured(history: np.ndarray, step_s: float, tick_s: float) -> dict[str, Array]:
-    """Return the values of each latency, s, by its name in ``measure_latency``."""
-    return {
-        "pose_to_command_ms": pose_to_command_s(history),
-        "pose_to_wire_ms": pose_to_wire_s(history),
-        "setpoint_to_encoder_ms": setpoint_to_encoder_s(history, step_s, tick_s),
-        "pose_behind_imu_ms": pose_behind_imu_s(history),
-    }
+    found = (
+        pose_to_command_s(rows),
+        pose_to_wire_s(joined),
+        setpoint_to_encoder_s(joined, step_s, tick_s),
+        pose_behind_imu_s(joined),
+    )
+    return dict(zip(LATENCIES, found, strict=True))
 
 
 def pose_to_command_s(history: np.ndarray) -> Array:

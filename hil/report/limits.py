@@ -21,6 +21,7 @@ from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_T
 from hil.gnc.ready_phase import DEVIATIONS
 from hil.maths.limits import finite_or_none
 from hil.params.ready import all_tolerances
+from hil.report.integrity import mean_nees
 from hil.safety.alarms import Alarm
 
 _DIRECTIONS: Final = ("along", "across", "attitude")
@@ -147,16 +148,14 @@ class Stop:
 class RunNumbers:
     """What the limits of a run are made of.
 
-    integrity, ready: INTEGRITY_STATE, READY_STATE at the end. parts: whether each part of the verdict was passed. view:
-    least margin, px, its time, and when it was first negative. propellant: used and allowed, kg. end_s: of the run.
+    stats: RUN_STATS at the end. parts: whether each part of the verdict was passed. view: least margin, px, its time,
+    and when it was first negative. energy: the part of the verdict. end_s: of the run.
     """
 
-    integrity: np.record
-    ready: np.record
+    stats: np.record
     parts: Mapping[str, bool]
     view: tuple[float | None, float | None, float | None]
-    propellant: tuple[float, float]
-    nees: Sequence[tuple[float, float]]
+    energy: Mapping[str, Any]
     end_s: float
     accepted: bool
     stop: Stop | None = None
@@ -164,7 +163,7 @@ class RunNumbers:
 
 def margins_of(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     """Return the margins to all limits that act."""
-    return [*_kernel_margins(run.integrity.limits), *_ready_margins(run, scenario), *_part_margins(run, scenario)]
+    return [*_kernel_margins(run.stats.integrity.limits), *_ready_margins(run, scenario), *_part_margins(run, scenario)]
 
 
 def _kernel_margins(state: np.record) -> list[Margin]:
@@ -189,7 +188,7 @@ def _kernel_margins(state: np.record) -> list[Margin]:
 
 def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     """Return the margins to Table III: in the ready phase, or of what has kept it from beginning."""
-    ready, found = run.ready, []
+    ready, found = run.stats.ready, []
     allowed = all_tolerances(scenario.requirements)
     late = bool(ready.is_ready) and not ready.left and not run.parts.get("control_precision", False)
     blocking = -1 if ready.is_ready and not (late and ready.breaks.any()) else _blocking(ready)
@@ -227,7 +226,7 @@ def _blocking(ready: np.record) -> int:
 
 
 def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
-    integrity, found = run.integrity, []
+    integrity, found = run.stats.integrity, []
     nearest, keep_out = float(integrity.nearest), scenario.keep_out.radius_m
     if math.isfinite(nearest):
         broken = (float(integrity.nearest_s), nearest, keep_out) if nearest < keep_out else ()
@@ -236,7 +235,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     if margin is not None:
         lost = (lost_s, margin, 0.0) if margin < 0.0 else ()
         found.append(Margin("field_of_view", margin, at_s, margin, 0.0, "", *lost))
-    used, allowed = run.propellant
+    used, allowed = run.energy["propellant_kg"], run.energy["factor"] * run.energy["least_propellant_kg"]
     spent = (run.end_s, used, allowed) if used > allowed else ()
     found.append(Margin("propellant", allowed - used, run.end_s, used, allowed, "", *spent))
     decision = integrity.decision
@@ -251,7 +250,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     if decision.beyond + decision.pending > 0:
         since = float(decision.beyond_s if decision.beyond else decision.pending_s)
         found.append(Margin("error_beyond_level", math.nan, since, None, None, "", since))
-    for name, (mean, limit) in zip(("nees_position", "nees_attitude"), run.nees, strict=False):
+    for name, (mean, limit) in zip(("nees_position", "nees_attitude"), mean_nees(integrity), strict=False):
         if not mean <= limit:
             found.append(Margin(name, limit - mean, run.end_s, finite_or_none(mean), limit, "", run.end_s, mean, limit))
     return found
@@ -259,7 +258,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
 
 def _ended(run: RunNumbers) -> list[Margin]:
     """Return what ended the approach: the cause of the abort, the stop, a part that was not passed for no limit."""
-    state, found = run.integrity.limits, []
+    state, found = run.stats.integrity.limits, []
     cause = int(state.aborted)
     name = _CAUSES.get(cause)
     if name is not None:
@@ -278,7 +277,7 @@ def first_violated(run: RunNumbers, scenario: Scenario, margins: Sequence[Margin
     first = None if run.accepted else _first(run, scenario, margins)
     if first is None:
         return dict(zip(_FIRST, ("", None, None, None, "", ""), strict=True))
-    phase = phase_at(run.integrity.limits, scenario, first.broken_s)
+    phase = phase_at(run.stats.integrity.limits, scenario, first.broken_s)
     values = (first.name, first.broken_s, first.broken_value, first.broken_limit, first.broken_term, phase)
     return dict(zip(_FIRST, values, strict=True))
 
@@ -287,7 +286,7 @@ def _first(run: RunNumbers, scenario: Scenario, margins: Sequence[Margin]) -> Ma
     """Return the cause; of limits that were broken at the same time the one that comes first in LIMITS."""
     required = required_parts(scenario.requirements.required_parts, run.parts)
     missed = {part for part in required if not run.parts.get(part, False)}
-    state = run.integrity.limits
+    state = run.stats.integrity.limits
     ended = bool(state.aborted) or run.stop is not None or not state.entered or "security" in missed
     if state.counted and state.start_margin < 0.0 and ended:
         start = float(state.start_margin)

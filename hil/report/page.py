@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from hil.checks.waivers import Waiver
+from hil.loop.compiled.run_stats import counted
 from hil.params.ready import ROW_NAMES, tolerances
 from hil.recording.read import Recorded
 from hil.report import html
@@ -16,7 +17,7 @@ from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_fl
 from hil.report.figures import figures
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ROW_LABELS, verdict_lines
-from hil.report.verdict import TABLE_V, Verdict, judge_rows
+from hil.report.verdict import TABLE_V, Verdict, verdict_of
 
 _VERSIONS: Final = (
     "hil",
@@ -50,7 +51,7 @@ class Judged:
 def judged(recorded: Recorded) -> Judged:
     """Return the run's numbers as recorded; of a run that broke off, those of its cycles."""
     scenario, history = recorded.scenario, recorded.cycles
-    verdict = judge_rows(history, scenario.requirements)
+    verdict = verdict_of(counted(history, scenario).ready, scenario.requirements)
     return Judged(recorded, summary_of(recorded), verdict)
 
 

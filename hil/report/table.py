@@ -23,6 +23,11 @@ ROW_LABELS = {
 }
 
 
+def _say(console: Console, text: str, style: str | None = None, markup: bool = True) -> None:
+    """Print ``text`` without line breaks."""
+    console.print(text, style=style, highlight=False, soft_wrap=True, markup=markup)
+
+
 def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements, console: Console) -> None:
     """Print the run's verdict and key numbers."""
     paper = TABLE_V.get(summary["scenario"])
@@ -33,21 +38,20 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     _print_library(summary.get("gnc", {"library": None}), console)
     _print_navigation(summary["navigation"], console)
     for name, found in (summary.get("sensors") or {}).items():
-        console.print(f"Sensor      {name}: {_sensor_text(found)}", highlight=False, soft_wrap=True, markup=False)
+        _say(console, f"Sensor      {name}: {_sensor_text(found)}", markup=False)
     thrusters = summary["thrusters"]
-    console.print(
+    _say(
+        console,
         f"Thrusters   force demand {_three(thrusters['force_on_time_s'], '.1f')} s, "
         f"torque demand {_three(thrusters['torque_on_time_s'], '.1f')} s "
         f"({_three(thrusters['torque_on_time_360_400_s'], '.2f')} s in 360..400 s), "
         f"{sum(thrusters['thruster_firings'])} firings, propellant {thrusters['propellant_kg']:.3f} kg",
-        highlight=False,
-        soft_wrap=True,
     )
     _print_bench(summary["bench"], summary["latency"], console)
     if clocks := summary.get("clocks"):
-        console.print(f"Clocks      {_clocks_text(clocks, summary['vision'])}", highlight=False, soft_wrap=True)
+        _say(console, f"Clocks      {_clocks_text(clocks, summary['vision'])}")
     if drift := summary.get("drift_check"):
-        console.print(f"Cameras     {_drift_text(drift)}", highlight=False, soft_wrap=True)
+        _say(console, f"Cameras     {_drift_text(drift)}")
     _print_timing(summary["timing"], console)
     print_sign_off(summary["sign_off"], console)
     print_waived(summary["waived"], console)
@@ -57,7 +61,7 @@ def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements
     weak = len(summary["waived"])
     given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
     text = f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']} {beside}".rstrip() + given_up
-    console.print(text, highlight=False, soft_wrap=True)
+    _say(console, text)
 
 
 def _sensor_text(found: dict[str, Any]) -> str:
@@ -72,41 +76,38 @@ def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
     if sign_off is not None and not sign_off["gap"]:
         key = sign_off.get("key")
         text = f"{sign_off['date']} by {sign_off['by']}{f', key {key}' if key else ''}"
-        console.print(f"Sign-off    {text}", highlight=False, soft_wrap=True, markup=False)
+        _say(console, f"Sign-off    {text}", markup=False)
 
 
 def print_waived(waived: Sequence[dict[str, str]], console: Console) -> None:
     """Print each waived protection, in red."""
     for waiver in waived:
-        console.print(str(Waiver(**waiver)), style="bold red", highlight=False, soft_wrap=True, markup=False)
+        _say(console, str(Waiver(**waiver)), style="bold red", markup=False)
 
 
 def _print_timing(timing: dict[str, Any], console: Console) -> None:
     late = {name: "-" if value is None else f"{value:.0f}" for name, value in timing["lateness_us"].items()}
-    console.print(
+    _say(
+        console,
         f"Timing      {timing['cycles']} cycles at {timing['rate_hz']:g} Hz, {timing['overruns']} overruns, "
         f"{timing['skipped_periods']} periods lost, {timing['late_wakeups']} late wake-ups, "
         f"lateness p50 {late['p50']} p99 {late['p99']} p99.9 {late['p999']} max {late['max']} us",
-        highlight=False,
-        soft_wrap=True,
     )
     slow = {name: times for name, times in timing.get("devices", {}).items() if times["beyond"]}
     for name, times in slow.items():
-        console.print(
+        _say(
+            console,
             f"            {name}: {times['beyond']} times beyond {times['limit_ms']:g} ms, "
             f"p50 {times['p50_ms']:.2f} p99 {times['p99_ms']:.2f} max {times['max_ms']:.2f} ms",
             style="yellow",
-            highlight=False,
-            soft_wrap=True,
         )
     if timing["privileges"]:
-        console.print(f"Host        {_host_text(timing['privileges'])}", highlight=False, soft_wrap=True)
+        _say(console, f"Host        {_host_text(timing['privileges'])}")
     if timing["overruns"]:
-        console.print(
+        _say(
+            console,
             f"            this host is too slow: {timing['overruns']} cycles were late; try a lower --speed",
             style="yellow",
-            highlight=False,
-            soft_wrap=True,
         )
 
 
@@ -156,7 +157,7 @@ def _print_parts(summary: dict[str, Any], console: Console) -> None:
     """Print a line for each part of the verdict."""
     for name, passed, text in verdict_lines(summary):
         word = "[green]ok  [/]" if passed else "[red]fail[/]"
-        console.print(f"{word} {name:<18} {text}", highlight=False, soft_wrap=True)
+        _say(console, f"{word} {name:<18} {text}")
 
 
 def _precision_text(part: dict[str, Any]) -> str:
@@ -234,35 +235,33 @@ PART_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
 
 def _print_times(summary: dict[str, Any], paper_s: float | None, console: Console) -> None:
     if summary["ready_time_s"] is None:
-        console.print("Ready       never: Table III did not hold for the dwell time", highlight=False)
+        _say(console, "Ready       never: Table III did not hold for the dwell time")
         return
     beside = f" (paper: {paper_s:g} s)" if paper_s is not None else ""
-    console.print(
+    _say(
+        console,
         f"Ready       at {summary['ready_time_s']:.2f} s{beside}, "
         f"Table III holds since {summary['held_since_s']:.2f} s",
-        highlight=False,
-        soft_wrap=True,
     )
 
 
 def _print_library(gnc: dict[str, Any], console: Console) -> None:
     if gnc["library"] is not None:
-        console.print(f"GNC         {gnc['library']}", highlight=False, soft_wrap=True, markup=False)
+        _say(console, f"GNC         {gnc['library']}", markup=False)
 
 
 def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
     if navigation["position_rmse_m"] is None:
-        console.print("Navigation  no estimate: no pose arrived, or the GNC gave none", highlight=False)
+        _say(console, "Navigation  no estimate: no pose arrived, or the GNC gave none")
         return
     bound = navigation["position_bound_m"]
     angle_bound = navigation["attitude_bound_deg"]
-    console.print(
+    _say(
+        console,
         f"Navigation  position rmse {_three([1e3 * v for v in navigation['position_rmse_m']], '.2f')} mm"
         + (f" (bound {_three([1e3 * v for v in bound], '.2f')})" if bound else "")
         + f", attitude rmse {_three(navigation['attitude_rmse_deg'], '.4f')} deg"
         + (f" (bound {_three(angle_bound, '.4f')})" if angle_bound else ""),
-        highlight=False,
-        soft_wrap=True,
     )
 
 
@@ -271,22 +270,20 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
     distance, angle = bench["pose_error_mm"], bench["pose_error_deg"]
     if distance["rms"] is not None and angle["rms"] is not None:
         fraction = bench["share_of_navigation_error"]
-        console.print(
+        _say(
+            console,
             f"Bench       camera error rms {distance['rms']:.3f} max {distance['max']:.3f} mm, "
             f"rms {angle['rms']:.4f} max {angle['max']:.4f} deg"
             + (f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""),
-            highlight=False,
-            soft_wrap=True,
         )
     if text := _energy_added_text(bench.get("energy", {})):
-        console.print(f"            {text}", highlight=False, soft_wrap=True)
+        _say(console, f"            {text}")
     if true := bench.get("true_pose_error_mm"):
         by_angle = bench["true_pose_error_deg"]
-        console.print(
+        _say(
+            console,
             f"Emulated    camera error by the true axes, behind the encoders: rms {true['rms']:.3f} "
             f"max {true['max']:.3f} mm, rms {by_angle['rms']:.4f} max {by_angle['max']:.4f} deg",
-            highlight=False,
-            soft_wrap=True,
         )
     parts = [
         f"{name} p50 {times['p50']:.2f} p99 {times['p99']:.2f} max {times['max']:.2f} ms"
@@ -299,7 +296,7 @@ def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Consol
         if times["p50"] is not None
     ]
     if parts:
-        console.print(f"Latency     {', '.join(parts)}", highlight=False, soft_wrap=True)
+        _say(console, f"Latency     {', '.join(parts)}")
 
 
 def _energy_added_text(energy: dict[str, float]) -> str:

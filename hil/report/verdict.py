@@ -9,14 +9,15 @@ tolerance is at the tolerance when it does: docs/explanation/papers.md.)
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hil.config.model import Triple
-from hil.config.scenario import Requirements
-from hil.core.messages import Array, new
+from hil.config.scenario import Requirements, Scenario
+from hil.core.messages import Array
 from hil.gnc import ready_phase
-from hil.params.ready import ROW_NAMES, ready_params
+from hil.params.ready import ROW_NAMES, ready_params, tolerances
 
 _ROUNDING_S = 1e-9
 
@@ -36,7 +37,7 @@ class Deviations:
 class Verdict:
     """ready_time_s, held_since_s: s, None if never. worst: row name -> largest |deviation| (3,), None if never.
 
-    ready_duration_s: from ``ready_time_s`` to the end of the run or its abort, 0 if never. ready: READY_STATE.
+    ready_duration_s: from ``ready_time_s`` to the end of the run or its abort, 0 if never.
     """
 
     ready_time_s: float | None
@@ -44,7 +45,6 @@ class Verdict:
     passed: bool
     worst: dict[str, Array] | None
     ready_duration_s: float = 0.0
-    ready: np.record | None = None
 
 
 def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
@@ -56,33 +56,27 @@ def deviations(history: np.ndarray, requirements: Requirements) -> Deviations:
     return Deviations(history["t_s"], found[:, 0:3], found[:, 3:6], found[:, 6:9], found[:, 9:12])
 
 
-def until_abort(history: np.ndarray) -> np.ndarray:
-    """Return the rows of CYCLE before an abort, which ends the ready phase."""
-    aborted = np.flatnonzero(history["supervision"]["aborted"])
-    return history[: aborted[0]] if len(aborted) else history
-
-
-def judge_rows(history: np.ndarray, requirements: Requirements) -> Verdict:
-    """Return the verdict on the rows (n,) of CYCLE of a run."""
-    return judge(deviations(until_abort(history), requirements), requirements)
-
-
-def judge(found: Deviations, requirements: Requirements) -> Verdict:
-    """Return the verdict on a run's deviations."""
-    state = new(ready_phase.READY_STATE)
-    rows = np.ascontiguousarray(np.hstack([getattr(found, name) for name in ROW_NAMES]))
-    ready_phase.update_all(ready_params(requirements), state, np.ascontiguousarray(found.t_s), rows)
-    return verdict_of(state, requirements)
-
-
 def verdict_of(state: np.record, requirements: Requirements) -> Verdict:
     """Return the verdict of READY_STATE at the end of a run."""
     if not state.is_ready:
-        return Verdict(None, None, False, None, ready=state.copy())
+        return Verdict(None, None, False, None)
     worst = {name: state.worst[3 * row : 3 * row + 3].copy() for row, name in enumerate(ROW_NAMES)}
     duration_s = float(state.last_s - state.ready_s)
     passed = not state.left and duration_s >= requirements.required_ready_s - _ROUNDING_S
-    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s, state.copy())
+    return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s)
+
+
+def control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
+    """Return Table III over the ready phase; margin: the least of 1 - deviation / tolerance, None if never ready."""
+    allowed, worst = tolerances(scenario.requirements), verdict.worst
+    margin = None if worst is None else min(float((1.0 - worst[n] / allowed[n]).min()) for n in ROW_NAMES)
+    return {
+        "passed": verdict.passed,
+        "ready_time_s": verdict.ready_time_s,
+        "ready_duration_s": verdict.ready_duration_s,
+        "required_ready_s": scenario.requirements.required_ready_s,
+        "margin": margin,
+    }
 
 
 @dataclass(frozen=True)

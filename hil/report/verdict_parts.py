@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from hil.bench.field_of_view import view_margins
-from hil.config.bench_scale import FULL_SCALE, BenchScale
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.truth import Orbit
@@ -27,15 +26,14 @@ from hil.core.messages import Array
 from hil.dynamics import elliptic_motion, hill
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY
-from hil.gnc.approach_monitor import margins
+from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.maths.kepler import mean_anomaly, true_anomaly
-from hil.models.rotating_frame import frame_acceleration, tumble_rate
+from hil.maths.limits import finite_or_none
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
 from hil.params.dynamics import mean_motion
-from hil.params.target import known_tumble
 
 _DRIFT_SAMPLES = 720  # over one orbit
 
@@ -71,91 +69,64 @@ def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
     }
 
 
-def is_secure(corridor_margin_m: float, closing_margin_mps: float) -> bool:
-    """Return whether neither margin of the security part is negative."""
-    return bool(corridor_margin_m >= 0.0 and closing_margin_mps >= 0.0)
+def security_part(stats: np.record) -> dict[str, Any]:
+    """Return ``passed`` and the least margins on the truth up to an abort. stats: RUN_STATS.
 
-
-def judge_security(history: np.ndarray, scenario: Scenario, entered: bool = False) -> dict[str, Any]:
-    """Return ``passed``, the least margins on the truth up to an abort, and the course of the abort.
-
-    The corridor counts from the first cycle inside it; entered: whether that was before ``history``.
+    The corridor counts from the first cycle inside it; the line of an abort is that before it.
     """
-    aborted = np.flatnonzero(history["supervision"]["aborted"])
-    approach = history[: aborted[0] + 1] if len(aborted) else history
-    if not len(approach):
-        return {"passed": False, "abort": None}
-    corridor, closing = np.empty(len(approach)), np.empty(len(approach))
-    truth, reference = approach["truth"], approach["reference"].copy()
-    if len(approach) > 1:
-        reference[-1] = reference[-2] if len(aborted) else reference[-1]  # the line before the abort
-    margins(
-        gnc_params.approach_monitor(scenario),
-        np.ascontiguousarray(reference["from_H"]),
-        np.ascontiguousarray(reference["to_H"]),
-        np.ascontiguousarray(truth["r_CT_H"]),
-        np.ascontiguousarray(truth["v_CT_H"]),
-        corridor,
-        closing,
-    )
-    first = 0 if entered else int(np.argmax(corridor >= 0.0))
-    tightest, fastest = first + int(np.argmin(corridor[first:])), int(np.argmin(closing))
+    if not stats.cycles:
+        return {"passed": False}
+    limits = stats.integrity.limits
+    corridor, closing = float(limits.margin[CORRIDOR]), float(limits.margin[CLOSING])
     return {
-        "passed": is_secure(corridor[tightest], closing[fastest]),
-        "corridor_margin_m": float(corridor[tightest]),
-        "corridor_margin_at_s": float(approach["t_s"][tightest]),
-        "closing_margin_mps": float(closing[fastest]),
-        "closing_margin_at_s": float(approach["t_s"][fastest]),
-        "nearest_m": float(np.linalg.norm(history["truth"]["r_CT_H"], axis=1).min()),
-        "abort": _abort(history[aborted[0] :], scenario) if len(aborted) else None,
+        "passed": corridor >= 0.0 and closing >= 0.0,
+        "corridor_margin_m": corridor,
+        "corridor_margin_at_s": float(limits.at_s[CORRIDOR]),
+        "closing_margin_mps": closing,
+        "closing_margin_at_s": float(limits.at_s[CLOSING]),
+        "nearest_m": float(stats.integrity.nearest),
     }
 
 
-def _abort(after: np.ndarray, scenario: Scenario) -> dict[str, Any]:
-    """Return the course of the abort; ``after``: the cycles from its trigger on."""
-    distance = np.linalg.norm(after["truth"]["r_CT_H"], axis=1)
-    hold = len(scenario.gnc.guidance.sequence) + 2
-    held = np.flatnonzero(after["reference"]["phase"] == hold)
-    return {
-        "cause": ABORT_CAUSES[int(after["supervision"]["aborted"][0])],
-        "at_s": float(after["t_s"][0]),
-        "range_m": float(distance[0]),
-        "nearest_m": float(distance.min()),
-        "hold_since_s": float(after["t_s"][held[0]]) if len(held) else None,
-        "range_at_end_m": float(distance[-1]),
-        "drift_from_trigger": drift_over_an_orbit(after[0], scenario.orbit),
-        "drift_from_end": drift_over_an_orbit(after[-1], scenario.orbit),
-    }
+class AbortCourse:
+    """Course of an abort over the rows of a run, which are added in order, from its trigger on."""
 
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._hold = len(scenario.gnc.guidance.sequence) + 2  # number of its phase
+        self._first: np.void | None = None
+        self._last: np.void | None = None
+        self._nearest_m = math.inf
+        self._hold_since_s: float | None = None
 
-def later_abort(known: dict[str, Any], after: np.ndarray, scenario: Scenario) -> dict[str, Any]:
-    """Return the course of the abort ``known`` with the rows ``after``, which follow those that it was made of."""
-    found = _abort(after, scenario)
-    return known | {
-        "nearest_m": min(known["nearest_m"], found["nearest_m"]),
-        "hold_since_s": found["hold_since_s"] if known["hold_since_s"] is None else known["hold_since_s"],
-        "range_at_end_m": found["range_at_end_m"],
-        "drift_from_end": found["drift_from_end"],
-    }
+    def add(self, rows: np.ndarray) -> None:
+        """Add the next ``rows`` (n,) of CYCLE."""
+        if self._first is None:
+            rows = rows[int(np.argmax(rows["supervision"]["aborted"] != 0)) :]
+            if not rows["supervision"]["aborted"][0]:
+                return
+            self._first = rows[0].copy()
+        self._last = rows[-1].copy()
+        self._nearest_m = min(self._nearest_m, float(np.linalg.norm(rows["truth"]["r_CT_H"], axis=1).min()))
+        held = np.flatnonzero(rows["reference"]["phase"] == self._hold)
+        if self._hold_since_s is None and len(held):
+            self._hold_since_s = float(rows["t_s"][held[0]])
 
-
-def impulsive_delta_v(v_CT_H: Array) -> float:
-    """Return the sum of the reference's changes of velocity, m/s, for its velocities ``v_CT_H`` (n, 3), from rest."""
-    changes = np.diff(np.vstack([np.zeros((1, 3)), v_CT_H]), axis=0)
-    return float(np.linalg.norm(changes, axis=1).sum())
-
-
-def frame_delta_v(history: np.ndarray, scenario: Scenario) -> float:
-    """Return what the reference needs, m/s, because the axes of a target that tumbles rotate; ``history``: of CYCLE."""
-    tumble = known_tumble(scenario, mean_motion(scenario.gnc_orbit))
-    if not tumble.rotates:
-        return 0.0
-    total, w, dw, a = 0.0, np.empty(3), np.empty(3), np.empty(3)
-    for t_s, reference in zip(history["t_s"], history["reference"], strict=True):
-        tumble_rate(tumble, t_s, w, dw)
-        frame_acceleration(w, dw, reference["r_CT_H"], reference["v_CT_H"], a)
-        total += scenario.step_s * float(np.linalg.norm(a))
-    return total
+    def as_json(self) -> dict[str, Any] | None:
+        """Return the course, None without an abort."""
+        first, last, orbit = self._first, self._last, self._scenario.orbit
+        if first is None or last is None:
+            return None
+        return {
+            "cause": ABORT_CAUSES[int(first["supervision"]["aborted"])],
+            "at_s": float(first["t_s"]),
+            "range_m": float(np.linalg.norm(first["truth"]["r_CT_H"])),
+            "nearest_m": self._nearest_m,
+            "hold_since_s": self._hold_since_s,
+            "range_at_end_m": float(np.linalg.norm(last["truth"]["r_CT_H"])),
+            "drift_from_trigger": drift_over_an_orbit(first, orbit),
+            "drift_from_end": drift_over_an_orbit(last, orbit),
+        }
 
 
 def slew_impulse(scenario: Scenario) -> float:
@@ -168,60 +139,58 @@ def slew_impulse(scenario: Scenario) -> float:
     return float((torque_impulse * thrust / strength[3:AXES_OF_A_BODY]).sum())
 
 
-def judge_energy(
-    v_CT_H: Array, scenario: Scenario, propellant_kg: float, firings: int, frame_mps: float = 0.0
-) -> dict[str, Any]:
-    """Return ``passed`` and the numbers; ``v_CT_H`` (n, 3): velocities of the reference, m/s.
-
-    frame_mps: what the reference needs beyond its changes of velocity, as of ``frame_delta_v``.
-    """
-    found = energy_part(impulsive_delta_v(v_CT_H) + frame_mps, scenario, propellant_kg, firings)
-    return found | {"passed": len(v_CT_H) > 0 and found["passed"]}
-
-
-def energy_part(line: float, scenario: Scenario, propellant_kg: float, firings: int) -> dict[str, Any]:
-    """Return ``passed`` and the numbers; line: the reference's changes of velocity summed, m/s.
+def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> dict[str, Any]:
+    """Return ``passed`` and the numbers. stats: RUN_STATS.
 
     delta_v_mps is the rocket equation's value for the propellant, as if all thrust had acted in one direction.
     """
     exhaust_speed = scenario.chaser.thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
     mass_kg, factor = scenario.chaser.mass_kg, scenario.requirements.propellant_factor
-    slews = slew_impulse(scenario) / mass_kg
+    line, slews = float(stats.reference_delta_v), slew_impulse(scenario) / mass_kg
     least_kg = mass_kg * -math.expm1(-(line + slews) / exhaust_speed)
     return {
-        "passed": propellant_kg <= factor * least_kg,
+        "passed": bool(stats.cycles and propellant_kg <= factor * least_kg),
         "propellant_kg": propellant_kg,
         "delta_v_mps": -exhaust_speed * math.log1p(-propellant_kg / mass_kg),
         "least_propellant_kg": least_kg,
         "least_line_mps": line,
         "least_slews_mps": slews,
         "factor": factor,
-        "firings": firings,
+        "firings": int(np.sum(stats.thruster_firings)),
     }
 
 
-def judge_field_of_view(history: np.ndarray, rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> dict[str, Any]:
-    """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
-    if not len(history):
-        return {"passed": False, "margin_px": None, "at_s": None, "range_m": None, "lost_s": None}
-    camera, leds = vision_params.camera(rig)
-    margins = np.empty(len(history))
-    feedback = history["feedback"]
-    view_margins(
-        bench_params.bench(rig, step_s, shown),
-        vision_params.mounting(rig),
-        camera,
-        leds,
-        np.ascontiguousarray(feedback["rail_m"]),
-        np.ascontiguousarray(feedback["gimbal_rad"]),
-        margins,
-    )
-    worst = int(np.argmin(margins))
-    least = float(margins[worst])
-    return {
-        "passed": bool(least >= 0.0),
-        "margin_px": least if np.isfinite(least) else None,
-        "at_s": float(history["t_s"][worst]),
-        "range_m": float(np.linalg.norm(history["truth"]["r_CT_H"][worst])),
-        "lost_s": float(step_s * np.count_nonzero(margins < 0.0)),
-    }
+class FieldOfView:
+    """Margin of the LEDs to the images' edges over the rows of a run, at the pose that the bench really had."""
+
+    def __init__(self, scenario: Scenario, rig: Rig) -> None:
+        self._step_s = scenario.step_s
+        self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
+        self._mounting = vision_params.mounting(rig)
+        self._camera, self._leds = vision_params.camera(rig)
+        self._least_px, self._at_s, self._range_m = math.inf, math.nan, math.nan
+        self._rows = self._lost = 0
+
+    def add(self, rows: np.ndarray) -> None:
+        """Add the next ``rows`` (n,) of CYCLE."""
+        margins, feedback = np.empty(len(rows)), rows["feedback"]
+        rail_m, gimbal_rad = (np.ascontiguousarray(feedback[name]) for name in ("rail_m", "gimbal_rad"))
+        view_margins(self._bench, self._mounting, self._camera, self._leds, rail_m, gimbal_rad, margins)
+        worst = int(np.argmin(margins))
+        if not self._rows or not margins[worst] >= self._least_px:
+            self._least_px, self._at_s = float(margins[worst]), float(rows["t_s"][worst])
+            self._range_m = float(np.linalg.norm(rows["truth"]["r_CT_H"][worst]))
+        self._rows += len(rows)
+        self._lost += int(np.count_nonzero(margins < 0.0))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
+        if not self._rows:
+            return {"passed": False, "margin_px": None, "at_s": None, "range_m": None, "lost_s": None}
+        return {
+            "passed": bool(self._least_px >= 0.0),
+            "margin_px": finite_or_none(self._least_px),
+            "at_s": self._at_s,
+            "range_m": self._range_m,
+            "lost_s": self._step_s * self._lost,
+        }

@@ -25,13 +25,13 @@ pytestmark = pytest.mark.wires
 CHILD = """
 import sys, time
 from hil.core.child_process import serve
-from hil.drivers.fault_injection import WIRE, Faults
+from hil.drivers.fault_injection import Faults
 from hil.processes.emulators import FaultInjectionService
 
 class Emulator:
     def __init__(self, configuration):
         self.c = configuration
-        self.faults = Faults("vmu", WIRE)
+        self.faults = Faults("vmu", ("wire",))
     def start(self):
         print("chatter on stdout")
         print("chatter on stderr", file=sys.stderr)

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.config.faults import ErrorTerm
 from hil.config.load import load_rig
 from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbus, ModbusAxis, Rails, Turntable
 from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
-from hil.drivers.fault_injection import Faults, InjectableFault
+from hil.drivers.fault_injection import Faults
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes
 from hil.drivers.remote.io_layout import IO, IoSharedMemory
@@ -349,7 +350,7 @@ def test_each_declared_fault_has_its_effect_alone_and_is_over_once_cleared(
     assert without == []
 
 
-def _acts(config: AxisGroupTable, kind: str, fault: InjectableFault, healthy: Motion) -> bool:
+def _acts(config: AxisGroupTable, kind: str, fault: ErrorTerm, healthy: Motion) -> bool:
     """Return whether the fault has its effect before it is cleared, and the device works again afterwards."""
     with _on_wires(config) as backend:
         device, faults = backend.device, backend.faults

@@ -21,10 +21,10 @@ from hil.recording.read import contents, load
 from hil.recording.replay import replay
 from hil.recording.session import recording
 from hil.recording.writer import RunFile
-from hil.report.bench_error import judge_bench_error
 from hil.session import build
 from hil.session.build import check
 from tests.support.run_settings import make_job
+from tests.support.verdicts import bench_error
 
 RIG = "mock-manipulator"
 START = ("initial.attitude_deg=[8, -6, 12]",)
@@ -39,7 +39,7 @@ def test_nine_axes_show_the_truth_and_the_vision_unit_sees_what_they_did() -> No
     assert max(target.numbers()["angle_max_deg"]) > 5.0
     assert max(target.numbers()["following_error_max_deg"]) < 0.05
     rows = outcome.history
-    error = judge_bench_error(rows, job.rig.value, job.scenario.value.step_s, 0.0)
+    error = bench_error(rows, job.scenario.value, job.rig.value)
     assert error["pose_error_mm"]["max"] < 1.0
     assert error["pose_error_deg"]["max"] < 0.02
     fresh = rows[rows["pose"]["fresh"] > 0]

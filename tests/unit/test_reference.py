@@ -47,6 +47,9 @@ def test_a_number_needs_a_unit_in_its_name() -> None:
 def test_a_key_shows_type_unit_range_and_default() -> None:
     rows = {key.name: key for table in key_reference.tables(Rig) for key in table.keys}
     assert rows["lead_s"][1:5] == ("number", "s", "from -0.2 to 0.2", "`0.0`")
+    control = next(table for table in key_reference.tables(Scenario) if "gnc.control" in table.places)
+    lead = next(key for key in control.keys if key.name == "lead_s")
+    assert lead.allowed == "from 0; 0 to 100 during a run"
     assert rows["gimbal_order"].allowed.startswith('`"zyx"`, `"zxy"`')
     assert rows["travel_m"][1:3] == ("number[2]", "m")
 

@@ -16,16 +16,9 @@ import numpy as np
 
 from hil.core.clock import WallClock
 from hil.drivers.cameras.libaravis import FILL, aravis
-from hil.drivers.fault_injection import Faults, InjectableFault
+from hil.drivers.fault_injection import Faults
 from hil.errors import LinkLost
 
-FAULTS: Final = {
-    "drop": InjectableFault("packets are lost", value="share", high=1.0),
-    "delay": InjectableFault("images come late", value="s", default=0.1, high=10.0),
-    "freeze": InjectableFault("the camera repeats its last image"),
-    "dark": InjectableFault("the lens is covered"),
-    "link_down": InjectableFault("the wire is dead"),
-}
 _POLL_WALL_S: Final = 0.05
 _TRIGGER_HZ: Final = 500.0  # at which the fake camera looks for a software trigger
 _SENSOR_WIDTH, _SENSOR_HEIGHT = 0x11C, 0x118  # registers of the fake camera
@@ -49,7 +42,7 @@ class CameraEmulator:
         sensor: tuple[int, int] = (2048, 2048),
         exposure_s: float | None = None,
     ) -> None:
-        self.faults = Faults(name, FAULTS)
+        self.faults = Faults(name, ("camera",))
         self._name = name
         self._address = address
         self._clock = clock

@@ -8,7 +8,7 @@ from typing import Final
 
 from hil.config.io import Io
 from hil.core.clock import BenchClock
-from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
+from hil.drivers.fault_injection import Faults, FaultyWire
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Image, LineMap, respond
 from hil.drivers.io.relay import HoldingBrakes, SafetyRelay
@@ -18,13 +18,6 @@ from hil.maths.random_streams import stream
 
 STEP_S: Final = 0.004  # between two updates of the relay, as BenchClock.paced_s
 IDENTITY: Final = ("hil", "io-coupler", "1.0")
-BUTTONS: Final = {
-    "estop": InjectableFault("the emergency stop is pressed"),
-    "interlock": InjectableFault("an interlock's contact is open", of_axis=True),
-    "brakes_open": InjectableFault("the holding brakes do not close, nor does their contact"),
-    "pump_ignored": InjectableFault("the relay does not monitor the charge pump"),
-    "local_enable_off": InjectableFault("the switch at the bench does not permit power and motion"),
-}
 _HEADER: Final = struct.Struct(">HHHB")  # transaction, protocol 0, length with the device id, device id
 _ID_BYTES: Final = 1
 _LONGEST: Final = 254  # bytes after the length field
@@ -41,7 +34,7 @@ class EmulatedCoupler:
 
     def __init__(self, config: Io, pump_timeout_s: float) -> None:
         self.map = LineMap(config)
-        self.faults = Faults(NAME, kinds(WIRE, BUTTONS), tuple(self.map.interlocks))
+        self.faults = Faults(NAME, ("wire", "io"), tuple(self.map.interlocks))
         coils, inputs = dict.fromkeys(self.map.coils, False), dict.fromkeys(self.map.inputs, False)
         self.image = Image(coils, inputs, IDENTITY)
         self.relay = SafetyRelay(pump_timeout_s, config.torque_delay_s)

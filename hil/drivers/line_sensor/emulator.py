@@ -9,7 +9,7 @@ from typing import Final
 
 from hil.core.clock import BenchClock
 from hil.core.line_protocol import LineProtocol
-from hil.drivers.fault_injection import WIRE, Faults, FaultyChannel, kinds
+from hil.drivers.fault_injection import Faults, FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.maths.random_streams import stream
 
@@ -34,7 +34,7 @@ class LineSensorEmulator:
     ) -> None:
         self._name, self._protocol, self._measure_at, self._clock = name, protocol, measure_at, clock
         self._rate_hz, self._latency_s = times
-        self.faults = Faults(name, kinds(WIRE))
+        self.faults = Faults(name, ("wire",))
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
         self._line: PtyLine | None = None
         self._measures = not protocol.start

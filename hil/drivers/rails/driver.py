@@ -19,8 +19,7 @@ import numpy as np
 from hil.config.rig import Rails
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
-from hil.drivers.axes import ServoAxes
-from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
+from hil.drivers.axes import SetpointLimits
 from hil.drivers.exchange_pacer import ExchangePacer
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
@@ -47,15 +46,14 @@ class ModbusRails(LoopThread):
 
     def __init__(self, config: Rails, clock: BenchClock, name: str = "rails") -> None:
         self.name = name
-        self.axis_names = full_names(name, config.axis_names)
+        self._limits = SetpointLimits(name, config)
+        self.axis_names = self._limits.names
         self._config = config
         self._timeout_s = config.timeout_s
         self._clock = clock
         self._map = RegisterMap(config.map)
         self._counters = new_counters()
         self._homing = HomingMonitor(config)
-        limits = ServoAxes(config)
-        self._low, self._high, self._rate_max = limits.low, limits.high, limits.rate_max
         self._box: Latest[AxisFeedback] = Latest(self.name)
         self._box.fail(LinkLost(self.name, "is not open"))
         self._setpoint: tuple[list[float], list[float], float] = ([], [], 0.0)  # position, rate, when sent
@@ -108,9 +106,7 @@ class ModbusRails(LoopThread):
         Raises SafetyTrip also if an axis is not homed.
         """
         self._box.check()
-        bounds = setpoint_bounds(self._low, self._high, self._jogging)
-        accepted = accepted_setpoint(self.axis_names, position, *bounds)
-        feedforward = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
+        accepted, feedforward = self._limits.accepted(position, rate, self._jogging)
         feedback = self._box.peek()
         if self._stopping and feedback is not None:
             return feedback.position.copy()
@@ -164,7 +160,7 @@ class ModbusRails(LoopThread):
         wires = make_wires(self._config, timeout_s, self._counters, self._clock)
         self._drives = [
             Drive(name, wire, self._map, float(rate_max), self._clock)
-            for name, wire, rate_max in zip(self.axis_names, wires, self._rate_max, strict=True)
+            for name, wire, rate_max in zip(self.axis_names, wires, self._limits.rate_max, strict=True)
         ]
         try:
             await _all(drive.identify() for drive in self._drives)
@@ -206,7 +202,7 @@ class ModbusRails(LoopThread):
             self._box.put(AxisFeedback(t_s, position, rate, (homing[0], homing[1], homing[2]), limit), t_s)
 
     def _limit(self, axis: int, states: list[State]) -> int:
-        middle_m = 0.5 * float(self._low[axis] + self._high[axis])
+        middle_m = 0.5 * float(self._limits.low[axis] + self._limits.high[axis])
         return limit_switch(states[axis].status, states[axis].position_m, middle_m)
 
     async def _exchange(self, index: int) -> State | None:

@@ -12,8 +12,7 @@ from hil.config.io import Io
 from hil.config.rig import Rails, Turntable, Vmu
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
-from hil.drivers.axes import ServoAxes
-from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
+from hil.drivers.axes import SetpointLimits
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
@@ -131,10 +130,8 @@ class RemoteAxes(_RemoteDevice):
     def __init__(self, name: str, config: Rails | Turntable, link: IoLink, wakes: bool = True) -> None:
         super().__init__(name, link)
         self._wakes = wakes
-        self.axis_names = full_names(name, config.axis_names)
-        axes = ServoAxes(config)
-        self._low, self._high, self._rate_max = axes.low, axes.high, axes.rate_max
-        self._acceleration_max = axes.acceleration_max
+        self._limits = SetpointLimits(name, config)
+        self.axis_names = self._limits.names
         self._timeout_s = config.timeout_s
         self._setpoint = np.zeros(1, io_layout.SETPOINT)
         self._feedback = np.zeros(1, io_layout.FEEDBACK)
@@ -151,7 +148,7 @@ class RemoteAxes(_RemoteDevice):
         self._received = self._feedback_before = self._block[f"{self.name}.feedback"].read(self._feedback)[0]
         self._stopped = self._disabled = False
         self._kind = io_layout.CYCLIC
-        self.set_limits(self._rate_max, self._acceleration_max)
+        self.set_limits(self._limits.rate_max, self._limits.acceleration_max)
         self._open(now_s)
 
     def home(self, now_s: float) -> None:
@@ -166,12 +163,10 @@ class RemoteAxes(_RemoteDevice):
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Send the newest setpoint; return the accepted position, or the measured one if the device is stopped."""
         self._check(now_s)
-        low, high = setpoint_bounds(self._low, self._high, self._kind == io_layout.JOGGED)
-        accepted = accepted_setpoint(self.axis_names, position, low, high)
-        wanted_rate = accepted_setpoint(self.axis_names, rate, -self._rate_max, self._rate_max, "rate")
+        accepted, accepted_rate = self._limits.accepted(position, rate, self._kind == io_layout.JOGGED)
         if self._stopped or self._kind == io_layout.GOAL:
             return np.array(self._feedback["position"][0])
-        self._write_setpoint(accepted, np.where(accepted == position, wanted_rate, 0.0), now_s)
+        self._write_setpoint(accepted, accepted_rate, now_s)
         return accepted
 
     def _write_setpoint(self, position: Array, rate: Array, now_s: float) -> None:
@@ -232,8 +227,7 @@ class RemoteTurntable(RemoteAxes):
     def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
         """Move the axes to position (3,), rad, at most at rate (3,), rad/s; return the accepted goal."""
         self._check(now_s)
-        goal = accepted_setpoint(self.axis_names, position, self._low, self._high)
-        speed = accepted_setpoint(self.axis_names, np.abs(rate), np.zeros(3), self._rate_max, "rate")
+        goal, speed = self._limits.accepted_goal(position, rate)
         if not self._stopped:
             self._kind = io_layout.GOAL
             self._write_setpoint(goal, speed, now_s)

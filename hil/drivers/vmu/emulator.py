@@ -12,7 +12,7 @@ from typing import Final
 from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import BenchClock
 from hil.core.messages import PoseFrame
-from hil.drivers.fault_injection import WIRE, Faults, FaultyWire, InjectableFault, kinds
+from hil.drivers.fault_injection import Faults, FaultyWire
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import NAME
 from hil.drivers.vmu.codec import STATUS_NO_POSE, ReportedIdentity
@@ -22,7 +22,6 @@ from hil.maths.random_streams import stream
 
 IDENTITY: Final = ReportedIdentity("hil", "VMU-0001", "1.4")
 IDENTITY_PERIOD_S: Final = 1.0
-CLOCK: Final = {"clock_jump": InjectableFault("the unit's clock is off", value="s", default=10.0)}
 _CATCHES_UP = 0.25  # of a frame period: an exposure that is later than this does not take place
 
 
@@ -54,7 +53,7 @@ class VmuEmulator:
         self._pose_at = pose_at
         self._transport = transport
         self._at_end = at_end
-        self.faults = Faults(NAME, kinds(WIRE, CLOCK))
+        self.faults = Faults(NAME, ("wire", "vmu"))
         self._wire = FaultyWire(self.faults, stream(seed, "wire"))
         self._frame = b""  # the newest one
         self._on_the_way: list[tuple[float, int, bytes]] = []  # a heap by time of sending

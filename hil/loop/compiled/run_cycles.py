@@ -172,7 +172,7 @@ def run_cycles(
             core.check_consistency(params, state)
             now.t_s, now.commanded_s = t_s, now_s - state.zero_s
             if params.counts != 0:
-                count_cycle(params, state, stats)
+                count_cycle(params.stats, stats, now)
             row = k - first_cycle
             if row < history.shape[0]:
                 history[row] = now

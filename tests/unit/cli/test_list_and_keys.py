@@ -9,7 +9,7 @@ import pytest
 from hil.cli.main import execute
 from hil.config.key_reference import all_keys
 from hil.config.load import load_rig, load_scenario, shipped
-from hil.config.units import converted, unit_at_end
+from hil.config.units import converted, split
 from hil.errors import BadInput
 
 
@@ -76,6 +76,7 @@ def test_key_in_another_unit_is_answered_with_that_of_its_dimension(setting: str
 
 
 def test_units_are_converted_within_their_dimension_only() -> None:
-    assert unit_at_end("deadband") == ""
+    assert split("deadband") == ("deadband", "")
+    assert split("gnc.pkf.viscous_n_per_mps") == ("gnc.pkf.viscous", "n_per_mps")
     assert converted("rate_mps", 1.0, ("rate_degps",)) == ""
     assert converted("rate_radps", 1.0, ("rate_mps", "rate_degps")).startswith("rate_degps = 57.29")

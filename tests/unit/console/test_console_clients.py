@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from hil.config.live_tunable import LIVE_TUNABLE, range_of, within
+from hil.config.live_tunable import live_ranges, range_of, within
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.console import app
@@ -164,7 +164,7 @@ def test_no_setting_in_flight_switches_off_control_gate_or_supervision() -> None
 @pytest.mark.parametrize("scheme", ["scheme-1", "scheme-2", "scheme-3"])
 def test_shipped_scenarios_are_within_the_ranges_of_a_run(scheme: str) -> None:
     table = load_scenario(scheme).value.model_dump()
-    for key in LIVE_TUNABLE:
+    for key in live_ranges(Scenario):
         value: Any = table
         for name in key.split("."):
             value = value[name]

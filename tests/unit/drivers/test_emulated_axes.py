@@ -194,8 +194,6 @@ def test_an_incremental_encoder_counts_from_nowhere_until_it_has_been_homed(make
     assert axes.homing[1] is Homing.DONE
     assert axes.position[1] == pytest.approx(board.read("rails", 12.0)[0][1], abs=1e-6)
     assert axes.position[1] == pytest.approx(0.0, abs=0.005)
-    axes.power_off(1)
-    assert axes.homing[1] is Homing.NEEDED
 
 
 def test_homing_that_is_broken_off_has_failed(make: Make) -> None:

@@ -7,14 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from hil.drivers.fault_injection import AXIS, WIRE, ControlPort, FaultControl, Faults, FaultyWire, kinds
+from hil.config.faults import EMULATED
+from hil.drivers.fault_injection import ControlPort, FaultControl, Faults, FaultyWire
 
 PACKET = bytes(range(32))
 
 
 @pytest.fixture
 def faults() -> Faults:
-    return Faults("rails", kinds(WIRE, AXIS), ("x", "y", "z"))
+    return Faults("rails", ("wire", "drive"), ("x", "y", "z"))
 
 
 def wire(faults: Faults) -> FaultyWire:
@@ -47,6 +48,7 @@ def test_lines_switch_faults_on_and_off(faults: Faults) -> None:
         ("on delay -1", ("delay -1",)),
         ("on drop 0.1 0.2", ("0.2: too much",)),
         ("on drop much", ("much",)),
+        ("on stuck y 2", ("stuck takes no number",)),
         ("", ("allowed: on FAULT",)),
         ("help", ("allowed: on FAULT", "link_down")),
     ],
@@ -109,9 +111,9 @@ def test_the_control_port_answers_each_line(faults: Faults) -> None:
 
 
 def test_kinds_tell_programs_what_can_be_switched_on() -> None:
-    faults = Faults("rails", {**WIRE, **AXIS}, ("x", "y"))
+    faults = Faults("rails", ("wire", "drive"), ("x", "y"))
     told = json.loads(faults.execute("kinds"))
     assert told["axes"] == ["x", "y"]
-    assert list(told["kinds"]) == [*WIRE, *AXIS]
+    assert list(told["kinds"]) == [*EMULATED["wire"], *EMULATED["drive"]]
     assert told["kinds"]["drop"]["value"] == "share"
     assert told["kinds"]["stuck"]["of_axis"]

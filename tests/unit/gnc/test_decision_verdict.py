@@ -10,7 +10,8 @@ import pytest
 from hil.config.load import load_scenario
 from hil.core.gnc_records import GncHealth
 from hil.core.messages import CYCLE
-from hil.report.integrity import IntegrityJudge, decision_part
+from hil.loop.compiled.run_stats import counted
+from hil.report.integrity import decision_part
 
 STEP_S = 0.02
 GO_AT = 250
@@ -32,10 +33,8 @@ def rows(seconds: float = 30.0) -> np.ndarray:
 
 
 def judged(history: np.ndarray, *settings: str) -> tuple[np.record, dict[str, Any]]:
-    judge = IntegrityJudge(load_scenario("scheme-1", settings).value)
-    judge.add(history[:333])  # in parts, as a long run
-    judge.add(history[333:])
-    return judge.state.decision, decision_part(judge.state)
+    state = counted(history, load_scenario("scheme-1", settings).value).integrity
+    return state.decision, decision_part(state)
 
 
 def test_go_at_the_ready_point_is_right() -> None:

@@ -10,8 +10,9 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import CYCLE
+from hil.loop.compiled.run_stats import counted
 from hil.params import integrity as integrity_params
-from hil.report.integrity import IntegrityJudge, SafeStop, detection, integrity_part
+from hil.report.integrity import SafeStop, detection, integrity_part
 
 STEP_S = 0.02
 SCENARIO = load_scenario("scheme-1").value
@@ -32,11 +33,8 @@ def rows(seconds: float, range_m: float = 1.0, level_m: float = 0.01) -> np.ndar
 
 def judged(history: np.ndarray, *settings: str) -> tuple[np.record, dict[str, Any]]:
     scenario = load_scenario("scheme-1", settings).value
-    judge = IntegrityJudge(scenario)
-    half = len(history) // 3  # in parts, as a long run
-    judge.add(history[:half])
-    judge.add(history[half:])
-    return judge.state, integrity_part(judge.state, scenario)
+    state: np.record = counted(history, scenario).integrity
+    return state, integrity_part(state, scenario)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.gnc.limits import CORRIDOR, LEVEL, TRACKING, VISION_AGE
-from hil.report.integrity import IntegrityJudge
+from hil.loop.compiled.run_stats import counted
 
 SCENARIO, RIG = load_scenario("scheme-1", ()).value, load_rig("mock", ()).value
 STEP_S = SCENARIO.step_s
@@ -31,9 +31,7 @@ def rows(n: int = 400) -> np.ndarray:
 
 def judged(found: np.ndarray) -> np.record:
     """Return LIMITS_STATE of the rows."""
-    judge = IntegrityJudge(SCENARIO, RIG)
-    judge.add(found)
-    state: np.record = judge.state.limits
+    state: np.record = counted(found, SCENARIO, RIG).integrity.limits
     return state
 
 
@@ -95,12 +93,3 @@ def test_health_bits_have_the_time_at_which_each_was_first_set() -> None:
     state = judged(found)
     np.testing.assert_array_equal(state.health_s[[1, 3]], found["t_s"][[20, 25]])
     assert np.isnan(state.health_s[0])
-
-
-def test_any_split_of_the_rows_gives_the_same_bits() -> None:
-    found = rows()
-    found["truth"]["r_CT_H"] += 0.01 * np.random.default_rng(3).normal(size=(400, 3))
-    whole, parts = judged(found), IntegrityJudge(SCENARIO, RIG)
-    for k in range(0, 400, 37):
-        parts.add(found[k : k + 37])
-    assert parts.state.limits.tobytes() == whole.tobytes()

@@ -15,8 +15,9 @@ from hil.maths import euler, quat
 from hil.monte_carlo import akf_additive
 from hil.params import gnc as gnc_params
 from hil.params.ready import tolerances
-from hil.report.verdict import Deviations, judge
+from hil.report.verdict import Deviations
 from tests.support.joint_filter import JointFilter
+from tests.support.verdicts import judge
 
 YAW_PITCH_ROLL = np.array([2, 1, 0])
 

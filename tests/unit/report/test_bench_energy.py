@@ -11,7 +11,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import AXES, CYCLE, new
 from hil.maths import quat
 from hil.params import bench as bench_params
-from hil.report.bench_energy import judge_energy_added
+from tests.support.verdicts import bench_error
 
 DT, N = 0.02, 200
 MASS, INERTIA = 1000.0, 500.0
@@ -46,7 +46,7 @@ def accelerated(rig: Rig, scenario: Scenario, motion: str, late_s: float) -> np.
 @pytest.mark.parametrize("late_s", [0.0, 0.04, 0.2, -0.04])
 def test_late_axes_add_the_work_of_the_delay(late_s: float, motion: str, mock_rig: Rig, scheme_1: Scenario) -> None:
     """A constant force does the work F s(t) on the truth and F s(t - late) on the bench, where s is parabolic."""
-    found = judge_energy_added(accelerated(mock_rig, scheme_1, motion, late_s), scheme_1, mock_rig)
+    found = bench_error(accelerated(mock_rig, scheme_1, motion, late_s), scheme_1, mock_rig)["energy"]
     t_s = DT * (N - 1)
     share = (t_s * t_s - (t_s - late_s) ** 2 + late_s * late_s) / (t_s * t_s)
     work = found[f"{motion}_work_j"]
@@ -55,4 +55,4 @@ def test_late_axes_add_the_work_of_the_delay(late_s: float, motion: str, mock_ri
 
 
 def test_run_too_short_for_a_step_has_no_work(mock_rig: Rig, scheme_1: Scenario) -> None:
-    assert set(judge_energy_added(np.zeros(1, CYCLE), scheme_1, mock_rig).values()) == {0.0}
+    assert set(bench_error(np.zeros(1, CYCLE), scheme_1, mock_rig)["energy"].values()) == {0.0}

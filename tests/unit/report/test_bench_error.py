@@ -9,11 +9,13 @@ import pytest
 
 from hil.bench.kinematics import axes_of_pose
 from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.core.messages import AXES, CYCLE, new
 from hil.maths import quat
 from hil.params import bench as bench_params
-from hil.report.bench_error import encoders_at_truth, judge_bench_error
-from hil.report.latency import measure_latency, setpoint_to_encoder_s
+from hil.report.bench_error import encoders_at_truth
+from hil.report.latency import measured, percentiles, setpoint_to_encoder_s
+from tests.support.verdicts import bench_error
 
 DT = 0.02
 N = 400
@@ -43,62 +45,64 @@ def flight(rig: Rig, sampled_early_s: float = 0.0) -> np.ndarray:
     return history
 
 
-def test_axes_that_are_where_they_should_be_show_no_error(mock_rig: Rig) -> None:
-    found = judge_bench_error(flight(mock_rig), mock_rig, DT, 0.0)
+def test_axes_that_are_where_they_should_be_show_no_error(mock_rig: Rig, scheme_1: Scenario) -> None:
+    found = bench_error(flight(mock_rig), scheme_1, mock_rig)
     assert found["pose_error_mm"]["max"] < 1e-9
     assert found["pose_error_deg"]["max"] < 1e-9
 
 
-def test_encoders_that_are_read_most_of_a_cycle_old_are_not_taken_for_an_error(mock_rig: Rig) -> None:
+def test_encoders_that_are_read_most_of_a_cycle_old_are_not_taken_for_an_error(
+    mock_rig: Rig, scheme_1: Scenario
+) -> None:
     history = flight(mock_rig, sampled_early_s=0.019)
-    found = judge_bench_error(history, mock_rig, DT, 0.0)
+    found = bench_error(history, scheme_1, mock_rig)
     assert found["pose_error_mm"]["max"] < 1e-9  # 1 mm where the sampling time is overlooked
     assert len(encoders_at_truth(history)[0]) == N - 1  # of the last moment nothing is known yet
 
 
-def test_two_devices_that_answer_at_different_times_are_brought_together(mock_rig: Rig) -> None:
+def test_two_devices_that_answer_at_different_times_are_brought_together(mock_rig: Rig, scheme_1: Scenario) -> None:
     history, later = flight(mock_rig, 0.019), flight(mock_rig, 0.003)
     history["sampled_s"][:, 1] = later["sampled_s"][:, 1]
     history["feedback"]["gimbal_rad"] = later["feedback"]["gimbal_rad"]
-    assert judge_bench_error(history, mock_rig, DT, 0.0)["pose_error_mm"]["max"] < 1e-9
+    assert bench_error(history, scheme_1, mock_rig)["pose_error_mm"]["max"] < 1e-9
 
 
-def test_carriage_that_is_off_shows_its_distance_and_no_angle(mock_rig: Rig) -> None:
+def test_carriage_that_is_off_shows_its_distance_and_no_angle(mock_rig: Rig, scheme_1: Scenario) -> None:
     history = flight(mock_rig)
     history["feedback"]["rail_m"][:, 1] += 0.001
     history["feedback"]["rail_m"][7, 1] += 0.002
-    found = judge_bench_error(history, mock_rig, DT, 0.0)
+    found = bench_error(history, scheme_1, mock_rig)
     assert found["pose_error_mm"]["max"] == pytest.approx(3.0)
     assert found["pose_error_mm"]["rms"] == pytest.approx(math.sqrt((N - 1 + 9.0) / N))
     assert found["pose_error_deg"]["max"] < 1e-9
 
 
-def test_gimbal_that_is_off_turns_and_shifts_the_camera(mock_rig: Rig) -> None:
+def test_gimbal_that_is_off_turns_and_shifts_the_camera(mock_rig: Rig, scheme_1: Scenario) -> None:
     history = flight(mock_rig)
     history["feedback"]["gimbal_rad"][:, 2] += math.radians(0.02)  # yaw, the outermost: about z_L
-    found = judge_bench_error(history, mock_rig, DT, 0.0)
+    found = bench_error(history, scheme_1, mock_rig)
     assert found["pose_error_deg"]["rms"] == pytest.approx(0.02, rel=1e-6)
     arm = np.array(mock_rig.bench.camera_position_m) + np.array(mock_rig.bench.lever_arm_m)
     arm_H = quat.transform_back(np.array(history["truth"]["q_CH"][0]), arm)
     assert found["pose_error_mm"]["rms"] == pytest.approx(1e3 * math.hypot(*arm_H[:2]) * math.radians(0.02), rel=1e-6)
 
 
-def test_share_of_the_navigation_error_is_that_of_the_settled_part(mock_rig: Rig) -> None:
+def test_share_of_the_navigation_error_is_that_of_the_settled_part(mock_rig: Rig, scheme_1: Scenario) -> None:
     history = flight(mock_rig)
     history["feedback"]["rail_m"][:, 0] += 0.001
     history["navigation"]["r_CT_H"][:, 2] += 0.004
     history["navigation"]["r_CT_H"][: N // 2, 2] += 1.0
-    found = judge_bench_error(history, mock_rig, DT, DT * (N // 2))
+    found = bench_error(history, scheme_1, mock_rig, DT * (N // 2))
     assert found["share_of_navigation_error"] == pytest.approx(0.25)
     assert found["share_of_attitude_error"] is None  # the estimated attitude is the true one: no whole to be a share of
 
 
 @pytest.mark.parametrize("rows", [0, 1])
-def test_run_that_ended_at_once_has_numbers_or_none(mock_rig: Rig, rows: int) -> None:
+def test_run_that_ended_at_once_has_numbers_or_none(mock_rig: Rig, scheme_1: Scenario, rows: int) -> None:
     history = flight(mock_rig)[:rows]
-    found = judge_bench_error(history, mock_rig, DT, 100.0)
+    found = bench_error(history, scheme_1, mock_rig, 100.0)
     assert found["pose_error_mm"]["max"] is None if rows == 0 else found["pose_error_mm"]["max"] < 1e-9
-    assert measure_latency(history, DT, DT)["setpoint_to_encoder_ms"]["p50"] is None
+    assert percentiles(1e3 * measured(history, history, DT, DT)["setpoint_to_encoder_ms"])["p50"] is None
 
 
 def test_pose_to_command_counts_the_cycles_that_used_a_pose(mock_rig: Rig) -> None:
@@ -108,7 +112,7 @@ def test_pose_to_command_counts_the_cycles_that_used_a_pose(mock_rig: Rig) -> No
     history["pose"]["fresh"][::8] = 1
     history["received_s"][::8] = history["t_s"][::8] - 0.0047
     history["received_s"][80] -= 0.01
-    found = measure_latency(history, DT, DT)["pose_to_command_ms"]
+    found = percentiles(1e3 * measured(history, history, DT, DT)["pose_to_command_ms"])
     assert found["p50"] == pytest.approx(5.0)
     assert found["max"] == pytest.approx(15.0)
 
@@ -123,7 +127,7 @@ def test_pose_to_wire_counts_the_changes_that_reached_the_coupler(mock_rig: Rig)
     history["on_wire_s"][81:] = history["t_s"][80] + 0.002
     history["command"]["on"][101:, 1] = 1  # without one
     history["on_wire_s"][102:] = history["t_s"][101] + 0.003
-    found = measure_latency(history, DT, DT)["pose_to_wire_ms"]
+    found = percentiles(1e3 * measured(history, history, DT, DT)["pose_to_wire_ms"])
     assert found["p50"] == found["max"] == pytest.approx(6.0)
 
 

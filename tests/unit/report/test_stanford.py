@@ -10,9 +10,10 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
+from hil.loop.compiled.run_stats import counted
 from hil.monte_carlo.figure import draw_integrity, stanford_figure
 from hil.report.figures import figures
-from hil.report.verdict import deviations, judge
+from hil.report.verdict import verdict_of
 
 TITLE = "Integrity: error against protection level (Stanford diagram)"
 
@@ -32,7 +33,7 @@ def history(level_m: float) -> np.ndarray:
 @pytest.mark.parametrize(("level_m", "expected"), [(0.02, True), (np.nan, False)])
 def test_report_has_the_diagram_if_protection_levels_are_reported(level_m: float, expected: bool) -> None:
     scenario, rig, rows = load_scenario("scheme-1").value, load_rig("mock").value, history(level_m)
-    verdict = judge(deviations(rows, scenario.requirements), scenario.requirements)
+    verdict = verdict_of(counted(rows, scenario).ready, scenario.requirements)
     assert (TITLE in [title for title, _ in figures(rows, scenario, rig, verdict)]) == expected
 
 

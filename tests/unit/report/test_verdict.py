@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from hil.config.scenario import Requirements, Scenario
 from hil.core.messages import CYCLE
 from hil.params.ready import ROW_NAMES, tolerances
-from hil.report.verdict import Deviations, Verdict, deviations, judge
+from hil.report.verdict import Deviations, Verdict, deviations
+from tests.support.verdicts import judge, ready_state
 
 DT = 0.1
 INSIDE = {"position_m": 0.01, "velocity_mps": 0.01, "attitude_deg": 0.2, "rate_degps": 0.05}
@@ -56,10 +56,9 @@ def test_run_that_never_dwells_has_no_ready_phase(required: Requirements) -> Non
     found = flown(40.0)
     for begin_s in range(0, 40, 4):
         away(found, begin_s, begin_s + 0.1)
-    verdict = judge(found, required)
-    assert replace(verdict, ready=None) == Verdict(None, None, False, None)
-    assert verdict.ready is not None
-    assert (verdict.ready.breaks[0], verdict.ready.break_s[0]) == (9, 4.0)  # the deviation that ended each dwell
+    assert judge(found, required) == Verdict(None, None, False, None)
+    ready = ready_state(found, required)
+    assert (ready.breaks[0], ready.break_s[0]) == (9, 4.0)  # the deviation that ended each dwell
 
 
 def test_run_that_ends_before_the_dwell_is_over_has_no_ready_phase(required: Requirements) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,16 +11,10 @@ from scipy.integrate import solve_ivp
 
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
+from hil.loop.compiled.run_stats import counted
 from hil.params import gnc as gnc_params
 from hil.params.dynamics import mean_motion
-from hil.report.verdict_parts import (
-    drift,
-    drift_over_an_orbit,
-    impulsive_delta_v,
-    judge_energy,
-    judge_security,
-    slew_impulse,
-)
+from hil.report.verdict_parts import AbortCourse, drift, drift_over_an_orbit, energy_part, security_part, slew_impulse
 
 
 def flight(n: int = 100) -> np.ndarray:
@@ -35,15 +30,26 @@ def flight(n: int = 100) -> np.ndarray:
     return history
 
 
-def test_line_from_rest_to_rest_costs_twice_its_speed_whatever_its_ramps() -> None:
+def line_mps(v_CT_H: np.ndarray, scenario: Scenario) -> float:
+    """Return what the reference's changes of velocity come to, m/s, with the velocities (n, 3)."""
+    history = flight(len(v_CT_H))
+    history["reference"]["v_CT_H"] = v_CT_H
+    return float(counted(history, scenario).reference_delta_v)
+
+
+def security(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
+    return security_part(counted(history, scenario))
+
+
+def test_line_from_rest_to_rest_costs_twice_its_speed_whatever_its_ramps(scheme_1: Scenario) -> None:
     for ramp in (2, 50):
         speed = np.concatenate([np.linspace(0.0, 0.03, ramp), np.full(20, 0.03), np.linspace(0.03, 0.0, ramp)])
         along = np.array([0.6, -0.8, 0.0])
-        assert impulsive_delta_v(speed[:, None] * along) == pytest.approx(0.06)
+        assert line_mps(speed[:, None] * along, scheme_1) == pytest.approx(0.06)
 
 
-def test_corner_without_a_stop_costs_the_change_of_direction() -> None:
-    assert impulsive_delta_v(np.array([[0.03, 0.0, 0.0], [0.0, 0.04, 0.0]])) == pytest.approx(0.03 + 0.05)
+def test_corner_without_a_stop_costs_the_change_of_direction(scheme_1: Scenario) -> None:
+    assert line_mps(np.array([[0.03, 0.0, 0.0], [0.0, 0.04, 0.0]]), scheme_1) == pytest.approx(0.03 + 0.05)
 
 
 def test_slews_cost_twice_the_angular_momentum_of_a_steady_turn(scheme_1: Scenario) -> None:
@@ -55,10 +61,11 @@ def test_slews_cost_twice_the_angular_momentum_of_a_steady_turn(scheme_1: Scenar
 def test_energy_is_judged_against_three_times_the_least(scheme_1: Scenario) -> None:
     history = flight()
     history["reference"]["v_CT_H"][20:60, 0] = -0.03
+    history["truth"]["thrust_fraction"][10:80:10, 2] = 0.5
     exhaust = 220.0 * 9.80665
     least = 1000.0 * (1.0 - math.exp(-(0.06 + slew_impulse(scheme_1) / 1000.0) / exhaust))
     for spent, passed in ((2.99 * least, True), (3.01 * least, False)):
-        found = judge_energy(history["reference"]["v_CT_H"], scheme_1, spent, 7)
+        found = energy_part(counted(history, scheme_1), scheme_1, spent)
         assert found["passed"] is passed
         assert found["least_propellant_kg"] == pytest.approx(least)
         assert found["delta_v_mps"] == pytest.approx(-exhaust * math.log(1.0 - spent / 1000.0))
@@ -67,15 +74,15 @@ def test_energy_is_judged_against_three_times_the_least(scheme_1: Scenario) -> N
 
 def test_security_is_judged_on_the_truth_and_names_the_tightest_moment(scheme_1: Scenario) -> None:
     history = flight()
-    assert judge_security(history, scheme_1)["passed"]
+    assert security(history, scheme_1)["passed"]
     history["truth"]["r_CT_H"][40] = [3.0, 0.3, 0.0]
-    found = judge_security(history, scheme_1)
+    found = security(history, scheme_1)
     assert not found["passed"]
     assert found["corridor_margin_m"] == pytest.approx(math.hypot(3.0, 0.3) * math.tan(math.radians(5.0)) - 0.3)
     assert found["corridor_margin_at_s"] == pytest.approx(0.8)
     history = flight()
     history["truth"]["v_CT_H"][10, 0] = -0.041
-    found = judge_security(history, scheme_1)
+    found = security(history, scheme_1)
     assert not found["passed"]
     assert found["closing_margin_mps"] == pytest.approx(-0.001)
 
@@ -86,9 +93,12 @@ def test_security_is_judged_up_to_the_abort_alone(scheme_1: Scenario) -> None:
     history["reference"]["phase"][50:80] = 3
     history["reference"]["phase"][80:] = 4
     history["truth"]["r_CT_H"][60:] = [4.0, 2.0, 0.0]
-    found = judge_security(history, scheme_1)
-    assert found["passed"]
-    abort = found["abort"]
+    assert security(history, scheme_1)["passed"]
+    followed = AbortCourse(scheme_1)
+    for rows in np.split(history, [3, 45, 70, 85]):
+        followed.add(rows)
+    abort = followed.as_json()
+    assert abort is not None
     assert (abort["at_s"], abort["range_m"], abort["cause"]) == (pytest.approx(1.0), pytest.approx(3.0), "ordered")
     assert abort["hold_since_s"] == pytest.approx(1.6)
     assert abort["drift_from_end"]["from_s"] == pytest.approx(history["t_s"][-1])
@@ -125,8 +135,8 @@ def test_drift_from_rest_on_the_v_bar_stays_there(scheme_1: Scenario) -> None:
 
 
 def test_parts_of_a_run_without_a_cycle_are_not_passed(scheme_1: Scenario) -> None:
-    assert not judge_security(flight(0), scheme_1)["passed"]
-    assert not judge_energy(np.empty((0, 3)), scheme_1, 0.0, 0)["passed"]
+    assert not security(flight(0), scheme_1)["passed"]
+    assert not energy_part(counted(flight(0), scheme_1), scheme_1, 0.0)["passed"]
 
 
 def test_abort_acceleration_is_within_what_the_thrusters_give(scheme_1: Scenario) -> None:
