@@ -87,8 +87,11 @@ def _frames(name: str) -> str:
 
 
 def _counters() -> str:
-    found = described(importlib.import_module("hil.drivers.vmu"), "COUNTERS")
-    return f"## Counters of a vision unit\n\n{found}\n"
+    module = importlib.import_module("hil.drivers.vmu")
+    return (
+        f"## Counters of a vision unit\n\n{described(module, 'COUNTERS')}\n\n"
+        f"## Counters of cameras\n\n{described(module, 'CAMERA_COUNTERS')}\n"
+    )
 
 
 def described(module: ModuleType, name: str) -> str:

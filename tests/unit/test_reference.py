@@ -18,7 +18,7 @@ from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
-from hil.drivers.vmu import COUNTERS
+from hil.drivers.vmu import CAMERA_COUNTERS, COUNTERS
 from hil.frmn.mailboxes import BY_NUMBER
 from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 from hil.report.limits import LIMITS
@@ -75,7 +75,10 @@ def test_modes_commands_and_codecs_have_their_places_on_generated_pages() -> Non
     assert all(f"- **{mode.name}**: " in modes for mode in (*Mode, *OperatorCommand))
     assert all(f"| `{name}` |" in modes for name in LIMITS)
     assert all(f"| `{box.name}` |" in wires for box in BY_NUMBER.values())
-    assert {name for row in re.findall(r"^- \*\*(.*)\*\*: ", wires, re.MULTILINE) for name in row.split(", ")} == set(
-        COUNTERS
+    unit, cameras = (
+        {name for row in re.findall(r"^- \*\*(.*)\*\*: ", part, re.MULTILINE) for name in row.split(", ")}
+        for part in wires.split("## Counters of cameras")
     )
+    assert unit == set(COUNTERS)
+    assert cameras == {re.sub(r"_p\d+_us$", "", name) for name in CAMERA_COUNTERS}
     assert "| 159 | checksum | | crc16-ccitt-false |" in wires  # 161 bytes, as the wire has them
