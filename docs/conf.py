@@ -38,6 +38,7 @@ autodoc_preserve_defaults = True
 nitpick_ignore_regex = [
     ("py:.*", r"(collections|enum|matplotlib|numpy|pa|pathlib|pyarrow|pydantic|typing)\..*"),
     ("py:class", r"Figure|Job|Recorded|RunData"),
+    ("py:class", r"hil\.api\.\w+\.\w+Arguments"),
     ("py:class", r"hil\.(recording\.read\.Recorded|recording\.replay\.\w+|report\.verdict\.Verdict)"),
     ("py:class", r"hil\.(config\.vmu_geometry\.VmuGeometry|config\.scene\.Scene|vmu\.track\.TrackSettings)"),
     (

@@ -1,16 +1,17 @@
 """Diagrams of the architecture pages, as SVG.
 
-``python docs/diagrams.py`` writes them; a test compares them with the import contract and the files that they name.
+``python -m docs.diagrams`` writes them; a test compares them with the import contract and the files that they name.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import Final, NamedTuple
+
+from docs import package_pages
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 FOLDER: Final = ROOT / "docs" / "pictures"
@@ -40,19 +41,16 @@ class Box(NamedTuple):
 
 def layers() -> str:
     """Return the packages in the layers of the import contract; pyproject.toml names the layers in comments."""
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    contract = text[text.index("layers = [") : text.index("\n]", text.index("layers = ["))]
-    rows = re.findall(r'^    "([^"]+)",\s*# (.*)$', contract, re.MULTILINE)
     parts = []
-    for number, (packages, name) in enumerate(rows):
+    for number, (name, packages) in enumerate(package_pages.layers()):
         y = 10 + 44 * number
         parts.append(_text(10, y + 22, name, size=13))
         x = 360.0
-        for package in re.split(r"\s*[|:]\s*", packages):
+        for package in packages:
             width = 20 + 8.2 * len(package)
             parts.append(_box(Box(x, y, width, 34, (package,), BLUE if number % 2 else GREEN)))
             x += width + 10
-    bottom = 10 + 44 * len(rows)
+    bottom = 10 + 44 * len(package_pages.layers())
     parts.append(_arrow([(345, 12), (345, bottom - 14)]))
     parts.append(
         _text(10, bottom + 14, "Imports run downwards only; packages of one layer do not import each other.", size=12)

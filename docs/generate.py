@@ -15,7 +15,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from docs import record_pages
+from docs import package_pages, record_pages, wire_pages
 from hil.cli.main import app
 from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
@@ -218,6 +218,18 @@ def other_files() -> str:
     return text + "".join(f"\n## {title}\n\n{_sections(model, level=3)}" for title, model in parts.items())
 
 
+def dispersion_sets() -> str:
+    """Return the page of the shipped dispersion sets: their files, which have the source of each size."""
+    intro = """# Dispersion sets
+
+What `hil campaign --dispersions NAME` draws, with the source of each size. Pass rates:
+[campaigns](../../explanation/campaigns.md#pass-rates).
+"""
+    files = sorted((Path(__file__).parents[1] / "configs" / "dispersions").glob("*.toml"))
+    sections = [f"## {path.stem}\n\n```toml\n{path.read_text(encoding='utf-8').strip()}\n```\n" for path in files]
+    return "\n".join([intro, *sections])
+
+
 HAZARD_KEYS: Final = (
     "id", "losses", "hazard", "cause", "software", "hardware", "category", "alarms", "tests", "remains",
 )  # fmt: skip
@@ -265,9 +277,14 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "hazards": hazards,
     "rig": rig_keys,
     "files": other_files,
+    "dispersions": dispersion_sets,
+    "packages": package_pages.packages,
+    "wires": wire_pages.wires,
+    "modes": wire_pages.modes,
     "records": record_pages.records,
     "gnc-records": record_pages.gnc_records,
     "backend-records": record_pages.backend_records,
+    "model-records": record_pages.model_records,
 }
 
 

@@ -8,6 +8,7 @@ from hil.core import manipulator_records, messages
 from hil.core.fields import Fields, markdown_table
 from hil.gnc_backends.backend_header import BACKEND_STRUCTS
 from hil.gnc_backends.c_header import RECORDS
+from hil.loop.model_stage import RECORDS as MODEL_RECORDS
 from hil.monitor.results import PORTION_FIELDS
 
 Section = str | Fields
@@ -133,4 +134,26 @@ of bytes."""
     ]
     for struct, fields in BACKEND_STRUCTS.items():
         sections += [f"**{_TITLES[struct]}** (`{struct}`):", fields]
+    return _page(sections)
+
+
+def model_records() -> str:
+    """Return the page of the records of plant models in FMUs."""
+    sections: list[Section] = [
+        """# Records of plant models
+
+Inputs, outputs and parameters of the FMUs that take the place of [parts of the
+plant](../../how-to/from-simulink.md#parts-of-the-plant-as-fmus); parameters that an FMU lacks are not set. Elements are
+`on[1]` to `on[24]`."""
+    ]
+    for name, records in MODEL_RECORDS.items():
+        required = ", ".join(f"`{field}`" for field in records.required)
+        sections += [
+            f"## {name}.fmu\n\nRequired outputs: {required}. **Inputs**:",
+            records.inputs,
+            "**Outputs**:",
+            records.outputs,
+            "**Parameters**:",
+            records.setup,
+        ]
     return _page(sections)

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from docs import diagrams, generate
+from docs import diagrams, generate, package_pages
+from tests.support import doc_words
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -67,14 +68,23 @@ def test_files_named_in_sources_exist(folder: str) -> None:
     assert not {(name, str(path)) for name, path in named if not (ROOT / name).exists()}
 
 
-def test_architecture_page_names_every_package() -> None:
-    page = (DOCS / "explanation" / "architecture.md").read_text()
+def test_page_of_the_packages_describes_every_package_and_module() -> None:
+    page = package_pages.packages()
     packages = {path.name for path in (ROOT / "hil").iterdir() if (path / "__init__.py").exists()}
-    assert packages == set(re.findall(r"^\| `hil/(\w+)` \|", page, re.MULTILINE))
+    assert packages == set(re.findall(r"^### hil/(\w+)$", page, re.MULTILINE))
+    assert re.findall(r"^\| `[\w./]+` \|\s*\|$|^### hil/\w+\n\n\n", page, re.MULTILINE) == []
 
 
 @pytest.mark.parametrize("name", diagrams.DIAGRAMS)
 def test_diagram_is_that_of_the_code(name: str) -> None:
     drawn = diagrams.DIAGRAMS[name]()
-    assert (diagrams.FOLDER / name).read_text() == drawn, "run python docs/diagrams.py"
+    assert (diagrams.FOLDER / name).read_text() == drawn, "run python -m docs.diagrams"
     assert all((ROOT / file).exists() for file in NAMED_FILE.findall(drawn))
+
+
+def test_pages_written_by_hand_stay_as_short_as_promised() -> None:
+    counts = doc_words.by_kind()
+    assert counts["tutorials"] >= 4000
+    assert sum(counts.values()) <= 55_000, "python -m tests.support.doc_words"
+    assert {page.name for page in (DOCS / "decisions").glob("0*.md") if doc_words.words(page) > 300} == set()
+    assert doc_words.words(ROOT / "CHANGELOG.md") <= 600

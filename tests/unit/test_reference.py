@@ -16,6 +16,10 @@ from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.modes import Mode
+from hil.core.operator_commands import OperatorCommand
+from hil.drivers.vmu import CAMERA_COUNTERS, COUNTERS
+from hil.frmn.mailboxes import BY_NUMBER
 from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 from hil.report.limits import LIMITS
 
@@ -52,7 +56,7 @@ def test_a_key_shows_type_unit_range_and_default() -> None:
 
 def test_page_of_the_command_line_has_every_command_and_the_others_have_rows() -> None:
     page, *others = generate.pages().values()
-    assert all("\n| `" in other or "\n| 0 |" in other or "\n| H-" in other for other in others)
+    assert all(re.search(r"\n\| (`|0 \||H-)|\n```toml\n", other) for other in others)
     headings = re.findall(r"^#+ hil (.*)$", page, re.MULTILINE)
     assert set(COMMANDS) | set(GROUPS) <= set(headings)
     assert {"gnc check", "gnc header", "recordings list"} <= set(headings)
@@ -62,5 +66,19 @@ def test_columns_of_a_campaign_are_described() -> None:
     page = (ROOT / "docs" / "reference" / "columns.md").read_text().split("## Campaigns")[1]
     described = set(re.findall(r"`(\w+)`", page))
     plain = [name for name in (*FLAGS, *COUNTS, *TEXTS, *NUMBERS) if not name.startswith("margin_")]
-    names = {re.sub(r"_[xyz]$", "", name) for name in (*plain, *LIMITS)}
+    names = {re.sub(r"_[xyz]$", "", name) for name in plain}
     assert names <= {re.sub(r"_[xyz]$", "", name) for name in described}
+
+
+def test_modes_commands_and_codecs_have_their_places_on_generated_pages() -> None:
+    modes, wires = generate.PAGES["modes"](), generate.PAGES["wires"]()
+    assert all(f"- **{mode.name}**: " in modes for mode in (*Mode, *OperatorCommand))
+    assert all(f"| `{name}` |" in modes for name in LIMITS)
+    assert all(f"| `{box.name}` |" in wires for box in BY_NUMBER.values())
+    unit, cameras = (
+        {name for row in re.findall(r"^- \*\*(.*)\*\*: ", part, re.MULTILINE) for name in row.split(", ")}
+        for part in wires.split("## Counters of cameras")
+    )
+    assert unit == set(COUNTERS)
+    assert cameras == {re.sub(r"_p\d+_us$", "", name) for name in CAMERA_COUNTERS}
+    assert "| 159 | checksum | | crc16-ccitt-false |" in wires  # 161 bytes, as the wire has them
