@@ -101,7 +101,7 @@ def campaign(
     workers
         Number of processes, of threads that draw the noise for a GPU; 0: one per core.
     engine
-        ``cpu``, or ``cuda`` (experimental): a GPU of NVIDIA. Cases of both are not mixed in a folder.
+        ``cpu``, or ``cuda`` (experimental, not yet sound on a GPU of NVIDIA). Cases of both are not mixed in a folder.
     options
         ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
         object of a class, and a copy of an object. A case whose object raises has failed;
