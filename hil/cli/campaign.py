@@ -44,7 +44,7 @@ class EngineOptions:
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://host:8786, whose workers are used instead."""
     engine: str = "cpu"
-    """cpu, or cuda (experimental, not yet sound on a GPU of NVIDIA), where --workers are threads that draw the noise."""
+    """cpu, or cuda (experimental, not yet sound on a GPU of NVIDIA), where --workers are threads drawing the noise."""
 
 
 @dataclass(frozen=True)
