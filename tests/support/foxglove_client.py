@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import time
 from collections import defaultdict
@@ -12,6 +13,8 @@ from typing import Any
 
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
+
+_UNKNOWN = re.compile(r"Unknown channel ID: (\d+)")
 
 
 @dataclass
@@ -165,6 +168,10 @@ class FoxgloveClient:
                     self._awaited = ""
             case "serviceCallFailure":
                 self.answers[message["callId"]] = {"failure": message["message"]}
+            case "status" if (unknown := _UNKNOWN.fullmatch(message["message"])) and int(unknown[1]) in self._topics:
+                # the SDK advertises a channel before it takes subscriptions to it
+                number = int(unknown[1])
+                self.send(op="subscribe", subscriptions=[{"id": number, "channelId": number}])
             case "status":
                 self.statuses.append(message["message"])
 

@@ -39,6 +39,7 @@ pytest.importorskip("foxglove")
 
 CODE = "0123-right"
 PICTURES_MAX = 600  # one in 50 ms: counted, as a pause of the computer is no failure
+LEASE = ("rig.console.lease_s=5",)  # a pause of the computer is no loss of the operator
 DEADBAND = "gnc.control.deadband_m"
 
 
@@ -63,7 +64,9 @@ class Desk:
         assert self._ready.wait(30.0)
 
     async def _run(self) -> None:
-        self.service = ConsoleService(Choice(scenario="scheme-1", rig="mock"), ["scheme-1"], ["mock"], time.monotonic)
+        self.service = ConsoleService(
+            Choice(scenario="scheme-1", rig="mock", settings=LEASE), ["scheme-1"], ["mock"], time.monotonic
+        )
         self.clients = FoxgloveClients(0, CODE, self.log.append)
         self.clients.attach(self.service)
         self._ready.set()
@@ -179,7 +182,7 @@ def test_every_topic_of_a_recording_is_live_with_its_schema_and_all_its_messages
         client.during(0.05)
         if client.of(picture):
             break
-    assert client.of(picture), "no picture came"
+    assert client.of(picture), f"no picture came: {client.statuses}"
     assert client.of(picture)[-1].json["data"] == base64.b64encode(b"\xff\xd8").decode()
     assert b"".join(message.data for message in client.of("/cycle")) == rows.tobytes()
     assert len(client.of("/state")) == 1
