@@ -53,7 +53,9 @@ def test_scenario_is_estimated_with_the_errors_that_it_asks_for(
     scenario = load_scenario(name, settings).value
     params = gnc_params.navigation(scenario)
     alone = params.sensors == VISION_ALONE  # the scale of its thrust
-    assert params.fusion.errors.n == errors + len(error_states(scenario)) + (1 if alone else 0)
+    tumbles = scenario.target.motion == "tumble" and scenario.gnc.target.rate_sigma_degps > 0.0  # rate and moments
+    more = len(error_states(scenario)) + (1 if alone else 0) + (6 if tumbles else 0)
+    assert params.fusion.errors.n == errors + more
     runner = CaseRunner(scenario, load_rig("mock").value, 5.0)
     history = np.zeros(runner.cycles, CYCLE)
     _, stop = runner.run(scenario, 0, history)
