@@ -22,6 +22,8 @@ from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, Pix
 
 BY_NAME = {row.name: row for row in LOOKALIKE_ROWS}
 
+QUICK_PLATES = ("plate 3 cm behind, 40 %", "plate 3 cm behind, 20 %, 6 to 12 m")
+
 
 @pytest.mark.parametrize(
     "name",
@@ -44,7 +46,14 @@ def test_track_is_kept_while_its_own_leds_are_where_they_are_expected() -> None:
     assert np.abs(tally.ratios).max() < 4.5
 
 
-@pytest.mark.parametrize("name", [row.name for row in LOOKALIKE_ROWS if row.name.startswith("plate")])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(row.name, marks=() if row.name in QUICK_PLATES else pytest.mark.slow)
+        for row in LOOKALIKE_ROWS
+        if row.name.startswith("plate")
+    ],
+)
 def test_pose_of_a_ring_before_a_mirroring_plate_is_not_ok_beyond_its_sigmas(name: str) -> None:
     tally = BY_NAME[name].run(8 if "12 m" in name else 5, 2)
     assert not tally.ratios or np.abs(tally.ratios).max() < 5.0, tally.line()
