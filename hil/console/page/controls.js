@@ -179,6 +179,7 @@ export class Controls {
       $(`order_${order}`).disabled = !(mine && allowed && !page.commissioning);
     }
     $("open").disabled = $("commission").disabled = !mine || open;
+    $("commission").hidden = open; // its room is for the axes
     if (changed) this.procedure(page);
     $("reply_yes").disabled = $("reply_no").disabled = !mine || !page.question;
     if (open) stayAwake();
