@@ -90,12 +90,6 @@ SENSOR_FUSION_STATE = np.dtype(
 )
 
 
-@kernel
-def clear_arrivals(state):
-    """Forget the samples of the cycle before. state: SENSOR_FUSION_STATE."""
-    state.arrived = 0
-
-
 @entry
 def place_samples(params, state, memory):
     """Put the samples of this cycle into the steps nearest to their times; return the first of these, -1 for none.
