@@ -38,14 +38,19 @@ def sensors_of(scenario: Scenario) -> dict[str, LoopSensor]:
 
     The docking monitor is one of them if its interlock acts.
     """
-    found = {
-        name: LoopSensor(sensor(config.kind), config, config.source == "model")
-        for name, config in scenario.sensors.items()
-    }
+    found = _added(scenario)
     if scenario.monitor.source != "none" and scenario.monitor.interlock:
         config = monitor_sensor(scenario)
         found[MONITOR] = LoopSensor(sensor(config.kind), config, scenario.monitor.source == "model")
     return found
+
+
+def _added(scenario: Scenario) -> dict[str, LoopSensor]:
+    """Return the sensors that the scenario adds: without the docking monitor, whose scene is a file to be read."""
+    return {
+        name: LoopSensor(sensor(config.kind), config, config.source == "model")
+        for name, config in scenario.sensors.items()
+    }
 
 
 class SensorErrorState(NamedTuple):
@@ -60,7 +65,7 @@ class SensorErrorState(NamedTuple):
 def error_states(scenario: Scenario) -> list[SensorErrorState]:
     """Return the errors of all fused sensors with standard deviations above 0, in the order of their states."""
     found = []
-    for number, (kind, config, _) in enumerate(sensors_of(scenario).values()):
+    for number, (kind, config, _) in enumerate(_added(scenario).values()):  # the docking monitor is a witness
         if config.use == "witness":
             continue
         values = kind.values(config.settings)
