@@ -38,7 +38,7 @@ from hil.gnc.step_memory import (
 )
 from hil.gnc.step_memory import new_memory as new_memory
 from hil.gnc.target_orbit import TARGET_ORBIT, move_hill_frame
-from hil.gnc.thrust_model import QUIET, THRUST_PARAMS, THRUST_STATE
+from hil.gnc.thrust_model import JUMP_NIS, JUMP_WINDOWS, QUIET, THRUST_PARAMS, THRUST_STATE
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import to_integer
@@ -108,8 +108,6 @@ FUSION_STATE = np.dtype(
 )
 
 _SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agree may have between them
-_JUMP_NIS = 45.0  # of quiet readings: a change of bias or disturbance; noise may be 1.5 times as large as assumed
-_JUMP_WINDOWS = 4  # in which they are averaged
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
@@ -356,16 +354,16 @@ def _quiet_mean(params, state, memory, cycle, steps, mean):
 def _fuse_bias(params, state, memory, cycle):
     """Fuse the accelerometer's quiet readings of the window that ends with step ``cycle``, if one does.
 
-    If those of ``_JUMP_WINDOWS`` agree neither with bias nor disturbance, both may have changed.
+    If those of ``JUMP_WINDOWS`` agree neither with bias nor disturbance, both may have changed.
     """
     window = params.thrust.window
     if params.thrust.enabled == 0 or cycle % window != 0:
         return
     mean, found, errors, filters = stack.vector(3), state.found_position, params.errors, state.filters
-    count = _quiet_mean(params, state, memory, cycle, _JUMP_WINDOWS * window, mean)
+    count = _quiet_mean(params, state, memory, cycle, JUMP_WINDOWS * window, mean)
     if count > window:
         thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, found)
-        if joint_filter.innovate(errors, filters, R, 9, found) > _JUMP_NIS:
+        if joint_filter.innovate(errors, filters, R, 9, found) > JUMP_NIS:
             thrust_model.admit_jump(errors, filters, found)
             state.thrust.jumped = cycle
     count = _quiet_mean(params, state, memory, cycle, window, mean)

@@ -20,6 +20,7 @@ _SCALE_MAX = 0.05  # error of the accelerometer's scale that is admitted, 1 sigm
 _UNKNOWN_M2PS2 = 1.0  # of a velocity
 _ALONG = 0.8  # cosine of the angle between this difference and the mean of the innovations
 _ACROSS = 0.2  # part of a doubted velocity that may point elsewhere
+_FOUND_S = 3.0  # after which it is found
 _DISTURBED_S = 50.0  # in which the disturbance may have explained it
 
 
@@ -66,7 +67,9 @@ def doubt_velocity(params, state, errors, fusion):
         excess[i] *= part
     doubts, size = fusion.doubts, part * math.sqrt(size)
     quat.transform_back_into(fusion.filters.akf.x[0:4], excess, doubts.velocity)
-    # innovations of a wrong velocity have moved the disturbance as well
+    # a wrong velocity has moved the chaser, and its innovations the disturbance
+    for i in range(3):
+        doubts.position[i] = math.hypot(doubts.position[i], _FOUND_S * doubts.velocity[i])
     doubts.acts, doubts.across, doubts.disturbance = 1, _ACROSS * size, size / _DISTURBED_S
     fill(excess, 0.0)
     fusion.thrust.spread, state.drags = _UNKNOWN_M2PS2, 0  # corrections are now those of filters that converge

@@ -21,7 +21,9 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
+from hil.gnc import torque_witness
 from hil.gnc.error_state import BIAS, DRIFT, V
+from hil.gnc.torque_witness import TORQUE_PARAMS, TORQUE_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.models.valves import step_valves
@@ -31,6 +33,10 @@ MEASURED, QUIET, COMMANDED = range(3)
 REGAINED = 2
 MEMORY_S: Final = 30.0
 """Time over which corrections of the velocity are compared with what noise and thrust explain."""
+JUMP_NIS: Final = 45.0
+"""Of the mean of quiet readings: a change of bias or disturbance; noise may be 1.5 times as large as assumed."""
+JUMP_WINDOWS: Final = 4
+"""Over which they are averaged for it."""
 
 THRUST_PARAMS = np.dtype(
     [
@@ -48,6 +54,7 @@ THRUST_PARAMS = np.dtype(
         ("rate_variance", "f8"),  # (rad/s)^2 that the rate gains in a step without gyros
         ("window", "i8"),  # steps over which quiet readings are averaged
         ("gate", "f8"),  # standard deviations of a reading
+        ("witness", TORQUE_PARAMS),  # of the gyros
     ],
     align=True,
 )
@@ -64,6 +71,7 @@ THRUST_STATE = np.dtype(
         ("spread", "f8"),  # (m/s)^2, what white noise adds to the velocity, forgotten over ``MEMORY_S``
         ("gained_C", "f8", 3),  # m/s, velocity by thrust, the same
         ("excess_C", "f8", 3),  # m/s, of it: what the accelerometer reads beyond the commands, the same
+        ("witness", TORQUE_STATE),
     ],
     align=True,
 )
@@ -100,6 +108,22 @@ def _is_quiet(params, of_pkf, errors, filters, force):
 
 
 @kernel
+def _doubt_disturbance(params, state, step):
+    """Let the filters estimate the disturbance again if the gyros show a change of it. state: FUSION_STATE.
+
+    It has moved the chaser for as long as their mean is late.
+    """
+    more = torque_witness.watch(params.witness, state.thrust.witness, state.thrust.rate_C, step.rate_C, params.dt_s)
+    if more > 0.0:
+        doubts, late_s = state.doubts, params.witness.delay * params.dt_s
+        doubts.acts, doubts.disturbance = 1, math.hypot(doubts.disturbance, more)
+        doubts.across = math.hypot(doubts.across, more * late_s)
+        for i in range(3):
+            doubts.position[i] = math.hypot(doubts.position[i], 0.5 * more * late_s**2)
+        state.thrust.jumped = state.cycle
+
+
+@kernel
 def begin(params, state, started, commanded, step):
     """Write thrust, kind and noise of ``step`` (STEP), whose IMU sample is there already.
 
@@ -113,8 +137,10 @@ def begin(params, state, started, commanded, step):
         return
     if state.thrust.without_imu == REGAINED:
         step.regains, state.thrust.without_imu = 1, 0
-    copy_into(state.thrust.rate_C, step.rate_C)
     is_closed = thrust.enabled != 0 and state.thrust.since > thrust.settle
+    if is_closed and started and state.thrust.since > thrust.settle + 1:
+        _doubt_disturbance(thrust, state, step)
+    copy_into(state.thrust.rate_C, step.rate_C)
     if is_closed and (not started or _is_quiet(thrust, of_pkf, params.errors, state.filters, step.force_C)):
         step.kind = QUIET
 

@@ -27,8 +27,9 @@ from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.reactions import REACTION_PARAMS
 from hil.gnc.step import GNC_PARAMS
 from hil.gnc.target_orbit import TARGET_ORBIT
-from hil.gnc.thrust_model import THRUST_PARAMS
+from hil.gnc.thrust_model import JUMP_NIS, JUMP_WINDOWS, THRUST_PARAMS
 from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
+from hil.gnc.torque_witness import STAGES, TORQUE_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
@@ -46,6 +47,9 @@ _SOUND_S = 1.0  # for which readings must agree with the commands, or contradict
 _SETTLED_S = 0.2  # a firing has been felt, also that of a valve that is late
 _CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
 _AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no gradient of gravity
+_TORQUE_MEAN_S = 3.0  # time constant of each low-pass of the gyros' angular acceleration
+_LEAK_MIN = 0.0017  # of a thrust: bending after a slew looks like less
+_UNKNOWN_INERTIA = 0.5  # differences of moments of inertia over one of them
 _MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever arm of the accelerometers
 _QUIET_WINDOW_S = 0.32  # over which quiet readings are averaged
 _QUIET_SIGMAS = 5.0  # of a reading that is quiet
@@ -164,6 +168,22 @@ def _thrust_model(scenario: Scenario) -> np.record:
     params.rate_variance = math.radians(given.rate_noise_degps) ** 2 * dt_s
     params.window = min(max(1, round(_QUIET_WINDOW_S / dt_s)), scenario.memory_steps)
     params.gate = _QUIET_SIGMAS
+    params.witness = _torque_witness(accelerations, params, scenario.gnc.pkf.accelerometer_noise_mps2)
+    return params
+
+
+def _torque_witness(accelerations: Array, thrust: np.record, accelerometer_noise_mps2: float) -> np.record:
+    """Return TORQUE_PARAMS. accelerations: of the thrusters, (n, 6). thrust: THRUST_PARAMS."""
+    params = new(TORQUE_PARAMS)
+    sizes = [(float(np.linalg.norm(row[:3])), float(np.linalg.norm(row[3:]))) for row in accelerations]
+    dt_s = float(thrust.dt_s)
+    params.weight, params.delay = dt_s / _TORQUE_MEAN_S, round(STAGES * _TORQUE_MEAN_S / dt_s)
+    params.limit, params.turning = math.inf, _UNKNOWN_INERTIA
+    turning = [(force, torque) for force, torque in sizes if torque > _TORQUE_MIN]
+    if turning:
+        params.limit = _LEAK_MIN * max(torque for _, torque in turning)
+        params.force = max(force / torque for force, torque in turning)
+        params.most = accelerometer_noise_mps2 * math.sqrt(JUMP_NIS / (JUMP_WINDOWS * thrust.window)) / params.force
     return params
 
 

@@ -78,6 +78,8 @@ WRONG = {
     "strong and agile with late valves": (STRONG, AGILE, LATE),
     "leak of 8 % from the start": (leak(2, 0.08, 0.0),),
     "leak of 6 % that begins in the approach": (leak(9, 0.06, 100.0),),
+    "leak of 1 % that begins in the approach": (leak(4, 0.01, 150.0),),
+    "leak of 0.4 % that begins near the target": (leak(11, 0.004, 230.0),),
 }
 
 
@@ -92,11 +94,12 @@ def test_wrong_parameters_are_flown_and_no_sensor_is_accused_for_them(name: str,
     assert found["propellant_kg"] <= PROPELLANT_MAX_KG
 
 
-def test_most_approaches_with_an_accelerometer_that_reads_5_percent_wrong_are_flown_and_none_is_misled() -> None:
+def test_approaches_with_an_accelerometer_that_reads_5_percent_wrong_are_flown_and_none_is_misled() -> None:
     found = [fly(name, (accelerometer(sign * 0.05),), seed) for name in SCHEMES for sign in (1, -1) for seed in (7, 8)]
-    assert sum(row["passed"] for row in found) >= 5
     for row in found:
-        assert row["false_alarm_imu"] == row["hmi_cycles"] == row["beyond_level_cycles"] == 0
+        assert row["passed"], row["abort"]
+        assert row["false_alarm_vision"] == row["false_alarm_imu"] == 0
+        assert row["hmi_cycles"] == row["beyond_level_cycles"] == 0
         assert not row["decision_error"]
 
 
