@@ -213,7 +213,7 @@ def _remember_update(state):
         state.noise_m, state.noise_rad = max(state.noise_m, of_position), max(state.noise_rad, of_attitude)
         state.gain_position = max(state.gain_position, _gain(position, R + i))
         state.gain_velocity = max(state.gain_velocity, _gain(position, V + i))
-        state.gain_attitude = max(state.gain_attitude, _gain(attitude, ROTATION + i))
+        state.gain_attitude = max(state.gain_attitude, _gain_of_noise(attitude, ROTATION + i))
         for k in range(3):
             state.corrected[i] += position.gain[k, V + i] * position.value[k]
     state.updated = 1
@@ -223,6 +223,19 @@ def _remember_update(state):
 def _gain(found, i):
     """Return the length of row ``i`` of the gain of ``found`` (INNOVATION)."""
     return math.sqrt(found.gain[0, i] ** 2 + found.gain[1, i] ** 2 + found.gain[2, i] ** 2)
+
+
+@kernel
+def _gain_of_noise(found, i):
+    """Return by how much innovations of one sigma each move component ``i``, over the largest of these sigmas.
+
+    The roll about the line of sight is measured several times better than the tilt, and its gain is as much larger: the
+    largest gain and the largest noise are of different axes.
+    """
+    largest, total = max(found.s[0, 0], found.s[1, 1], found.s[2, 2]), 0.0
+    for k in range(3):
+        total += found.gain[k, i] ** 2 * found.s[k, k]
+    return math.sqrt(total / largest)
 
 
 @entry
