@@ -96,7 +96,7 @@ class ThrusterErrors(ConfigModel):
 class ErrorBudget(ConfigModel):
     """Sizes of the sensors' errors for the GNC, all standard deviations; without them the filters have none.
 
-    Constants are considered, correlated errors are estimated ([error budget](../../explanation/error-budget.md)).
+    Constants of the IMU are considered, the others estimated ([error budget](../../explanation/error-budget.md)).
     """
 
     vision_bias_sigma_m: NotNegativeTriple = _NONE

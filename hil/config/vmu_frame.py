@@ -80,6 +80,8 @@ class FrameStatus(ConfigModel):
     """The frame has a pose."""
     no_pose: Annotated[int, Field(ge=0)] = 1
     """The target is not visible; the other fields are void."""
+    position: Annotated[int, Field(ge=0)] | None = None
+    """The frame has a position, and no attitude; unless set, the unit has no such frames."""
 
 
 class VmuFrame(ConfigModel):

@@ -68,7 +68,14 @@ POSE_FIELDS: Final = (
     Field(
         "covariance_cross", "f8", (3, 3), "m rad", "c", "of the errors of z_TC_C (rows) and of the small-angle rotation"
     ),
-    Field("status", "i8", (), "1", "", "status that the vision unit reported with the pose, 0 good"),
+    Field(
+        "status",
+        "i8",
+        (),
+        "1",
+        "",
+        "status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess",
+    ),
 )
 POSE = record_dtype(POSE_FIELDS)
 
@@ -244,7 +251,7 @@ VMU_FRAME_FIELDS: Final = (
     ),
     Field("leds_left", "i8", (), "1", "", "bit n: LED n was used in the left image"),
     Field("leds_right", "i8", (), "1", "", "bit n: LED n was used in the right image"),
-    Field("status", "i8", (), "1", "", "status that the vision unit reported, 0 good"),
+    Field("status", "i8", (), "1", "", "status that the vision unit reported: 0 good, 2 a position alone"),
 )
 VMU_FRAME = record_dtype(VMU_FRAME_FIELDS)
 """A frame of the vision unit; ``PoseFrame`` is its view in Python."""
@@ -332,6 +339,11 @@ class IoOutputs(NamedTuple):
     brakes_released: bool = False
     pump: bool = True
     warning: bool = False
+
+
+POSITION_ONLY: Final = 2
+"""Status of a frame and of a pose whose attitude is a guess, with ``UNKNOWN_ATTITUDE_RAD`` about each axis."""
+UNKNOWN_ATTITUDE_RAD: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,8 +52,8 @@ AKF: Final = Block("akf", (("rotation_C", 3, "rad"), ("drift_C", 3, "rad/s")), B
 
 PARAMETER_BLOCKS: Final = (
     _block("misalignment", 3, "rad", BlockMotion.CONSTANT, True),  # of the cameras, about c's axes
-    _block("bias", 3, "m", BlockMotion.CONSTANT, False),  # of a pose, in c
-    _block("scale", 1, "1", BlockMotion.CONSTANT, False),  # of the distance
+    _block("bias", 3, "m", BlockMotion.CONSTANT, True),  # of a pose, in c
+    _block("scale", 1, "1", BlockMotion.CONSTANT, True),  # of the distance
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
     _block("sensor_errors", ERROR_STATES_MAX, "as of the sensor", BlockMotion.MARKOV, True),  # as many as are declared
     _block("target_rate", 3, "rad/s", BlockMotion.EULER, True),  # of a target that tumbles, in H

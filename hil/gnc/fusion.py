@@ -5,6 +5,8 @@ with their covariance, and the poses of that moment. A pose is assigned to the s
 filters return to that step and are propagated forward again over the same samples and poses. The result is that of a
 filter that had waited for the pose.
 
+Of a pose whose attitude is a guess the position is fused alone; it neither starts the filters nor opens a closed gate.
+
 A gate rejects poses by their innovations. After ``close_after`` consecutive rejections it is closed: it opens again
 only for the last of ``reopen_after`` consecutive poses that agree with each other and with what the IMU has carried
 over. The restart keeps the jump as an error that is possible from then on. Poses that agree with each other alone
@@ -18,7 +20,7 @@ import math
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.core.messages import MAX_THRUSTERS
+from hil.core.messages import MAX_THRUSTERS, POSITION_ONLY
 from hil.gnc import body_frame, joint_filter, pose_model, sensor_fusion, target_motion, thrust_model
 from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
@@ -200,27 +202,50 @@ def _closed_gate(params, state, passes):
 
 
 @kernel
-def _remember_update(state):
-    """Keep what the monitors need of an accepted pose: its innovations, their noise and the gains."""
-    position, attitude = state.found_position, state.found_attitude
-    state.noise_m = state.noise_rad = state.gain_position = state.gain_velocity = state.gain_attitude = 0.0
+def _remember_position(state):
+    """Keep what the monitors need of an accepted position: its innovations, their noise and the gains."""
+    position = state.found_position
+    state.noise_m = state.gain_position = state.gain_velocity = 0.0
     for i in range(3):
-        of_position, of_attitude = math.sqrt(position.s[i, i]), math.sqrt(attitude.s[i, i])
-        state.innovation[i] = position.value[i] / of_position
-        state.innovation[3 + i] = attitude.value[i] / of_attitude
-        state.noise_m, state.noise_rad = max(state.noise_m, of_position), max(state.noise_rad, of_attitude)
+        of_position = math.sqrt(position.s[i, i])
+        state.innovation[i], state.innovation[3 + i] = position.value[i] / of_position, 0.0
+        state.noise_m = max(state.noise_m, of_position)
         state.gain_position = max(state.gain_position, _gain(position, R + i))
         state.gain_velocity = max(state.gain_velocity, _gain(position, V + i))
-        state.gain_attitude = max(state.gain_attitude, _gain(attitude, ROTATION + i))
         for k in range(3):
             state.corrected[i] += position.gain[k, V + i] * position.value[k]
     state.updated = 1
 
 
 @kernel
+def _remember_attitude(state):
+    """Keep the same of an accepted attitude."""
+    attitude = state.found_attitude
+    state.noise_rad = state.gain_attitude = 0.0
+    for i in range(3):
+        of_attitude = math.sqrt(attitude.s[i, i])
+        state.innovation[3 + i] = attitude.value[i] / of_attitude
+        state.noise_rad = max(state.noise_rad, of_attitude)
+        state.gain_attitude = max(state.gain_attitude, _gain_of_noise(attitude, ROTATION + i))
+
+
+@kernel
 def _gain(found, i):
     """Return the length of row ``i`` of the gain of ``found`` (INNOVATION)."""
     return math.sqrt(found.gain[0, i] ** 2 + found.gain[1, i] ** 2 + found.gain[2, i] ** 2)
+
+
+@kernel
+def _gain_of_noise(found, i):
+    """Return by how much innovations of one sigma each move component ``i``, over the largest of these sigmas.
+
+    The roll about the line of sight is measured several times better than the tilt, and its gain is as much larger: the
+    largest gain and the largest noise are of different axes.
+    """
+    largest, total = max(found.s[0, 0], found.s[1, 1], found.s[2, 2]), 0.0
+    for k in range(3):
+        total += found.gain[k, i] ** 2 * found.s[k, k]
+    return math.sqrt(total / largest)
 
 
 @entry
@@ -242,12 +267,18 @@ def _fuse_pose(params, state, pose, moment_s, gated):
     quat.from_rotation_vector_into(rotation, back)
     quat.multiply_into(back, pose.q_CH, q_measured)
     quat.transform_into(back, pose.z_TC_C, z)
-    nis_a = pose_model.innovate_attitude(errors, filters, state.noise, q_measured, pose.covariance_attitude, attitude)
-    nis_p = np.nan
+    nis_a = nis_p = np.nan
+    is_whole = pose.status != POSITION_ONLY
+    if is_whole:
+        nis_a = pose_model.innovate_attitude(
+            errors, filters, state.noise, q_measured, pose.covariance_attitude, attitude
+        )
     found = gated
     if gated == NOT_GATED:
-        found = ATTITUDE_ONLY if 0.0 <= nis_a <= params.akf.gate else REJECTED
-        if state.rejected_in_a_row >= params.close_after:
+        found = ATTITUDE_ONLY if not is_whole or 0.0 <= nis_a <= params.akf.gate else REJECTED
+        if state.rejected_in_a_row >= params.close_after and not is_whole:
+            found = REJECTED
+        elif state.rejected_in_a_row >= params.close_after:
             nis_p = pose_model.innovate_position(
                 errors, filters, state.noise, z, pose.covariance_position, delta_s, position
             )
@@ -259,7 +290,8 @@ def _fuse_pose(params, state, pose, moment_s, gated):
     if found == REOPENED:
         _add_jump(state, z, delta_s)
     if found >= ATTITUDE_ONLY:
-        joint_filter.update(errors, filters, attitude)
+        if is_whole:
+            joint_filter.update(errors, filters, attitude)
         nis_p = pose_model.innovate_position(
             errors, filters, state.noise, z, pose.covariance_position, delta_s, position
         )
@@ -268,9 +300,11 @@ def _fuse_pose(params, state, pose, moment_s, gated):
         if found >= ACCEPTED:
             joint_filter.update(errors, filters, position)
             if gated == NOT_GATED:
-                _remember_update(state)
+                _remember_position(state)
                 pose_model.adapt(errors, state.noise, 0, position)
-                pose_model.adapt(errors, state.noise, 1, attitude)
+                if is_whole:
+                    _remember_attitude(state)
+                    pose_model.adapt(errors, state.noise, 1, attitude)
     if gated == NOT_GATED:
         _count(params, state, pose, found, nis_a, nis_p)
     return found
@@ -299,6 +333,8 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
 @kernel
 def _place(params, state, memory, pose):
     """Put a pose into the step nearest to its exposure; return that step's number, or -1 if there is none."""
+    if state.started == 0 and pose.status == POSITION_ONLY:
+        return -1
     cycle = to_integer(math.floor(pose.t_s / params.pkf.dt_s + 0.5))
     if cycle > state.cycle + params.ahead:  # the unit's clock runs ahead: the moment of exposure is unknown
         state.too_late += 1
@@ -431,7 +467,8 @@ def fuse(params, state, memory, pose):
     first = _place(params, state, memory, pose)
     if first < 0:
         return
-    _compare(state, pose)
+    if pose.status != POSITION_ONLY:
+        _compare(state, pose)
     _fuse_again(params, state, memory, first)
 
 

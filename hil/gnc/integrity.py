@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
+from hil.core.messages import POSITION_ONLY
 from hil.gnc import sensor_monitor, thrust_model
 from hil.gnc.approach_monitor import LEVEL_TERMS
 from hil.gnc.error_state import V
@@ -105,7 +106,7 @@ def is_measurement(params, pose):
         and square <= params.range_max**2
         and abs(norm - 1.0) <= 2.0 * _UNIT_TOLERANCE
         and is_covariance_3(pose.covariance_position, params.sigma_max)
-        and is_covariance_3(pose.covariance_attitude, params.sigma_angle_max)
+        and (pose.status == POSITION_ONLY or is_covariance_3(pose.covariance_attitude, params.sigma_angle_max))
     )
 
 
@@ -154,7 +155,10 @@ def admits(params, state, pose):
 
 @kernel
 def monitor(params, state, innovation, nis_position, nis_attitude):
-    """Take an accepted pose: its normalised innovation (6,), position then attitude, and the NIS of both filters."""
+    """Take an accepted pose: its normalised innovation (6,), position then attitude, and the NIS of both filters.
+
+    nis_attitude: nan for a position alone, whose innovation of the attitude is 0.
+    """
     state.monitored += 1
     for i in range(SUMS):
         value = innovation[min(i, 5)]
@@ -167,7 +171,8 @@ def monitor(params, state, innovation, nis_position, nis_attitude):
             state.biased = 1
     weight = max(params.nis_weight, 1.0 / state.monitored)
     state.mean_nis[0] += weight * (nis_position - state.mean_nis[0])
-    state.mean_nis[1] += weight * (nis_attitude - state.mean_nis[1])
+    if not math.isnan(nis_attitude):
+        state.mean_nis[1] += weight * (nis_attitude - state.mean_nis[1])
 
 
 @kernel

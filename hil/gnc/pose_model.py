@@ -22,6 +22,7 @@ from hil.maths.arrays import copy_into, fill_matrix
 
 _LEAST_WHITE = 1e-4  # of a pose's variance
 _LONGEST_STEP = 1.0  # of the logarithm of the noise's factor, per pose
+_LEAST_FACTOR = 3.0  # standard deviations of the logarithm as it was known, below the reported noise
 
 
 @kernel
@@ -229,3 +230,4 @@ def adapt(errors, noise, k, found):
     noise.information[k] += information
     noise.information[k] = min(noise.information[k], errors.noise_window * information)
     noise.log[k] += min(_LONGEST_STEP, max(-_LONGEST_STEP, score / noise.information[k]))
+    noise.log[k] = max(noise.log[k], -_LEAST_FACTOR * math.sqrt(errors.noise_variance))

@@ -152,7 +152,7 @@ def copy_pose(source, factor, target):
     """Copy what the filters need of POSE, with the covariances times ``factor``."""
     copy_into(target.z_TC_C, source.z_TC_C)
     copy_into(target.q_CH, source.q_CH)
-    target.t_s = source.t_s
+    target.t_s, target.status = source.t_s, source.status
     for i in range(3):
         for j in range(3):
             target.covariance_position[i, j] = factor * source.covariance_position[i, j]

@@ -12,6 +12,7 @@ from numba import typeof, types
 from hil.core.foreign_call import call_address
 from hil.core.gnc_records import GncHealth, GncState
 from hil.core.jit import kernel
+from hil.core.messages import POSITION_ONLY
 from hil.gnc import allocation
 from hil.gnc.backend_step import first_not_finite
 from hil.gnc.backend_step import mark_invalid as mark_invalid
@@ -30,7 +31,10 @@ _NORM_TOLERANCE = 1e-3  # of an estimated quaternion
 
 @kernel
 def write_input(cycle, t_s, mode, orders, imu, reference, poses, n_poses, out):
-    """Write ``out`` (GNC_INPUT). poses: array of POSE, of which the first ``n_poses`` came since the last input."""
+    """Write ``out`` (GNC_INPUT). poses: array of POSE, of which the first ``n_poses`` came since the last input.
+
+    Those whose attitude is a guess are left out: GNC_INPUT has no status of a pose.
+    """
     out.cycle = cycle
     out.t_s = t_s
     out.mode = mode
@@ -42,9 +46,12 @@ def write_input(cycle, t_s, mode, orders, imu, reference, poses, n_poses, out):
     copy_into(out.reference_a_CT_H_mps2, reference.a_CT_H)
     copy_into(out.reference_q_CH, reference.q_CH)
     out.boost = reference.boost
-    out.n_poses = n_poses
+    out.n_poses = 0
     for i in range(n_poses):
-        sent, pose = out.poses[i], poses[i]
+        sent, pose = out.poses[out.n_poses], poses[i]
+        if pose.status == POSITION_ONLY:
+            continue
+        out.n_poses += 1
         sent.t_s = pose.t_s
         copy_into(sent.r_TC_C_m, pose.z_TC_C)
         copy_into(sent.q_CH, pose.q_CH)

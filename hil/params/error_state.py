@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -13,8 +12,6 @@ from hil.core.messages import Array, new
 from hil.errors import BadInput
 from hil.gnc.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
 from hil.params.sensors import SensorErrorState, error_states
-
-_OF_POSES: Final = ("bias", "scale")
 
 
 def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState]) -> dict[str, Array]:
@@ -52,7 +49,6 @@ def error_state(scenario: Scenario) -> np.record:
         "gyro_instability": given.gyro_instability_time_s,
         "accelerometer_instability": given.accelerometer_instability_time_s,
     }
-    is_fused = any(sensor.use == "fusion" for sensor in scenario.sensors.values())
     n, params.imu = FILTER_ERRORS, 0
     params.kept = np.ones(LANES)
     for block in PARAMETER_BLOCKS:
@@ -65,9 +61,7 @@ def error_state(scenario: Scenario) -> np.record:
         here = slice(n, n + size)
         params[block.name] = n
         params.variance[here] = sigmas[block.name] ** 2
-        # with further sensors bias and scale of the vision unit can be observed: unless estimated, its innovations have
-        # a mean
-        params.estimated[here] = block.estimated or (block.name in _OF_POSES and is_fused)
+        params.estimated[here] = block.estimated
         if block.name == "sensor_errors":
             params.kept[here] = [math.exp(-scenario.sample_s / error.time_s) for error in of_sensors]
             params.moves = params.moves or any(math.isfinite(error.time_s) for error in of_sensors)

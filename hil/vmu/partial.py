@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
+from hil.maths import quat
 
 OK_POSITION: Final = "ok_position"
 OK_SIGHT: Final = "ok_sight"
@@ -25,9 +26,10 @@ class PartialPose:
 
     sight: (3,), unit vector in v from the left camera to the origin of t. sight_sigma_rad: its standard deviation in
     the least certain direction. t_v: (3,), m, position of t, and covariance: (3, 3), m^2; None if the range is not
-    known.
+    known. q_vt: (4,), attitude of the likeliest candidate, a guess.
     """
 
+    q_vt: Array
     sight: Array
     sight_sigma_rad: float
     t_v: Array | None
@@ -47,6 +49,7 @@ def partial_pose(candidates: Sequence[np.void]) -> PartialPose | None:
     score = np.array([float(fit["score"]) for fit in candidates])
     weight = np.maximum(np.exp(score - score.max()), _LEAST_WEIGHT)
     weight /= weight.sum()
+    q_vt = quat.from_matrix(candidates[int(score.argmax())]["r"])
     places = np.array([fit["t"] for fit in candidates])
     mean = weight @ places
     off = places - mean
@@ -59,5 +62,5 @@ def partial_pose(candidates: Sequence[np.void]) -> PartialPose | None:
     if not sight_sigma < _LARGEST_SIGHT_RAD:
         return None
     if math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < _LARGEST_SIGMA * away:
-        return PartialPose(sight, sight_sigma, mean, covariance)
-    return PartialPose(sight, sight_sigma, None, None)
+        return PartialPose(q_vt, sight, sight_sigma, mean, covariance)
+    return PartialPose(q_vt, sight, sight_sigma, None, None)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.config.load import load_geometry
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.messages import Array, PoseFrame
+from hil.core.messages import POSITION_ONLY, UNKNOWN_ATTITUDE_RAD, Array, PoseFrame
 from hil.maths import quat
 from hil.vmu.consistency import Consistency
 from hil.vmu.detect import SpotDetector
@@ -74,8 +74,7 @@ class Solution:
     """Result of one stereo pair.
 
     status: ``ok``, ``predicted``, ``suspect``, ``ok_position``, ``ok_sight``, ``ambiguous``, ``too_few`` or
-    ``rejected_<why>``. pose: with the first three only. partial: with the next two only, which are no pose for the
-    bench.
+    ``rejected_<why>``. pose: with the first three only. partial: with the next two only.
     spots: SPOT of each image, as far as it was searched. leds: for each image, the index into spots of each
     LED, -1 for none. chi2, degrees: of the fit. candidates: number of remaining poses. epipolar_px: root mean square
     distance of the right spots from the epipolar lines of the left ones, NaN unless both images have spots of an LED.
@@ -138,8 +137,13 @@ class Solution:
     def frame(self, counter: int, received_s: float, only_noise: bool = False) -> PoseFrame | None:
         """Return the measured pose as the bench's message, None without one.
 
-        only_noise: its covariance is that of the part that is independent between images.
+        A position alone has the status POSITION_ONLY. only_noise: the covariance of a pose is that of the part that is
+        independent between images.
         """
+        if self.partial is not None and self.partial.t_v is not None:
+            known, covariance = self.partial, np.diag(np.full(6, UNKNOWN_ATTITUDE_RAD**2))
+            covariance[:3, :3] = known.covariance
+            return PoseFrame(counter, self.t_s, received_s, known.t_v, known.q_vt, covariance, 0, 0, POSITION_ONLY)
         if self.pose is None or self.status != OK:
             return None
         p = self.pose

@@ -24,7 +24,7 @@ _EIGENVALUE_TOLERANCE: Final = 1e-5  # of the correlations: the wire has float32
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """An intact frame. t_s: exposure, s of bench time; ``pose`` is None unless status is good."""
+    """An intact frame. t_s: exposure, s of bench time; ``pose`` is None unless status is good, or POSITION_ONLY."""
 
     counter: int
     t_s: float
@@ -64,4 +64,4 @@ def checked_pose(pose: PoseFrame) -> Decoded | None:
         return None  # behind the cameras or farther than any bench is long
     if not _is_covariance(pose.covariance):
         return None
-    return Decoded(pose.counter, pose.t_s, STATUS_GOOD, pose)
+    return Decoded(pose.counter, pose.t_s, pose.status, pose)

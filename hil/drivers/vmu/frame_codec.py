@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.config.load import load_frame
 from hil.config.vmu_frame import FrameField, VmuFrame
-from hil.core.messages import Array, PoseFrame
+from hil.core.messages import POSITION_ONLY, Array, PoseFrame
 from hil.drivers.checksums import crc16_ccitt, crc16_modbus, sum8, xor8
 from hil.drivers.vmu.codec import STATUS_GOOD, STATUS_NO_POSE, Decoded, ReportedIdentity, checked_pose
 from hil.maths import quat
@@ -54,7 +54,15 @@ class FrameCodec:
         self.identity_size = len(self.identity_sync) + _IDENTITY.size + self._checksum.size
 
     def encode(self, pose: PoseFrame) -> bytes:
-        """Return the bytes of ``pose``; numbers beyond a field's range are limited to it."""
+        """Return the bytes of ``pose``; numbers beyond a field's range are limited to it.
+
+        A position alone is a frame without pose if the file has no status for it.
+        """
+        status = self.frame.status.good
+        if pose.status == POSITION_ONLY:
+            if self.frame.status.position is None:
+                return self.encode_status(pose.counter, pose.t_s, STATUS_NO_POSE)
+            status = self.frame.status.position
         q = _with_sense(np.asarray(pose.q_vt, dtype=float), self.frame)
         values: dict[str, object] = {
             "position": pose.t_v,
@@ -68,7 +76,7 @@ class FrameCodec:
             values |= {"sigma_position": sigma[:3], "sigma_angle": sigma[3:]}
         if "euler" in self._names:
             values["euler"] = euler_angles(quat.to_matrix(q).T, self.frame.euler_sequence)
-        return self._pack(pose.counter, pose.t_s, values, self.frame.status.good)
+        return self._pack(pose.counter, pose.t_s, values, status)
 
     def encode_status(self, counter: int, t_s: float, status: int) -> bytes:
         """Return the bytes of a frame without pose; a frame without a field for the status is empty."""
@@ -189,12 +197,13 @@ class FrameDecoder:
         frame, k = self._frames.frame, 0
         found: dict[str, Array] = {}
         values = self._frames.body.unpack_from(raw, len(self._frames.sync))
-        for field in frame.fields:
-            part = values[k : k + field.count]
-            k += field.count
-            if field.name == "constant" and part[0] != field.value:
-                return None
-            found[field.name] = _si(np.array(part, dtype=float), field)
+        with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN
+            for field in frame.fields:
+                part = values[k : k + field.count]
+                k += field.count
+                if field.name == "constant" and part[0] != field.value:
+                    return None
+                found[field.name] = _si(np.array(part, dtype=float), field)
         return found if self._is_intact(raw) else None
 
     def _decode(self, values: dict[str, Array], received_s: float) -> Decoded | None:
@@ -203,15 +212,16 @@ class FrameDecoder:
         status = int(values["status"][0]) if "status" in values else frame.status.good
         if status == frame.status.no_pose:
             return Decoded(counter, t_s, STATUS_NO_POSE, None)
-        if status != frame.status.good:
+        if status not in (frame.status.good, frame.status.position):
             return Decoded(counter, t_s, max(status & 0xFF, STATUS_NO_POSE + 1), None)
         q_vt = self._quaternion(values)
         if q_vt is None:
             return None
         leds = [int(values[name][0]) if name in values else 0 for name in ("leds_left", "leds_right")]
         covariance = self._covariance(values)
+        known = STATUS_GOOD if status == frame.status.good else POSITION_ONLY
         return checked_pose(
-            PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], STATUS_GOOD)
+            PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], known)
         )
 
     def _quaternion(self, values: dict[str, Array]) -> Array | None:

@@ -27,7 +27,7 @@ typedef struct {
     double covariance_position_m2[3][3]; /* covariance of r_TC_C_m; m^2, in c */
     double covariance_attitude_rad2[3][3]; /* covariance of the small-angle rotation of c; rad^2, in c */
     double covariance_cross_m_rad[3][3]; /* of r_TC_C_m (rows) and the small-angle rotation; m rad, in c */
-    int64_t status; /* status that the vision unit reported with the pose, 0 good */
+    int64_t status; /* status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess */
 } hil_backend_pose;
 
 typedef struct {

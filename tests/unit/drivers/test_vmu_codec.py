@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.core.messages import PoseFrame
+from hil.core.messages import POSITION_ONLY, PoseFrame
 from hil.drivers.vmu.codec import STATUS_NO_POSE, Decoded, ReportedIdentity
 from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 
@@ -88,6 +88,16 @@ def test_frame_without_a_pose_is_told_from_a_broken_one() -> None:
     (decoded,) = decoder.feed(encode_status(9, 2.0, STATUS_NO_POSE), 2.1)
     assert decoded == Decoded(9, 2.0, STATUS_NO_POSE, None)
     assert decoder.invalid == 0
+
+
+def test_position_alone_is_told_from_a_pose() -> None:
+    raw = bytearray(TRANSCRIPT)
+    raw[-3:] = bytes.fromhex("02 42 ef")  # status, and CRC by shifting bits
+    assert encode(pose(counter=7, status=POSITION_ONLY)) == bytes(raw)
+    (decoded,) = FrameDecoder(HIL).feed(bytes(raw), 1.25)
+    assert decoded.pose is not None
+    assert (decoded.status, decoded.pose.status) == (POSITION_ONLY, POSITION_ONLY)
+    assert decoded.pose.t_v.tolist() == [0.25, -0.5, 3.0]
 
 
 @pytest.mark.parametrize("cut", [1, 3, 4, 80, FRAME_BYTES - 1])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil.config.load import load_frame
-from hil.core.messages import PoseFrame
+from hil.core.messages import POSITION_ONLY, PoseFrame
 from hil.drivers.vmu import codec
 from hil.drivers.vmu.frame_codec import FrameCodec, FrameDecoder, euler_angles, rotation_of
 from hil.errors import BadInput
@@ -40,6 +41,12 @@ def test_a_transcript_packed_by_hand_is_decoded() -> None:
 
 def test_a_pose_is_encoded_as_the_transcript_packed_by_hand() -> None:
     assert FrameCodec(load_frame("euler-mm").value).encode(euler_frame()) == TRANSCRIPT
+
+
+def test_file_without_a_status_for_a_position_sends_no_pose() -> None:
+    frames = FrameCodec(load_frame("euler-mm").value)
+    sent = frames.encode(replace(euler_frame(), status=POSITION_ONLY))
+    assert sent == frames.encode_status(7, 100.0, codec.STATUS_NO_POSE)
 
 
 @pytest.mark.parametrize("place", range(2, len(TRANSCRIPT)))

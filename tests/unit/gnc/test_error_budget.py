@@ -54,7 +54,7 @@ EDGES = np.cumsum([0, *SIZES.values()])
 AT = {name: slice(first, last) for name, (first, last) in zip(SIZES, pairwise(EDGES), strict=True)}
 N = int(EDGES[-1])
 MOVING = ("correlated", "gyro_instability", "accelerometer_instability")
-ESTIMATED = ("misalignment", *MOVING)
+ESTIMATED = ("misalignment", "vision_bias", "scale", *MOVING)
 
 
 def fusion_params(*settings: str) -> np.record:
@@ -347,6 +347,27 @@ def test_size_of_the_noise_is_found_from_the_innovations(rng: np.random.Generato
     # 3.3 standard deviations of the estimate over the window of 256 poses
     found = np.exp(0.5 * flight.state.noise.log)
     np.testing.assert_allclose(found, factor, rtol=3.3 * 0.5 * math.sqrt(2.0 / (3.0 * 256.0)) + 0.02)
+
+
+def test_noise_is_never_taken_as_less_than_the_budget_leaves_possible(rng: np.random.Generator) -> None:
+    """Quiet poses may follow a bench whose slow error is larger than their noise: three sigmas below, and no less."""
+    flight = Flight(fusion_params("vision_noise_scale_sigma=0.2"))
+    for cycle in range(8 * 100):
+        flight.step(*([flight.pose(cycle, rng, 0.1)] if cycle % 8 == 0 else []))
+    np.testing.assert_allclose(np.exp(0.5 * flight.state.noise.log), math.exp(-3.0 * 0.2))
+
+
+def test_gain_of_the_attitude_is_of_the_noise_about_each_axis(rng: np.random.Generator) -> None:
+    flight = Flight(fusion_params())
+    for cycle in range(8 * 4 + 1):
+        pose = flight.pose(cycle, rng, 0.01)
+        pose.covariance_attitude = np.diag([5e-6, 5e-4, 5e-4]) ** 2  # roll a hundred times better than tilt
+        flight.step(*([pose] if cycle % 8 == 0 else []))
+    state = flight.state
+    sigmas, gain = np.sqrt(np.diag(state.found_attitude.s)), state.found_attitude.gain[:, AT["turn"]]
+    moved = np.sqrt((sigmas**2) @ gain**2)  # of each component, by innovations of one sigma
+    assert state.gain_attitude * state.noise_rad == pytest.approx(moved.max())
+    assert state.gain_attitude * state.noise_rad < 0.8 * np.abs(gain).max() * sigmas.max()
 
 
 def test_memory_has_room_for_the_errors_that_are_used_and_no_more() -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from hil.cli.vmu import row
+from hil.core.messages import POSITION_ONLY
+from hil.drivers.vmu.codec import checked_pose
 from hil.vmu.kernels.records import FIT
 from hil.vmu.partial import OK_POSITION, OK_SIGHT, partial_pose
 from hil.vmu.unit import Solution, VisionUnit
@@ -41,8 +43,13 @@ def test_three_leds_without_a_track_give_the_position(near_m: float, far_m: floa
     for truth, solution in solutions(3, near_m, far_m, 8, 1):
         assert solution.status == OK_POSITION
         assert solution.pose is None
-        assert solution.frame(0, 0.0) is None  # no pose for the bench
+        frame = solution.frame(0, 0.0)
+        assert frame is not None
+        assert frame.status == POSITION_ONLY
+        np.testing.assert_array_equal(frame.t_v, solution.t)
+        assert checked_pose(frame) is not None  # the wire's other end takes it
         sigma = np.sqrt(np.diag(solution.covariance))
+        np.testing.assert_allclose(np.sqrt(np.diag(frame.covariance)), [*sigma[:3], 1.0, 1.0, 1.0])
         assert (np.abs(solution.t - truth.t_v) < 4.5 * sigma[:3]).all()
         assert np.isinf(sigma[3:]).all()
         assert np.isnan(solution.R).all()
