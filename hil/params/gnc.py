@@ -434,7 +434,7 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
     params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
-    params.rate_max = rule.rate_max
+    params.rate_max, params.go_fraction = rule.rate_max, scenario.gnc.integrity.go_fraction
     params.lead_bounds = rule.lead_bounds_s
     params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))
