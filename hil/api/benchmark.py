@@ -19,7 +19,7 @@ from hil.monte_carlo.statistics import paired_rates, percentiles
 
 SCENARIOS: Final = (
     "scheme-1", "scheme-2", "scheme-3", "scheme-1-printed", "leo-vbar", "geo", "inspection", "departure", "limit-cycle",
-    "tumbling-1", "tumbling-3", "tumbling-5",
+    "tumbling-1", "tumbling-3", "tumbling-5", "far-approach", "transfer",
     "shuttle-vbar", "torva", "ets-vii", "atv", "apollo",
 )  # fmt: skip
 RESULT: Final = "benchmark.json"
@@ -154,6 +154,7 @@ def numbers_of(flown: Campaign) -> dict[str, Any]:
     return flags | {
         "propellant_kg": _spread(propellant),
         "propellant_over_least": _spread(share),
+        "propellant_over_bound": _spread(flown.column("propellant_over_bound")),
         "firings": _spread(flown.column("firings")),
         "decision_errors": int(np.count_nonzero(flown.column("decision_error"))),
         "misleading": int(np.count_nonzero(flown.column("hmi_cycles"))),
