@@ -4,7 +4,7 @@
 
 Each pose gives a rate as its difference to the pose before over the time between them, which a first-order low-pass
 smooths; the pose is carried on with that rate, and corrected by each new one through a low-pass. Neither thrust nor
-orbital motion is used, so the rates are noisy and late; the standard deviations are those of the noise. The built-in navigation
+orbital motion is used, so the rates are noisy and late; standard deviations are those of the noise. The built-in one
 without an IMU, ``vision_alone``, uses both: scheme 3 flies it.
 """
 
