@@ -161,6 +161,8 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
         own_point = f"gnc.guidance.phases.{name}.point_m" if own.point_m else "gnc.guidance.ready_point_m"
         to_key = own_point if moves else from_key
         speed_key = f"gnc.guidance.phases.{name}.speed_mps" if own.speed_mps else "gnc.guidance.approach_speed_mps"
+        if own.kind == "transfer":
+            speed_key = f"gnc.guidance.phases.{name}.duration_s"
         begin, end = float(state.since_s), _end_of(params, state)
         last = phase == params.n_phases - 1
         for t_s in _times(begin, end, last, moves, slew):

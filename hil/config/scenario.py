@@ -308,7 +308,7 @@ class Shadow(ConfigModel):
 class Phase(ConfigModel):
     """One phase of the approach; defaults come from the guidance table."""
 
-    kind: Literal["approach", "hold", "wait", "final", "retreat", "fly_around", "slew"]
+    kind: Literal["approach", "hold", "wait", "final", "retreat", "fly_around", "slew", "transfer"]
     """See [the approach](../../explanation/approach.md)."""
     point_m: Triple | None = None
     """End point in H of a moving phase; unless set, the ready point. Of a fly-around: the end of its arc."""
@@ -325,14 +325,19 @@ class Phase(ConfigModel):
     acceleration_degps2: Positive | None = None
     """Of a slew: angular acceleration; unless set, the rate within 2 s."""
     duration_s: NotNegative | None = None
-    """Of a hold."""
+    """Of a hold, and of a transfer."""
     end_time_s: NotNegative | None = None
     """Of a wait, time of the run; unless set, it waits for the operator's go."""
+    impulses: Literal["two", "optimal"] | None = None
+    """Of a transfer: at begin and end (`two`, unless set), or those of the least sum, whatever their number."""
+    passively_safe_s: Positive | None = None
+    """Of a transfer: time for which the drift after any missed burn stays so far from the target that the bodies of
+    `[keep_out]` cannot meet, whatever their attitude; unless set, it may not."""
 
     @property
     def reacts_as(self) -> str:
         """Kind of phase whose reactions it has."""
-        return "approach" if self.kind in ("fly_around", "slew") else self.kind
+        return "approach" if self.kind in ("fly_around", "slew", "transfer") else self.kind
 
     @model_validator(mode="after")
     def _keys_suit_the_kind(self) -> Self:
@@ -341,15 +346,16 @@ class Phase(ConfigModel):
             "hold": ("duration_s",),
             "wait": ("end_time_s",),
             "slew": ("attitude_deg", "rate_degps", "acceleration_degps2"),
+            "transfer": ("point_m", "duration_s", "acceleration_mps2", "impulses", "passively_safe_s"),
         }
         allowed = own.get(self.kind, moving)
-        names = (*moving, *(name for each in own.values() for name in each))
+        names = dict.fromkeys((*moving, *(name for each in own.values() for name in each)))
         given = [name for name in names if getattr(self, name) is not None]
         foreign = [name for name in given if name not in allowed]
         if foreign:
             raise ValueError(f'{foreign[0]} does not go with kind = "{self.kind}", which takes: {", ".join(allowed)}')
-        if self.kind == "hold" and self.duration_s is None:
-            raise ValueError('kind = "hold" needs duration_s')
+        if self.kind in ("hold", "transfer") and self.duration_s is None:
+            raise ValueError(f'kind = "{self.kind}" needs duration_s')
         if self.kind in ("retreat", "fly_around") and self.point_m is None:
             raise ValueError(f'kind = "{self.kind}" needs point_m')
         if self.kind == "slew" and self.attitude_deg is None:
@@ -474,7 +480,7 @@ class PhaseReactions(ConfigModel):
     """Reaction to one condition, by kind of phase."""
 
     approach: ReactionName = "abort"
-    """In a phase of kind approach, fly_around or slew."""
+    """In a phase of kind approach, fly_around, slew or transfer."""
     hold: ReactionName = "abort"
     """Of kind hold."""
     wait: ReactionName = "abort"

@@ -37,12 +37,9 @@ from hil.maths import quat, stack
 from hil.maths.arrays import fill
 
 COAST_OF_TOLERANCE = 0.25  # that a coast may take at most
-_NEAR = 0.5  # of the tolerance
-_AGAINST = 0.51  # of a smallest firing: from half of one on, one is fired
-_FAR = 0.8
-_LARGE = 0.25  # of the required rate
-_RATE_FRACTION = 0.7  # of the required rate, that a firing may lead to
-_RATE_FRACTION_FAR = 0.8  # the same if the error is not near
+_FIRED = 0.5  # of a smallest firing, from which on one is fired
+_JUST_FIRED = 0.51  # above it by a margin for rounding: 0.5 + 1e-7 flies as well
+_SHARE = 0.5  # of the tolerance, of each of ripple and error
 
 CONTROL_PARAMS = np.dtype(
     [
@@ -55,6 +52,7 @@ CONTROL_PARAMS = np.dtype(
         ("coast_scale", "f8", 6),  # s^2/m, s^2/rad: 1 / (4 u), of the square of the smallest change of rate
         ("coast_max", "f8", 6),  # m, rad
         ("rate_max", "f8", 6),  # m/s, rad/s: of the requirement
+        ("go_fraction", "f8"),  # of the requirements, within which docking is a go
         ("pulse_s", "f8"),  # least time for which a valve opens
         ("correction_rate", "f8", 6),  # m/s, rad/s: greatest rate at which an error is worked off
         ("period", "i8", 6),  # cycles
@@ -112,7 +110,7 @@ def is_steady(params, axis, error, sustained, pulse):
     pulse: d, m/s or rad/s. Between two of them, ``d / |a|``, at most the longest lead, the rate passes from -d/2 to d/2
     and the error by ``ripple``; neither error nor ripple may exceed half of the tolerance.
     """
-    near = _NEAR / COAST_OF_TOLERANCE * params.coast_max[axis]
+    near = _SHARE / COAST_OF_TOLERANCE * params.coast_max[axis]
     often = pulse <= params.lead_bounds[axis, 1] * abs(sustained)
     return often and abs(error) <= near and ripple(sustained, pulse) <= near
 
@@ -149,7 +147,7 @@ def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, p
     band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
     wanted = -math.copysign(max(0.0, abs(s) - band), s) / lead
     sense = math.copysign(1.0, sustained)
-    return sense * max(sense * wanted, -max(0.0, _AGAINST * pulse + sense * (pending + coming)))
+    return sense * max(sense * wanted, -max(0.0, _JUST_FIRED * pulse + sense * (pending + coming)))
 
 
 @kernel
@@ -194,7 +192,7 @@ def yet_to_drift(params, axis, sustained, pulse, owed):
     as of ``modulation``.
     """
     sense = math.copysign(1.0, sustained)
-    pending = max(0.0, 0.5 * pulse - sense * owed)
+    pending = max(0.0, _FIRED * pulse - sense * owed)
     return -sense * min(pending, 0.5 * params.lead_bounds[axis, 1] * abs(sustained))
 
 
@@ -202,21 +200,19 @@ def yet_to_drift(params, axis, sustained, pulse, owed):
 def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, least, extra, acceleration):
     """Return the cycles to command for a firing so that the requirement on the rate is kept, of the same sign or 0.
 
-    With a smallest firing d of more than a quarter of that rate, an error within the tolerance is corrected no faster.
-    A firing that is too much waits until the rate has grown against it: the limit cycle has the rates +-d / 2, after a
-    firing from rest it has d.
+    The limit cycle has the rates +-d / 2, and one firing more makes 3 d / 2: where that is no go, an error within the
+    tolerance is corrected no faster. A firing that is too much waits until the rate has grown against it, or the error
+    to what is no go.
     feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. The others as of ``modulation``.
     """
     tolerance, asked = params.coast_max[axis] / COAST_OF_TOLERANCE, cycles
-    most = _RATE_FRACTION * params.rate_max[axis]
-    if abs(error) > _NEAR * tolerance:
-        most = _RATE_FRACTION_FAR * params.rate_max[axis]
-    while cycles != 0 and pulse > _LARGE * params.rate_max[axis] and abs(error) <= tolerance:
+    most = params.go_fraction * params.rate_max[axis]
+    while cycles != 0 and 1.5 * pulse > most and abs(error) <= tolerance:
         gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
         left = owed + feedback * cycles / asked - gain
         after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))
-        leaves = abs(error) > _FAR * tolerance and error * rate >= 0.0
-        if after <= abs(rate) or after <= most or (leaves and abs(cycles) == 1):
+        leaves = abs(error) > params.go_fraction * tolerance and error * rate >= 0.0
+        if after <= max(abs(rate), most) or (leaves and abs(cycles) == 1):
             break
         cycles -= 1 if cycles > 0 else -1
     return cycles
@@ -259,7 +255,7 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sust
             feedback = firing_time(burn_cycles(time, least, extra, period, dt), least, extra, dt)
         time = feedback + (owed + coming) / acceleration
         cycles = 0
-        if abs(time) >= 0.5 * shortest:
+        if abs(time) >= _FIRED * shortest:
             cycles = burn_cycles(time + math.copysign(0.5 * dt, time), least, extra, period, dt)
         if command.boost == 0:
             fired = cycles

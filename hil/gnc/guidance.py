@@ -2,9 +2,10 @@
 
 A phase starts where the one before ended. Moving phases are over when their path is completed, a hold after its
 duration, a wait at its time or at the order to continue; the last phase of the list never ends. The path is a straight
-line (approach, final, retreat), an arc about the target on which the chaser rotates with it (fly-around), or a rotation
-at rest (slew). The attitude is that of H at first. An abort leaves the list: brake from the present velocity, retreat
-along the docking axis, hold, all at the attitude of the moment.
+line (approach, final, retreat), an arc about the target on which the chaser rotates with it (fly-around), a rotation
+at rest (slew), or the free motion between the burns of a transfer, which is planned from the estimate as it begins. The
+attitude is that of H at first. An abort leaves the list: brake from the present velocity, retreat along the docking
+axis, hold, all at the attitude of the moment.
 """
 
 from __future__ import annotations
@@ -15,14 +16,17 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
+from hil.gnc.guidance_transfer import TRANSFER_PLAN, TRANSFER_WORK, least_drift_range, on_transfer, plan_transfer
+from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.profile import along_line, duration
 
 APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
-LINE, ARC, SLEW = range(3)  # paths of a moving phase
+LINE, ARC, SLEW, TRANSFER = range(4)  # paths of a moving phase
 STAYED, MOVED, REFUSED = range(3)  # results of advance
 HOLDS_FINAL, HOLDS_HOLD = 1, 2  # bits: a final phase must not begin, a hold must not end
+_STRETCH, _TRIES = 0.02, 50  # of the time of a transfer that has no plan, and how often
 _ABORT_PHASES = 3  # brake, retreat, hold: numbered after the phases of the list
 
 GUIDANCE_PARAMS = np.dtype(
@@ -34,7 +38,7 @@ GUIDANCE_PARAMS = np.dtype(
         ("speed", "f8", MAX_PHASES),  # m/s
         ("acceleration", "f8", MAX_PHASES),  # m/s^2
         ("deceleration", "f8", MAX_PHASES),  # m/s^2
-        ("duration_s", "f8", MAX_PHASES),  # of a hold
+        ("duration_s", "f8", MAX_PHASES),  # of a hold, a transfer
         ("until_s", "f8", MAX_PHASES),  # of a wait, time of the run; inf: an order only
         ("axis", "f8", 3),  # unit vector from the target outwards, in H
         ("abort_distance", "f8"),  # m, from the target
@@ -43,6 +47,10 @@ GUIDANCE_PARAMS = np.dtype(
         ("brake", "f8"),  # m/s^2, of the brake before it
         ("path", "i8", MAX_PHASES),  # of a moving phase
         ("attitude", "f8", (MAX_PHASES, 4)),  # at the end of a slew, whose speeds are in rad/s
+        ("optimal", "i8", MAX_PHASES),  # of a transfer: 1 any number of impulses, 0 two
+        ("passive_s", "f8", MAX_PHASES),  # for which a drift after a missed burn stays beyond ``clear_range``; 0: any
+        ("clear_range", "f8"),  # m, from which on the bodies cannot meet at any attitude
+        ("orbit", TARGET_ORBIT),
     ],
     align=True,
 )
@@ -62,6 +70,12 @@ GUIDANCE_STATE = np.dtype(
         ("turns", "i8"),  # 1: c rotates over the phase
         ("length", "f8"),  # m, of the path, of a slew rad; 0 of a hold, a wait and a brake
         ("ends_s", "f8"),  # time of the run at which the phase ends by itself, inf for a wait that has no time
+        ("seen_s", "f8"),  # time of the run of the last estimate, of which ``seen`` is [r, v] in H, m, m/s
+        ("seen", "f8", 6),
+        ("is_seen", "i8"),  # 1: there was one
+        ("tries", "i8"),  # plans that the present transfer has rejected
+        ("plan", TRANSFER_PLAN),
+        ("work", TRANSFER_WORK),
     ],
     align=True,
 )
@@ -122,9 +136,56 @@ def _aim(params, state):
             copy_into(state.to_H, params.point[phase])
         if params.path[phase] == ARC:
             _aim_arc(state)
+        elif params.path[phase] == TRANSFER:
+            state.tries = 0
+            _plan(params, state)
     state.turns = 0 if _norm(state.turn_C) == 0.0 else 1
     state.length = 0.0 if kind in (BRAKE, HOLD, WAIT) else _length(params, state)
     state.ends_s = _nominal_end(params, state)
+
+
+@kernel
+def note(state, t_s, estimate):
+    """Take the estimate (NAVIGATION) of ``t_s``, from which a transfer is planned."""
+    state.is_seen, state.seen_s = estimate.valid, t_s
+    for i in range(3):
+        state.seen[i], state.seen[3 + i] = estimate.r_CT_H[i], estimate.v_CT_H[i]
+
+
+@kernel
+def _plan(params, state):
+    """Plan the transfer that begins, from the last estimate, or from rest without one; ``state.plan.n`` 0: none.
+
+    The plan must be passively safe if that is asked.
+    """
+    phase, start = state.phase, stack.vector(6)
+    fill(start, 0.0)
+    for i in range(3):
+        start[i] = state.from_H[i]
+        if state.is_seen != 0:
+            start[i] = state.seen[i] + (state.since_s - state.seen_s) * state.seen[3 + i]
+            start[3 + i] = state.seen[3 + i]
+        state.from_H[i] = start[i]
+    duration_s = params.duration_s[phase] * (1.0 + _STRETCH * state.tries)
+    plan_transfer(
+        params.orbit, state.since_s, duration_s, params.optimal[phase], params.acceleration[phase], start,
+        params.point[phase], state.work, state.plan,
+    )  # fmt: skip
+    horizon_s = params.passive_s[phase]
+    if state.plan.n > 0 and horizon_s > 0.0:
+        nearest = least_drift_range(params.orbit, state.plan, horizon_s, state.work.whole)
+        if not nearest >= params.clear_range:
+            state.plan.n = 0
+
+
+@kernel
+def _plan_again(params, state, t_s):
+    """Plan the present transfer again with a longer time, once per cycle, if it has no plan."""
+    if _path(params, state.phase) == TRANSFER and state.plan.n == 0 and state.tries < _TRIES:
+        state.since_s = t_s
+        state.tries += 1
+        _plan(params, state)
+        state.ends_s = _nominal_end(params, state)
 
 
 @kernel
@@ -268,6 +329,8 @@ def _nominal_end(params, state):
         return state.since_s + params.duration_s[phase] if phase < params.n_phases else np.inf
     if kind == WAIT:
         return params.until_s[phase]
+    if _path(params, phase) == TRANSFER:
+        return state.since_s + state.plan.duration_s if state.plan.n > 0 else np.inf
     speed, acceleration, deceleration = _limits(params, phase)
     return state.since_s + duration(state.length, speed, acceleration, deceleration)
 
@@ -292,6 +355,7 @@ def advance(params, state, t_s, go, held):
     found = STAYED
     if go != 0 and kind_of(params, state.phase) == WAIT:
         found = REFUSED
+    _plan_again(params, state, t_s)
     ends = _ends_at(params, state, go)
     while ends <= t_s:
         if held & HOLDS_FINAL != 0 and kind_of(params, state.phase + 1) == FINAL:
@@ -333,6 +397,9 @@ def reference(params, state, t_s, out):
             out.v_CT_H[i] = loss * (takes - t)
             out.r_CT_H[i] = state.from_H[i] + state.brake_H[i] * t - 0.5 * loss * t * t
         return
+    if _path(params, state.phase) == TRANSFER:
+        _on_transfer(params, state, since, out)
+        return
     length, along = state.length, stack.vector(3)
     fill(along, 0.0)
     if length > 0.0:
@@ -347,6 +414,25 @@ def reference(params, state, t_s, out):
         out.r_CT_H[i] = state.from_H[i] + along[0] * unit
         out.v_CT_H[i] = along[1] * unit
         out.a_CT_H[i] = along[2] * unit
+
+
+@kernel
+def _on_transfer(params, state, since, out):
+    """Write position and velocity ``since`` the begin of a transfer, and the acceleration by thrust; rest without plan.
+
+    The corridor is about the reference itself.
+    """
+    moved = stack.vector(6)
+    for i in range(3):
+        moved[i], moved[3 + i], out.a_CT_H[i] = state.from_H[i], 0.0, 0.0
+    if state.plan.n > 0 and since > state.plan.duration_s:  # of the last phase, which never ends
+        copy_into(moved[:3], state.to_H)
+    elif state.plan.n > 0:
+        on_transfer(params.orbit, state.plan, state.plan.n, since, state.work.whole, moved, out.a_CT_H)
+    for i in range(3):
+        out.r_CT_H[i], out.v_CT_H[i] = moved[i], moved[3 + i]
+    copy_into(out.from_H, out.r_CT_H)
+    copy_into(out.to_H, out.r_CT_H)
 
 
 @kernel

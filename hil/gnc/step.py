@@ -224,6 +224,7 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
         estimate.health |= MONITOR_DISAGREES
     if state.bench_disagrees != 0:
         estimate.health |= BENCH_DISAGREES
+    guidance.note(state.guidance, t_s, estimate)
     aborted = supervision.aborted
     ordered = state.abort_ordered
     if abort_without_estimate and estimate.valid == 0:

@@ -41,8 +41,9 @@ _TRIPLES: Final = (
 _SINGLE: Final = (
     "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
     "aborted_at_s", "hmi_cycles", "worst_error_m", "alert_limit_m", "protection_level_m", "availability",
-    "time_to_alert_s", "view_margin_px", "propellant_kg", "propellant_share", "thruster_on_time_s", "nees_pkf",
-    "nees_akf", "go_s", "propellant_limit_kg", "first_violated_s", "first_violated_value", "first_violated_limit",
+    "time_to_alert_s", "view_margin_px", "propellant_kg", "propellant_share", "propellant_over_bound",
+    "thruster_on_time_s", "nees_pkf", "nees_akf", "go_s", "propellant_limit_kg", "first_violated_s",
+    "first_violated_value", "first_violated_limit",
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
@@ -121,6 +122,7 @@ def row_of(
         "aborted_at_s": float(limits.aborted_at_s) if aborted else None,
         "propellant_kg": used_kg,
         "propellant_share": used_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
+        "propellant_over_bound": used_kg / energy["impulsive_bound_kg"] if energy["impulsive_bound_kg"] else None,
         "thruster_on_time_s": scenario.step_s * float(np.sum(stats.thruster_open)),
         "control_margin": control_precision(verdict, scenario)["margin"],
         **{

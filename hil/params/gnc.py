@@ -21,7 +21,7 @@ from hil.gnc.allocation import (
 )
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
-from hil.gnc.guidance import APPROACH, ARC, FINAL, GUIDANCE_PARAMS, HOLD, LINE, RETREAT, SLEW, WAIT
+from hil.gnc.guidance import APPROACH, ARC, FINAL, GUIDANCE_PARAMS, HOLD, LINE, RETREAT, SLEW, TRANSFER, WAIT
 from hil.gnc.integrity import INTEGRITY_PARAMS
 from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.reactions import REACTION_PARAMS
@@ -297,7 +297,7 @@ def _gate(scenario: Scenario) -> float:
 
 
 PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL, "retreat": RETREAT}
-PATHS = {"fly_around": ARC, "slew": SLEW}
+PATHS = {"fly_around": ARC, "slew": SLEW, "transfer": TRANSFER}
 """Kinds of phases that move on another path than a line, otherwise as an approach."""
 _SLEW_UP_S = 2.0
 _BRAKE_FRACTION = 0.9  # of the available thrust: the rest is for control
@@ -331,6 +331,11 @@ def guidance(scenario: Scenario) -> np.record:
             params.acceleration[k] = params.deceleration[k] = acceleration
         params.duration_s[k] = phase.duration_s or 0.0
         params.until_s[k] = math.inf if phase.end_time_s is None else phase.end_time_s
+        params.optimal[k], params.passive_s[k] = phase.impulses == "optimal", phase.passively_safe_s or 0.0
+    chaser, target = (bodies_on(scenario.keep_out.bodies, on) for on in ("chaser", "target"))
+    apart = float(chaser.farthest + target.farthest) + scenario.keep_out.distance_m
+    params.clear_range = max(scenario.keep_out.radius_m, apart)
+    params.orbit = target_orbit(scenario)
     params.axis = scenario.gnc.corridor.axis
     axial_start = float(np.dot(scenario.initial.position_m, params.axis))
     # no farther out than the start, which the bench is known to reach
@@ -454,7 +459,7 @@ def control(scenario: Scenario, strength: Array) -> np.record:
     params.deadband = six(settings.deadband_m, math.radians(settings.deadband_deg))
     params.deadband_sigmas = six(settings.deadband_sigmas, settings.attitude_deadband_sigmas)
     params.lead = six(settings.lead_s, settings.attitude_lead_s)
-    params.rate_max = rule.rate_max
+    params.rate_max, params.go_fraction = rule.rate_max, scenario.gnc.integrity.go_fraction
     params.lead_bounds = rule.lead_bounds_s
     params.coast_scale, params.coast_max = rule.coast_scale, rule.coast_max
     params.correction_rate = six(settings.correction_rate_mps, math.radians(settings.slew_rate_degps))

@@ -187,10 +187,11 @@ def _security_text(part: dict[str, Any]) -> str:
 
 
 def _energy_text(part: dict[str, Any]) -> str:
-    allowed = part["factor"] * part["least_propellant_kg"]
+    allowed, bound = part["factor"] * part["least_propellant_kg"], part["impulsive_bound_kg"]
+    over = f", {part['propellant_kg'] / bound:.2f} x impulsive bound" if bound else ""
     return (
         f"propellant {part['propellant_kg']:.3f} kg, allowed {allowed:.3f} kg "
-        f"({part['factor']:g} x impulsive least), {part['firings']} firings"
+        f"({part['factor']:g} x impulsive least){over}, {part['firings']} firings"
     )
 
 

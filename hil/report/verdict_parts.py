@@ -8,7 +8,10 @@ the reference's changes of velocity at once, summed over its path (a line from r
 whatever its ramps), what rotating axes of H ask beyond them, and for each axis the slew of the initial attitude error
 at a steady rate over ``slew_s``, ``J theta / slew_s`` of torque impulse to start and the same to stop. Forces and
 torques are counted with the cleanest thruster set of their axis. The orbital motion that a straight line requires is
-not in the least.
+not in the least; of a transfer, whose motion is free, only its burns are.
+
+The impulsive bound has the same slews, and what no impulses, however many, can fall below that lead the chaser through
+the states that the reference has at the begin of each phase, at their times, by Yamanaka and Ankersen's motion.
 """
 
 from __future__ import annotations
@@ -22,14 +25,15 @@ from hil.bench.field_of_view import view_margins
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.truth import Orbit
-from hil.core.messages import Array
-from hil.dynamics import elliptic_motion, hill
+from hil.core.messages import Array, new
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY
+from hil.gnc.guidance_transfer import TRANSFER_WORK, least_impulses
 from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.maths.kepler import mean_anomaly, true_anomaly
 from hil.maths.limits import finite_or_none
+from hil.models import elliptic_motion
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params import vision as vision_params
@@ -41,12 +45,10 @@ _DRIFT_SAMPLES = 720  # over one orbit
 def drift(r_CT_H: Array, v_CT_H: Array, orbit: Orbit, nu: float, t_s: Array) -> Array:
     """Return the uncontrolled positions in H, (n, 3), m, ``t_s`` (n,) after the given state.
 
-    nu: true anomaly of the target in that state, rad. Hill's equations on a circle, else Yamanaka and Ankersen's.
+    nu: true anomaly of the target in that state, rad.
     """
     state, rate, e = np.concatenate([r_CT_H, v_CT_H]), mean_motion(orbit), orbit.eccentricity
-    moved = (
-        hill.transition(rate, float(t)) if e == 0.0 else elliptic_motion.transition(rate, e, nu, float(t)) for t in t_s
-    )
+    moved = (elliptic_motion.transition(rate, e, nu, float(t)) for t in t_s)
     return np.array([whole[:3] @ state for whole in moved]).reshape(-1, 3)
 
 
@@ -139,6 +141,22 @@ def slew_impulse(scenario: Scenario) -> float:
     return float((torque_impulse * thrust / strength[3:AXES_OF_A_BODY]).sum())
 
 
+def impulsive_bound(stats: np.record, scenario: Scenario) -> float | None:
+    """Return the least sum of impulses, m/s, between the states of the reference; None in axes that rotate otherwise.
+
+    stats: RUN_STATS.
+    """
+    orbit, work = gnc_params.target_orbit(scenario), new(TRANSFER_WORK)
+    if orbit.tumble.rotates:
+        return None
+    legs = [*stats.leg[: stats.n_legs], stats.last]
+    times, states = [float(leg["t_s"]) for leg in legs], [np.array(leg["state"]) for leg in legs]
+    return sum(
+        float(least_impulses(orbit, times[k], times[k + 1] - times[k], states[k], states[k + 1], work))
+        for k in range(len(legs) - 1)
+    )
+
+
 def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> dict[str, Any]:
     """Return ``passed`` and the numbers. stats: RUN_STATS.
 
@@ -148,6 +166,7 @@ def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> d
     mass_kg, factor = scenario.chaser.mass_kg, scenario.requirements.propellant_factor
     line, slews = float(stats.reference_delta_v), slew_impulse(scenario) / mass_kg
     least_kg = mass_kg * -math.expm1(-(line + slews) / exhaust_speed)
+    bound = impulsive_bound(stats, scenario)
     return {
         "passed": bool(stats.cycles and propellant_kg <= factor * least_kg),
         "propellant_kg": propellant_kg,
@@ -155,6 +174,8 @@ def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> d
         "least_propellant_kg": least_kg,
         "least_line_mps": line,
         "least_slews_mps": slews,
+        "impulsive_bound_mps": bound,
+        "impulsive_bound_kg": None if bound is None else mass_kg * -math.expm1(-(bound + slews) / exhaust_speed),
         "factor": factor,
         "firings": int(np.sum(stats.thruster_firings)),
     }

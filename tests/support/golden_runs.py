@@ -53,7 +53,7 @@ _BUDGET: Final = (
 )
 
 
-_EXPLAINED: Final = ("margin_", "first_violated", "alarms_before")
+_EXPLAINED: Final = ("margin_", "first_violated", "alarms_before", "propellant_over_bound")
 """Begins of columns that follow from the rows."""
 
 

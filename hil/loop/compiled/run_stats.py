@@ -13,7 +13,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.jit import entry, kernel
 from hil.core.kernel_record import kernel_record
-from hil.core.messages import MAX_THRUSTERS, new
+from hil.core.messages import MAX_PHASES, MAX_THRUSTERS, new
 from hil.dynamics import truth as truth_kernels
 from hil.gnc import ready_phase
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS, INTEGRITY_STATE, start_integrity, update_integrity
@@ -36,6 +36,7 @@ RUN_STATS_PARAMS = np.dtype(
         ("ready", READY_PARAMS),
         ("integrity", INTEGRITY_PARAMS),
         ("tumble", TUMBLE),  # of the target's axes, as the GNC is given it
+        ("transfers", "i8", MAX_PHASES),  # 1: what the reference needs is its acceleration by thrust alone
     ],
     align=True,
 )
@@ -50,6 +51,10 @@ NAVIGATION_SUMS = np.dtype(
     ],
     align=True,
 )
+
+MAX_LEGS = 2 * MAX_PHASES
+LEG = np.dtype([("t_s", "f8"), ("state", "f8", 6)], align=True)
+"""A state of the reference, [r, v] in H, m and m/s, and its time."""
 
 RUN_STATS = np.dtype(
     [
@@ -73,6 +78,10 @@ RUN_STATS = np.dtype(
         ("was_open", "i8", MAX_THRUSTERS),
         ("navigation", NAVIGATION_SUMS),
         ("reference_v", "f8", 3),
+        ("n_legs", "i8"),  # phases that were begun
+        ("leg", LEG, MAX_LEGS),  # at their begin
+        ("last", LEG),  # of the last cycle
+        ("phase", "i8"),
     ],
     align=True,
 )
@@ -85,6 +94,9 @@ def run_stats_params(scenario: Scenario, rig: Rig | None, settled_s: float) -> n
     params.n_thrusters = len(scenario.chaser.thrusters.position_m)
     params.ready, params.integrity = ready_params(scenario.requirements), integrity(scenario, rig)
     params.tumble = known_tumble(scenario, mean_motion(scenario.gnc_orbit))
+    settings = scenario.gnc.guidance
+    for k, name in enumerate(settings.sequence):
+        params.transfers[k] = settings.phases[name].kind == "transfer"
     return params
 
 
@@ -132,7 +144,10 @@ def _count_thrusters(params, now, stats):
         stats.force_cycles[i] += 1 if now.command.force[i] != 0 else 0
         stats.torque_cycles[i] += 1 if now.command.torque[i] != 0 else 0
         stats.torque_cycles_360_400_s[i] += 1 if in_window and now.command.torque[i] != 0 else 0
-        change += (now.reference.v_CT_H[i] - stats.reference_v[i]) ** 2
+        if now.reference.phase < MAX_PHASES and params.transfers[now.reference.phase] != 0:
+            change += (params.step_s * now.reference.a_CT_H[i]) ** 2
+        else:
+            change += (now.reference.v_CT_H[i] - stats.reference_v[i]) ** 2
         stats.reference_v[i] = now.reference.v_CT_H[i]
     if change > 0.0:
         stats.reference_delta_v += math.sqrt(change)
@@ -141,6 +156,22 @@ def _count_thrusters(params, now, stats):
     if stats.cycles == 0:
         stats.mass_start = now.truth.mass_kg
     stats.mass_end = now.truth.mass_kg
+
+
+@kernel
+def _note_leg(now, stats):
+    """Take the reference of ``now`` as the begin of a leg if its phase has begun."""
+    last, reference = stats.last, now.reference
+    last.t_s = now.t_s
+    for i in range(3):
+        last.state[i], last.state[3 + i] = reference.r_CT_H[i], reference.v_CT_H[i]
+    if (stats.cycles == 0 or reference.phase != stats.phase) and stats.n_legs < MAX_LEGS:
+        leg = stats.leg[stats.n_legs]
+        leg.t_s = last.t_s
+        for i in range(6):
+            leg.state[i] = last.state[i]
+        stats.n_legs += 1
+    stats.phase = reference.phase
 
 
 @kernel
@@ -185,6 +216,7 @@ def count_cycle(params, stats, now):
         )
     update_integrity(params.integrity, stats.integrity, now)
     _count_thrusters(params, now, stats)
+    _note_leg(now, stats)
     count_navigation(params.settled_s, stats.navigation, now)
     stats.shadow_cycles += 1.0 - now.truth.sunlight
     stats.cycles += 1

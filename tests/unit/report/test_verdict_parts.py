@@ -9,12 +9,21 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hil.config.load import load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import CYCLE
 from hil.loop.compiled.run_stats import counted
 from hil.params import gnc as gnc_params
 from hil.params.dynamics import mean_motion
-from hil.report.verdict_parts import AbortCourse, drift, drift_over_an_orbit, energy_part, security_part, slew_impulse
+from hil.report.verdict_parts import (
+    AbortCourse,
+    drift,
+    drift_over_an_orbit,
+    energy_part,
+    impulsive_bound,
+    security_part,
+    slew_impulse,
+)
 
 
 def flight(n: int = 100) -> np.ndarray:
@@ -146,3 +155,36 @@ def test_abort_acceleration_is_within_what_the_thrusters_give(scheme_1: Scenario
     assert abort.brake_mps2 < strength[6] / scheme_1.chaser.mass_kg
     # from the greatest closing rate the chaser stops within 0.05 m
     assert scheme_1.gnc.corridor.closing_rate_max_mps**2 / (2.0 * abort.brake_mps2) < 0.05
+
+
+def moved(scenario: Scenario, duration_s: float) -> np.record:
+    """Return RUN_STATS of a reference that stands at 10 m and, in its next phase, at 6 m after ``duration_s``."""
+    history = flight(4)
+    history["t_s"] = [0.0, 1.0, 1.0 + duration_s, 2.0 + duration_s]
+    history["reference"]["phase"] = [0, 1, 2, 2]
+    history["reference"]["r_CT_H"][:2, 0], history["reference"]["r_CT_H"][2:, 0] = 10.0, 6.0
+    return counted(history, scenario)
+
+
+def test_bound_of_a_short_move_is_twice_its_mean_speed_and_of_an_orbit_what_drifts_there(scheme_1: Scenario) -> None:
+    n = mean_motion(scheme_1.orbit)
+    assert impulsive_bound(moved(scheme_1, 20.0), scheme_1) == pytest.approx(2.0 * 4.0 / 20.0, rel=0.01)
+    orbit = impulsive_bound(moved(scheme_1, 2.0 * math.pi / n), scheme_1)
+    assert orbit == pytest.approx(2.0 * n * 4.0 / (6.0 * math.pi), rel=0.01)
+    found = energy_part(moved(scheme_1, 20.0), scheme_1, 1.0)
+    slews = slew_impulse(scheme_1) / 1000.0
+    assert found["impulsive_bound_kg"] == pytest.approx(1000.0 * (0.4 + slews) / (220.0 * 9.80665), rel=0.01)
+
+
+def test_axes_that_tumble_have_no_impulsive_bound() -> None:
+    tumbling = load_scenario("tumbling-1").value
+    assert energy_part(moved(tumbling, 20.0), tumbling, 1.0)["impulsive_bound_kg"] is None
+
+
+def test_transfer_costs_its_burns_and_not_what_the_orbit_changes() -> None:
+    scenario = load_scenario("transfer").value
+    history = flight(200)
+    history["reference"]["phase"] = 1
+    history["reference"]["v_CT_H"][:, 2] = np.linspace(0.0, 0.2, 200)
+    history["reference"]["a_CT_H"][50:100, 0] = -0.006
+    assert counted(history, scenario).reference_delta_v == pytest.approx(50 * 0.02 * 0.006)

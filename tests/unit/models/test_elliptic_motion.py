@@ -6,47 +6,19 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from hil.config.scenario import Scenario
 from hil.core.messages import new
-from hil.dynamics import elliptic_motion, hill, orbit
+from hil.dynamics import hill, orbit
 from hil.gnc import pkf
 from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
 from hil.maths.kepler import mean_anomaly, true_anomaly
+from hil.models import elliptic_motion
 from hil.params import gnc as gnc_params
+from tests.support.two_body import AXIS_M, GM, ORBIT_S, N, two_body
 
-GM, AXIS_M = 4.9028e12, 1938e3
-N = math.sqrt(GM / AXIS_M**3)
-ORBIT_S = 2.0 * math.pi / N
 START = np.array([5.0, -0.3, 0.3, 0.01, -0.02, 0.005])
-
-
-def frame(r: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the matrix to H and its rate (3,), rad/s, in H, of a target on a two-body orbit."""
-    a, rate = np.empty((3, 3)), np.empty(3)
-    orbit.hill_frame(r, v, a)
-    orbit.hill_rate(r, v, -GM * r / np.linalg.norm(r) ** 3, a, rate)
-    return a, rate
-
-
-def two_body(e: float, nu: float, start: np.ndarray, t_s: float) -> np.ndarray:
-    """Return [r, v] in H after ``t_s`` of two bodies, each about a point mass, integrated apart in inertial axes."""
-    r, v = orbit.state_of_elements(GM, AXIS_M, e, 1.0, 0.5, 0.2, nu)
-    a, rate = frame(r, v)
-    chaser_r, chaser_v = r + a.T @ start[:3], v + a.T @ (start[3:] + np.cross(rate, start[:3]))
-
-    def slope(_: float, y: np.ndarray) -> np.ndarray:
-        return np.concatenate([y[3:6], -GM * y[:3] / np.linalg.norm(y[:3]) ** 3])
-
-    ends = [
-        solve_ivp(slope, (0.0, t_s), np.concatenate(state), method="DOP853", rtol=1e-13, atol=1e-9).y[:, -1]
-        for state in ((r, v), (chaser_r, chaser_v))
-    ]
-    a, rate = frame(ends[0][:3], ends[0][3:])
-    moved = a @ (ends[1][:3] - ends[0][:3])
-    return np.concatenate([moved, a @ (ends[1][3:] - ends[0][3:]) - np.cross(rate, moved)])
 
 
 @pytest.mark.parametrize("e", [0.0, 0.005, 0.03, 0.09])
