@@ -37,10 +37,6 @@ class MonitorOptions:
     """Initial region of interest: u,v,width,height in px."""
     target: Literal["basic", "backup", "reserve"] = "basic"
     """The scene's basic or its backup target (reserve: earlier name of backup)."""
-    calculation: Literal["exact", "paper"] = "exact"
-    """The exact projection, or the paper's small-angle relations."""
-    motion: Literal["corrected", "printed"] = "corrected"
-    """The paper's portions as corrected, or as printed."""
     q: Annotated[float, within(0.0, 1.0)] = 0.5
     """Weight of the previous portion, 0 to 1."""
 
@@ -93,8 +89,6 @@ def monitor(
     settings = MonitorSettings(
         region=_region(options.roi, loaded.value),
         target=options.chosen_target,
-        calculation=options.calculation,
-        motion=options.motion,
         q=options.q,
         q_attitude=options.q,
     )
