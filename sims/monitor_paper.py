@@ -1,4 +1,4 @@
-"""The docking monitor as its paper prints it (sections 3.1 and 3.2), beside the exact one, on rendered images.
+"""The docking monitor as its paper prints it (sections 3.1 and 3.2), compared with the exact one on rendered images.
 
     python sims/monitor_paper.py [portions]
 
