@@ -1,6 +1,6 @@
 """Emulator process: one emulated device, with a control port for its faults.
 
-``python -m hil.processes.emulators`` is started by ``EmulatedDevices``, once per device of an emulated rig.
+``EmulatedDevices`` has it forked once per device of an emulated rig.
 """
 
 from __future__ import annotations
@@ -105,5 +105,6 @@ def make(configuration: Message) -> Service:
     return service
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run the emulator that the parent asks for."""
     serve(make)
