@@ -21,7 +21,7 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, BinaryIO, Final, NoReturn
 
 _PR_SET_NAME: Final = 15  # linux/prctl.h
@@ -33,7 +33,10 @@ _PARENT_WALL_S: Final = 0.2  # between two looks whether the parent lives
 
 
 class ForkServer:
-    """Server that has imported ``modules``; starts with its first child. Raises OSError if it cannot."""
+    """Server that has imported ``modules``; starts with its first child. Raises OSError if it cannot.
+
+    A function ``prepare`` of a module is called once, before the first child.
+    """
 
     def __init__(self, *modules: str) -> None:
         self._modules = modules
@@ -135,7 +138,8 @@ def _serve(requests: socket.socket, modules: Sequence[str]) -> None:
     """Fork a child per request until the parent has ended."""
     parent = os.getppid()
     for module in modules:
-        importlib.import_module(module)
+        prepare: Callable[[], None] = getattr(importlib.import_module(module), "prepare", lambda: None)
+        prepare()
     gc.collect()
     gc.freeze()
     wake, woken = os.pipe()

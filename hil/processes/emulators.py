@@ -16,6 +16,7 @@ from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
+from hil.drivers.profiled_move import compile_profile
 from hil.drivers.shared_state import SharedAxisState
 
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
@@ -103,6 +104,11 @@ def make(configuration: Message) -> Service:
     if (device == "io" and speed < math.inf) or speed <= (1.0 if makes_images else 2.0 * speed_held()):
         take_fifo(_CAMERA_FIFO_PRIORITY if is_camera else _FIFO_PRIORITY)
     return service
+
+
+def prepare() -> None:
+    """Load the compiler, which the first kernel does."""
+    compile_profile()
 
 
 def main() -> None:

@@ -22,10 +22,15 @@ CHILD = """
 import os, sys
 from hil.core.child_process import Parent
 
+PREPARED = []
+
+def prepare():
+    PREPARED.append(os.getpid())
+
 def main():
     parent = Parent()
     print("chatter")
-    parent.send(pid=os.getpid(), fds=sorted(map(int, os.listdir("/proc/self/fd"))))
+    parent.send(pid=os.getpid(), prepared=PREPARED, fds=sorted(map(int, os.listdir("/proc/self/fd"))))
     while True:
         try:
             request = parent.receive(None)
@@ -59,7 +64,7 @@ def programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def server(programs: None) -> Iterator[ForkServer]:
-    made = ForkServer("hil.core.child_process")
+    made = ForkServer("forked_child")
     yield made
     made.close()
 
@@ -87,6 +92,8 @@ def test_child_has_its_own_descriptors_alone(server: ForkServer) -> None:
         first, second = one.wait_ready(20.0), two.wait_ready(20.0)
         assert (first["pid"], second["pid"]) == (one.pid, two.pid)
         assert len({one.pid, two.pid, os.getpid()}) == 3
+        assert server._process is not None
+        assert first["prepared"] == second["prepared"] == [server._process.pid]
         one.send({"write": write})
         assert os.read(read, 16) == b"written"
         own = [len(each["fds"]) for each in (first, second)]
