@@ -22,6 +22,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, BinaryIO, Final, NoReturn
 
 _PR_SET_NAME: Final = 15  # linux/prctl.h
@@ -44,15 +45,15 @@ class ForkServer:
         self._requests: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._owner = 0
+        self._environment: dict[str, str] = {}
 
     def start(self, module: str, name: str, stderr: int, pass_fds: Sequence[int] = ()) -> ForkedProcess:
         """Return a new process that calls ``main`` of ``module``, with ``pass_fds`` under the same numbers."""
         (stdin, write), (read, stdout), (ended, end) = os.pipe(), os.pipe(), os.pipe()
         try:
             given = [end, stdin, stdout, stderr, *pass_fds]
-            request = json.dumps({"module": module, "name": name, "numbers": [0, 1, 2, *pass_fds]}).encode()
             with self._lock:
-                pid = self._ask(request, given)
+                pid = self._ask({"module": module, "name": name, "numbers": [0, 1, 2, *pass_fds]}, given)
         except BaseException:
             for descriptor in (write, read, ended):
                 os.close(descriptor)
@@ -62,12 +63,15 @@ class ForkServer:
                 os.close(descriptor)
         return ForkedProcess(pid, ended, os.fdopen(write, "wb", 0), os.fdopen(read, "rb", 0))
 
-    def _ask(self, request: bytes, descriptors: list[int]) -> int:
+    def _ask(self, request: dict[str, Any], descriptors: list[int]) -> int:
         for _ in range(2):
             if self._requests is None or self._owner != os.getpid():
                 self._requests, self._owner = self._started(), os.getpid()
             with contextlib.suppress(ConnectionError):
-                socket.send_fds(self._requests, [request], descriptors)
+                present = dict.fromkeys(self._environment) | os.environ
+                changed = dict(present.items() - self._environment.items())
+                message = json.dumps(request | {"environment": changed, "folder": str(Path.cwd())})
+                socket.send_fds(self._requests, [message.encode()], descriptors)
                 if answer := self._requests.recv(_REQUEST_BYTES):
                     return int(answer)
             self.close()  # it has ended: with a new one
@@ -84,6 +88,7 @@ class ForkServer:
     def _started(self) -> socket.socket:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         atexit.register(self.close)
+        self._environment = dict(os.environ)
         with theirs:
             command = [sys.executable, "-m", __name__, str(theirs.fileno()), *self._modules]
             self._process = subprocess.Popen(
@@ -192,6 +197,7 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
             os.dup2(descriptor, number)
             os.close(descriptor)
         ctypes.CDLL(None).prctl(_PR_SET_NAME, request["name"].encode())
+        _adopt(request["environment"], request["folder"])
         sys.argv = [request["module"], request["name"]]
         importlib.import_module(request["module"]).main()
         code = 0
@@ -204,6 +210,18 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(code)
+
+
+def _adopt(environment: dict[str, str | None], folder: str) -> None:
+    """Change to the parent's present environment and working directory."""
+    for name, value in environment.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+    os.chdir(folder)
+    places = os.environ.get("PYTHONPATH", "").split(os.pathsep) if "PYTHONPATH" in environment else []
+    sys.path[:0] = [place for place in places if place and place not in sys.path]
 
 
 if __name__ == "__main__":

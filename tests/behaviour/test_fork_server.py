@@ -106,6 +106,23 @@ def test_child_has_its_own_descriptors_alone(server: ForkServer) -> None:
     assert (one.exit_status(), two.exit_status()) == ("ended with exit code 0",) * 2
 
 
+def test_child_has_the_present_environment_and_folder(
+    server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GONE", "then")
+    with ChildProcess("one", "forked_child", {}, server=server) as one:
+        one.wait_ready(20.0)
+    (tmp_path / "later").mkdir()
+    found = "now=[os.environ.get('GONE'), os.environ['NEW'], os.getcwd()]"
+    (tmp_path / "later" / "later_child.py").write_text(CHILD.replace("pid=os.getpid()", found))
+    monkeypatch.delenv("GONE")
+    monkeypatch.setenv("NEW", "now")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path / 'later'}:{os.environ['PYTHONPATH']}")
+    monkeypatch.chdir(tmp_path)
+    with ChildProcess("two", "later_child", {}, server=server) as two:
+        assert two.wait_ready(20.0)["now"] == [None, "now", str(tmp_path)]
+
+
 def test_end_of_a_child_is_explained(server: ForkServer) -> None:
     with ChildProcess("one", "forked_child", {}, server=server) as failed:
         failed.wait_ready(20.0)
