@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.monitor import DockingMonitor
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame
+from sims.monitor_paper import PaperTracker
 
 Floats = NDArray[np.float64]
 BLUR_PX = 0.8
@@ -104,16 +104,10 @@ def study(scene: Scene, d3: float, noise: float, pictures: int) -> dict[str, Flo
         axis = np.array([scene.camera.cx, scene.camera.cy])
         turn = np.array([[c, -s], [s, c]])
         true[:2], true[3:] = axis + turn @ (true[:2] - axis), axis + turn @ (true[3:] - axis)
-        monitor = DockingMonitor(scene, MonitorSettings(calculation="paper"))
-        monitor.feed(VideoFrame(0, 0.0, image))
-        look = monitor.last
-        if (
-            look is not None
-            and look.paper is not None
-            and look.detection.disc is not None
-            and look.detection.cross is not None
-        ):
-            v = look.paper.values
+        tracker = PaperTracker(scene, MonitorSettings())
+        look = tracker.process(VideoFrame(0, 0.0, image))
+        if tracker.paper is not None and look.detection.disc is not None and look.detection.cross is not None:
+            v = tracker.paper.values
             alone = np.array([axis[0] + v[3], axis[1] - v[4], v[5], axis[0] + v[0], axis[1] - v[1]])
             errors["one feature alone"].append(alone - true)
             errors["all features"].append(np.array([*look.detection.disc, *look.detection.cross[:2]]) - true)

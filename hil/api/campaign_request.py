@@ -16,7 +16,7 @@ from hil.api.studies import StudyResults
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
 from hil.monte_carlo.campaign import RIG, CampaignJob, Progress, Sweep, Watch, write_summary
-from hil.monte_carlo.engines import ENGINES, Engine, engine_identity, engine_of
+from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
 from hil.monte_carlo.figure import draw_indices, draw_integrity, draw_percentiles, draw_sweep
 from hil.monte_carlo.importance_campaign import ImportanceSettings
 from hil.monte_carlo.page import write_page
@@ -59,7 +59,6 @@ class CampaignRequest:
     seed: int = 0
     duration_s: float | None = None
     workers: int = 0
-    engine: str = "cpu"
     scheduler: str | None = None
     against: str | Path | Scenario | None = None
     sweep: str | Sweep | None = None
@@ -75,10 +74,6 @@ class CampaignRequest:
         found: list[tuple[str, str]] = []
         if self.scheduler is not None and self.workers:
             found.append(("workers", "not together with --scheduler, which has its own workers"))
-        if self.engine not in ENGINES:
-            found.append(("engine", f"{self.engine!r:.60}: must be one of {', '.join(ENGINES)}"))
-        elif self.engine != "cpu" and self.scheduler is not None:
-            found.append(("engine", f"{self.engine}: not together with --scheduler"))
         chosen = [name for name in STUDIES if getattr(self, name) is not None]
         found += [(chosen[0], f"not together with --{other}") for other in chosen[1:]]
         if self.runs is None and chosen[:1] not in (["rare"], ["sobol"]):
@@ -93,8 +88,6 @@ class CampaignRequest:
                 each = " per level" if self.method == "subset" else ""
                 text = f"{self.runs}: too few for the probability of a rare event, at least {least}{each}"
                 found.append(("runs", text))
-            if self.engine == "cuda" and self.method == "importance":
-                found.append(("engine", "cuda: not together with --method importance"))
         return [Problem(f"--{name}", "", text) for name, text in found]
 
     def run(self, show: Show = lambda *_: None, warn: Callable[[str], None] = lambda _: None) -> Results:
@@ -111,14 +104,13 @@ class CampaignRequest:
         jobs = self._jobs(sweep)
         study = self._study(jobs[0])
         with ExitStack() as held:
-            engine = engine_of(self.engine, self.workers, [job.scenario for job in jobs], self.scheduler)
+            engine = LocalEngine(self.workers) if self.scheduler is None else DaskEngine(self.scheduler)
             held.callback(engine.close)
             out = self.out
             if out is None:
                 out = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-")))
-            identity = study.identity | engine_identity(self.engine)
             stores = [
-                held.enter_context(job.store(folder, warn, identity, study.columns))
+                held.enter_context(job.store(folder, warn, study.identity, study.columns))
                 for job, folder in zip(jobs, self._folders(out, len(jobs)), strict=True)
             ]
             show("compiling the loop if it is not cached, up to two minutes", 0.0)

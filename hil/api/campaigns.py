@@ -39,7 +39,6 @@ class SweepArguments(CampaignArguments, total=False):
 
     duration_s: float | None
     workers: int
-    engine: str
 
 
 @overload
@@ -51,7 +50,6 @@ def campaign(
     duration_s: float | None = None,
     overrides: Overrides | None = None,
     workers: int = 0,
-    engine: str = "cpu",
     **options: Unpack[CampaignArguments],
 ) -> Campaign: ...
 
@@ -65,7 +63,6 @@ def campaign(
     duration_s: float | None = None,
     overrides: Overrides | None = None,
     workers: int = 0,
-    engine: str = "cpu",
     **options: Unpack[StudyArguments],
 ) -> Any: ...
 
@@ -78,7 +75,6 @@ def campaign(
     duration_s: float | None = None,
     overrides: Overrides | None = None,
     workers: int = 0,
-    engine: str = "cpu",
     **options: Unpack[StudyArguments],
 ) -> Any:
     """Run many cases of a scenario with its dispersions on the mock rig, in the compiled loop.
@@ -99,9 +95,7 @@ def campaign(
     overrides
         Dotted keys or nested tables to values, as for ``hil.run``.
     workers
-        Number of processes, of threads that draw the noise for a GPU; 0: one per core.
-    engine
-        ``cpu``, or ``cuda`` (experimental, not yet sound on a GPU of NVIDIA). Cases of both are not mixed in a folder.
+        Number of processes; 0: one per core.
     options
         ``navigation=``, ``control=``: backends in place of the scenario's, as for ``hil.run``. Each case has a new
         object of a class, and a copy of an object. A case whose object raises has failed;
@@ -115,7 +109,7 @@ def campaign(
     BadInput
         Invalid arguments, with one line per error.
     CampaignStopped
-        The disk is full, or cases of a GPU differ from those of the CPU: completed cases are kept.
+        The disk is full, the scheduler is lost, or workers end again and again: completed cases are kept.
     """
     for name, value, least in (("runs", runs, 1), ("workers", workers, 0), ("sobol", options.get("sobol"), 1)):
         check_count(name, value, least)
@@ -123,7 +117,7 @@ def campaign(
     backends: Any = {part: given.pop(part) for part in PARTS if part in given}
     if (dispersions := given.pop("dispersions", None)) is not None:
         overrides = {"dispersions": str(dispersions), **(overrides or {})}
-    given |= {"seed": seed, "duration_s": duration_s, "workers": workers, "engine": engine, "backends": backends}
+    given |= {"seed": seed, "duration_s": duration_s, "workers": workers, "backends": backends}
     with named_as_argument():
         folder = None if out is None else Path(out)
         return CampaignRequest(scenario, settings_of(overrides), runs, folder, **given).run()

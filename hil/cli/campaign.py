@@ -43,8 +43,6 @@ class EngineOptions:
     """Number of processes on this computer; 0: one per core."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://host:8786, whose workers are used instead."""
-    engine: str = "cpu"
-    """cpu, or cuda (experimental, not yet sound on a GPU of NVIDIA), where --workers are threads drawing the noise."""
 
 
 @dataclass(frozen=True)

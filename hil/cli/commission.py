@@ -8,9 +8,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
-from cyclopts import Parameter
 from rich.console import Console
 
 from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, TomlFile, refuse, refuse_wires_in_use
@@ -33,7 +32,7 @@ class SignOffOptions:
 
     out: TomlFile = None
     """Rig file (*.toml) to write: it extends this rig by the sign-off that a run on hardware requires."""
-    operator: Annotated[str | None, Parameter(name=("--operator", "--by"))] = None
+    operator: str | None = None
     """Operator's name; prompted for if omitted."""
     operator_key: str | None = None
     """The operator's key file, by hil operators add: the sign-off has its name, and is sealed with it."""

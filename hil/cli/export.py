@@ -17,7 +17,7 @@ def export(
     *,
     form: Annotated[Literal["parquet", "csv", "ros2"], Parameter(name="--format")] = "csv",
     out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
-    images: Annotated[str | None, Parameter(name=("--images", "--pictures"))] = None,
+    images: str | None = None,
 ) -> int:
     """Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.
 

@@ -17,7 +17,6 @@ _PASSED, _FAILED = 0, 1
 def fusion(
     *,
     vmu_noise: Literal["swapped", "printed"] = "swapped",
-    akf_form: Literal["multiplicative", "as_printed"] = "multiplicative",
     runs: Runs = 100,
     seed: Seed = 0,
     settings: Settings = (),
@@ -31,9 +30,6 @@ def fusion(
     ----------
     vmu_noise
         Table I's rows of the vision unit as the text requires (swapped) or as printed.
-    akf_form
-        Attitude filter with a small-angle error (multiplicative, as in the loop), or with the paper's seven additive
-        states (as_printed), whose results are then those of the attitude.
     runs
         Number of runs, each with its own noise and initial errors.
     seed
@@ -64,12 +60,12 @@ def fusion(
             next(done, None)
         counted = finished
 
-    found = run_fusion(vmu_noise, runs, seed, settings, worker_count(workers), watch, akf_form)
+    found = run_fusion(vmu_noise, runs, seed, settings, worker_count(workers), watch)
     write_json(found, json)
     if figure is not None:
         from hil.monte_carlo.fusion import draw
 
-        draw(vmu_noise, seed, settings, figure, akf_form)
+        draw(vmu_noise, seed, settings, figure)
     passed = _passed(found)
     if json != "-":
         _render(found, passed, Console())

@@ -73,11 +73,6 @@ GROUPS: Final = {
     "sensors": "Sensor modules that a scenario can add: list them, check one.",
 }
 """Command with commands of its own -> summary: ``app`` in the module of that name."""
-_EARLIER_NAMES: Final = {
-    "gnc-check": "hil.cli.gnc_check:gnc_check",
-    "gnc-header": "hil.cli.gnc:header",
-    "runs": "hil.cli.recordings:list_recordings",
-}
 
 _EXTRAS: Final = {
     "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
@@ -96,8 +91,6 @@ for _name, _summary in COMMANDS.items():
     app.command(f"hil.cli.{_module}:{_module}", name=_name, help=_summary)
 for _name, _summary in GROUPS.items():
     app.command(f"hil.cli.{_name}:app", name=_name, help=_summary)
-for _name, _path in _EARLIER_NAMES.items():
-    app.command(_path, name=_name, show=False)
 app.register_install_completion_command(name="--install-completion", help="Install completion for this shell.")
 
 

@@ -35,18 +35,10 @@ class MonitorOptions:
 
     roi: str | None = None
     """Initial region of interest: u,v,width,height in px."""
-    target: Literal["basic", "backup", "reserve"] = "basic"
-    """The scene's basic or its backup target (reserve: earlier name of backup)."""
-    calculation: Literal["exact", "paper"] = "exact"
-    """The exact projection, or the paper's small-angle relations."""
-    motion: Literal["corrected", "printed"] = "corrected"
-    """The paper's portions as corrected, or as printed."""
+    target: Literal["basic", "backup"] = "basic"
+    """The scene's basic or its backup target."""
     q: Annotated[float, within(0.0, 1.0)] = 0.5
     """Weight of the previous portion, 0 to 1."""
-
-    @property
-    def chosen_target(self) -> Literal["basic", "backup"]:
-        return "basic" if self.target == "basic" else "backup"
 
 
 _DEFAULTS = MonitorOptions()
@@ -88,13 +80,11 @@ def monitor(
     from hil.monitor.sources import open_source
 
     loaded = load_scene(scene)
-    if options.chosen_target == "backup" and loaded.value.backup is None:
+    if options.target == "backup" and loaded.value.backup is None:
         raise BadInput.single(loaded.source, "backup", "is missing: --target backup needs it")
     settings = MonitorSettings(
         region=_region(options.roi, loaded.value),
-        target=options.chosen_target,
-        calculation=options.calculation,
-        motion=options.motion,
+        target=options.target,
         q=options.q,
         q_attitude=options.q,
     )

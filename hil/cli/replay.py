@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-
-from hil.cli.options import File, Flag, Group, Integer, Settings, refuse
+from hil.cli.options import File, Flag, Group, Settings, refuse
 from hil.cli.output import deliver, print_columns, say
 from hil.errors import Problem
 
@@ -54,7 +51,6 @@ def replay(
     settings: Settings = (),
     images: Group[ImageOptions] = _NO_IMAGES,
     json: File = None,
-    foxglove: Integer | None = None,
 ) -> int:
     """Replay the recorded inputs of a run through the present GNC and compare bit by bit.
 
@@ -66,17 +62,9 @@ def replay(
         TOML file with other [gnc...] tables, or a scenario whose GNC is used.
     json
         File for the differences, - for standard output.
-    foxglove
-        Port on this computer at which Foxglove connects, 0 for any free one: plays the recording there instead.
     """
     problems = []
     vmu, geometry, monitor, scene = images.vmu, images.geometry, images.monitor, images.scene
-    if foxglove is not None:
-        others = ("--gnc", "--set", "--vmu", "--geometry", "--monitor", "--scene", "--json")
-        values = (gnc, settings, vmu, geometry, monitor, scene, json)
-        used = [option for option, value in zip(others, values, strict=True) if value]
-        refuse([Problem(option, "", "does not go with --foxglove") for option in used])
-        return _play(recording, foxglove)
     if not (vmu or monitor or geometry is not None or scene is not None):
         return _replay_gnc(recording, gnc, settings, json)
     if geometry is not None and not vmu:
@@ -91,25 +79,6 @@ def replay(
     from hil.cli.replay_images import replay_images
 
     return replay_images(recording, vmu, geometry, monitor, scene, json)
-
-
-def _play(recording: str, port: int) -> int:
-    from hil.recording.foxglove_replay import RecordedMessages, RecordingPlayer
-    from hil.recording.foxglove_server import check_foxglove_option, layout_file
-
-    check_foxglove_option(port)
-    console = Console(stderr=True)
-    with console.status("reading the recording"):
-        recorded = RecordedMessages(Path(recording))
-    player = RecordingPlayer(recorded, port)
-    say(f"foxglove on {player.address}", console)
-    say(f"layout for it: {layout_file()}", console)
-    try:
-        with suppress(KeyboardInterrupt):
-            player.run()
-    finally:
-        player.close()
-    return 0
 
 
 def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:

@@ -255,10 +255,8 @@ class Navigation(ConfigModel):
 
 
 class AttitudeFilter(ConfigModel):
-    """Gyro model and attitude error definition of the AKF."""
+    """Gyro model of the AKF."""
 
-    form: Literal["multiplicative"] = "multiplicative"
-    """Six-component multiplicative error state; the paper's seven additive states are in ``hil fusion``."""
     gyro_noise_degps: Annotated[Positive, Live(1e-8, 1.0)]
     """Noise of a gyro sample."""
     gyro_drift_noise_degps2: Annotated[NotNegative, Live(0.0, 0.1)]
@@ -267,16 +265,6 @@ class AttitudeFilter(ConfigModel):
     """Initial estimate of the drift."""
     initial_drift_sigma_degps: Positive
     """Its standard deviation."""
-
-    @field_validator("form", mode="before")
-    @classmethod
-    def _form_is_in_the_loop(cls, value: object) -> object:
-        if value == "as_printed":
-            raise ValueError(
-                '"as_printed": is no longer in the loop, but in "hil fusion --akf-form as_printed"; '
-                'allowed is "multiplicative"'
-            )
-        return value
 
 
 class PositionFilter(ConfigModel):
@@ -824,8 +812,6 @@ class Scenario(ConfigModel):
             raise ValueError(f'{motion} requires truth.relative_motion = "nonlinear"')
         if self.truth.fmu is not None:
             raise ValueError(f"{motion} does not go with truth.fmu: put the motion into the FMU")
-        if self.gnc.akf.form != "multiplicative":
-            raise ValueError(f'{motion} requires gnc.akf.form = "multiplicative"')
         if self.gnc.shadow.enabled:
             raise ValueError(f"{motion} does not go with gnc.shadow.enabled, whose filters are those of the Hill frame")
         return self

@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol, Self
 
+from hil.core.fork_server import ForkedProcess, ForkServer
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
@@ -39,6 +40,8 @@ Message = dict[str, Any]
 class ChildProcess:
     """A child process that runs ``python -m module``; ``name`` is its name in errors and in the list of processes.
 
+    server: forks the child instead, which calls ``main`` of the module.
+
     The constructor starts the child and returns; start several, then ``wait_ready`` for each. ``pass_fds`` are open in
     the child under the same numbers. new_session: keep the terminal's Ctrl-C away from the child. The kernel takes the
     *thread* that starts a child for its parent: start it from one that lives as long as the bench. Raises LinkLost if
@@ -52,20 +55,25 @@ class ChildProcess:
         configuration: Mapping[str, Any],
         pass_fds: Sequence[int] = (),
         new_session: bool = False,
+        server: ForkServer | None = None,
     ) -> None:
         self.name = name
         self._ready: Message | None = None
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        self._process: subprocess.Popen[bytes] | ForkedProcess
         try:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", module, name],
-                bufsize=0,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._stderr,
-                pass_fds=pass_fds,
-                start_new_session=new_session,
-            )
+            if server is not None:
+                self._process = server.start(module, name, self._stderr.fileno(), pass_fds)
+            else:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", module, name],
+                    bufsize=0,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=self._stderr,
+                    pass_fds=pass_fds,
+                    start_new_session=new_session,
+                )
         except OSError as cause:
             self._stderr.close()
             raise LinkLost(name, f"cannot be started: {cause}") from cause

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Self
+from typing import Final, Self
 
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
+from hil.core.fork_server import ForkServer
 from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.image_memory import ImageMemory
 
 _READY_WALL_S = 60.0  # the first start compiles
+_EMULATORS = "hil.processes.emulators"
+_SERVER = ForkServer(
+    _EMULATORS, "hil.processes.io_server", "hil.processes.watchdog", "hil.drivers.rails.emulator",
+    "hil.drivers.turntable.cia402.emulator", "hil.drivers.io.emulator", "hil.drivers.vmu.emulator",
+    "hil.setup.emulated_vision",
+)  # fmt: skip
 _ORDERS = {"io": Order.COUPLER, "rails": Order.AXES, "turntable": Order.AXES, "target": Order.AXES}
 
 
@@ -21,6 +28,9 @@ class EmulatedDevices:
 
     images: memory for those of a rendered vision unit; None: not sent. sensors: names of those on wires of their own.
     """
+
+    server: Final = _SERVER
+    """Forks the emulators, and may fork the other processes of a bench without hardware."""
 
     def __init__(
         self,
@@ -46,7 +56,7 @@ class EmulatedDevices:
                 memory = images if device == "vmu" else None
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",
-                    "hil.processes.emulators",
+                    _EMULATORS,
                     {
                         **configuration,
                         "device": device,
@@ -54,6 +64,7 @@ class EmulatedDevices:
                         "clock": clock.configuration(_ORDERS.get(device, Order.CAMERAS), f"{device} emulator"),
                     },
                     (self.board.descriptor, *clock.descriptors, *(memory.descriptors if memory else ())),
+                    server=self.server,
                 )
         except BaseException:
             self.close()

@@ -1,4 +1,4 @@
-"""Kalman updates in plain loops: no library call, no heap. States: up to MAX_STATES, else ValueError.
+"""Covariances of filters in plain loops: no library call, no heap. States: up to MAX_STATES, else ValueError.
 
 A product is summed up row by row, ``row += a[i, m] * b[m]``: the inner loop runs along memory without a chain
 of sums, and zeros in ``a``, most of a transition, are skipped.
@@ -81,76 +81,6 @@ def invert_symmetric_3(s, out):
     last = s[0, 0] * s[1, 1] - s[0, 1] * s[0, 1]
     out[2, 2] = last / det
     return 0.0 < s[0, 0] < np.inf and last > 0.0 and 0.0 < det < np.inf
-
-
-@kernel
-def gain_of_three(p, h, r, gain, s_inverse):
-    """Write the gain (n, 3) and the inverse innovation covariance (3, 3) of a three-component measurement.
-
-    Return whether the latter is positive definite. p: (n, n). h: (3, n). r: (3, 3).
-    """
-    n = p.shape[0]
-    if n > MAX_STATES:
-        raise ValueError("too many states")
-    ph, s = stack.matrix(MAX_STATES, 3), stack.matrix(3, 3)
-    for i in range(n):
-        for j in range(3):
-            total = 0.0
-            for m in range(n):
-                total += p[i, m] * h[j, m]
-            ph[i, j] = total
-    for i in range(3):
-        for j in range(3):
-            total = r[i, j]
-            for m in range(n):
-                total += h[i, m] * ph[m, j]
-            s[i, j] = total
-    is_positive = invert_symmetric_3(s, s_inverse)
-    for i in range(n):
-        for j in range(3):
-            gain[i, j] = ph[i, 0] * s_inverse[0, j] + ph[i, 1] * s_inverse[1, j] + ph[i, 2] * s_inverse[2, j]
-    return is_positive
-
-
-@kernel
-def joseph(p, h, r, gain):
-    """Replace ``p`` by ``(I - K H) p (I - K H).T + K R K.T``: symmetric and positive whatever the gain."""
-    n = p.shape[0]
-    if n > MAX_STATES:
-        raise ValueError("too many states")
-    a, noise = stack.matrix(MAX_STATES, MAX_STATES), stack.matrix(MAX_STATES, MAX_STATES)
-    for i in range(n):
-        for j in range(n):
-            a[i, j] = -(gain[i, 0] * h[0, j] + gain[i, 1] * h[1, j] + gain[i, 2] * h[2, j])
-        a[i, i] += 1.0
-    for i in range(n):
-        kr0 = gain[i, 0] * r[0, 0] + gain[i, 1] * r[1, 0] + gain[i, 2] * r[2, 0]
-        kr1 = gain[i, 0] * r[0, 1] + gain[i, 1] * r[1, 1] + gain[i, 2] * r[2, 1]
-        kr2 = gain[i, 0] * r[0, 2] + gain[i, 1] * r[1, 2] + gain[i, 2] * r[2, 2]
-        for j in range(n):
-            noise[i, j] = kr0 * gain[j, 0] + kr1 * gain[j, 1] + kr2 * gain[j, 2]
-    propagate_covariance(p, a, noise)
-
-
-@kernel
-def update_three(x, p, h, r, innovation):
-    """Fuse a three-component measurement into ``x`` (n,) and ``p`` (n, n), in place; return the NIS.
-
-    h: (3, n). r: (3, 3). innovation: (3,), measured minus expected.
-    """
-    n = x.shape[0]
-    if n > MAX_STATES:
-        raise ValueError("too many states")
-    gain, s_inverse = stack.matrix(MAX_STATES, 3), stack.matrix(3, 3)
-    gain_of_three(p, h, r, gain, s_inverse)
-    for i in range(n):
-        x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
-    joseph(p, h, r, gain)
-    nis = 0.0
-    for i in range(3):
-        for j in range(3):
-            nis += innovation[i] * s_inverse[i, j] * innovation[j]
-    return nis
 
 
 @kernel

@@ -20,7 +20,7 @@ def cut_to_range(values, low, high, out):
 
 @kernel
 def to_integer(value):
-    """Return ``value``, a whole number, as an integer: rounding gives an integer on the CPU and a float on a GPU."""
+    """Return ``value``, a whole number, as an integer."""
     return int(value)
 
 

@@ -18,7 +18,6 @@ from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.kernels.pose import GROWTH, UNKNOWNS
 from hil.monitor.motion import NOT_ESTIMATED, Motion
-from hil.monitor.paper.frame import paper_frame
 from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
 from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
@@ -245,7 +244,6 @@ class FrameTracker:
         prior[:2] = 1.0 / (self._settings.passive_angle_rad * x[2]) ** 2
         prior[GROWTH:] = np.maximum(self._sigmas, NOT_ESTIMATED) ** -2.0
         low, high = places[used].min(axis=0) - _MARGIN_PX, places[used].max(axis=0) + _MARGIN_PX
-        in_paper_mode = self._settings.calculation == "paper" and mode == NEAR
         detection = FrameDetection(
             frame.number, frame.t_s, mode, (low[0], low[1], high[0] - low[0], high[1] - low[1]), places[used],
             self._cross_at(x) if mode == NEAR else None, self._circle_at(x, near=True), self._circle_at(x, near=False),
@@ -253,7 +251,7 @@ class FrameTracker:
         )  # fmt: skip
         return FrameResult(
             detection, "", x, self._normal.copy(), prior, self._sums.copy(), tracked, float(self._state["blur"]), noise,
-            paper_frame(self._features.lens, samples) if in_paper_mode else None, self._is_roll_open(x),
+            self._is_roll_open(x),
         )  # fmt: skip
 
     def _point_at(self, x: Floats, y: Floats) -> tuple[float, float, float]:

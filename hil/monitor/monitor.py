@@ -21,7 +21,6 @@ from hil.monitor.field_check import FieldCheck
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
-from hil.monitor.paper.motion import PaperMotionFit
 from hil.monitor.preprocess import Region
 from hil.monitor.results import (
     AMBIGUOUS,
@@ -57,7 +56,6 @@ class DockingMonitor:
         self.settings = settings or MonitorSettings()
         self._tracker = FrameTracker(self.scene, self.settings)
         self._motion = MotionFit(self.settings, self.scene)
-        self._paper = _paper_fit(self.scene, self.settings)
         self._frames: list[FrameResult] = []
         self._used_s = -np.inf
         self._images = 0
@@ -89,7 +87,7 @@ class DockingMonitor:
         done: list[Result] = []
         if self._dropped:
             done += self.finish()
-            self._reset_motion()
+            self._motion.reset()
             self._tracker.expect(None)
             self._dropped = False
         if self._frames and frame.t_s - self._frames[0].detection.t_s >= self.settings.portion_s - 1e-9:
@@ -126,17 +124,14 @@ class DockingMonitor:
             self._fields.drop()
             return _nothing(frames, t_s)
         if used[0].detection.t_s - self._used_s > self.settings.lost_s:
-            self._reset_motion()
-        # without the cross the paper has no relations: the exact ones are used in both cases
+            self._motion.reset()
         fit = self._motion.fit(used, t_s)
-        if self._paper is not None and status == NEAR:
-            fit = self._paper.fit(near, t_s)
         if fit is None:
             self._fields.drop()
             return _nothing(frames, t_s, "rejected_motion")
         self._fields.update(fit.motion)
         if self.warning and not self._fields_are_stated:
-            self._reset_motion()
+            self._motion.reset()
             self._tracker.expect(None)
             return _nothing([_unsuited(result, self.warning) for result in frames], t_s)
         self._used_s = used[-1].detection.t_s
@@ -161,18 +156,6 @@ class DockingMonitor:
     def _fields_are_stated(self) -> bool:
         """Whether the scene's tolerance of time has what the fields do: half of their distance in time."""
         return self.scene.camera.tolerances.time_s >= 0.25 / self.scene.fps * (1.0 - 1e-9)
-
-    def _reset_motion(self) -> None:
-        self._motion.reset()
-        if self._paper is not None:
-            self._paper.reset()
-
-
-def _paper_fit(scene: Scene, settings: MonitorSettings) -> PaperMotionFit | None:
-    target = scene.chosen(settings.target)
-    if settings.calculation != "paper" or target.disc is None or target.cross is None:
-        return None
-    return PaperMotionFit(settings, scene.camera.f, target.cross.offset_m, target.disc.radius_m)
 
 
 def _reasons(frames: list[FrameResult]) -> tuple[tuple[str, int], ...]:

@@ -278,8 +278,6 @@ class MotionFit:
         by_lens = inverse @ (known @ self._carried_by_lens(t_s) + information[:, _LENS])
         reported = covariance + by_lens @ self._camera[FOCAL - GROWTH :, FOCAL - GROWTH :] @ by_lens.T
         normal12 = _inverse(inverse[:12, :12])
-        if self._settings.motion == "printed":  # 3.2 as printed: sigma^2 B^-1 with the divisor of K frames alone
-            reported = covariance = max(float(np.nan_to_num(motion2, nan=edges2)), 1e-6) * inverse
         consistent = edges2 < 2.0 and excess == 0.0 and not scattered and not chosen.timing
         solution = MotionSolution(
             Motion(t_s, theta[:12].copy(), normal12, reported[:12, :12].copy()),

@@ -120,14 +120,6 @@ def portion_of(row: np.void) -> Portion:
 
 
 @dataclass(frozen=True)
-class PaperFrame:
-    """The paper's six quantities X_C, Y_C, a, X_O, Y_O, R (px, image axes of 3.1) of a frame, and their covariance."""
-
-    values: Floats
-    covariance: Floats
-
-
-@dataclass(frozen=True)
 class FrameResult:
     """Measurement of one frame. detection: for the screen; its status is near, far, no_target or rejected_<why>.
 
@@ -146,8 +138,6 @@ class FrameResult:
     tracked: bool
     blur_px: float = float("nan")
     noise: float = float("nan")
-
-    paper: PaperFrame | None = None
     roll_open: bool = False
 
     @property

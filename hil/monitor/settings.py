@@ -16,9 +16,8 @@ from hil.monitor.preprocess import Region
 class MonitorSettings:
     """Settings of a run.
 
-    region: initial search region, px; the whole image if that fails. target: one of the scene's two. calculation:
-    "exact" (finite angles, all features at once) or "paper" (monitor paper 3.1). motion: "corrected" or "printed"
-    (3.2 as printed, see docs/explanation/docking-monitor.md). q, q_attitude: weight of the previous portion.
+    region: initial search region, px; the whole image if that fails. target: one of the scene's two. q,
+    q_attitude: weight of the previous portion.
     acceleration_mps2, angular_acceleration_radps2: 1 sigma of the deviation from uniform motion within a portion.
     portion_frames, portion_s: a portion ends after this number of frames, or after this time. lost_s: time without a
     result after which the track is lost. growth_px: 1 sigma of the edges' growth, camera_s: time over which it and the
@@ -27,8 +26,6 @@ class MonitorSettings:
 
     region: Region | None = None
     target: Literal["basic", "backup"] = "basic"
-    calculation: Literal["exact", "paper"] = "exact"
-    motion: Literal["corrected", "printed"] = "corrected"
     q: float = 0.5
     q_attitude: float = 0.5
     acceleration_mps2: float = 2e-3

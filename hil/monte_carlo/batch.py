@@ -9,9 +9,7 @@ import threading
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
-
-import numpy as np
+from typing import Any, Final
 
 from hil.config.load import Loaded, check_table
 from hil.config.rig import Rig
@@ -76,15 +74,6 @@ def pickled(own: OwnBackends) -> bytes:
     return found
 
 
-class DrawnCase(NamedTuple):
-    """A case: number, seed, scenario of vehicle, sensors and start, and that of the GNC."""
-
-    case: int
-    seed: int
-    truth: Scenario
-    gnc: Scenario
-
-
 class Case:
     """Runs the cases of one ``Spec``; created once per worker, or thread of it."""
 
@@ -101,33 +90,18 @@ class Case:
 
     def row(self, case: int) -> dict[str, Any]:
         """Run ``case``; return its row: dispersions and outcome, or the reason why it cannot be run."""
-        seed = self._point(case)[1]
+        values, seed = self._point(case)
         try:
-            drawn = self.load(case)
-            outcome = self.outcome(drawn, *self.runner.run(drawn.truth, seed))
+            truth, gnc = self._design.apply(values, self._design.fault(case))
+            if self._design.touches_gnc:
+                self.runner.set_gnc_scenario(gnc)
+            outcome = row_of(*self.runner.run(truth, seed), gnc, truth, self.runner.alarm)
         except Exception as error:  # one case must not end the campaign: its row has the reason
-            outcome = not_flown(error)
-        found = self.complete(case, outcome)
+            outcome = _not_flown(error)
+        found = {"case": case, "seed": int(seed), **self._named(values), **outcome}
         if (raised := self.runner.user_error) is not None:
             found[TRACEBACK] = "".join(traceback.format_exception(raised))
         return found if self._density is None else found | {LOG_WEIGHT: self._log_weight(seed)}
-
-    def load(self, case: int) -> DrawnCase:
-        """Return the scenarios of ``case``; the runner has the one of the GNC."""
-        values, seed = self._point(case)
-        truth, gnc = self._design.apply(values, self._design.fault(case))
-        if self._design.touches_gnc:
-            self.runner.set_gnc_scenario(gnc)
-        return DrawnCase(case, seed, truth, gnc)
-
-    def outcome(self, drawn: DrawnCase, stats: np.record, stop: str) -> dict[str, Any]:
-        """Return the outcome of a case from its RUN_STATS and why it ended."""
-        return row_of(stats, stop, drawn.gnc, drawn.truth, self.runner.alarm)
-
-    def complete(self, case: int, outcome: dict[str, Any]) -> dict[str, Any]:
-        """Return the row of ``case``: its seed, its dispersions and ``outcome``."""
-        values, seed = self._point(case)
-        return {"case": case, "seed": int(seed), **self._named(values), **outcome}
 
     def _log_weight(self, seed: int) -> float:
         """Return the logarithm of the weight of the case that was run last."""
@@ -156,7 +130,7 @@ class Case:
         return design.values(case, mixed), case_seed(campaign_seed, case) if mixed is None else mixed
 
 
-def not_flown(error: Exception) -> dict[str, Any]:
+def _not_flown(error: Exception) -> dict[str, Any]:
     """Return the outcome of a case that cannot be run because of ``error``."""
     kind = "" if isinstance(error, BadInput) else f"{type(error).__name__}: "
     return failed_row(f"not flown: {kind}{' '.join(str(error).split())}")

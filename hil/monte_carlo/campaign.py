@@ -166,7 +166,7 @@ class CampaignJob:
             "dispersions": value.dispersions.name,
             "required_parts": required_parts(value.requirements.required_parts, PART_COLUMNS),
         }
-        summary = summarise(store, self.scenario.value.name) | more | engine.summary()
+        summary = summarise(store, self.scenario.value.name) | more
         table = store.table()
         summary["why"] = explain(lambda name: table.column(name).to_numpy(), self.design.names)
         requirements = judge_requirements(store, self.scenario.value)

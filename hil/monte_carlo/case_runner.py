@@ -92,12 +92,6 @@ class CaseRunner:
         return self._backends.user_error
 
     @property
-    def stats(self) -> np.record:
-        """RUN_STATS of the last case."""
-        stats: np.record = self._stats
-        return stats
-
-    @property
     def _params(self) -> np.record:
         return self._core.params
 
@@ -129,27 +123,20 @@ class CaseRunner:
         truth: the scenario of vehicle, sensors and start. history: (n,) of CYCLE, filled for the first n cycles.
         """
         stats = self._stats
-        interlock = self.load(truth, seed)
-        if interlock:
+        if interlock := self._load(truth, seed):
             return stats, interlock
         self._backends.user_error = None
         with self._library_instance(), self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
-            code = self._run_cycles(truth, seed, history)
+            code = run_cycles(*self._arguments(truth, seed, _NO_HISTORY if history is None else history))
             stats.ended = code
             return stats, self._reason(int(code))
 
-    def load(self, truth: Scenario, seed: int) -> str:
+    def _load(self, truth: Scenario, seed: int) -> str:
         """Set the records of a case before its first cycle; return why the bench could not be armed, "" if it could."""
         self._clear()
         self.alarm = None
         self._set_truth(truth, seed)
         return self._interlock()
-
-    def outcome(self, code: int, stats: np.record, state: np.record) -> tuple[np.record, str]:
-        """Return what ``run`` returns for a case that ended with ``code`` of ``run_cycles`` in other memory."""
-        np.asarray(self._stats)[...], np.asarray(self._state)[...], self.alarm = stats, state, None
-        self._stats.ended = code
-        return self._stats, self._reason(code)
 
     @contextmanager
     def _library_instance(self) -> Iterator[None]:
@@ -162,20 +149,13 @@ class CaseRunner:
             gnc.step_address, gnc.instance = self._library.step_address, instance.address
             yield
 
-    def _run_cycles(self, truth: Scenario, seed: int, history: np.ndarray | None) -> int:
-        imu_noise = noise_source(seed, "imu").standard_normal(out=self._imu_noise)
-        code: int = run_cycles(*self.arguments(truth, seed, imu_noise, _NO_HISTORY if history is None else history))
-        return code
-
-    def arguments(
-        self, truth: Scenario, seed: int, imu_noise: np.ndarray, history: np.ndarray = _NO_HISTORY
-    ) -> tuple[Any, ...]:
+    def _arguments(self, truth: Scenario, seed: int, history: np.ndarray = _NO_HISTORY) -> tuple[Any, ...]:
         """Return the arguments of ``run_cycles`` for the case that was loaded last, valid until the next one."""
         return (
             self._params,
             dynamics_params.field(truth),
             self._leds,
-            imu_noise,
+            noise_source(seed, "imu").standard_normal(out=self._imu_noise),
             noise_source(seed, "vision").standard_normal(out=self._vision_noise),
             noise_source(seed, "transport").random(out=self._travel_draws),
             self._state,
@@ -202,10 +182,10 @@ class CaseRunner:
 
         Raises BadInput if the bench could not be armed at the start pose.
         """
-        if interlock := self.load(truth, seed):
+        if interlock := self._load(truth, seed):
             raise BadInput.single(truth.name, "initial", interlock)
         self._params.counts = 0
-        return self.arguments(truth, seed, noise_source(seed, "imu").standard_normal(out=self._imu_noise))
+        return self._arguments(truth, seed)
 
     def _clear(self) -> None:
         self._core.clear()

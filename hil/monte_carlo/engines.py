@@ -12,7 +12,7 @@ import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -24,16 +24,11 @@ from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
-from hil.config.load import Loaded
-from hil.config.scenario import Scenario
 from hil.core.child_process import die_with_parent
 from hil.errors import BadInput, CampaignStopped
 from hil.monte_carlo.batch import Batch, Case, Rows, Spec, run_batch, worker_count
 from hil.monte_carlo.dispersions import case_seed
 from hil.monte_carlo.outcome import failed_row
-
-ENGINES: Final = ("cpu", "cuda")
-"""Engines of this computer: its cores, or a GPU of NVIDIA."""
 
 _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
@@ -54,31 +49,8 @@ class Engine(Protocol):
     def run(self, spec: Spec, batches: Iterable[Batch]) -> Generator[tuple[int, Rows], None, None]:
         """Yield first case and rows of each of the ``batches``; closing it ends the work. Raises CampaignStopped."""
 
-    def summary(self) -> dict[str, Any]:
-        """Return what the summary of a campaign has of the engine."""
-
     def close(self) -> None:
         """Release the workers."""
-
-
-def engine_of(name: str, workers: int, scenarios: Sequence[Loaded[Scenario]], scheduler: str | None = None) -> Engine:
-    """Return the engine ``name`` of ENGINES for cases of ``scenarios``. Raises BadInput if it cannot run here.
-
-    workers: processes, on a GPU threads that draw the noise; 0: one per core. scheduler: address of a Dask scheduler,
-    whose workers are used instead.
-    """
-    if scheduler is not None:
-        return DaskEngine(scheduler)
-    if name == "cpu":
-        return LocalEngine(workers)
-    from hil.monte_carlo.cuda_engine import CudaEngine  # needs a GPU
-
-    return CudaEngine(workers, scenarios)
-
-
-def engine_identity(name: str) -> dict[str, str]:
-    """Return the part of a campaign's identity of its engine: results of a GPU are not mixed with those of a CPU."""
-    return {} if name == "cpu" else {"engine": name}
 
 
 class LocalEngine:
@@ -135,10 +107,6 @@ class LocalEngine:
                 self._pool = None
                 pool.shutdown(wait=False, cancel_futures=True)
         return []
-
-    def summary(self) -> dict[str, Any]:
-        """Return nothing: the rows do not depend on this engine."""
-        return {}
 
     def close(self) -> None:
         """End the worker processes, which are idle."""
@@ -324,10 +292,6 @@ class DaskEngine:
                 return done.get(timeout=_ASK_EVERY_S)
             self._client.sync(scheduler.identity, callback_timeout=_SILENT_S)
         raise ConnectionError
-
-    def summary(self) -> dict[str, Any]:
-        """Return nothing: the rows do not depend on this engine."""
-        return {}
 
     def close(self) -> None:
         """Disconnect from the scheduler."""

@@ -16,7 +16,6 @@ from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.gnc.fusion import FUSION_STATE, new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
-from hil.monte_carlo.akf_additive import AKF_ADDITIVE_STATE
 from hil.monte_carlo.fusion_interval import AxisProblem, degrees_of_freedom, largest_ratio
 from hil.monte_carlo.fusion_kernel import (
     SNAPSHOTS_S,
@@ -29,8 +28,6 @@ from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 
 Reading = Literal["swapped", "printed"]
-Form = Literal["multiplicative", "as_printed"]
-"""Form of the attitude filter: small-angle error, as in the loop, or the paper's seven additive states."""
 
 VMU_SIGMA = {"swapped": (0.005, 0.033), "printed": (0.033, 0.005)}  # m, deg: Table I's rows, in either order
 INITIAL_SIGMA = (0.1, 0.02, 5e-4, math.radians(3.0), math.radians(1e-5))
@@ -57,7 +54,7 @@ _BATCH = 20
 _COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for colour-blind readers
 
 
-def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float, form: Form) -> np.record:
+def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np.record:
     """Return STUDY_PARAMS for ``scenario``'s line and attitude."""
     params = new(STUDY_PARAMS)
     params.cycles = round(SNAPSHOTS_S[-1] / scenario.step_s)
@@ -66,7 +63,6 @@ def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float, form:
     params.sigma_angle = math.radians(VMU_SIGMA[reading][1])
     params.initial_rotation = gnc_params.initial_rotation_vector(scenario)
     params.rotation_time = _ROTATION_TIME_S
-    params.as_printed = form == "as_printed"
     params.initial_sigma = np.repeat(INITIAL_SIGMA, 3)
     return params
 
@@ -92,12 +88,12 @@ def _with_sizes_of_the_sensors(scenario: Scenario) -> Scenario:
 class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
-    def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int, form: Form = "multiplicative") -> None:
+    def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
         circular = (*_OF_THE_PAPER, *settings)
         scenario = load_scenario("scheme-2", circular).value
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
-        self._study = study_params(scenario, reading, self.vmu_rate_hz, form)
+        self._study = study_params(scenario, reading, self.vmu_rate_hz)
         self._filters = gnc_params.navigation(scenario).fusion
         self._optimal = gnc_params.navigation(_with_sizes_of_the_sensors(scenario)).fusion
         self._filters.orbit.eccentricity = self._optimal.orbit.eccentricity = 0.0
@@ -123,7 +119,6 @@ class Study:
             new(POSE),
             new(FUSION_STATE),
             new_memory(filters),
-            new(AKF_ADDITIVE_STATE),
             np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number,))),
             1 if noisy else 0,
             result,
@@ -163,11 +158,9 @@ class Study:
         return result
 
 
-def run_batch(
-    settings: tuple[str, ...], reading: Reading, seed: int, first: int, count: int, form: Form = "multiplicative"
-) -> np.ndarray:
+def run_batch(settings: tuple[str, ...], reading: Reading, seed: int, first: int, count: int) -> np.ndarray:
     """Return STUDY_RESULT of the runs ``first`` .. ``first + count``, (count,)."""
-    study = Study(settings, reading, seed, form)
+    study = Study(settings, reading, seed)
     results = np.zeros(count, STUDY_RESULT).view(np.recarray)
     for row in range(count):
         study.run(first + row, results[row])
@@ -181,29 +174,28 @@ def run_fusion(
     settings: tuple[str, ...],
     workers: int,
     watch: Callable[[int], None],
-    form: Form = "multiplicative",
 ) -> dict[str, Any]:
     """Do the study; return its numbers under the names of ``hil fusion --json``.
 
     watch: called with the number of completed runs.
     """
-    study = Study(settings, reading, seed, form)
+    study = Study(settings, reading, seed)
     bound = study.bound()
     batches = [(first, min(_BATCH, runs - first)) for first in range(0, runs, _BATCH)]
     parts: list[np.ndarray] = []
     if workers == 1 or len(batches) == 1:
         for first, count in batches:
-            parts.append(run_batch(settings, reading, seed, first, count, form))
+            parts.append(run_batch(settings, reading, seed, first, count))
             watch(first + count)
     else:
         with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
-            waiting = [pool.submit(run_batch, settings, reading, seed, first, count, form) for first, count in batches]
+            waiting = [pool.submit(run_batch, settings, reading, seed, first, count) for first, count in batches]
             done = 0
             for future in waiting:
                 parts.append(future.result())
                 done += len(parts[-1])
                 watch(done)
-    return {"akf_form": form} | _summary(reading, seed, np.concatenate(parts), bound, study)
+    return _summary(reading, seed, np.concatenate(parts), bound, study)
 
 
 def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record, study: Study) -> dict[str, Any]:
@@ -257,14 +249,14 @@ def _list(values: Array) -> list[float]:
     return [float(value) for value in values]
 
 
-def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str, form: Form = "multiplicative") -> None:
+def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str) -> None:
     """Draw run 0 of the study of ``seed`` into ``path``."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    study = Study(settings, reading, seed, form)
+    study = Study(settings, reading, seed)
     trace = np.zeros((round(SNAPSHOTS_S[-1] / study.step_s), 12))
     study.run(0, new(STUDY_RESULT), trace)
     t_s = (1 + np.arange(len(trace))) * study.step_s

@@ -12,14 +12,12 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.dynamics.imu import sample
-from hil.gnc import akf, fusion, guidance, joint_filter
+from hil.gnc import akf, fusion, guidance
 from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.navigation import normalised_errors
 from hil.gnc.step_memory import step_at
 from hil.maths import quat
 from hil.maths.arrays import copy_into, fill_matrix
-from hil.maths.kalman import normalised_square
-from hil.monte_carlo import akf_additive
 
 STEADY_STATE_AFTER_S = 100.0  # errors count from here on
 SNAPSHOTS_S = (100.0, 200.0, 300.0, 400.0)  # when the NEES is taken
@@ -32,7 +30,6 @@ STUDY_PARAMS = np.dtype(
         ("sigma_angle", "f8"),  # rad
         ("initial_rotation", "f8", 3),  # rad, rotation vector of the chaser's attitude at the start
         ("rotation_time", "f8"),  # s, until it is that of H
-        ("as_printed", "i8"),  # 1: the attitude's results are those of the additive filter
         ("initial_sigma", "f8", 15),  # position, velocity, bias, attitude (rad), drift (rad/s)
     ],
     align=True,
@@ -125,12 +122,11 @@ def _measure(study, truth, t_s, noise, pose):
 
 
 @kernel
-def _start(study, params, truth, imu, draws, state, memory, printed):
+def _start(study, params, truth, imu, draws, state, memory):
     """Start filters and truth apart by ``draws`` (15,) standard normals times the initial sigmas."""
-    filters, rotation, p = state.filters, np.empty(3), np.zeros((6, 6))
+    filters, rotation = state.filters, np.empty(3)
     for i in range(15):
         filters.p[i, i] = study.initial_sigma[i] ** 2
-    joint_filter.copy_block(filters, ROTATION, p)
     for i in range(3):
         rotation[i] = study.initial_sigma[ROTATION + i] * draws[ROTATION + i]
         filters.pkf.x[i] = truth.r_CT_H[i] + study.initial_sigma[R + i] * draws[R + i]
@@ -140,7 +136,6 @@ def _start(study, params, truth, imu, draws, state, memory, printed):
         imu.bias_C[i] = params.pkf.initial_bias[i] + study.initial_sigma[BIAS + i] * draws[BIAS + i]
         imu.drift_C[i] = params.akf.initial_drift[i] + study.initial_sigma[DRIFT + i] * draws[DRIFT + i]
     copy_into(filters.akf.x[0:4], quat.multiply(quat.from_rotation_vector(rotation), truth.q_CH))
-    akf_additive.from_multiplicative(filters.akf.x, p, printed)
     state.started = 1
     state.cycle = 1
     first = step_at(params, memory, 0)
@@ -148,19 +143,8 @@ def _start(study, params, truth, imu, draws, state, memory, printed):
 
 
 @kernel
-def _attitude_errors(study, truth, imu, filters, printed, error, p):
-    """Write error (6,) and covariance (6, 6) of the attitude filter that is studied."""
-    if study.as_printed != 0:
-        akf.error(printed, truth.q_CH, imu.drift_C, error)
-        akf_additive.error_covariance(printed, p)
-    else:
-        akf.error(filters.akf, truth.q_CH, imu.drift_C, error)
-        joint_filter.copy_block(filters, ROTATION, p)
-
-
-@kernel
-def _count(truth, filters, error, p, weight, result):
-    """Add the present errors and variances, times ``weight``. error, p: of ``_attitude_errors``."""
+def _count(truth, filters, error, weight, result):
+    """Add the present errors and variances, times ``weight``. error (6,): of the AKF."""
     for i in range(3):
         rotation, place = error[i], truth.r_CT_H[i] - filters.pkf.x[i]
         result.square_error[i] += weight * place * place
@@ -168,31 +152,30 @@ def _count(truth, filters, error, p, weight, result):
         result.largest_error[i] = max(result.largest_error[i], abs(place))
         result.largest_error[3 + i] = max(result.largest_error[3 + i], abs(rotation))
         result.variance[i] += weight * filters.p[R + i, R + i]
-        result.variance[3 + i] += weight * p[i, i]
+        result.variance[3 + i] += weight * filters.p[ROTATION + i, ROTATION + i]
 
 
 @kernel
-def _trace(truth, filters, error, p, row):
-    """Write errors and sigmas into ``row`` (12,). error, p: of ``_attitude_errors``."""
+def _trace(truth, filters, error, row):
+    """Write errors and sigmas into ``row`` (12,). error (6,): of the AKF."""
     for i in range(3):
         row[i] = truth.r_CT_H[i] - filters.pkf.x[i]
         row[3 + i] = error[i]
         row[6 + i] = math.sqrt(filters.p[R + i, R + i])
-        row[9 + i] = math.sqrt(p[i, i])
+        row[9 + i] = math.sqrt(filters.p[ROTATION + i, ROTATION + i])
 
 
 @kernel
 def run_study(
-    study, params, imu_params, line, guidance_state, point, truth, imu, pose, state, memory, printed, rng, noisy,
-    result, trace,
+    study, params, imu_params, line, guidance_state, point, truth, imu, pose, state, memory, rng, noisy, result,
+    trace,
 ):  # fmt: skip
     """Do one run; write ``result`` (STUDY_RESULT).
 
     study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state,
-    point, truth, imu, pose, state: records of the run, zeroed. memory: of ``fusion.new_memory``. printed:
-    AKF_ADDITIVE_STATE, of the filter that runs in parallel with the others. rng: numpy Generator. noisy: 0 gives the
-    linear covariance along the line, without any noise or error. trace: (n, 12), errors and sigmas of position, m, and
-    small-angle rotation, rad, of the first n cycles.
+    point, truth, imu, pose, state: records of the run, zeroed. memory: of ``fusion.new_memory``. rng:
+    numpy Generator. noisy: 0 gives the linear covariance along the line, without any noise or error. trace: (n, 12),
+    errors and sigmas of position, m, and small-angle rotation, rad, of the first n cycles.
     """
     dt = params.pkf.dt_s
     guidance.start(line, guidance_state)
@@ -205,8 +188,8 @@ def run_study(
     if noisy != 0:
         for i in range(15):
             draws[i] = rng.standard_normal()
-    _start(study, params, truth, imu, draws, state, memory, printed)
-    error, p = np.zeros(6), np.zeros((6, 6))
+    _start(study, params, truth, imu, draws, state, memory)
+    error = np.zeros(6)
     steady_after = math.ceil(STEADY_STATE_AFTER_S / dt - 1e-9)
     weight = 1.0 / (study.cycles - steady_after)
     nees = np.empty(2)
@@ -220,28 +203,24 @@ def run_study(
                 noise[i] = rng.standard_normal()
         sample(imu_params, truth, noise[:12], imu)
         fusion.advance(params, state, memory, imu)
-        if study.as_printed != 0:
-            akf_additive.predict(params.akf, printed, imu.rate_C, step_at(params, memory, cycle).hill)
         if cycle % study.frame_cycles == 0:
             _measure(study, truth, t_s, noise[12:], pose)
             fusion.fuse(params, state, memory, pose)
-            if study.as_printed != 0 and state.nis_attitude <= params.akf.gate:
-                akf_additive.update(printed, pose.q_CH, pose.covariance_attitude)
         state.cycle += 1
-        _attitude_errors(study, truth, imu, state.filters, printed, error, p)
+        akf.error(state.filters.akf, truth.q_CH, imu.drift_C, error)
         if cycle <= trace.shape[0]:
-            _trace(truth, state.filters, error, p, trace[cycle - 1])
+            _trace(truth, state.filters, error, trace[cycle - 1])
         if cycle > steady_after:
-            _count(truth, state.filters, error, p, weight, result)
+            _count(truth, state.filters, error, weight, result)
             # a pose whose attitude was rejected has no NIS of its position
             if cycle % study.frame_cycles == 0 and noisy != 0 and not math.isnan(state.nis_position):
                 result.nis_pkf += state.nis_position
-                result.nis_akf += printed.nis if study.as_printed != 0 else state.nis_attitude
+                result.nis_akf += state.nis_attitude
                 n_nis += 1
         if snapshot < 4 and cycle == round(SNAPSHOTS_S[snapshot] / dt):
             normalised_errors(state.filters, params.orbit, truth, imu, nees)
             result.nees_pkf[snapshot] = nees[0]
-            result.nees_akf[snapshot] = normalised_square(error, p) if study.as_printed != 0 else nees[1]
+            result.nees_akf[snapshot] = nees[1]
             snapshot += 1
     if n_nis > 0:
         result.nis_pkf /= n_nis

@@ -1,6 +1,6 @@
 """Emulator process: one emulated device, with a control port for its faults.
 
-``python -m hil.processes.emulators`` is started by ``EmulatedDevices``, once per device of an emulated rig.
+``EmulatedDevices`` has it forked once per device of an emulated rig.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
+from hil.drivers.profiled_move import compile_profile
 from hil.drivers.shared_state import SharedAxisState
 
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
@@ -105,5 +106,11 @@ def make(configuration: Message) -> Service:
     return service
 
 
-if __name__ == "__main__":
+def prepare() -> None:
+    """Load the compiler, which the first kernel does."""
+    compile_profile()
+
+
+def main() -> None:
+    """Run the emulator that the parent asks for."""
     serve(make)

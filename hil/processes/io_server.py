@@ -139,5 +139,10 @@ def make(configuration: Message) -> IoServer:
     return IoServer(axes, poses, memory, socket.socket(fileno=configuration["requests"]), clock)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Serve the devices until the parent ends this process."""
     serve(make, when_orphaned=signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    main()

@@ -91,5 +91,10 @@ def make(configuration: Message) -> Watchdog:
     return Watchdog(rig.io.make_driver(clock), memory, socket.socket(fileno=configuration["requests"]), clock)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Serve the devices until the parent ends this process."""
     serve(make, when_orphaned=signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    main()

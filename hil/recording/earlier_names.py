@@ -54,7 +54,7 @@ _VALUES: Final[Mapping[Path, Mapping[str, str]]] = {
     ("gnc", "navigation", "backend"): {"vision_imu": "builtin", "vision": "vision_alone"},
 }
 """Present key of a scenario -> earlier value -> present value."""
-_REMOVED: Final = ("gnc", "vision_only")
+_REMOVED: Final[tuple[Path, ...]] = (("gnc", "vision_only"), ("gnc", "akf", "form"))
 _KEYS: Final = ("console", "adjustable")  # a list of keys
 
 
@@ -63,7 +63,7 @@ def with_present_names(model: str, table: Table) -> Table:
     present: Table = {}
     for path, value in _leaves(table):
         start = 1 if path[0] == "dispersions" else 0  # it repeats the scenario's tables
-        if path[start : start + len(_REMOVED)] == _REMOVED:
+        if any(path[start : start + len(gone)] == gone for gone in _REMOVED):
             continue
         *parents, last = (*path[:start], *_renamed(model, path[start:]))
         if (*parents, last) == _KEYS:

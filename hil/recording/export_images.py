@@ -44,7 +44,7 @@ def export_images(recorded: Recorded, folder: Path) -> Exported:
     """
     taken = [folder / name for name in FOLDERS.values() if (folder / name).exists()]
     if taken:
-        raise BadInput.single("--pictures", "", f"{taken[0]} exists: give another folder")
+        raise BadInput.single("--images", "", f"{taken[0]} exists: give another folder")
     found = Exported(folder, dict.fromkeys(CAMERAS, 0))
     times: Path | None = None
     try:
@@ -61,7 +61,7 @@ def export_images(recorded: Recorded, folder: Path) -> Exported:
             times = table.path
         _write_calibrations(recorded, found)
     except OSError as error:
-        raise BadInput.single("--pictures", "", f"{error.filename or times or folder}: {error.strerror}") from error
+        raise BadInput.single("--images", "", f"{error.filename or times or folder}: {error.strerror}") from error
     if not any(found.images.values()):
         text = "has no images: a run has some if its vision unit or docking monitor is rendered"
         raise BadInput.single(str(recorded.path), "", text)

@@ -40,18 +40,10 @@ def check_foxglove_option(port: int) -> None:
 class FoxgloveServer:
     """Server on ``HOST`` and ``port``, 0 for any free one. Raises BadInput if it cannot listen.
 
-    listener: of the SDK's ``ServerListener``. capabilities: names of the SDK's ``Capability``. time_range: first and
-    last time of a recording, ns, whose playback the viewer controls.
+    listener: of the SDK's ``ServerListener``. capabilities: names of the SDK's ``Capability``.
     """
 
-    def __init__(
-        self,
-        port: int,
-        listener: Any,
-        capabilities: Sequence[str],
-        services: Sequence[Service] = (),
-        time_range: tuple[int, int] | None = None,
-    ) -> None:
+    def __init__(self, port: int, listener: Any, capabilities: Sequence[str], services: Sequence[Service] = ()) -> None:
         import foxglove
         from foxglove.websocket import Capability
 
@@ -68,7 +60,6 @@ class FoxgloveServer:
                 supported_encodings=["json"],
                 services=list(services),
                 context=self._context,
-                playback_time_range=time_range,
                 message_backlog_size=_BACKLOG,
             )
         except (RuntimeError, OSError) as error:

@@ -206,7 +206,7 @@ def wired_bench(
     with (
         _timed(job, announce) as (clock, scheduling),
         _emulators(job, clock, announce, sinks) as (wired, emulated, addresses),
-        IoProcesses(wired, clock) as io,
+        IoProcesses(wired, clock, emulated.server if emulated else None) as io,
         telemetry_ring(sinks) as telemetry,
     ):
         for line in driver_warnings(rig):

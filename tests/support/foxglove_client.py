@@ -46,8 +46,6 @@ class FoxgloveClient:
     parameters: dict[str, Any] = field(default_factory=dict)
     statuses: list[str] = field(default_factory=list)
     answers: dict[int, dict[str, Any]] = field(default_factory=dict)
-    playback: list[dict[str, Any]] = field(default_factory=list)
-    time_ns: int = 0
     keep: bool = True
     """Whether messages are kept."""
     _topics: dict[int, str] = field(default_factory=dict)
@@ -136,15 +134,6 @@ class FoxgloveClient:
         self.until(lambda: self._awaited == "", "the parameters")
         return self.parameters
 
-    def control(self, play: bool, speed: float = 1.0, seek_ns: int | None = None) -> dict[str, Any]:
-        """Control the playback; return its state."""
-        self._number += 1
-        name = str(self._number).encode()
-        head = struct.pack("<BBfBQI", 3, 0 if play else 1, speed, seek_ns is not None, seek_ns or 0, len(name))
-        self.socket.send(head + name)
-        self.until(lambda: any(state["request"] == name.decode() for state in self.playback), "the playback's state")
-        return next(state for state in self.playback if state["request"] == name.decode())
-
     def _text(self, message: dict[str, Any]) -> None:
         match message["op"]:
             case "serverInfo":
@@ -182,13 +171,6 @@ class FoxgloveClient:
                 if self.keep:
                     topic = self._topics[number]
                     self.messages[topic].append(Received(topic, time_ns, time.time_ns(), message[13:]))
-            case 2:
-                (self.time_ns,) = struct.unpack_from("<Q", message, 1)
             case 3:
                 _, number, length = struct.unpack_from("<III", message, 1)
                 self.answers[number] = json.loads(message[13 + length :])
-            case 5:
-                status, now_ns, speed, sought, length = struct.unpack_from("<BQfBI", message, 1)
-                name = message[-length:].decode() if length else ""
-                state = {"status": status, "time_ns": now_ns, "speed": speed, "sought": bool(sought), "request": name}
-                self.playback.append(state)

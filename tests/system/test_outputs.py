@@ -108,7 +108,7 @@ def test_recordings_on_a_full_disk_are_listed_with_the_newest(
 def test_recordings_on_a_read_only_disk_are_listed(full_disk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings(full_disk)
     subprocess.run(["mount", "-o", "remount,ro", str(full_disk)], check=True)
-    assert execute(["runs", str(full_disk)]) == PASSED
+    assert execute(["recordings", "list", str(full_disk)]) == PASSED
     assert "r.mcap" in capsys.readouterr().out
 
 

@@ -224,14 +224,14 @@ def test_library_that_cannot_fly_is_refused_in_one_line(
     assert "\n" not in str(problem)
 
 
-@pytest.mark.parametrize("command", ["run", "campaign", "gnc-check"])
+@pytest.mark.parametrize("command", ["run", "campaign", "gnc check"])
 def test_every_command_refuses_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
     path = str(variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 99;"))
     setting = ["--set", f"gnc.library={path}"]
     arguments = {
         "run": ["run", "scheme-1", *setting],
         "campaign": ["campaign", "scheme-1", "--runs", "2", "--out", str(tmp_path / "out"), *setting],
-        "gnc-check": ["gnc-check", path],
+        "gnc check": ["gnc", "check", path],
     }
     assert execute(arguments[command]) == 2
     lines = capsys.readouterr().err.strip().splitlines()

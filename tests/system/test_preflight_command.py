@@ -29,7 +29,8 @@ OF_THIS_MACHINE = (
 
 @pytest.fixture(autouse=True)
 def _short_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hil.preflight.lateness.DURATION_S", 0.5)
+    for name in ("DURATION_S", "WIRED_S"):
+        monkeypatch.setattr(f"hil.preflight.lateness.{name}", 0.5)
 
 
 def _preflight(tmp_path: Path, *arguments: str) -> tuple[int, dict[str, Any]]:
@@ -68,6 +69,7 @@ def test_preflight_on_emulated_opens_every_device(tmp_path: Path) -> None:
         own
     )
     assert "host rails.modbus.x" in own
+    assert sum(row["cycles"] for row in found["lateness_histogram"]) == 25
 
 
 def test_plan_out_of_reach_fails_the_preflight(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_recorded_runs_are_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
-    assert execute(["runs", str(folder), "--failed", "--since", "2020-01-01", "--json", "-"]) == 0
+    assert execute(["recordings", "list", str(folder), "--failed", "--since", "2020-01-01", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)["runs"]
     assert [(run["scenario"], run["seed"], run["passed"], run["cycles"]) for run in found] == [
         ("scheme-1", 1, False, 201),
@@ -65,7 +65,7 @@ def test_recorded_runs_are_listed(folder: Path, capsys: pytest.CaptureFixture[st
     ]
     assert [run["file"] for run in found] == files(folder) or len({run["file"] for run in found}) == 2
     for options in (["--passed"], ["--scenario", "scheme-2"], ["--since", "2999-01-01T10:00"]):
-        assert execute(["runs", "--record", str(folder), *options]) == 0
+        assert execute(["recordings", "list", "--record", str(folder), *options]) == 0
         assert capsys.readouterr().out.startswith("0 runs")
 
 
@@ -143,9 +143,9 @@ def test_bad_input_is_one_clear_line(folder: Path, tmp_path: Path, capsys: pytes
     assert ".html" in refused(capsys, "report", good, "-o", str(tmp_path / "r.pdf"))
     assert "folder does not exist" in refused(capsys, "report", good, "-o", str(tmp_path / "no" / "r.html"))
     assert "folder does not exist" in refused(capsys, "export", good, "-o", str(tmp_path / "no" / "r.csv"))
-    assert "--record" in refused(capsys, "runs", str(tmp_path))
-    assert "2026-13-01" in refused(capsys, "runs", str(folder), "--since", "2026-13-01")
-    assert "--passed" in refused(capsys, "runs", str(folder), "--failed", "--passed")
+    assert "--record" in refused(capsys, "recordings", "list", str(tmp_path))
+    assert "2026-13-01" in refused(capsys, "recordings", "list", str(folder), "--since", "2026-13-01")
+    assert "--passed" in refused(capsys, "recordings", "list", str(folder), "--failed", "--passed")
     assert "no such file" in refused(capsys, "replay", good, "--gnc", str(tmp_path / "none.toml"))
     assert "gnc.pkf" in refused(capsys, "replay", good, "--set", "gnc.pkf.q=1.0")
     assert "cannot record there" in refused(capsys, "run", "scheme-1", "--record", str(foreign))

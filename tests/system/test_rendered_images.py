@@ -141,7 +141,7 @@ def test_another_scene_shows_in_range_and_sigmas(
 
 def test_exported_pictures_give_hil_vmu_the_same_poses(recorded: Recorded, tmp_path: Path) -> None:
     folder, out = tmp_path / "pictures", tmp_path / "poses.csv"
-    assert execute(["export", str(recorded.path), "--pictures", str(folder)]) == 0
+    assert execute(["export", str(recorded.path), "--images", str(folder)]) == 0
     geometry = str(folder / GEOMETRY_FILE)
     assert execute(["vmu", str(folder), "--geometry", geometry, "--rate-hz", "6.25", "--out", str(out)]) == 0
     with out.open() as file:
@@ -157,7 +157,7 @@ def test_exported_pictures_give_hil_vmu_the_same_poses(recorded: Recorded, tmp_p
 
 def test_exported_frames_give_hil_monitor_the_same_portions(recorded: Recorded, tmp_path: Path) -> None:
     folder, out = tmp_path / "pictures", tmp_path / "monitor.csv"
-    assert execute(["export", str(recorded.path), "--pictures", str(folder)]) == 0
+    assert execute(["export", str(recorded.path), "--images", str(folder)]) == 0
     arguments = ["monitor", str(folder / "monitor"), "--scene", str(folder / SCENE_FILE), "--out", str(out)]
     assert execute(arguments) == 0
     with out.open() as file:
@@ -184,7 +184,7 @@ def test_half_frames_are_woven_into_pictures_again(tmp_path: Path) -> None:
     half_frames = list(recorded_images(path, "monitor"))
     assert [picture.number for picture in half_frames] == list(range(len(half_frames)))
     folder = tmp_path / "pictures"
-    assert execute(["export", str(path), "--pictures", str(folder)]) == 0
+    assert execute(["export", str(path), "--images", str(folder)]) == 0
     files = sorted((folder / "monitor").glob("*.png"))
     assert len(files) == -(-len(half_frames) // 2)
     image = cv2.imread(str(files[1]), cv2.IMREAD_GRAYSCALE)
@@ -216,7 +216,7 @@ def test_a_recording_without_pictures_is_one_line(recorded_run: Path, capsys: py
     for arguments, said in (
         (["replay", str(recorded_run), "--vmu"], "holds no images of the vision unit"),
         (["replay", str(recorded_run), "--monitor"], "holds no images of a docking monitor"),
-        (["export", str(recorded_run), "--pictures", f"{recorded_run}.pictures"], "has no images"),
+        (["export", str(recorded_run), "--images", f"{recorded_run}.pictures"], "has no images"),
     ):
         assert said in refused(capsys, *arguments)
     assert not Path(f"{recorded_run}.pictures").exists()
@@ -236,7 +236,7 @@ def test_a_truncated_recording_gives_the_pictures_that_are_whole(
     cut.write_bytes(whole[:30_000])
     assert "has no images" in refused(capsys, "replay", str(cut), "--vmu")
     cut.write_bytes(b"no recording")
-    assert "not a recording" in refused(capsys, "export", str(cut), "--pictures", str(tmp_path / "out"))
+    assert "not a recording" in refused(capsys, "export", str(cut), "--images", str(tmp_path / "out"))
 
 
 def test_options_that_do_not_go_together_are_named(
@@ -248,8 +248,8 @@ def test_options_that_do_not_go_together_are_named(
         (["replay", str(path), "--scene", "atv"], "--scene: goes with --monitor"),
         (["replay", str(path), "--vmu", "--set", "gnc.control.lead_s=1.0"], "--set: goes with a replay of the GNC"),
         (["replay", str(path), "--vmu", "--geometry", "g.toml"], "g.toml"),
-        (["export", str(path), "--pictures", str(tmp_path), "--out", "x.csv"], "--out: goes with the numbers"),
-        (["export", str(path), "--pictures", str(tmp_path)], "exists"),
+        (["export", str(path), "--images", str(tmp_path), "--out", "x.csv"], "--out: goes with the numbers"),
+        (["export", str(path), "--images", str(tmp_path)], "exists"),
     ):
         assert said in refused(capsys, *arguments)
 

@@ -18,7 +18,7 @@ ROOT = PACKAGE.parent
 LOOSE = {"__init__.py", "__main__.py", "errors.py"}
 LAYERS_MOST = 12
 PARAMETERS_MOST = 8
-KERNELS = {"kernel", "entry", "cuda.jit(cache=True)"}
+KERNELS = {"kernel", "entry"}
 
 
 def layers() -> list[set[str]]:

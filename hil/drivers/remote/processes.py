@@ -10,6 +10,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
+from hil.core.fork_server import ForkServer
 from hil.drivers.base import DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import HEARTBEAT, IO, WATCHDOG, IoSharedMemory
@@ -23,7 +24,9 @@ _MODULES: Final = {IO: "hil.processes.io_server", WATCHDOG: "hil.processes.watch
 class _ChildLink:
     """One of the processes, its requests and its link."""
 
-    def __init__(self, name: str, rig: Rig, clock: BenchClock, memory: IoSharedMemory) -> None:
+    def __init__(
+        self, name: str, rig: Rig, clock: BenchClock, memory: IoSharedMemory, server: ForkServer | None
+    ) -> None:
         here, there = socket.socketpair()
         configuration = {
             "rig": rig.model_dump(mode="json"),
@@ -33,7 +36,7 @@ class _ChildLink:
         }
         descriptors = (*memory.descriptors, *clock.descriptors, there.fileno())
         try:
-            self.child = ChildProcess(f"{name} process", _MODULES[name], configuration, descriptors)
+            self.child = ChildProcess(f"{name} process", _MODULES[name], configuration, descriptors, server=server)
         finally:
             there.close()
         self.requests = IoRequests(here, name, clock)
@@ -41,16 +44,19 @@ class _ChildLink:
 
 
 class IoProcesses:
-    """Starts the processes that ``rig`` needs; ``close`` ends them, and they stop the bench first."""
+    """Starts the processes that ``rig`` needs; ``close`` ends them, and they stop the bench first.
 
-    def __init__(self, rig: Rig, clock: BenchClock) -> None:
+    server: forks them; None: each is a program of its own, which hardware requires.
+    """
+
+    def __init__(self, rig: Rig, clock: BenchClock, server: ForkServer | None = None) -> None:
         self._rig = rig
         self._clock = clock
         self._memory = IoSharedMemory.create()
         self._processes: dict[str, _ChildLink] = {}
         try:
             for name in (IO, *((WATCHDOG,) if rig.has_io else ())):
-                self._processes[name] = _ChildLink(name, rig, clock, self._memory)
+                self._processes[name] = _ChildLink(name, rig, clock, self._memory, server)
         except BaseException:
             self.close()
             raise

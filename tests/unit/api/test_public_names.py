@@ -123,7 +123,6 @@ def test_rig_objects_take_overrides_of_the_rig_only() -> None:
         (lambda: hil.run("scheme-1", gnc=3), "gnc: int: must be an object with a method step(input)"),
         (lambda: hil.open("nothing.mcap"), "nothing.mcap: cannot be read: No such file"),
         (lambda: hil.campaign("scheme-1", runs=0), "runs: 0: must be an integer, at least 1"),
-        (lambda: hil.campaign("scheme-1", runs=1, engine="gpu"), "engine: 'gpu': must be one of cpu, cuda"),
         (lambda: hil.VisionUnit("nothing.toml"), "nothing.toml"),
         (lambda: hil.DockingMonitor("nothing"), "nothing: unknown scene"),
         (lambda: hil.Bench("mock", "scheme-1", speed=0.0), "speed: 0.0: must be a number above 0"),

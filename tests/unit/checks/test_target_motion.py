@@ -63,7 +63,6 @@ def test_target_that_tumbles_too_fast_is_rejected_in_one_line(
         (("target.rate_degps=[0.0, 0.0, 40.0]",), "target.rate_degps"),
         (("target.moments_kg_m2=[1.0, 1.0, 3.0]",), "must not exceed the sum of the others"),
         (("truth.relative_motion=hill",), "nonlinear"),
-        (("gnc.akf.form=as_printed",), "hil fusion"),
         ((*PLAIN, "gnc.shadow.enabled=true"), "does not go with gnc.shadow.enabled"),
         (("target.motion=aligned",), "rate_degps does not go with"),
         (("target.limit_cycle.rate_degps=[-0.1, 0.0, 0.0]",), "target.limit_cycle.rate_degps"),

@@ -1,4 +1,4 @@
-"""The command line: each command is declared once, imported when it is called, and found under its earlier name."""
+"""The command line: each command is declared once, and imported when it is called."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from hil.cli import warm_up
-from hil.cli.main import _EARLIER_NAMES, COMMANDS, GROUPS, execute
+from hil.cli.main import COMMANDS, GROUPS, execute
 
 HEAVY = ("numba", "numpy", "pydantic", "hil.config", "hil.core.messages")
 
@@ -37,28 +37,10 @@ def test_help_of_a_command_loads_nothing_that_its_run_needs(name: str) -> None:
     assert not set(HEAVY) & set(found.stdout.splitlines()[-1].split())
 
 
-def test_list_of_commands_has_each_one_and_no_earlier_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_list_of_commands_has_each_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["--help"]) == 0
     listed = {line[2:14].strip() for line in capsys.readouterr().out.splitlines() if line[:2] == "\u2502 "}
     assert listed >= {*COMMANDS, *GROUPS}
-    assert not listed & set(_EARLIER_NAMES)
-
-
-@pytest.mark.parametrize(
-    ("earlier", "present"),
-    [
-        (["gnc-check", "mygnc"], ["gnc", "check", "mygnc"]),
-        (["gnc-header", "--folder"], ["gnc", "header", "--folder"]),
-        (["runs", "nowhere", "--failed", "--passed"], ["recordings", "list", "nowhere", "--failed", "--passed"]),
-        (["commission", "--by", " "], ["commission", "--operator", " "]),
-    ],
-)
-def test_earlier_name_does_the_same(earlier: list[str], present: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    code = execute(earlier)
-    printed = capsys.readouterr()
-    assert execute(present) == code
-    assert capsys.readouterr() == printed
-    assert printed.out or printed.err
 
 
 def test_gnc_of_a_scenario_is_beside_the_commands_of_its_name(capsys: pytest.CaptureFixture[str]) -> None:

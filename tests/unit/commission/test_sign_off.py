@@ -194,7 +194,6 @@ def test_digest_covers_what_stands_in_the_protocol_file_and_not_where_it_lies(tm
         (("emulated", "--date", "1.3.2026"), ("--date", "1.3.2026", "2026-03-01")),
         (("emulated", "--date", "2026-13-01"), ("--date", "2026-13-01")),
         (("emulated", "--operator", " "), ("--operator", "give a name")),
-        (("emulated", "--by", " "), ("--operator", "give a name")),
         (("emulated", "--speed", "0"), ("--speed", "above 0")),
         (
             ("emulated", "--out", "new.toml", "--set", "rig.rails.timeout_s=1.0"),

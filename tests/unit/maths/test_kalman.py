@@ -1,10 +1,9 @@
-"""Kalman updates against the textbook formulas and against filterpy."""
+"""Covariances of filters against the textbook formulas."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 from scipy.stats import chi2
 
 from hil.maths import kalman
@@ -28,48 +27,6 @@ def test_inverse_of_three_by_three_agrees_with_numpy(rng: np.random.Generator) -
         s, inverse = positive_definite(rng, 3), np.empty((3, 3))
         kalman.invert_symmetric_3(s, inverse)
         np.testing.assert_allclose(inverse, np.linalg.inv(s), rtol=1e-10, atol=1e-11)
-
-
-def test_update_agrees_with_the_textbook_formulas(rng: np.random.Generator) -> None:
-    p, r, h = positive_definite(rng, 9), positive_definite(rng, 3), rng.standard_normal((3, 9))
-    x, innovation = rng.standard_normal(9), rng.standard_normal(3)
-    s = h @ p @ h.T + r
-    gain = p @ h.T @ np.linalg.inv(s)
-    x_expected, p_expected = x + gain @ innovation, (np.eye(9) - gain @ h) @ p
-    nis = kalman.update_three(x, p, h, r, innovation)
-    np.testing.assert_allclose(x, x_expected, rtol=1e-11, atol=1e-11)
-    np.testing.assert_allclose(p, p_expected, rtol=1e-11, atol=1e-11)
-    np.testing.assert_array_equal(p, p.T)
-    assert nis == pytest.approx(innovation @ np.linalg.solve(s, innovation), rel=1e-11)
-
-
-def test_filter_stays_equal_to_filterpy_over_a_sequence(rng: np.random.Generator) -> None:
-    n = 9
-    reference = KalmanFilter(dim_x=n, dim_z=3)
-    x, p = rng.standard_normal(n), positive_definite(rng, n)
-    reference.x, reference.P = x.copy(), p.copy()
-    phi = np.eye(n) + 0.02 * rng.standard_normal((n, n))
-    h, noise, r = rng.standard_normal((3, n)), 1e-3 * positive_definite(rng, n), positive_definite(rng, 3)
-    for _ in range(300):
-        x = phi @ x
-        kalman.propagate_covariance(p, phi, noise)
-        z = rng.standard_normal(3)
-        nis = kalman.update_three(x, p, h, r, z - h @ x)
-        reference.predict(F=phi, Q=noise)
-        reference.update(z, R=r, H=h)
-        np.testing.assert_allclose(x, reference.x, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(p, reference.P, rtol=1e-9, atol=1e-9)
-        assert nis == pytest.approx(reference.y @ reference.SI @ reference.y, rel=1e-9)
-
-
-def test_joseph_form_stays_positive_with_a_wrong_gain(rng: np.random.Generator) -> None:
-    p, r, h = positive_definite(rng, 9), positive_definite(rng, 3), rng.standard_normal((3, 9))
-    gain = 3.0 * rng.standard_normal((9, 3))
-    a = np.eye(9) - gain @ h
-    expected = a @ p @ a.T + gain @ r @ gain.T
-    kalman.joseph(p, h, r, gain)
-    np.testing.assert_allclose(p, expected, rtol=1e-11, atol=1e-11)
-    assert np.linalg.eigvalsh(p).min() > 0.0
 
 
 def test_normalised_square_agrees_with_solve(rng: np.random.Generator) -> None:

@@ -195,18 +195,6 @@ def test_a_slow_camera_still_gives_a_portion_a_second(atv: Scene) -> None:
     np.testing.assert_allclose([portion.t_s for portion in portions], [0.75, 1.75, 2.0])
 
 
-def test_the_paper_form_gives_the_same_motion_within_the_papers_own_error(atv: Scene) -> None:
-    """Its relations are of first order in small angles and neglect the growth of edges: some hundredths of a degree."""
-    w = np.zeros(12)
-    w[0], w[2], w[4], w[5] = 0.1, -0.1, 6.0, -0.05
-    monitor, done = DockingMonitor(atv, MonitorSettings(calculation="paper")), []
-    for frame in film(TargetRenderer(atv, conditions=PLAIN), flight_of(w), 10, np.random.default_rng(1)):
-        done += monitor.feed(frame)
-    error = done[0].values - truth_of(w, done[0].t_s)
-    assert abs(error[6]) < 0.003 * 6.0
-    assert np.all(np.abs(error[3:6]) < np.radians(0.1))
-
-
 def test_the_threshold_parts_two_modes() -> None:
     """Otsu's threshold of a bimodal histogram lies between its modes."""
     counts = np.zeros(256)

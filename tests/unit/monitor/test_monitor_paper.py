@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from hil.config.load import load_scene
+from hil.config.scene import PixelNoise
 from hil.models import docking_view
-from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.kernels.quantities import derive, quantities
-from hil.monitor.paper import frame as paper
-from hil.monitor.paper.motion import PaperMotionFit, pair
-from hil.monitor.results import QUANTITIES, FrameDetection, FrameResult, PaperFrame
-from hil.monitor.settings import MonitorSettings
+from hil.monitor.render import Conditions, TargetRenderer, film
+from hil.monitor.results import QUANTITIES
+from sims import monitor_paper as paper
+from sims.monitor_paper import PaperFrame, PaperMotionFit, pair
 
 F, B, R = 1100.0, 0.3, 0.3
 SIGMAS = np.array([0.02, 0.02, 2e-4, 0.01, 0.01, 0.008])
@@ -75,42 +74,31 @@ def test_the_circle_of_noisy_points_is_within_its_covariance(rng: np.random.Gene
     assert np.mean(ratios) == pytest.approx(3.0, abs=0.6)
 
 
-def paper_looks(rng: np.random.Generator, start: int, z: np.ndarray = Z, v: np.ndarray = V) -> list[FrameResult]:
-    """Return ten frames by the paper's simplified relations, 0.1 s apart, of even motion with z, v at 0 s."""
+def paper_looks(rng: np.random.Generator, start: int) -> list[tuple[float, PaperFrame]]:
+    """Return ten frames, 0.1 s apart, by the paper's simplified relations, of even motion with Z, V at 0 s."""
     looks = []
     for k in range(start, start + 10):
         t = 0.1 * k
-        d, phi = z[0::2] + t * z[1::2], v[0::2] + t * v[1::2]
+        d, phi = Z[0::2] + t * Z[1::2], V[0::2] + t * V[1::2]
         gap = F * B / (d[2] * (d[2] - B))
         xo, yo = -F * d[0] / d[2] - F * phi[1], F * d[1] / d[2] + F * phi[0]
         values = np.array([xo - gap * d[0], yo + gap * d[1], -phi[2], xo, yo, F * R / d[2]])
         values += SIGMAS * rng.normal(size=6)
-        looks.append(_look(t, paper=PaperFrame(values, np.diag(SIGMAS**2))))
+        looks.append((t, PaperFrame(values, np.diag(SIGMAS**2))))
     return looks
-
-
-def _look(t_s: float, **fields: object) -> FrameResult:
-    n = UNKNOWNS
-    plain = FrameResult(
-        FrameDetection(0, t_s, "near"), "", np.zeros(n), np.zeros((n, n)), np.zeros(n),
-        np.array([100.0, 107, 10, 17]), True,
-    )  # fmt: skip
-    return replace(plain, **fields)
 
 
 @pytest.mark.parametrize("q", [0.0, 0.6])
 def test_one_time_origin_and_one_a_portion_give_the_same_motion(rng: np.random.Generator, q: float) -> None:
     """Carrying z, v and their normal matrices to a new origin changes only the conditioning."""
-    settings = MonitorSettings(q=q, q_attitude=q)
-    one = PaperMotionFit(replace(settings, motion="printed"), F, B, R)
-    own = PaperMotionFit(settings, F, B, R)
+    one, own = PaperMotionFit(F, B, R, q, printed=True), PaperMotionFit(F, B, R, q)
     for portion in range(4):
         looks = paper_looks(rng, 10 * portion)
-        t_s = looks[-1].detection.t_s
+        t_s = looks[-1][0]
         first, second = one.fit(looks, t_s), own.fit(looks, t_s)
         assert first is not None
         assert second is not None
-        np.testing.assert_allclose(first.motion.w, second.motion.w, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(first[0], second[0], rtol=1e-6, atol=1e-9)
 
 
 def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(rng: np.random.Generator) -> None:
@@ -118,18 +106,34 @@ def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(
     squares = {"corrected": np.zeros(6), "printed": np.zeros(6)}
     runs = 150
     for _ in range(runs):
-        fits = {name: PaperMotionFit(MonitorSettings(q=0.5, motion=name), F, B, R) for name in squares}
+        fits = {name: PaperMotionFit(F, B, R, printed=name == "printed") for name in squares}
         results = {}
         for portion in range(5):
             looks = paper_looks(rng, 10 * portion)
-            t_s = looks[-1].detection.t_s
+            t_s = looks[-1][0]
             results = {name: fit.fit(looks, t_s) for name, fit in fits.items()}
         truth = pair(t_s) @ Z
         for name, result in results.items():
             assert result is not None
-            squares[name] += (result.motion.w[:6] - truth) ** 2 / np.diag(result.motion.covariance)[:6] / runs
+            squares[name] += (result[0][:6] - truth) ** 2 / np.diag(result[1])[:6] / runs
     np.testing.assert_allclose(squares["corrected"], 1.0, atol=0.4)
     assert np.all(squares["printed"] < 0.85 * squares["corrected"])
+
+
+def test_its_motion_is_that_of_the_images_within_the_papers_own_error(rng: np.random.Generator) -> None:
+    """Its relations are of first order in small angles and neglect the growth of edges: some hundredths of a degree."""
+    atv, w = load_scene("atv").value, np.zeros(12)
+    w[0], w[2], w[4], w[5] = 0.1, -0.1, 6.0, -0.05
+    conditions = Conditions(noise=PixelNoise(read=3.0, k=0.02))
+    images = film(TargetRenderer(atv, conditions=conditions), lambda t: (w[0:6:2] + t * w[1:6:2], w[6::2]), 10, rng)
+    ((exact, found),) = paper.watched(atv, images, [paper.fit_of(atv)])
+    truth = np.empty(12)
+    w[4] += 9 / atv.fps * w[5]
+    quantities(w, truth)
+    for values, _ in (exact, found):
+        assert abs(values[6] - truth[6]) < 0.003 * 6.0
+        assert np.all(np.abs(values[3:6] - truth[3:6]) < np.radians(0.1))
+    assert not np.array_equal(exact[0], found[0])
 
 
 def test_rates_have_a_variance_and_range_has_its_root() -> None:

@@ -1,1 +1,0 @@
-"""The docking monitor as printed in the monitor paper."""
