@@ -1,0 +1,41 @@
+"""First violated limit of runs that end early, and the words and units of limits."""
+
+from __future__ import annotations
+
+import pytest
+
+from hil.report.limits import sentence, shown, stop_of_alarm, unit_of
+from hil.report.summary import summarise
+from hil.safety.alarms import Alarm
+from hil.session import build
+from tests.support.run_settings import make_job
+
+
+def test_stop_is_the_cause_and_not_the_way_to_the_ready_point_that_was_left() -> None:
+    job = make_job(10.0, ["faults=[{device='rails.x',kind='stuck',at_s=5.0}]"])
+    with build.runner(job) as runner:
+        found = summarise(runner.run(), job.scenario.value, job.rig.value, "mock", 0, 50.0)[0]
+    assert found["stop"].startswith("rails.x: distance from the demand")
+    assert found["first_violated"] == "distance_from_the_demand_of_x"
+    assert sentence(found).startswith("the distance from the demand of x is 3.")
+
+
+@pytest.mark.parametrize(
+    ("device", "quantity", "value", "unit"),
+    [
+        ("rails.x", "following error", "0.0600 m", "m"),
+        ("turntable.roll", "following error", "2.100 deg", "rad"),
+        ("turntable.yaw", "speed", "3.0 deg/s", "rad/s"),
+        ("rails", "age of the feedback", "0.210 s", "s"),
+        ("vmu", "pose against encoders, x", "0.0510 m", "m"),
+        ("vmu", "pose against encoders, about x", "2.000 deg", "rad"),
+        ("bench", "limited setpoints", "6 in a row", ""),
+        ("vmu", "lost packets", "11.0", ""),
+    ],
+)
+def test_value_of_a_stop_has_its_unit(device: str, quantity: str, value: str, unit: str) -> None:
+    stop = stop_of_alarm(Alarm(1.0, device, quantity, value, value), "", 1.0)
+    assert unit_of(stop.name) == unit
+    number, _, given = value.partition(" ")
+    assert stop.value is not None
+    assert shown(stop.value, unit).split()[0] == shown(float(number), given if unit == "m" else "").split()[0]
