@@ -34,12 +34,17 @@ class StudyArguments(CampaignArguments, total=False):
     sobol: int | None
 
 
-class SweepArguments(CampaignArguments, total=False):
-    """Further arguments of ``hil.sweep``, as of ``hil.campaign``."""
+class SharedArguments(CampaignArguments, total=False):
+    """Further arguments of studies, as of ``hil.campaign``."""
 
     duration_s: float | None
-    workers: int
     engine: str
+
+
+class SweepArguments(SharedArguments, total=False):
+    """Further arguments of ``hil.sweep``."""
+
+    workers: int
 
 
 @overload
@@ -161,6 +166,7 @@ def rare_event(
     seed: int = 0,
     overrides: Overrides | None = None,
     workers: int = 0,
+    **options: Unpack[SharedArguments],
 ) -> StudyResults:
     """Estimate the probability of a rare event over the dispersions and all noise of a scenario.
 
@@ -182,6 +188,8 @@ def rare_event(
         Dotted keys or nested tables to values, as for ``hil.run``.
     workers
         Number of processes; 0: one per core.
+    options
+        ``duration_s``, ``engine``, ``scheduler``, ``dispersions`` and backends, as for ``hil.campaign``.
 
     Returns
     -------
@@ -193,7 +201,10 @@ def rare_event(
     BadInput
         Invalid arguments, with one line per error.
     """
-    found: StudyResults = campaign(scenario, runs, out, seed, None, overrides, workers, rare=event, method=method)
+    more: Any = options
+    found: StudyResults = campaign(
+        scenario, runs, out, seed, overrides=overrides, workers=workers, rare=event, method=method, **more
+    )
     return found
 
 
@@ -204,10 +215,12 @@ def sobol_indices(
     seed: int = 0,
     overrides: Overrides | None = None,
     workers: int = 0,
+    **options: Unpack[SharedArguments],
 ) -> StudyResults:
     """Compute Sobol' indices of the outcomes, of each dispersed number and the noise, from ``rows`` x (d + 3) cases.
 
     The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
-    found: StudyResults = campaign(scenario, None, out, seed, None, overrides, workers, sobol=rows)
+    more: Any = options
+    found: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)
     return found
