@@ -69,6 +69,8 @@ _STOP_UNITS: Final = {
     "rotation": "rad", "speed": "m/s",
 }  # fmt: skip
 """First word of what ends a run with a safe stop -> unit, of rails where it is that of an axis."""
+_LEAST_VALUES: Final = frozenset(("ready_time", "keep_out", "field_of_view"))
+"""Limits that are a least value."""
 _ROW_WORDS: Final = {"deviation": "deviation", "velocity": "velocity", "attitude": "angle", "rate": "angular rate"}
 _FIRST: Final = ("first_violated", "first_violated_s", "first_violated_value", "first_violated_limit",
                  "first_violated_term", "first_violated_phase")  # fmt: skip
@@ -92,6 +94,11 @@ def words_of(name: str) -> str:
     if what == "tracking":
         return f"following error of {axis}"
     return name.replace("_", " ")
+
+
+def bound(name: str) -> str:
+    """Return what the limit ``name`` is, before its number: a least value is required, a largest one allowed."""
+    return "required" if name in _LEAST_VALUES else "allowed"
 
 
 def unit_of(name: str) -> str:
@@ -350,7 +357,7 @@ def sentence(found: Mapping[str, Any]) -> str:
     text = f"the {words_of(name)}"
     value, limit, unit = found["first_violated_value"], found["first_violated_limit"], unit_of(name)
     if value is not None and limit is not None:
-        text += f" is {shown(value, unit)}, allowed {shown(limit, unit)}"
+        text += f" is {shown(value, unit)}, {bound(name)} {shown(limit, unit)}"
     else:
         text += " is beyond what is allowed" if name in _PARTS else " ends the approach"
     if found["first_violated_s"] is not None:
