@@ -34,10 +34,15 @@ class StudyArguments(CampaignArguments, total=False):
     sobol: int | None
 
 
-class SweepArguments(CampaignArguments, total=False):
-    """Further arguments of ``hil.sweep``, as of ``hil.campaign``."""
+class SharedArguments(CampaignArguments, total=False):
+    """Further arguments of studies, as of ``hil.campaign``."""
 
     duration_s: float | None
+
+
+class SweepArguments(SharedArguments, total=False):
+    """Further arguments of ``hil.sweep``."""
+
     workers: int
 
 
@@ -155,6 +160,7 @@ def rare_event(
     seed: int = 0,
     overrides: Overrides | None = None,
     workers: int = 0,
+    **options: Unpack[SharedArguments],
 ) -> StudyResults:
     """Estimate the probability of a rare event over the dispersions and all noise of a scenario.
 
@@ -176,6 +182,8 @@ def rare_event(
         Dotted keys or nested tables to values, as for ``hil.run``.
     workers
         Number of processes; 0: one per core.
+    options
+        ``duration_s``, ``scheduler``, ``dispersions`` and backends, as for ``hil.campaign``.
 
     Returns
     -------
@@ -187,7 +195,10 @@ def rare_event(
     BadInput
         Invalid arguments, with one line per error.
     """
-    found: StudyResults = campaign(scenario, runs, out, seed, None, overrides, workers, rare=event, method=method)
+    more: Any = options
+    found: StudyResults = campaign(
+        scenario, runs, out, seed, overrides=overrides, workers=workers, rare=event, method=method, **more
+    )
     return found
 
 
@@ -198,10 +209,12 @@ def sobol_indices(
     seed: int = 0,
     overrides: Overrides | None = None,
     workers: int = 0,
+    **options: Unpack[SharedArguments],
 ) -> StudyResults:
     """Compute Sobol' indices of the outcomes, of each dispersed number and the noise, from ``rows`` x (d + 3) cases.
 
     The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
-    found: StudyResults = campaign(scenario, None, out, seed, None, overrides, workers, sobol=rows)
+    more: Any = options
+    found: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)
     return found

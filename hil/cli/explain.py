@@ -80,7 +80,7 @@ def _print(found: dict[str, Any], is_one: bool) -> None:
 
 
 def _margin_row(each: dict[str, Any]) -> tuple[str, ...]:
-    from hil.monte_carlo.explain import shown
+    from hil.report.limits import shown
 
     numbers = ("-" if each[key] is None else shown(each[key], each["unit"]) for key in ("margin", "value", "allowed"))
     return (each["limit"], *numbers, "-" if each["at_s"] is None else f"{each['at_s']:.2f}", each["term"] or "")

@@ -2,8 +2,9 @@
 
 Each limit has its least margin, limit minus value, with time, value, limit and the largest term of the value. A limit
 counts as broken as the part that enforces it counts: the corridor and the closing rate on the truth at once, a
-protection level when it has exceeded its alert limit for the time to alert, the checks on the estimate when they abort
-the approach. Corridor, closing rate and levels count up to an abort, which is part of the cycle that aborts.
+protection level when it has exceeded its alert limit for the time to alert, the age of the last pose when vision
+counts as lost, the checks on the estimate when they abort the approach. Corridor, closing rate and levels count up to
+an abort, which is part of the cycle that aborts.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
 from hil.gnc import approach_monitor
@@ -25,6 +27,7 @@ NO_TERM: Final = 0
 NAVIGATION_ERROR, CONTROL_ERROR, PROTECTION_LEVEL = range(1 + LEVEL_TERMS, 4 + LEVEL_TERMS)
 """Terms of a value; those before them are the terms of a protection level, ``LEVEL_TERMS``."""
 HEALTH_BITS: Final = 8
+VISION_LOST: Final = GncHealth.VISION_LOST.value
 
 LIMITS_PARAMS = np.dtype(
     [
@@ -32,6 +35,7 @@ LIMITS_PARAMS = np.dtype(
         ("converged_mps", "f8"),  # allowance of the closing rate from which on they have
         ("time_to_alert_s", "f8"),
         ("lost_after_s", "f8"),  # age of the last pose
+        ("vision_range", "f8"),  # m, up to which poses are expected
         ("tracks", "i8"),  # 1: the axes are compared with their setpoints
         ("axis_max", "f8", 6),  # m and rad, at rest
         ("axis_per_speed_s", "f8", 6),
@@ -235,11 +239,13 @@ def update_estimate(params, approach, state, now, errors, limits):
     t_s = now.t_s
     if math.isnan(state.valid_s):
         state.valid_s = state.pose_s = t_s
-    if now.pose.fresh > 0:
+    if now.pose.fresh > 0 or approach_monitor.range_of(now.navigation.r_CT_H) > params.vision_range:
         state.pose_s = t_s
     margin = params.lost_after_s - (t_s - state.pose_s)
     if margin < state.margin[VISION_AGE]:
         _take(state, VISION_AGE, t_s, margin, params.lost_after_s, NO_TERM)
+        if margin < 0.0 and (now.navigation.health & VISION_LOST) != 0 and state.aborted == NOT_ABORTED:
+            note_broken(state, VISION_AGE, t_s, t_s - state.pose_s, params.lost_after_s, NO_TERM)
     for i in range(3):
         margin = limits[i] - errors[i]
         if margin < state.margin[ERROR + i]:

@@ -10,6 +10,7 @@ import numpy as np
 from hil.core.messages import Array
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import Rate, Tick
+from hil.safety.packet_loss import LeakyBucket
 
 _HISTOGRAM_US = tuple(2**power for power in range(17))  # 1 us to 65 ms
 
@@ -30,10 +31,26 @@ class OverrunMonitor:
         self._allowed = allowed
         self._window_s = window_s
         self._ticks = ticks
-        self._level = 0.0
-        self._updated_s = 0.0
+        # allowed = 0 decays like 1: it trips at the first lost period in any case
+        self._bucket = LeakyBucket(allowed, window_s / max(allowed, 1))
         self._tripped = False
+        self._worst_s: float | None = None
+        self._broken: tuple[float, float] | None = None
         self.on_hold: Callable[[SafetyTrip], None] | None = None
+
+    def restart(self) -> None:
+        """Begin the margin of a run; what was lost before still leaks away."""
+        self._bucket.fullest, self._worst_s, self._broken = self._bucket.level, None, None
+
+    def margin(self) -> dict[str, Any] | None:
+        """Return the largest level since the restart against its limit, by the keys of ``Outcome.measured["limits"]``.
+
+        None if lost periods have no effect.
+        """
+        if self._action == "log":
+            return None
+        worst = {"value": self._bucket.fullest, "limit": float(self._allowed), "at_s": self._worst_s}
+        return worst | {"broken_s": self._broken and self._broken[0], "broken_value": self._broken and self._broken[1]}
 
     def wait(self, rate: Rate) -> Tick:
         """Wait for the next cycle of ``rate``; raise SafetyTrip after too many lost periods."""
@@ -45,19 +62,20 @@ class OverrunMonitor:
         """Count the periods lost before ``tick``; raise SafetyTrip if they are too many."""
         if not tick.skipped:
             return
-        # allowed = 0 decays like 1: it trips at the first lost period in any case
-        leaked = (tick.now_s - self._updated_s) * max(self._allowed, 1) / self._window_s
-        self._updated_s = tick.now_s
-        level = max(self._level - leaked, 0.0)
-        self._tripped &= level > 0.0
-        self._level = level + tick.skipped / self._ticks
-        if self._level <= self._allowed or self._action == "log" or self._tripped:
+        lost, before, t_s = tick.skipped / self._ticks, self._bucket.fullest, tick.now_s - tick.run_zero_s
+        beyond = self._bucket.add(lost, tick.now_s)
+        self._tripped &= self._bucket.level > lost
+        if self._bucket.fullest > before:
+            self._worst_s = t_s
+        if beyond and self._broken is None:
+            self._broken = (t_s, self._bucket.level)
+        if not beyond or self._action == "log" or self._tripped:
             return
         self._tripped = True
         trip = SafetyTrip(
             "loop",
             "lost periods",
-            f"{self._level:.0f} (last cycle ended {tick.overrun_s * 1e3:.1f} ms after its deadline)",
+            f"{self._bucket.level:.0f} (last cycle ended {tick.overrun_s * 1e3:.1f} ms after its deadline)",
             f"{self._allowed} in {self._window_s:g} s",
         )
         if self._action == "hold" and self.on_hold is not None:

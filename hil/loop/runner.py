@@ -156,8 +156,13 @@ class Runner:
             vision_counters=self.source.counters(),
             events=self.all_events(),
             alarms=list(self.safety.alarms.all()),
-            measured={table: meter() for table, meter in self.meters.items()},
+            measured={table: meter() for table, meter in self.meters.items()} | {"limits": self._margins()},
         )
+
+    def _margins(self) -> dict[str, Any]:
+        """Return the margins of loop and links, which no row has: value and limit, with the times that are known."""
+        lost_periods = self.overrun_monitor.margin() if self.rate.paced else None
+        return self.safety.link_margins() | ({"lost_periods_of_loop": lost_periods} if lost_periods else {})
 
     @contextmanager
     def axes_only(self) -> Iterator[MotionSequencer]:
@@ -286,6 +291,7 @@ class Runner:
         self._sequencer.seed_for_run()
         self._modes.go(Mode.RUNNING)
         self.rate.restart()
+        self.overrun_monitor.restart()
         step_s, cycles = self._plan.step_s, self._plan.cycles
         held_s = 0.0
         # a signal is the regular end of such a run: between two cycles, so that each recorded one is counted

@@ -6,7 +6,6 @@ typical case, the nearest case that passes, the drivers (``hil.monte_carlo.drive
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +20,7 @@ from hil.monte_carlo.drivers import DISTANCE_PRODUCT, RATIO, VALUE, Candidates, 
 from hil.monte_carlo.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 from hil.monte_carlo.statistics import wilson
 from hil.monte_carlo.store import MANIFEST, TABLE, parquet
-from hil.report.limits import LIMITS, relative_margin, sentence, unit_of, words_of
+from hil.report.limits import LIMITS, bound, relative_margin, sentence, shown, unit_of, words_of
 
 _START: Final = 1.0  # s, up to which a limit is broken by the start
 _CLUSTERS: Final = 12  # whose drivers are looked for, the largest ones
@@ -237,21 +236,13 @@ def _unit_of_term(term: Term, names: list[str]) -> str:
     return UNITS[unit].text if unit else ""
 
 
-def shown(value: float, unit: str) -> str:
-    """Return ``value`` with its unit, lengths below 0.1 m in mm."""
-    if unit == "rad":
-        value, unit = math.degrees(value), "deg"
-    if unit == "m" and 0.0 < abs(value) < 0.1:
-        value, unit = 1e3 * value, "mm"
-    return f"{value:.4g} {unit}".rstrip()
-
-
 def cause_text(cause: dict[str, Any], failed: int) -> str:
     """Return a cluster as a sentence. failed: cases that fail."""
     text = f"{cause['cases']} of {failed} failures: {words_of(cause['limit'])}"
     if cause["value"] is not None and cause["allowed"] is not None:
         here, allowed = (shown(cause[name], cause["unit"]) for name in ("value", "allowed"))
-        text += f" exceeds its limit (case {cause['case']}: {here}, allowed {allowed})"
+        verb = "exceeds its limit" if bound(cause["limit"]) == "allowed" else "is too small"
+        text += f" {verb} (case {cause['case']}: {here}, {bound(cause['limit'])} {allowed})"
     else:
         text += f" (case {cause['case']})"
     if cause["phase"]:

@@ -13,12 +13,12 @@ import numpy as np
 from hil.config.required_parts import PART_COLUMNS
 from hil.core.files import MIB, parse_json, read_text
 from hil.errors import BadInput, one_line
-from hil.monte_carlo.explain import Cases, dispersed_names, explain, shown
+from hil.monte_carlo.explain import Cases, dispersed_names, explain
 from hil.monte_carlo.figure import dependence_figure, margins_figure, sweep_figure
 from hil.monte_carlo.store import MANIFEST, atomic_write
 from hil.report import html
 from hil.report.figures import svg_address
-from hil.report.limits import LIMITS, unit_of, words_of
+from hil.report.limits import LIMITS, shown, unit_of, words_of
 from hil.report.requirements_page import limit_text, result_text
 
 PAGE: Final = "report.html"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -61,8 +61,16 @@ _WORDS: Final = {
     "field_of_view": "margin of the LEDs to the image's edge", "hold_time": "duration of a hold",
     "ready_time": "duration of the ready phase",
     "decision": "deviation after docking: go", "error_beyond_level": "navigation error",
+    "lost_periods_of_loop": "number of lost periods",
     "nees_position": "NEES of the position filter", "nees_attitude": "NEES of the attitude filter",
 }  # fmt: skip
+_STOP_UNITS: Final = {
+    "age": "s", "distance": "m", "range": "m", "pose": "m", "position": "m", "following": "m", "attitude": "rad",
+    "rotation": "rad", "speed": "m/s",
+}  # fmt: skip
+"""First word of what ends a run with a safe stop -> unit, of rails where it is that of an axis."""
+_LEAST_VALUES: Final = frozenset(("ready_time", "keep_out", "field_of_view"))
+"""Limits that are a least value."""
 _ROW_WORDS: Final = {"deviation": "deviation", "velocity": "velocity", "attitude": "angle", "rate": "angular rate"}
 _FIRST: Final = ("first_violated", "first_violated_s", "first_violated_value", "first_violated_limit",
                  "first_violated_term", "first_violated_phase")  # fmt: skip
@@ -73,6 +81,8 @@ def words_of(name: str) -> str:
     if name in _WORDS:
         return _WORDS[name]
     what, _, axis = name.rpartition("_")
+    if what == "lost_packets_of":
+        return f"number of lost packets of {axis}"
     if what in _ROW_WORDS:
         beside = "" if axis == "across" else f" ({axis})"
         where = "along the docking axis" if axis == "x" else f"across the docking axis{beside}"
@@ -86,9 +96,17 @@ def words_of(name: str) -> str:
     return name.replace("_", " ")
 
 
+def bound(name: str) -> str:
+    """Return what the limit ``name`` is, before its number: a least value is required, a largest one allowed."""
+    return "required" if name in _LEAST_VALUES else "allowed"
+
+
 def unit_of(name: str) -> str:
     """Return the SI unit of the limit ``name``, "" for a number without one."""
     what, _, axis = name.rpartition("_")
+    if what.endswith("_of") and name not in LIMITS:
+        unit, rotates = _STOP_UNITS.get(name.split("_")[0], ""), axis in ("turntable", *_SHORT_AXES[3:])
+        return {"m": "rad", "m/s": "rad/s"}.get(unit, unit) if rotates else unit
     if name in ("pose_age", "hold_time", "ready_time"):
         return "s"
     if what == "closing_rate" or name.startswith("closing_rate"):
@@ -149,7 +167,8 @@ class RunNumbers:
     """What the limits of a run are made of.
 
     stats: RUN_STATS at the end. parts: whether each part of the verdict was passed. view: least margin, px, its time,
-    and when it was first negative. energy: the part of the verdict. end_s: of the run.
+    and when it was first negative. energy: the part of the verdict. end_s: of the run. measured: what loop and links
+    have lost, ``Outcome.measured["limits"]``.
     """
 
     stats: np.record
@@ -159,11 +178,21 @@ class RunNumbers:
     end_s: float
     accepted: bool
     stop: Stop | None = None
+    measured: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def margins_of(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     """Return the margins to all limits that act."""
-    return [*_kernel_margins(run.stats.integrity.limits), *_ready_margins(run, scenario), *_part_margins(run, scenario)]
+    of_vehicle = [*_kernel_margins(run.stats.integrity.limits), *_ready_margins(run, scenario)]
+    return [*of_vehicle, *_part_margins(run, scenario), *(_measured(*each, run.end_s) for each in run.measured.items())]
+
+
+def _measured(name: str, found: Mapping[str, Any], end_s: float) -> Margin:
+    """Return the margin to a limit of losses, which counts as broken above it, at ``end_s`` if that ended the run."""
+    value, limit = found["value"], found["limit"]
+    at_s, broken_s = found.get("at_s"), found.get("broken_s")
+    broken = () if broken_s is None else (min(broken_s, end_s), found["broken_value"], limit)
+    return Margin(name, limit - value, at_s, value, limit, "", *broken)
 
 
 def _kernel_margins(state: np.record) -> list[Margin]:
@@ -187,11 +216,15 @@ def _kernel_margins(state: np.record) -> list[Margin]:
 
 
 def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
-    """Return the margins to Table III: in the ready phase, or of what has kept it from beginning."""
+    """Return the margins to Table III: in the ready phase, or of what has kept it from beginning.
+
+    What ends the run before it, a stop or an abort, is not the deviation that was left then.
+    """
     ready, found = run.stats.ready, []
+    ended = not ready.is_ready and (run.stop is not None or bool(run.stats.integrity.limits.aborted))
     allowed = all_tolerances(scenario.requirements)
     late = bool(ready.is_ready) and not ready.left and not run.parts.get("control_precision", False)
-    blocking = -1 if ready.is_ready and not (late and ready.breaks.any()) else _blocking(ready)
+    blocking = -1 if ended or (ready.is_ready and not (late and ready.breaks.any())) else _blocking(ready)
     for i in range(DEVIATIONS):
         limit = float(allowed[i])
         broken: tuple[float, float, float] | None = None
@@ -207,7 +240,7 @@ def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
             at = float(ready.break_s[i]) if ready.breaks[i] else at_s
             broken = (at, float(ready.break_value[i]) if ready.breaks[i] else value, limit)
         found.append(Margin(_OF_READY[i], limit - value, at_s, finite_or_none(value), limit, "", *(broken or ())))
-    if not ready.is_ready and not ready.breaks[blocking]:
+    if not ready.is_ready and not ended and not ready.breaks[blocking]:
         limit, value, at_s = float(allowed[blocking]), math.nan, run.end_s
         if ready.out[blocking]:
             value, at_s = float(ready.out_value[blocking]), float(ready.out_s[blocking])
@@ -324,7 +357,7 @@ def sentence(found: Mapping[str, Any]) -> str:
     text = f"the {words_of(name)}"
     value, limit, unit = found["first_violated_value"], found["first_violated_limit"], unit_of(name)
     if value is not None and limit is not None:
-        text += f" is {_shown(value, unit)}, allowed {_shown(limit, unit)}"
+        text += f" is {shown(value, unit)}, {bound(name)} {shown(limit, unit)}"
     else:
         text += " is beyond what is allowed" if name in _PARTS else " ends the approach"
     if found["first_violated_s"] is not None:
@@ -362,9 +395,12 @@ def relative_margin(row: Mapping[str, Any]) -> float:
     return margin / abs(limit) if limit else margin
 
 
-def _shown(value: float, unit: str) -> str:
-    if unit == "rad":
-        return f"{math.degrees(value):.4g} deg"
+def shown(value: float, unit: str) -> str:
+    """Return ``value`` with its unit, lengths below 0.1 m in mm, angles in degrees."""
+    if unit.startswith("rad"):
+        value, unit = math.degrees(value), unit.replace("rad", "deg")
+    if unit == "m" and 0.0 < abs(value) < 0.1:
+        value, unit = 1e3 * value, "mm"
     return f"{value:.4g} {unit}".rstrip()
 
 
@@ -373,6 +409,8 @@ def stop_of_alarm(alarm: Alarm | None, stop: str, t_s: float) -> Stop:
     if alarm is None:
         return Stop(stop.split(":")[0].strip().replace(" ", "_").replace(".", "_") or "stop", t_s)
     quantity = alarm.quantity.split(",")[0].replace(" ", "_").replace("-", "_")
+    if quantity.startswith("pose") and "deg" in alarm.value:
+        quantity = quantity.replace("pose", "attitude")
     return Stop(f"{quantity}_of_{alarm.device.split('.')[-1]}", t_s, _leading(alarm.value), _leading(alarm.limit))
 
 

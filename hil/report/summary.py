@@ -122,7 +122,9 @@ def limits_of(outcome: Outcome, stats: np.record, summary: dict[str, Any], scena
         stop = stop_of_alarm(alarm, outcome.stop, end_s)
     parts = {name: bool(part["passed"]) for name, part in parts_of(summary).items()}
     seen, energy = (view["margin_px"], view["at_s"], view["at_s"]), summary["verdict"]["energy"]
-    run = RunNumbers(stats, parts, seen, energy, end_s, bool(summary["accepted"]), stop)
+    run = RunNumbers(
+        stats, parts, seen, energy, end_s, bool(summary["accepted"]), stop, outcome.measured.get("limits", {})
+    )
     margins = margins_of(run, scenario)
     found = first_violated(run, scenario, margins)
     return found | {

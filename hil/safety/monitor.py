@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -226,6 +226,10 @@ class SafetyMonitor:
             if alarm := link.check(now_s):
                 return alarm
         return None
+
+    def link_margins(self) -> dict[str, dict[str, Any]]:
+        """Return the margin of each link to its loss of packets, by the names of the limits."""
+        return {f"lost_packets_of_{link.device}": link.margin() for link in self._links}
 
     def restart(self) -> None:
         """Restart after the devices were opened: earlier packet loss and hold requests do not count."""

@@ -1,24 +1,29 @@
-"""Packet loss of a link: single losses are tolerated, bursts raise an alarm."""
+"""Losses of a link or of the loop: single ones are tolerated, bursts raise an alarm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from hil.safety.alarms import Alarm
 
 
 @dataclass(slots=True)
 class LeakyBucket:
-    """Level that rises by one per lost packet and decays by one per ``forget_s``; it trips above ``capacity``."""
+    """Level that rises by one per loss and decays by one per ``forget_s``; it trips above ``capacity``.
+
+    fullest: largest level since it was emptied.
+    """
 
     capacity: float
     forget_s: float
     level: float = 0.0
+    fullest: float = 0.0
     _updated_s: float = -float("inf")
 
-    def add(self, n: int, t_s: float) -> bool:
-        """Add ``n`` packets lost up to ``t_s``; return whether the level exceeds the capacity.
+    def add(self, n: float, t_s: float) -> bool:
+        """Add ``n`` losses up to ``t_s``; return whether the level exceeds the capacity.
 
         Without decay if time runs backwards.
         """
@@ -26,10 +31,11 @@ class LeakyBucket:
             self.level = max(0.0, self.level - (t_s - self._updated_s) / self.forget_s)
             self._updated_s = t_s
         self.level += n
+        self.fullest = max(self.fullest, self.level)
         return self.level > self.capacity
 
     def empty(self) -> None:
-        self.level = 0.0
+        self.level = self.fullest = 0.0
 
 
 class LinkWatch:
@@ -45,6 +51,10 @@ class LinkWatch:
         """Discard earlier losses: the link was reopened."""
         self._before = self._lost()
         self._bucket.empty()
+
+    def margin(self) -> dict[str, Any]:
+        """Return the largest level against its limit, by the keys of ``Outcome.measured["limits"]``; without times."""
+        return {"value": self._bucket.fullest, "limit": self._bucket.capacity}
 
     def check(self, now_s: float) -> Alarm | None:
         """Return an alarm if too many packets were lost recently."""

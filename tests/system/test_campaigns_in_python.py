@@ -48,6 +48,17 @@ def test_case_of_a_campaign_is_flown_again_and_explained(tmp_path: Path) -> None
     assert campaign.why(2)["first_violated"]["_s"] == pytest.approx(run.summary["first_violated_s"])
 
 
+def test_studies_take_the_dispersions_and_the_duration_of_a_campaign(tmp_path: Path) -> None:
+    noise = tmp_path / "noise.toml"
+    noise.write_text(
+        'name = "noise"\nvmu.sigma_position_m = { kind = "uniform", low = 0.5, high = 3.0, relative = true }'
+    )
+    found = hil.sobol_indices("scheme-1", 10, dispersions=noise, **SHORT)
+    assert {row["dispersion"] for row in found.summary["sobol"]["propellant_kg"]} == {"vmu.sigma_position_m", "noise"}
+    with pytest.raises(BadInput, match="unknown dispersion set"):
+        hil.rare_event("scheme-1", "firings > 1000", dispersions="none-such", **SHORT)
+
+
 def test_one_study_at_a_time() -> None:
     with pytest.raises(BadInput, match="not together"):
         hil.campaign("scheme-1", 2, sobol=20, sweep="gnc.control.deadband_m=0.004:0.008:2")

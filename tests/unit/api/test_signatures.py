@@ -6,7 +6,7 @@ import inspect
 from dataclasses import fields
 from typing import get_type_hints
 
-from hil.api.campaigns import StudyArguments, campaign
+from hil.api.campaigns import SharedArguments, StudyArguments, campaign, rare_event, sobol_indices
 from hil.api.runs import RunArguments, run
 from hil.cli.campaign import CaseOptions, EngineOptions, StudyOptions, VariationOptions
 from hil.cli.run import StoredCaseOptions
@@ -32,3 +32,9 @@ def test_campaign_has_every_option_of_the_command() -> None:
 
 def test_run_has_the_options_of_a_case() -> None:
     assert options(StoredCaseOptions) <= arguments(run, RunArguments)
+
+
+def test_studies_of_a_name_of_their_own_have_the_options_of_cases_and_workers() -> None:
+    wanted = options(CaseOptions, EngineOptions) | {"out"}
+    assert wanted <= arguments(rare_event, SharedArguments)
+    assert wanted - {"runs"} <= arguments(sobol_indices, SharedArguments)

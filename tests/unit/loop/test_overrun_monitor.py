@@ -13,6 +13,8 @@ from hil.core.modes import Mode
 from hil.errors import SafetyTrip
 from hil.loop.overrun_monitor import OverrunMonitor, lateness_histogram, lateness_percentiles_us
 from hil.loop.rate_keeper import Tick
+from hil.report.limits import sentence
+from hil.report.summary import summarise
 from hil.session import build
 from tests.support.run_settings import make_job
 
@@ -79,6 +81,20 @@ def test_hold_is_asked_for_once_until_the_bucket_is_empty_again() -> None:
     assert len(asked) == 2
 
 
+def test_margin_is_the_fullest_level_of_the_run_and_the_first_beyond_the_limit() -> None:
+    cycles = OverrunMonitor("hold", 2, 1.0)
+    cycles.on_hold = lambda _: None
+    cycles.check(late(5.0, 2))
+    cycles.restart()
+    for now_s, skipped in ((100.0, 1), (102.0, 3), (102.02, 1), (110.0, 2)):
+        cycles.check(Tick(now_s, 100.0, 0.0, skipped, 0.05))
+    found = cycles.margin()
+    assert found is not None
+    assert (found["value"], found["at_s"]) == (pytest.approx(3.96), pytest.approx(2.02))
+    assert (found["limit"], found["broken_s"], found["broken_value"]) == (2.0, 2.0, 3.0)
+    assert OverrunMonitor("log", 2, 1.0).margin() is None
+
+
 @pytest.mark.parametrize(("kind", "action"), [("hardware", "safe_stop"), ("emulated", "log")])
 def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
     emulated = load_rig("emulated").value
@@ -103,6 +119,31 @@ def test_run_that_loses_too_many_periods_ends_as_a_safe_stop(monkeypatch: pytest
     assert outcome.stop.startswith("loop: lost periods 6")
     assert outcome.mode is Mode.SAFE_STOP
     assert len(outcome.history) < 50
+
+
+@pytest.mark.parametrize("action", ["hold", "safe_stop"])
+def test_late_cycles_are_named_as_the_first_violated_limit(monkeypatch: pytest.MonkeyPatch, action: str) -> None:
+    job = replace(make_job(2.0), compiled=False)
+    with build.runner(job) as runner:
+        runner.overrun_monitor = OverrunMonitor(action, 5, 1.0)  # type: ignore[arg-type]
+        runner.overrun_monitor.on_hold = lambda trip: runner.safety.request_hold(str(trip))
+        runner.rate.paced = True
+        wait = runner.rate.wait
+
+        def stumble() -> Tick:
+            tick = wait()
+            skipped = {20: 2, 50: 6}.get(runner.rate.executed, 0)
+            return replace(tick, skipped=skipped, overrun_s=0.045)
+
+        monkeypatch.setattr(runner.rate, "wait", stumble)
+        outcome = runner.run()
+        found = summarise(outcome, job.scenario.value, job.rig.value, "mock", 0, 50.0)[0]
+    assert (found["first_violated"], found["first_violated_limit"]) == ("lost_periods_of_loop", 5.0)
+    assert found["first_violated_value"] == pytest.approx(6.0)
+    assert found["first_violated_s"] == pytest.approx(0.97, abs=0.011)
+    assert found["limits"]["lost_periods_of_loop"]["margin"] == pytest.approx(-1.0)
+    assert found["limits"]["lost_packets_of_vmu"]["margin"] > 0.0
+    assert sentence(found).startswith("the number of lost periods is 6, allowed 5, at 0.9")
 
 
 def test_percentiles_are_in_microseconds_and_empty_is_zero() -> None:
