@@ -75,7 +75,7 @@ class GuardConfig(ConfigModel):
     """The same for the attitude."""
     vision_frames_max: Count = 5
     """Consecutive poses beyond it that trip."""
-    estimate_error_max_m: Positive = 0.03
+    estimate_error_max_m: Positive = 0.028
     """Largest mean error of any GNC's estimate against the encoders, per axis, in addition to three standard deviations
     of it; at most the protection level that it reports. Beyond it: `gnc.reactions.bench_disagrees`."""
     estimate_error_max_deg: Positive = 0.5
