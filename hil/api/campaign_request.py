@@ -13,6 +13,7 @@ from hil.api.campaign_results import Campaign
 from hil.api.comparisons import Comparison, SweepResults
 from hil.api.jobs import BackendArguments, Settings, job_of
 from hil.api.studies import StudyResults
+from hil.checks.go_level import go_warnings
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem
 from hil.monte_carlo.campaign import RIG, CampaignJob, Progress, Sweep, Watch, write_summary
@@ -102,6 +103,9 @@ class CampaignRequest:
         show("checking the scenario", 0.0)
         sweep = Sweep.parse(self.sweep) if isinstance(self.sweep, str) else self.sweep
         jobs = self._jobs(sweep)
+        for job in jobs:
+            for line in go_warnings(job.scenario.value, job.rig):
+                warn(line)
         study = self._study(jobs[0])
         with ExitStack() as held:
             engine = LocalEngine(self.workers) if self.scheduler is None else DaskEngine(self.scheduler)

@@ -21,6 +21,7 @@ from hil.api.jobs import (
     rig_name,
 )
 from hil.api.results import Run, run_of
+from hil.checks.go_level import go_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
@@ -183,6 +184,8 @@ class RunRequest:
 def run_job(request: RunRequest) -> Run:
     """Run a checked job and return its results. Raises DeviceError if a device does not start."""
     job = request.job
+    for line in go_warnings(job.scenario.value, job.rig.value):
+        request.announce(line)
     with ExitStack() as stack:
         recorder = None
         if request.record is not None:

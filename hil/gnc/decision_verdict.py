@@ -44,6 +44,7 @@ DECISION_STATE = np.dtype(
         ("error_value", "f8"),
         ("beyond_s", "f8"),  # when an error was first beyond the level without an alarm
         ("beyond", "i8"),  # cycles with an error beyond the level without an alarm
+        ("over_level", "f8"),  # largest error over its level without an alarm
         ("pending", "i8"),  # cycles beyond it that an alarm may still follow
         ("pending_s", "f8"),  # time of the first of them, nan for none
         ("health", "i8"),  # of the cycle before
@@ -78,15 +79,23 @@ def _is_outside(params, truth, state):
 
 
 @kernel
-def _is_beyond(truth, estimate):
-    """Return whether a position error, of an axis, or the attitude's exceeds the level that ``estimate`` reports."""
-    rotation, square = stack.vector(3), 0.0
+def _share(error, level):
+    """Return ``error`` over ``level``: 0 for one that is infinite or not reported."""
+    if level > 0.0:
+        return error / level
+    return np.inf if level == 0.0 and error > 0.0 else 0.0
+
+
+@kernel
+def _over_level(truth, estimate):
+    """Return the largest position error, of an axis, or the attitude's, over the level that ``estimate`` reports."""
+    rotation, square, largest = stack.vector(3), 0.0, 0.0
     quat.rotation_between(truth.q_CH, estimate.q_CH, rotation)
     for i in range(3):
-        if abs(truth.r_CT_H[i] - estimate.r_CT_H[i]) > estimate.protection_level_m[i]:
-            return True
+        error = abs(truth.r_CT_H[i] - estimate.r_CT_H[i])
+        largest = max(largest, _share(error, estimate.protection_level_m[i]))
         square += rotation[i] * rotation[i]
-    return math.sqrt(square) > math.sqrt(3.0) * estimate.protection_level_rad
+    return max(largest, _share(math.sqrt(square / 3.0), estimate.protection_level_rad))
 
 
 @kernel
@@ -130,7 +139,9 @@ def update_decision(params, state, now):
     if alarm:
         state.pending, state.pending_s = 0, np.nan
         return
-    if _is_beyond(now.truth, estimate):
+    over = _over_level(now.truth, estimate)
+    state.over_level = max(state.over_level, over)
+    if over > 1.0:
         state.pending += 1
         if math.isnan(state.pending_s):
             state.pending_s = t_s

@@ -42,8 +42,8 @@ _SINGLE: Final = (
     "ready_time_s", "held_since_s", "control_margin", "corridor_margin_m", "closing_margin_mps", "nearest_m",
     "aborted_at_s", "hmi_cycles", "worst_error_m", "alert_limit_m", "protection_level_m", "availability",
     "time_to_alert_s", "view_margin_px", "propellant_kg", "propellant_share", "propellant_over_bound",
-    "thruster_on_time_s", "nees_pkf", "nees_akf", "go_s", "propellant_limit_kg", "first_violated_s",
-    "first_violated_value", "first_violated_limit",
+    "thruster_on_time_s", "nees_pkf", "nees_akf", "go_s", "propellant_limit_kg", "error_over_level",
+    "first_violated_s", "first_violated_value", "first_violated_limit",
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
@@ -104,6 +104,7 @@ def row_of(
         "nees_ok": decision["nees_ok"],
         "go_s": decision["go_s"],
         "beyond_level_cycles": decision["beyond_level_cycles"],
+        "error_over_level": decision["error_over_level"],
         **{f"false_alarm_{name}": int(stats.integrity.decision[f"false_{name}"]) for name in _ACCUSED},
         "propellant_limit_kg": energy["factor"] * energy["least_propellant_kg"],
         "hmi_cycles": integrity["hmi_cycles"],

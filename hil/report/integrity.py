@@ -66,6 +66,7 @@ def decision_part(state: np.record) -> dict[str, Any]:
         "error": bool(found.error),
         "nees_ok": nees_ok,
         "beyond_level_cycles": int(found.beyond + found.pending),
+        "error_over_level": float(found.over_level),
     }
 
 
