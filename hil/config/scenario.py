@@ -30,7 +30,7 @@ from hil.config.model import (
 )
 from hil.config.model_fmu import ModelFmu, ThrusterModel
 from hil.config.required_parts import PART_COLUMNS
-from hil.config.sensors import SensorConfig
+from hil.config.sensors import SensorConfig, device_of
 from hil.config.target import KnownTarget, MovingTarget
 from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
 from hil.core.backend_records import MAX_SETTINGS
@@ -799,7 +799,7 @@ class Scenario(ConfigModel):
     def _sensors_with_faults_exist(self) -> Self:
         for fault in self.faults:
             if fault.family == "sensor" and fault.member not in self.sensors:
-                known = ", ".join(f"sensor.{name}" for name in self.sensors) or "none"
+                known = ", ".join(map(device_of, self.sensors)) or "none"
                 raise ValueError(f'faults: device = "{fault.device}": the scenario\'s sensors are {known}')
         return self
 

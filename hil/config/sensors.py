@@ -13,6 +13,11 @@ from hil.config.model import ConfigModel, Delay, Positive, Probability
 from hil.errors import BadInput
 
 
+def device_of(name: str) -> str:
+    """Return by which name alarms, faults and errors know the sensor ``name``."""
+    return f"sensor.{name}"
+
+
 class SensorConfig(ConfigModel):
     """A sensor other than vision unit, IMU and docking monitor; its module declares further keys.
 

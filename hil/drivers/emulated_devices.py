@@ -7,6 +7,7 @@ from typing import Final, Self
 
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
+from hil.config.sensors import device_of
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
 from hil.core.fork_server import ForkServer
@@ -52,7 +53,7 @@ class EmulatedDevices:
         self._processes: dict[str, ChildProcess] = {}
         self._sends_images = "vmu" if images else ""
         try:
-            for device in (*_devices(scenario, rig), *(f"sensor.{name}" for name in sensors)):
+            for device in (*_devices(scenario, rig), *map(device_of, sensors)):
                 memory = images if device == "vmu" else None
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
+from hil.config.sensors import device_of
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array
 from hil.core.sensor_records import SENSOR_ARRIVAL
@@ -29,7 +31,10 @@ class SampleSource(Protocol):
     """A sensor whose samples arrive while the loop runs.
 
     name: of the device, for alarms. last_s: bench time of its last sample. failure: why its wire is gone, "" if not.
+    refused: what could not be used, counted by reason.
     """
+
+    refused: Counter[str]
 
     @property
     def name(self) -> str: ...
@@ -123,7 +128,7 @@ class SensorStage:
         for (name, kind), witness in zip(self._kinds.items(), self.arrivals.witness, strict=False):
             if witness.disagrees:
                 component = kind.components[int(witness.component)]
-                device, label = name if name == MONITOR else f"sensor.{name}", component.doc or component.name
+                device, label = name if name == MONITOR else device_of(name), component.doc or component.name
                 return Disagreement(device, label, component.unit, float(witness.value), float(witness.limit))
         return None
 
@@ -144,7 +149,7 @@ class SensorStage:
     def suspect(self) -> str:
         """Return the device of the first sensor that is excluded, "" without one."""
         found = (name for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False) if monitor.suspect)
-        return next((f"sensor.{name}" for name in found), "")
+        return next((device_of(name) for name in found), "")
 
     def states(self) -> list[SensorState]:
         """Return the present state of each sensor, in the order of the records."""
@@ -154,9 +159,10 @@ class SensorStage:
             for name, monitor, witness in monitors
         ]
 
-    def numbers(self) -> dict[str, dict[str, float | int | None]]:
+    def numbers(self) -> dict[str, dict[str, Any]]:
         """Return for JSON what became of the samples of each sensor, by name, and its mean NIS per component."""
-        found = {}
+        found: dict[str, dict[str, Any]] = {}
+        refused = {source.name: dict(source.refused) for source in self.sources}
         for name, monitor in zip(self._kinds, self.arrivals.monitor, strict=False):
             judged = int(monitor.judged)
             found[name] = {
@@ -166,6 +172,7 @@ class SensorStage:
                 "too_late": int(monitor.late),
                 "suspected": int(monitor.suspected),
                 "mean_nis": float(monitor.total_nis) / judged if judged else None,
+                "refused": refused.get(device_of(name), {}),
             }
         return found
 

@@ -68,7 +68,8 @@ def _sensor_text(found: dict[str, Any]) -> str:
     counts = [f"{found[key]} {key.replace('_', ' ')}" for key in ("accepted", "rejected", "excluded", "too_late")]
     nis = "" if found["mean_nis"] is None else f", mean NIS per component {found['mean_nis']:.2f}"
     suspect = f", suspect {found['suspected']} times" if found["suspected"] else ""
-    return f"{', '.join(counts)}{nis}{suspect}"
+    reasons = "; ".join(f"{n} refused: {reason}" for reason, n in found["refused"].items())
+    return "; ".join(filter(None, (f"{', '.join(counts)}{nis}{suspect}", reasons)))
 
 
 def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:

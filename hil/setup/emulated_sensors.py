@@ -9,6 +9,7 @@ import numpy as np
 from hil.bench.kinematics import pose_of_axes
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.sensors import device_of
 from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.sensor_records import NORMALS
@@ -51,4 +52,4 @@ def emulated_sensor(
 
     measure_at(0.0, 0)
     rate_hz = config.rate_hz or kind.module.rate_hz
-    return LineSensorEmulator(f"sensor.{name}", protocol, measure_at, (rate_hz, config.latency_s), clock, seed)
+    return LineSensorEmulator(device_of(name), protocol, measure_at, (rate_hz, config.latency_s), clock, seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Protocol
 
 import numpy as np
@@ -25,6 +26,7 @@ class PortionSamples:
 
     def __init__(self, source: PortionSource, number: int) -> None:
         self._source, self._number, self._count = source, number, 0
+        self.refused: Counter[str] = Counter()
         self.name, self.failure, self.last_s = MONITOR, "", math.inf  # never an alarm: no target, no samples
 
     def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:

@@ -21,7 +21,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.sensors import SensorConfig
+from hil.config.sensors import SensorConfig, device_of
 from hil.core.clock import BenchClock
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.drivers.line_sensor.driver import LineSensor, LineSettings
@@ -44,7 +44,7 @@ class UdpSamples:
         self, name: str, number: int, n: int, config: SensorConfig, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self.refused: Counter[str] = Counter()
-        self.name, self.failure = f"sensor.{name}", ""
+        self.name, self.failure = device_of(name), ""
         self.last_s = -math.inf
         """Bench time of the last usable datagram; -inf before the first ``poll``."""
         self._number, self._n, self._config, self._now_s = number, n, config, now_s
@@ -165,7 +165,7 @@ def sample_sources(scenario: Scenario, rig: Rig, clock: BenchClock | None) -> li
             elif name in wired and clock is not None and kind.module.wire is not None:
                 line = rig.sensors[name]
                 settings = LineSettings(line.port or "", line.baud, config.latency_s)
-                device = f"sensor.{name}"
+                device = device_of(name)
                 found.append(LineSensor(device, number, len(kind.components), kind.module.wire, settings, clock))
     except (BadInput, LinkLost):
         for source in found:

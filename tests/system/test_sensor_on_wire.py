@@ -48,6 +48,18 @@ def test_a_dead_wire_is_an_alarm_of_the_sensor_and_stops_nothing() -> None:
     assert alarm.active
 
 
+def test_lines_that_cannot_be_used_are_counted_by_their_reason() -> None:
+    settings = tuple(f"{key}={value}" for key, value in RANGER.items())
+    with wired_bench(make_job(1.0, settings, rig="emulated")) as bench:
+        control = FaultControl(bench.addresses["sensor.ranger.faults"])
+        control.send("on corrupt 0.5")
+        control.close()
+        outcome = bench.runner().run()
+    refused = outcome.measured["sensors"]["ranger"]["refused"]
+    assert refused
+    assert all(reason and count > 0 for reason, count in refused.items())
+
+
 def test_hardware_needs_the_port_and_says_what_a_line_s_time_means(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\nsign_off.waived = true\n{HARDWARE_WIRES}')
