@@ -132,6 +132,7 @@ def begin(params, state, started, commanded, step):
     thrust, of_pkf = params.thrust, params.pkf
     step.kind, step.rate_variance, step.regains = MEASURED, 0.0, 0
     _expect(thrust, state.thrust, commanded, step)
+    torque_witness.count_firings(thrust.witness, state.thrust.witness, step.torque_C)
     if state.thrust.without_imu == 1:
         replace(thrust, state.thrust, step)
         return

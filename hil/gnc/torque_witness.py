@@ -25,6 +25,7 @@ TORQUE_PARAMS = np.dtype(
         ("weight", "f8"),  # of a step in each low-pass
         ("delay", "i8"),  # steps, of the mean
         ("limit", "f8"),  # rad/s^2, change of the mean that is none of a leak
+        ("bending", "f8"),  # of the mean torque of the firings, that bending leaves of it
         ("turning", "f8"),  # of the square of the rate, which the assumed inertia tensor may leave unexplained
         ("most", "f8"),  # rad/s^2: the accelerometers show the force of a larger change
         ("force", "f8"),  # m/s^2 for each rad/s^2, largest of a thruster
@@ -36,6 +37,7 @@ TORQUE_STATE = np.dtype(
     [
         ("mean", "f8", (STAGES, 3)),  # rad/s^2, in c, of the steps without thrust: output of each low-pass
         ("known", "f8", 3),  # rad/s^2, before the change under way
+        ("fired", "f8"),  # rad/s^2, mean of the firings
         ("admitted", "f8"),  # rad/s^2, of that change
         ("since", "i8"),  # steps without thrust since then
     ],
@@ -43,7 +45,15 @@ TORQUE_STATE = np.dtype(
 )
 
 _MORE = 1.25  # times what was admitted
+_FIRED = 0.1  # of the weight of a low-pass: bending lasts longer
 _DELAYS = 4  # after which a change is over
+
+
+@kernel
+def count_firings(params, state, torque):
+    """Take the commanded ``torque`` (3,), rad/s^2, of a step into the mean of the firings."""
+    size = abs(torque[0]) + abs(torque[1]) + abs(torque[2])
+    state.fired += _FIRED * params.weight * (size - state.fired)
 
 
 @kernel
@@ -65,7 +75,8 @@ def watch(params, state, before, rate, dt_s):
         change += (value - state.known[i]) ** 2
         square += rate[i] ** 2
     change = min(math.sqrt(change), params.most)
-    if change <= max(params.limit + params.turning * square, _MORE * state.admitted):
+    natural = params.limit + params.bending * state.fired + params.turning * square
+    if change <= max(natural, _MORE * state.admitted):
         return 0.0
     more = math.sqrt(change**2 - state.admitted**2)
     state.admitted, state.since = change, 0

@@ -49,6 +49,7 @@ _CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
 _AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no gradient of gravity
 _TORQUE_MEAN_S = 3.0  # time constant of each low-pass of the gyros' angular acceleration
 _LEAK_MIN = 0.0017  # of a thrust: bending after a slew looks like less
+_BENDING = 0.04  # of the mean torque of the firings over half a minute, that it leaves of the mean
 _UNKNOWN_INERTIA = 0.5  # differences of moments of inertia over one of them
 _MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever arm of the accelerometers
 _QUIET_WINDOW_S = 0.32  # over which quiet readings are averaged
@@ -178,7 +179,7 @@ def _torque_witness(accelerations: Array, thrust: np.record, accelerometer_noise
     sizes = [(float(np.linalg.norm(row[:3])), float(np.linalg.norm(row[3:]))) for row in accelerations]
     dt_s = float(thrust.dt_s)
     params.weight, params.delay = dt_s / _TORQUE_MEAN_S, round(STAGES * _TORQUE_MEAN_S / dt_s)
-    params.limit, params.turning = math.inf, _UNKNOWN_INERTIA
+    params.limit, params.bending, params.turning = math.inf, _BENDING, _UNKNOWN_INERTIA
     turning = [(force, torque) for force, torque in sizes if torque > _TORQUE_MIN]
     if turning:
         params.limit = _LEAK_MIN * max(torque for _, torque in turning)

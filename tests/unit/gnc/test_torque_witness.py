@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import new
@@ -16,9 +17,10 @@ DT_S = 0.02
 PARAMS = gnc_params(load_scenario("scheme-1").value).navigation.fusion.thrust.witness
 
 
-def admitted(acceleration: np.ndarray, steady_radps: float = 0.0) -> np.ndarray:
+def admitted(acceleration: np.ndarray, steady_radps: float = 0.0, fired: float = 0.0) -> np.ndarray:
     """Return what each step of ``acceleration`` (n, 3), rad/s^2, after one of steady rate, adds to the doubt, m/s^2."""
     state = new(TORQUE_STATE)
+    state.fired = fired
     rates = steady_radps + np.cumsum(acceleration, axis=0) * DT_S
     return np.array([torque_witness.watch(PARAMS, state, rates[k - 1], rates[k], DT_S) for k in range(1, len(rates))])
 
@@ -55,6 +57,17 @@ def test_bending_of_an_array_admits_nothing() -> None:
     t = np.arange(steps(120.0)) * DT_S
     bending = np.outer(5e-4 * np.cos(2.0 * math.pi * 0.25 * t) * np.minimum(1.0, t / 20.0), [0.3, 1.0, 0.2])
     assert not admitted(bending).any()
+
+
+def test_firings_raise_what_bending_explains() -> None:
+    state = new(TORQUE_STATE)
+    for _ in range(steps(60.0)):
+        torque_witness.count_firings(PARAMS, state, np.array([0.0, 30.0 * PARAMS.limit, 0.0]))
+    assert state.fired == pytest.approx(30.0 * PARAMS.limit, rel=0.2)
+    acceleration = np.zeros((steps(40.0), 3))
+    acceleration[1:, 1] = 1.5 * PARAMS.limit
+    assert admitted(acceleration).any()
+    assert not admitted(acceleration, fired=float(state.fired)).any()
 
 
 def test_a_chaser_that_turns_with_its_target_admits_what_its_inertia_tensor_explains_as_nothing() -> None:
