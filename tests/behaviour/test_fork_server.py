@@ -152,6 +152,19 @@ def test_children_end_with_their_server_and_the_next_one_has_a_new_server(server
             assert two.wait_ready(20.0)["pid"] == two.pid
 
 
+def test_server_that_does_not_answer_is_given_up_and_replaced(server: ForkServer) -> None:
+    with ChildProcess("one", "forked_child", {}, server=server) as one:
+        one.wait_ready(20.0)
+        assert server._process is not None
+        assert server._requests is not None
+        server._process.send_signal(signal.SIGSTOP)
+        server._requests.settimeout(0.1)
+        with pytest.raises(LinkLost, match="two: cannot be started: timed out"):
+            ChildProcess("two", "forked_child", {}, server=server)
+    with ChildProcess("three", "forked_child", {}, server=server) as three:
+        assert three.wait_ready(20.0)["pid"] == three.pid
+
+
 @pytest.mark.parametrize("how", ["alone", "held"])
 def test_nothing_stays_behind_when_the_parent_is_killed(how: str) -> None:
     command = [sys.executable, "-c", PARENT, how]
