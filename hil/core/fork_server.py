@@ -25,6 +25,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NoReturn
 
+from hil.core.realtime import fair_share, take_fair_share
+
 _PR_SET_NAME: Final = 15  # linux/prctl.h
 _REQUEST_BYTES: Final = 1 << 16
 _DESCRIPTORS_MAX: Final = 64
@@ -70,7 +72,7 @@ class ForkServer:
                 self._requests, self._owner = self._started(), os.getpid()
             present = dict.fromkeys(self._environment) | os.environ
             changed = dict(present.items() - self._environment.items())
-            message = json.dumps(request | {"environment": changed, "folder": str(Path.cwd())})
+            message = json.dumps(request | {"environment": changed, "folder": str(Path.cwd()), "share": fair_share()})
             try:
                 socket.send_fds(self._requests, [message.encode()], descriptors)
                 if answer := self._requests.recv(_REQUEST_BYTES):
@@ -206,6 +208,7 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
             os.close(descriptor)
         ctypes.CDLL(None).prctl(_PR_SET_NAME, request["name"].encode())
         _adopt(request["environment"], request["folder"])
+        take_fair_share(*request["share"])
         sys.argv = [request["module"], request["name"]]
         importlib.import_module(request["module"]).main()
         code = 0
