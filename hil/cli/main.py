@@ -154,6 +154,8 @@ class _Output:
 def execute(arguments: Sequence[str]) -> int:
     """Run one command; return its exit code. Errors are printed to standard error, one line each."""
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_PIXELS_MAX))
+    # before numpy: matrices are small here, and idle BLAS threads take the time of the others
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         command, given, _ = app.parse_args(arguments, exit_on_error=False, print_error=False)
         if command.__module__.startswith("hil."):

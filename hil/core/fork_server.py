@@ -25,11 +25,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Final, NoReturn
 
+from hil.core.realtime import fair_share, take_fair_share
+
 _PR_SET_NAME: Final = 15  # linux/prctl.h
 _REQUEST_BYTES: Final = 1 << 16
 _DESCRIPTORS_MAX: Final = 64
 _HIGH: Final = 512  # descriptors on their way to the numbers that they get
 _LOST: Final = -int(signal.SIGKILL)  # a child whose server has ended
+_READY_WALL_S: Final = 120.0  # its first start may compile what it prepares
 _PARENT_WALL_S: Final = 0.2  # between two looks whether the parent lives
 
 
@@ -67,13 +70,18 @@ class ForkServer:
         for _ in range(2):
             if self._requests is None or self._owner != os.getpid():
                 self._requests, self._owner = self._started(), os.getpid()
-            with contextlib.suppress(ConnectionError):
-                present = dict.fromkeys(self._environment) | os.environ
-                changed = dict(present.items() - self._environment.items())
-                message = json.dumps(request | {"environment": changed, "folder": str(Path.cwd())})
+            present = dict.fromkeys(self._environment) | os.environ
+            changed = dict(present.items() - self._environment.items())
+            message = json.dumps(request | {"environment": changed, "folder": str(Path.cwd()), "share": fair_share()})
+            try:
                 socket.send_fds(self._requests, [message.encode()], descriptors)
                 if answer := self._requests.recv(_REQUEST_BYTES):
                     return int(answer)
+            except ConnectionError:
+                pass
+            except BaseException:  # an answer that comes later would be taken for that of the next request
+                self.close()
+                raise
             self.close()  # it has ended: with a new one
         raise OSError("the fork server has ended")
 
@@ -87,6 +95,7 @@ class ForkServer:
 
     def _started(self) -> socket.socket:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.settimeout(_READY_WALL_S)
         atexit.register(self.close)
         self._environment = dict(os.environ)
         with theirs:
@@ -190,7 +199,8 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
     """Call ``main`` of the child's module with the descriptors ``given`` under their numbers; end the process."""
     code = 1
     try:
-        high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, _HIGH) for descriptor in given]
+        free = max(_HIGH, *request["numbers"]) + 1
+        high = [fcntl.fcntl(descriptor, fcntl.F_DUPFD, free) for descriptor in given]
         for descriptor in given:
             os.close(descriptor)
         for descriptor, number in zip(high, request["numbers"], strict=True):
@@ -198,6 +208,7 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
             os.close(descriptor)
         ctypes.CDLL(None).prctl(_PR_SET_NAME, request["name"].encode())
         _adopt(request["environment"], request["folder"])
+        take_fair_share(*request["share"])
         sys.argv = [request["module"], request["name"]]
         importlib.import_module(request["module"]).main()
         code = 0

@@ -14,7 +14,7 @@ import resource
 import signal
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Final, Protocol, Self
@@ -209,6 +209,21 @@ def short_turns() -> Iterator[None]:
     finally:
         while undo:
             undo.pop()()
+
+
+def fair_share() -> tuple[int, int, list[int]]:
+    """Return niceness, slice of the fair scheduler, ns, and processors of this thread, which a new process inherits."""
+    return os.getpriority(os.PRIO_PROCESS, 0), _slice_ns(), sorted(os.sched_getaffinity(0))
+
+
+def take_fair_share(niceness: int, slice_ns: int, processors: Iterable[int]) -> None:
+    """Give this thread what ``fair_share`` returned in another one, as far as the system allows it."""
+    with suppress(OSError):
+        os.sched_setaffinity(0, processors)
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+    with suppress(OSError):
+        _set_slice_ns(slice_ns)
 
 
 def take_fifo(priority: int) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from hil.core.child_process import ChildProcess
 from hil.core.fork_server import ForkServer
+from hil.core.realtime import fair_share, short_turns
 from hil.errors import LinkLost
 
 pytestmark = pytest.mark.wires
@@ -21,6 +22,7 @@ pytestmark = pytest.mark.wires
 CHILD = """
 import os, sys
 from hil.core.child_process import Parent
+from hil.core.realtime import fair_share
 
 PREPARED = []
 
@@ -30,7 +32,8 @@ def prepare():
 def main():
     parent = Parent()
     print("chatter")
-    parent.send(pid=os.getpid(), prepared=PREPARED, fds=sorted(map(int, os.listdir("/proc/self/fd"))))
+    share = list(fair_share())
+    parent.send(pid=os.getpid(), prepared=PREPARED, share=share, fds=sorted(map(int, os.listdir("/proc/self/fd"))))
     while True:
         try:
             request = parent.receive(None)
@@ -123,6 +126,24 @@ def test_child_has_the_present_environment_and_folder(
         assert two.wait_ready(20.0)["now"] == [None, "now", str(tmp_path)]
 
 
+def test_child_has_the_present_share_of_the_processors(server: ForkServer) -> None:
+    def share() -> object:
+        with ChildProcess("one", "forked_child", {}, server=server) as one:
+            return one.wait_ready(20.0)["share"]
+
+    before = list(fair_share())
+    assert share() == before
+    processors = os.sched_getaffinity(0)
+    try:
+        with short_turns():  # niceness and slice, where the system allows it
+            os.sched_setaffinity(0, {min(processors)})
+            now = list(fair_share())
+            assert share() == now != before
+    finally:
+        os.sched_setaffinity(0, processors)
+    assert share() == before
+
+
 def test_end_of_a_child_is_explained(server: ForkServer) -> None:
     with ChildProcess("one", "forked_child", {}, server=server) as failed:
         failed.wait_ready(20.0)
@@ -150,6 +171,19 @@ def test_children_end_with_their_server_and_the_next_one_has_a_new_server(server
         assert gone(one.pid)
         with ChildProcess("two", "forked_child", {}, server=server) as two:
             assert two.wait_ready(20.0)["pid"] == two.pid
+
+
+def test_server_that_does_not_answer_is_given_up_and_replaced(server: ForkServer) -> None:
+    with ChildProcess("one", "forked_child", {}, server=server) as one:
+        one.wait_ready(20.0)
+        assert server._process is not None
+        assert server._requests is not None
+        server._process.send_signal(signal.SIGSTOP)
+        server._requests.settimeout(0.1)
+        with pytest.raises(LinkLost, match="two: cannot be started: timed out"):
+            ChildProcess("two", "forked_child", {}, server=server)
+    with ChildProcess("three", "forked_child", {}, server=server) as three:
+        assert three.wait_ready(20.0)["pid"] == three.pid
 
 
 @pytest.mark.parametrize("how", ["alone", "held"])

@@ -147,12 +147,12 @@ def _splat(light: Array, points: Array, parts: list[tuple[float, Array, float]],
     offset = (np.arange(FINE) + 0.5) / FINE - 0.5
     u = (np.arange(u0, u1)[:, None] + offset).ravel()
     v = (np.arange(v0, v1)[:, None] + offset).ravel()
-    fine = np.zeros((len(v), len(u)))
     for weight, shift, blur in parts:
+        # a Gaussian is a product, so that the mean over the samples of a pixel is one of means
         across = np.exp(-0.5 * ((u[:, None] - points[:, 0] - shift[0]) / blur) ** 2)
         down = np.exp(-0.5 * ((v[:, None] - points[:, 1] - shift[1]) / blur) ** 2)
-        fine += weight / (2.0 * np.pi * blur * blur * len(points)) * (down @ across.T)
-    light[v0:v1, u0:u1] += total * fine.reshape(v1 - v0, FINE, u1 - u0, FINE).mean(axis=(1, 3))
+        means = [each.reshape(-1, FINE, len(points)).mean(axis=1) for each in (down, across)]
+        light[v0:v1, u0:u1] += total * weight / (2.0 * np.pi * blur * blur * len(points)) * (means[0] @ means[1].T)
 
 
 def _texture(shape: tuple[int, ...], sigma: float, rng: np.random.Generator) -> Array:

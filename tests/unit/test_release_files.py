@@ -18,7 +18,7 @@ WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 NOT_IN_LOCK_STEP = {
     "they test time itself: watchdogs, the relay's 50 ms, kills, time to rest, lateness": """
-        test_child_process test_controlled_stop test_datagram_flood test_emergency_stop
+        test_child_process test_controlled_stop test_datagram_flood test_emergency_stop test_fork_server
         test_failing_surroundings test_flight_computer test_hanging_gnc test_io_processes
         test_killed_in_each_mode test_killed_processes test_realtime test_stop_in_each_phase
         test_two_controllers
