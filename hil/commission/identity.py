@@ -27,7 +27,7 @@ def expected_identity(rig: Rig) -> list[str]:
 def check_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, prompt: OperatorPrompt) -> None:
     """Open the vision unit while the axes are at rest, and wait for a pose; it is closed with the bench.
 
-    Raises DeviceError; LinkTimeout if no pose arrives, which says whether frames do.
+    Raises DeviceError; LinkTimeout if no pose arrives, with the number of frames without one.
     """
     source = runner.source
     source.open(runner.now_s())

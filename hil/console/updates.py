@@ -27,7 +27,7 @@ class SecondPerson:
 
 
 class ClientUpdates(SessionManager):
-    """Session manager that tells its clients what they have to see, with what waits for a second person."""
+    """Session manager with the updates of its clients, and the command that waits for a second person."""
 
     second_person: SecondPerson | None = None
 
