@@ -25,16 +25,18 @@ def expected_identity(rig: Rig) -> list[str]:
 
 
 def check_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, prompt: OperatorPrompt) -> None:
-    """Open the vision unit while the axes are at rest, and wait for a frame; it is closed with the bench.
+    """Open the vision unit while the axes are at rest, and wait for a pose; it is closed with the bench.
 
-    Raises DeviceError; LinkTimeout if no frame arrives.
+    Raises DeviceError; LinkTimeout if no pose arrives, with the number of frames without one.
     """
     source = runner.source
     source.open(runner.now_s())
     start_s = now_s = sequencer.begin().now_s
     while not (frames := source.poll(now_s)):
         if now_s - start_s > _FIRST_FRAME_S:
-            raise LinkTimeout(source.name, f"no pose within {_FIRST_FRAME_S:g} s")
+            seen = source.counters()["no_pose"]
+            text = f"{seen} frames without a pose: is the target in view from here?"
+            raise LinkTimeout(source.name, text if seen else f"no frame within {_FIRST_FRAME_S:g} s")
         now_s = sequencer.tick().now_s
     required = rig.vmu.identity.model_dump(exclude_none=True)
     distance_m = float(np.linalg.norm(frames[-1].t_v))

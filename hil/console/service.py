@@ -1,24 +1,19 @@
-"""Request handler of the console: executes the requests of its clients and assembles their updates. No web code."""
+"""Request handler of the console: executes the requests of its clients. No web code."""
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
 from hil.checks.waivers import waivers
-from hil.console.columns import COLUMNS, NAMES
 from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
-from hil.console.message import ImageMessage
 from hil.console.remote_operator import NO_MONITOR
 from hil.console.session import SignedBy
-from hil.console.session_manager import SessionManager
 from hil.console.session_process import SessionProcess
+from hil.console.updates import ClientUpdates, SecondPerson
 from hil.core.modes import AT_REST, Mode
-from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_commands import OperatorCommand
 from hil.core.operator_keys import RIGHTS
 from hil.errors import BadInput, one_line
 from hil.frmn.search_region import box_text
@@ -55,28 +50,13 @@ def _box(region: object) -> list[int] | None:
     return [0, 0, 0, 0]
 
 
-@dataclass(frozen=True)
-class SecondPerson:
-    """Confirmed command of ``client`` in ``session`` that waits until ``until_wall_s`` for another person."""
-
-    word: str
-    client: Client
-    command: dict[str, Any]
-    until_wall_s: float
-    session: SessionProcess | None
-
-
-class ConsoleService(SessionManager):
+class ConsoleService(ClientUpdates):
     """Session manager with the requests and the updates of clients."""
-
-    second_person: SecondPerson | None = None
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self._halts: dict[str, asyncio.Task[dict[str, Any]]] = {}
         """STOP and HOLD that are being executed."""
-
-    # requests of the clients
 
     async def execute(self, client: Client, command: dict[str, Any]) -> dict[str, Any]:
         """Execute a request; return the answer: ok, text, and ``ask`` if it requires a confirmation."""
@@ -168,7 +148,7 @@ class ConsoleService(SessionManager):
 
     async def _second(self, client: Client, word: str) -> dict[str, Any]:
         """Confirm the command of another client, and execute it as this client's."""
-        awaited = self._awaited()
+        awaited = self.awaited()
         if awaited is None or awaited.word != word:
             raise RequestRejected(f"{word}: no such command waits for a second person")
         self._require_rights(client, "confirm")
@@ -277,13 +257,18 @@ class ConsoleService(SessionManager):
         self.changed()
         return {"ok": True, "text": ""}
 
-    def _jog(self, axis: str, direction: object) -> None:
+    def _ready(self, text: str) -> SessionProcess:
+        """Return the session once it is open; raise RequestRejected with ``text`` otherwise."""
         if self.session is None or not self.session.ready:
-            raise RequestRejected("bench: cannot jog, no session is open")
+            raise RequestRejected(text)
+        return self.session
+
+    def _jog(self, axis: str, direction: object) -> None:
+        session = self._ready("bench: cannot jog, no session is open")
         if axis not in self.state.bench["axes"] or direction not in (-1, 1):
             raise RequestRejected(f"bench: cannot jog {axis} by {direction}")
         if self.mode in (Mode.STANDBY, Mode.JOGGING):
-            self.session.send(jog=[axis, direction])
+            session.send(jog=[axis, direction])
         else:
             raise RequestRejected(f"bench: cannot jog in {self.mode.value}")
 
@@ -305,15 +290,14 @@ class ConsoleService(SessionManager):
 
     async def _search(self, client: Client, region: object) -> None:
         """Set the docking monitor's region of search: [u, v, width, height], px, None for the whole image."""
-        if self.session is None or not self.session.ready:
-            raise RequestRejected("bench: cannot set a region of search, no session is open")
+        session = self._ready("bench: cannot set a region of search, no session is open")
         camera = self.television
         if camera is None:
             raise RequestRejected(NO_MONITOR)
         box = _box(region)
         if box is not None and (error := camera.region_error(box)):
             raise RequestRejected(one_line(f"region {region!r}: {error}", _REGION_TEXT))
-        if text := await self.session.ask(search=box, **client.actor):
+        if text := await session.ask(search=box, **client.actor):
             raise RequestRejected(text)
         self.state.search = box
         self.log(f"{client.name}: the docking monitor searches {box_text(box)}")
@@ -330,64 +314,9 @@ class ConsoleService(SessionManager):
         self.log(f"{client.name} acknowledged {'the alarms' if number is None else f'alarm {number}'}")
 
     async def _shelve(self, client: Client, number: int | None, lasting_s: object) -> None:
-        if self.session is None or not self.session.ready:
-            raise RequestRejected("no session is open: nothing to shelve")
+        session = self._ready("no session is open: nothing to shelve")
         if number is None or isinstance(lasting_s, bool) or not isinstance(lasting_s, int | float):
             raise RequestRejected("shelve needs alarm, its number, and lasting_s, in s")
-        if text := await self.session.ask(shelve=[number, float(lasting_s)], **client.actor):
+        if text := await session.ask(shelve=[number, float(lasting_s)], **client.actor):
             raise RequestRejected(text)
         self.log(f"{client.name} shelved alarm {number} for {lasting_s:g} s")
-
-    # updates for the clients
-
-    def update_for(
-        self, client: Client
-    ) -> tuple[
-        dict[str, Any], dict[str, Any] | None, np.ndarray[Any, Any], int, ImageMessage | None, dict[str, Any] | None
-    ]:
-        """Return the arguments of ``message.pack`` for ``client``: everything new since its last update."""
-        page = None
-        if client.page_seen != self.page_version:
-            client.page_seen, page = self.page_version, self._page()
-        rows, first, portions = self.view.rows_for(client)
-        return self._now(client), page, rows.reshape(-1, COLUMNS), first, self.view.picture_for(client), portions
-
-    def _now(self, client: Client) -> dict[str, Any]:
-        now_s = self.wall_s()
-        lease, awaited = self.lease, self._awaited()
-        return {
-            "wall_s": now_s,
-            "mode": self.mode.value,
-            "open": self.session is not None,
-            "ready": self.session is not None and self.session.ready,
-            "lease": {"holder": lease.name, "mine": lease.held_by(client)},
-            "me": {"name": client.name, "key": client.key_id, "rights": client.rights},
-            "watching": len(self.clients),
-            "cameras": self.view.cameras,
-            "second_person": {"order": awaited.word, "by": awaited.client.name} if awaited else None,
-            "recording": self.state.recording.as_json() if self.session is not None else None,
-            **self.state.live(now_s),
-        }
-
-    def _awaited(self) -> SecondPerson | None:
-        """Return the command of the present session that waits for a second person, None if there is none."""
-        awaited = self.second_person
-        if awaited is None or awaited.session is not self.session or self.wall_s() > awaited.until_wall_s:
-            return None
-        return awaited
-
-    def _page(self) -> dict[str, Any]:
-        return {
-            "session": self.view.rows.session,
-            "columns": NAMES,
-            "choice": {"scenario": self.choice.scenario, "rig": self.choice.rig, "seed": self.choice.seed},
-            "scenarios": self.scenarios,
-            "rigs": self.rigs,
-            "commissioning": self.session is not None and self.choice.signed_by is not None,
-            "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in ALLOWED_IN.items()},
-            "stop_reason": self.stop_reason,
-            "log": list(self.log_lines)[-40:],
-            "settings": self.tuner.available() if self.tuner is not None and self.session is not None else [],
-            "faults": {"menu": self.faults.menu, "on": self.faults.on},
-            **self.state.page(),
-        }

@@ -19,6 +19,7 @@ from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
 from hil.gnc import approach_monitor
 from hil.gnc.approach_monitor import ACROSS, LEVEL_TERMS, NOT_ABORTED
+from hil.gnc.reactions import HOLD
 
 CORRIDOR, CLOSING, LEVEL, ERROR, CORRIDOR_SEEN, CLOSING_SEEN, VISION_AGE, TRACKING = 0, 1, 2, 5, 8, 9, 10, 11
 """Limits: LEVEL and ERROR are three, along the docking axis, across it, of the attitude; TRACKING six, by axis."""
@@ -67,6 +68,8 @@ LIMITS_STATE = np.dtype(
         ("phase_s", "f8", MAX_PHASES + 3),  # begin of each phase, nan for never
         ("health", "i8"),  # bits that have been set
         ("health_s", "f8", HEALTH_BITS),  # when each was set first, nan for never
+        ("held_s", "f8"),  # begin of the hold or retreat that has not ended, or has become an abort; nan for none
+        ("held_health", "i8"),  # bits at its begin
     ],
     align=True,
 )
@@ -83,7 +86,8 @@ def start_limits(state):
         state.health_s[k] = np.nan
     for k in range(3):
         state.since_s[k] = np.nan
-    state.valid_s, state.phase = np.nan, -1
+    state.valid_s = state.held_s = np.nan
+    state.phase = -1
 
 
 @kernel
@@ -256,7 +260,12 @@ def update_estimate(params, approach, state, now, errors, limits):
 
 @kernel
 def end_cycle(state, now):
-    """Take note of an abort, at the end of the cycle that counts it."""
+    """Take note of a hold or an abort, at the end of the cycle that counts it."""
     state.counted = 1
+    if now.supervision.aborted == NOT_ABORTED:
+        if now.supervision.reaction < HOLD:
+            state.held_s = np.nan
+        elif math.isnan(state.held_s):
+            state.held_s, state.held_health = now.t_s, now.navigation.health
     if state.aborted == NOT_ABORTED and now.supervision.aborted != NOT_ABORTED:
         state.aborted, state.aborted_at_s = now.supervision.aborted, now.supervision.aborted_at_s

@@ -73,8 +73,9 @@ def _campaign(cases: Cases) -> Iterator[str]:
     yield html.heading(2, "Margins")
     yield html.image("Least margin of each case, relative to its limit", svg_address(margins_figure(cases.column)))
     yield _margin_table(cases)
-    yield html.heading(2, "Distributions")
-    yield from _pictures(cases.folder)
+    if pictures := list(_pictures(cases.folder)):
+        yield html.heading(2, "Distributions")
+        yield from pictures
     yield html.heading(2, "Drivers")
     yield from _drivers(cases, why)
     yield html.heading(2, "Worst cases")
@@ -105,7 +106,7 @@ def _parts(summary: Mapping[str, Any]) -> Iterator[str]:
         (labels.get(name, name.replace("_", " ")), f"{rate['passed']} of {rate['runs']}", _percent(rate))
         for name, rate in summary.get("pass_rate", {}).items()
     ]
-    yield html.table(("", "cases", "rate, 95 % interval"), rows)
+    yield html.table(("part", "cases", "rate, 95 % interval"), rows)
     beside = [name.replace("_", " ") for name in PART_COLUMNS if name not in required]
     if required and beside:
         yield html.paragraph(f"Not required: {', '.join(beside)}.")
@@ -116,7 +117,8 @@ def _causes(cases: Cases, why: Mapping[str, Any]) -> Iterator[str]:
         yield html.paragraph("No case failed.")
         return
     for cause in why["causes"]:
-        yield html.heading(3, words_of(cause["limit"]).capitalize())
+        phase = f", in phase {cause['phase']}" if cause["phase"] else ""
+        yield html.heading(3, f"{words_of(cause['limit']).capitalize()}{phase}")
         share = {"rate": cause["share"], "low": cause["low"], "high": cause["high"]}
         yield html.paragraph(f"{cause['text']}.")
         rows = [("fraction of the failures", _percent(share)), ("a typical case", _command(cases, cause["case"]))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+_WIDE = 6  # columns of numbers, above which their letters are small on narrow screens
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #1a1a1a; max-width: 1150px; margin: 1.5em auto; padding: 0 1em; }
 h1 { font-size: 1.6em; margin-bottom: .2em; } h2 { font-size: 1.25em; margin-top: 2em; border-bottom: 1px solid #bbb; }
@@ -24,7 +25,10 @@ pre { white-space: pre-wrap; overflow-wrap: anywhere; font-size: 12px; backgroun
 .waived { background: #c00000; color: #fff; font-weight: 700; padding: .4em .8em; margin: .3em 0; }
 @media (max-width: 700px) {
   body { padding: 0 .6em; } table { width: 100%; font-size: 13px; } th, td { padding: .2em .25em; }
-  th, td, .verdict { overflow-wrap: anywhere; } .words td:first-child { white-space: normal; }
+  th:first-child, td:first-child, .words td, .verdict { overflow-wrap: anywhere; }
+  th:first-child, td:first-child { min-width: 3em; }
+  .wide { font-size: 11px; } .wide th, .wide td { padding: .2em .15em; }
+  .words td:first-child { white-space: normal; }
   .words thead { display: none; } .words tr { display: block; padding: .4em 0; border-bottom: 1px solid #bbb; }
   .words td { display: block; border: 0; } .words td:empty { display: none; }
   .words td[data-label]::before { content: attr(data-label) ": "; color: #555; }
@@ -55,13 +59,18 @@ def paragraph(text: str, kind: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "", words: bool = False) -> str:
-    """Return a table; cells with a failure are marked. words: all columns are text."""
-    opening = '<table class="words">' if words else "<table>"
+    """Return a table; cells with a failure are marked. words: all columns are text.
+
+    A head of empty words is left out.
+    """
+    kind = "words" if words else "wide" if len(head) > _WIDE else ""
+    opening = f'<table class="{kind}">' if kind else "<table>"
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
-    top = "".join(f'<th scope="col">{escape(word)}</th>' for word in head)
+    words_of_head = "".join(f'<th scope="col">{escape(word)}</th>' for word in head)
+    top = f"<thead><tr>{words_of_head}</tr></thead>\n" if any(head) else ""
     labels = head if words else [""] * len(head)
     lines = "\n".join("<tr>" + "".join(map(_cell, row, labels)) + "</tr>" for row in rows)
-    return f"{opening}{title}<thead><tr>{top}</tr></thead>\n<tbody>\n{lines}\n</tbody></table>"
+    return f"{opening}{title}{top}<tbody>\n{lines}\n</tbody></table>"
 
 
 def _cell(word: str, label: str) -> str:

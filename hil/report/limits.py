@@ -69,6 +69,8 @@ _STOP_UNITS: Final = {
     "rotation": "rad", "speed": "m/s",
 }  # fmt: skip
 """First word of what ends a run with a safe stop -> unit, of rails where it is that of an axis."""
+_SMALLER: Final = {"m": "mm", "m/s": "mm/s", "kg": "g"}
+"""Unit -> its thousandth."""
 _LEAST_VALUES: Final = frozenset(("ready_time", "keep_out", "field_of_view"))
 """Limits that are a least value."""
 _ROW_WORDS: Final = {"deviation": "deviation", "velocity": "velocity", "attitude": "angle", "rate": "angular rate"}
@@ -218,10 +220,11 @@ def _kernel_margins(state: np.record) -> list[Margin]:
 def _ready_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     """Return the margins to Table III: in the ready phase, or of what has kept it from beginning.
 
-    What ends the run before it, a stop or an abort, is not the deviation that was left then.
+    What ends the run before it, a stop, an abort or a hold for a fault, is not the deviation that was left then.
     """
     ready, found = run.stats.ready, []
-    ended = not ready.is_ready and (run.stop is not None or bool(run.stats.integrity.limits.aborted))
+    state = run.stats.integrity.limits
+    ended = not ready.is_ready and (run.stop is not None or bool(state.aborted or _held_for(state)))
     allowed = all_tolerances(scenario.requirements)
     late = bool(ready.is_ready) and not ready.left and not run.parts.get("control_precision", False)
     blocking = -1 if ended or (ready.is_ready and not (late and ready.breaks.any())) else _blocking(ready)
@@ -289,13 +292,21 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     return found
 
 
+def _held_for(state: np.record) -> str:
+    """Return the health bit for which the hold or retreat began that ended the approach, "" for none."""
+    bits = 0 if math.isnan(state.held_s) else int(state.held_health)
+    return next((name for k, name in enumerate(_HEALTH) if bits >> k & 1), "")
+
+
 def _ended(run: RunNumbers) -> list[Margin]:
-    """Return what ended the approach: the cause of the abort, the stop, a part that was not passed for no limit."""
+    """Return what ended the approach: the cause of hold or abort, the stop, a part that was not passed for no limit."""
     state, found = run.stats.integrity.limits, []
     cause = int(state.aborted)
     name = _CAUSES.get(cause)
     if name is not None:
         found.append(_event(name, float(state.aborted_at_s)))
+    if held_for := _held_for(state):
+        found.append(_event(held_for, float(state.held_s)))
     if run.stop is not None:
         found.append(_event(run.stop.name, run.stop.t_s, run.stop.value, run.stop.limit))
     return found
@@ -396,11 +407,11 @@ def relative_margin(row: Mapping[str, Any]) -> float:
 
 
 def shown(value: float, unit: str) -> str:
-    """Return ``value`` with its unit, lengths below 0.1 m in mm, angles in degrees."""
+    """Return ``value`` with its unit, angles in degrees, a small length, speed or mass in mm, mm/s or g."""
     if unit.startswith("rad"):
         value, unit = math.degrees(value), unit.replace("rad", "deg")
-    if unit == "m" and 0.0 < abs(value) < 0.1:
-        value, unit = 1e3 * value, "mm"
+    if unit in _SMALLER and 0.0 < abs(value) < 0.1:
+        value, unit = 1e3 * value, _SMALLER[unit]
     return f"{value:.4g} {unit}".rstrip()
 
 

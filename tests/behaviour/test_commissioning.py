@@ -15,7 +15,7 @@ from hil.commission.prompt import ScriptedPrompt, StepFailed
 from hil.commission.steps import Commissioning, CommissioningPlan, Findings, TruePosition
 from hil.core.modes import Mode
 from hil.drivers.io.mock import MockIo
-from hil.errors import SafetyTrip
+from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.session import build
@@ -115,6 +115,20 @@ def test_axes_are_found_in_order_one_at_a_time_and_stand_where_they_stood() -> N
     assert not ((np.diff(places[:, X]) != 0.0) & (np.diff(places[:, YAW]) != 0.0)).any()
     np.testing.assert_allclose(places[-1], places[0], atol=1e-4)
     assert trial.calls == ["stop", "close"]
+
+
+@pytest.mark.parametrize(
+    ("without_pose", "text"),
+    [(250, "250 frames without a pose: is the target in view from here?"), (0, "no frame within 5 s")],
+)
+def test_unit_that_answers_without_a_pose_is_told_from_one_that_is_silent(without_pose: int, text: str) -> None:
+    def sees_nothing(runner: Runner, trial: Trial, _: Button) -> None:
+        runner.source.poll = lambda now_s: []  # type: ignore[method-assign,assignment]
+        runner.source.counters = lambda: {"no_pose": without_pose}  # type: ignore[method-assign]
+
+    with pytest.raises(LinkTimeout) as error:
+        commissioned((X,), prepare=sees_nothing)
+    assert str(error.value) == f"vmu: {text}"
 
 
 def test_steps_come_in_their_order() -> None:

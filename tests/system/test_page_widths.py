@@ -135,6 +135,14 @@ def test_nothing_scrolls_sideways_and_what_stops_the_bench_is_always_in_view(
         assert screens.evaluate(LAYOUT) == {}
 
 
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: str(size[0]))
+def test_alarm_of_two_lines_covers_no_question_of_a_commissioning(screens: ChromiumPage, size: tuple[int, int]) -> None:
+    screens.resize(*size)
+    show(screens, "asked")
+    screens.evaluate("scrollTo(0, 0)")
+    assert screens.evaluate(LAYOUT.replace(str(list(ALWAYS)), str(["step", "asked", "reply_yes", "reply_no"]))) == {}
+
+
 @pytest.mark.parametrize("state", STATES)
 def test_contrast_of_texts_and_borders_is_sufficient(screens: ChromiumPage, state: str) -> None:
     screens.resize(1280, 720)

@@ -68,3 +68,10 @@ def test_value_of_a_stop_has_its_unit(device: str, quantity: str, value: str, un
     number, _, given = value.partition(" ")
     assert stop.value is not None
     assert shown(stop.value, unit).split()[0] == shown(float(number), given if unit == "m" else "").split()[0]
+
+
+def test_alarm_that_holds_the_approach_to_the_end_is_the_cause() -> None:
+    found = flown(make_job(15.0, ["gnc.integrity.cusum_limit_sigmas=4.0", "gnc.integrity.mean_shift_sigmas=0.02"]))
+    assert found["first_violated"] == "vision_suspect"
+    assert f"vision_suspect {found['first_violated_s']:.2f} s" in found["alarms_before"]
+    assert sentence(found).startswith("the vision suspect ends the approach, at ")
