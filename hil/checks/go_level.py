@@ -1,6 +1,6 @@
 """Whether docking can ever be a go: the requirement against the least level that the built-in navigation can reach.
 
-Said before a run, not refused: a run may be flown to see why. The least level is that of filters that have converged
+A warning before a run, which may be flown to see why. The least level is that of filters that have converged
 at the ready point with all thrusters closed, from noise and rate of the poses, the error budget, and the smallest step
 of the poses that is missed (docs/explanation/integrity.md).
 """
