@@ -41,8 +41,8 @@ law](../../explanation/control.md#predictive-law), and the examples of an LQR an
             f"""
 ## What physics leaves
 
-Rows with misses, or deviations above Table V, flown again with perfect sensors, with perfect thrusters and masses, and
-with both (`--ideal`), {found["ideal"][0]["accepted"]["runs"]} cases each with the phase plane.
+`hil benchmark --only scheme-3 --ideal`: with perfect sensors, with perfect thrusters and masses, and with both,
+{found["ideal"][0]["accepted"]["runs"]} cases each with the phase plane.
 
 """,
             _law_table(found["ideal"]),
