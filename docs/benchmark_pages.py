@@ -20,8 +20,8 @@ def benchmark() -> str:
         f"""# Benchmark
 
 `hil benchmark LAW --runs {found["runs"]} --seed {found["seed"]}` with the phase plane, the [predictive
-law](../../explanation/control.md#predictive-law), and the examples of an LQR and a plain PD law
-(`python sims/benchmark_table.py --out FOLDER`). Shares are of {found["runs"]} cases each, with Wilson's intervals of
+law](../../explanation/control.md#predictive-law), and examples of `examples/backends` (`python sims/benchmark_table.py
+--out FOLDER`). Shares are of {found["runs"]} cases each, with Wilson's intervals of
 95 %; the last rows have one [fault](faults.md) each, after which a flight may end in an abort.
 
 {MEANING}
