@@ -15,7 +15,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from docs import package_pages, record_pages, wire_pages
+from docs import benchmark_pages, package_pages, record_pages, wire_pages
 from hil.cli.main import app
 from hil.config.body import CentralBody
 from hil.config.dispersions import Spread
@@ -279,6 +279,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "files": other_files,
     "dispersions": dispersion_sets,
     "packages": package_pages.packages,
+    "benchmark": benchmark_pages.benchmark,
     "wires": wire_pages.wires,
     "modes": wire_pages.modes,
     "records": record_pages.records,

@@ -156,6 +156,7 @@ def numbers_of(flown: Campaign) -> dict[str, Any]:
         "propellant_kg": _spread(propellant),
         "propellant_over_least": _spread(share),
         "propellant_over_bound": _spread(flown.column("propellant_over_bound")),
+        "control_margin": _spread(flown.column("control_margin")),
         "firings": _spread(flown.column("firings")),
         "decision_errors": int(np.count_nonzero(flown.column("decision_error"))),
         "misleading": int(np.count_nonzero(flown.column("hmi_cycles"))),

@@ -36,7 +36,7 @@ from hil.gnc.predictive import STEPS, predicted_burn
 from hil.maths import quat, stack
 from hil.maths.arrays import fill
 
-COAST_OF_TOLERANCE = 0.25  # that a coast may take at most
+COAST_OF_TOLERANCE = 0.25  # that a limit cycle may take at most: its coast of the tolerance, its firing of the rate
 _FIRED = 0.5  # of a smallest firing, from which on one is fired
 _JUST_FIRED = 0.51  # above it by a margin for rounding: 0.5 + 1e-7 flies as well
 _SHARE = 0.5  # of the tolerance, of each of ripple and error
@@ -200,14 +200,14 @@ def yet_to_drift(params, axis, sustained, pulse, owed):
 def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, least, extra, acceleration):
     """Return the cycles to command for a firing so that the requirement on the rate is kept, of the same sign or 0.
 
-    The limit cycle has the rates +-d / 2, and one firing more makes 3 d / 2: where that is no go, an error within the
-    tolerance is corrected no faster. A firing that is too much waits until the rate has grown against it, or the error
-    to what is no go.
+    Where the smallest firing d is more of that rate than a limit cycle may take, an error within the tolerance is
+    corrected no faster than docking is a go. A firing that is too much waits until the rate has grown against it, for
+    the limit cycle has the rates +-d / 2 and a firing from rest d, or the error to what is no go.
     feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. The others as of ``modulation``.
     """
     tolerance, asked = params.coast_max[axis] / COAST_OF_TOLERANCE, cycles
     most = params.go_fraction * params.rate_max[axis]
-    while cycles != 0 and 1.5 * pulse > most and abs(error) <= tolerance:
+    while cycles != 0 and pulse > COAST_OF_TOLERANCE * params.rate_max[axis] and abs(error) <= tolerance:
         gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
         left = owed + feedback * cycles / asked - gain
         after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))

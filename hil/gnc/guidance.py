@@ -16,7 +16,8 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
-from hil.gnc.guidance_transfer import TRANSFER_PLAN, TRANSFER_WORK, least_drift_range, on_transfer, plan_transfer
+from hil.gnc.guidance_transfer import TRANSFER_PLAN, least_drift_range, on_transfer, plan_transfer
+from hil.gnc.impulses import TRANSFER_WORK
 from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
@@ -418,7 +419,7 @@ def reference(params, state, t_s, out):
 
 @kernel
 def _on_transfer(params, state, since, out):
-    """Write position and velocity ``since`` the begin of a transfer, and the acceleration by thrust; rest without plan.
+    """Write position and velocity ``since`` the start of a transfer, and the acceleration by thrust; rest without plan.
 
     The corridor is about the reference itself.
     """

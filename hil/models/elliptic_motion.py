@@ -66,7 +66,7 @@ def transition_into(mean_motion, eccentricity, m, t_s, out):
 def _in_plane(e, nu, j, constants, out):
     """Write x, z and their derivatives by nu of the scaled motion with four ``constants`` to ``out`` (6,).
 
-    j: h / p^2 times the time since the begin.
+    j: h / p^2 times the time since the start.
     """
     rho = 1.0 + e * math.cos(nu)
     s, c = rho * math.sin(nu), rho * math.cos(nu)

@@ -11,7 +11,7 @@ torques are counted with the cleanest thruster set of their axis. The orbital mo
 not in the least; of a transfer, whose motion is free, only its burns are.
 
 The impulsive bound has the same slews, and what no impulses, however many, can fall below that lead the chaser through
-the states that the reference has at the begin of each phase, at their times, by Yamanaka and Ankersen's motion.
+the states that the reference has at the start of each phase, at their times, by Yamanaka and Ankersen's motion.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from hil.config.truth import Orbit
 from hil.core.messages import Array, new
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY
-from hil.gnc.guidance_transfer import TRANSFER_WORK, least_impulses
+from hil.gnc.impulses import TRANSFER_WORK, least_impulses
 from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.maths.kepler import mean_anomaly, true_anomaly

@@ -79,7 +79,7 @@ RUN_STATS = np.dtype(
         ("navigation", NAVIGATION_SUMS),
         ("reference_v", "f8", 3),
         ("n_legs", "i8"),  # phases that were begun
-        ("leg", LEG, MAX_LEGS),  # at their begin
+        ("leg", LEG, MAX_LEGS),  # at their start
         ("last", LEG),  # of the last cycle
         ("phase", "i8"),
     ],
@@ -160,7 +160,7 @@ def _count_thrusters(params, now, stats):
 
 @kernel
 def _note_leg(now, stats):
-    """Take the reference of ``now`` as the begin of a leg if its phase has begun."""
+    """Take the reference of ``now`` as the start of a leg if its phase has begun."""
     last, reference = stats.last, now.reference
     last.t_s = now.t_s
     for i in range(3):

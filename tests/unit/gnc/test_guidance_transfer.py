@@ -16,12 +16,11 @@ from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.guidance_transfer import (
     TRANSFER_PLAN,
-    TRANSFER_WORK,
     least_drift_range,
-    least_impulses,
     on_transfer,
     plan_transfer,
 )
+from hil.gnc.impulses import TRANSFER_WORK, least_impulses
 from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths.kepler import mean_anomaly
 from hil.models.elliptic_motion import transition_into
