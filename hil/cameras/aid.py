@@ -1,4 +1,4 @@
-"""Aid at the set-up of two cameras: numbers of their spots and of each pair, and pictures that show them."""
+"""Aid at the set-up of two cameras: numbers of their spots and of each pair, and marked images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class SideNumbers:
     def advice(self) -> str:
         """Return what to change, or ``ok``."""
         if not self.spots:
-            return "no spots: open the aperture, expose longer, or darken the room"
+            return "no spots: open the aperture, expose longer, or switch other lights off"
         if 2 * self.saturated > self.spots:
             return "too bright: expose shorter"
         if self.peak < 0.4 * WANTED_PEAK:
@@ -102,7 +102,7 @@ class SetUpAid:
     def add(
         self, frames: tuple[CameraFrame, CameraFrame], shutters: tuple[str, str], t_s: float
     ) -> tuple[PairNumbers, list[np.ndarray]]:
-        """Return the numbers of a pair taken at ``t_s``, and its pictures (h, w, 3), BGR, with marks at the spots."""
+        """Return the numbers of a pair taken at ``t_s``, and its images (h, w, 3), BGR, with marks at the spots."""
         self._number += 1
         sides: list[SideNumbers | None] = []
         pictures: list[np.ndarray] = []

@@ -49,7 +49,7 @@ class AidServer:
         return f"http://{_HOST}:{self._server.server_address[1]}/"
 
     def show(self, state: dict[str, Any], pictures: dict[str, np.ndarray]) -> None:
-        """Show a pair: its numbers, and its pictures (h, w, 3) by "left" and "right"."""
+        """Show a pair: its numbers, and its images (h, w, 3) by "left" and "right"."""
         self._pictures, self._state = {**self._pictures, **pictures}, state
 
     def asked_to_save(self) -> bool:
@@ -103,6 +103,6 @@ class AidServer:
                 self.wfile.write(content)
 
             def log_message(self, *_: Any) -> None:
-                """Say nothing: requests come several times a second."""
+                """Print nothing: requests are frequent."""
 
         return Handler

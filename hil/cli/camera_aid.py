@@ -39,7 +39,7 @@ def aid(
     pairs: Annotated[int | None, Parameter(help="Number of pairs; default: until Ctrl-C.")] = None,
     options: Group[CameraOptions] = _DEFAULTS,
 ) -> int:
-    """Show both images, their spots, peaks and widths, and what each pair says, on a page of this computer.
+    """Show both images, their spots, peaks and widths, and the numbers of each pair, on a page of this computer.
 
     Parameters
     ----------
