@@ -22,6 +22,7 @@ from hil.maths.arrays import copy_into, fill_matrix
 
 _LEAST_WHITE = 1e-4  # of a pose's variance
 _LONGEST_STEP = 1.0  # of the logarithm of the noise's factor, per pose
+_LEAST_FACTOR = 3.0  # standard deviations of the logarithm as it was known, below the reported noise
 
 
 @kernel
@@ -208,8 +209,6 @@ def innovate_position(errors, filters, noise, z_TC_C, covariance, delta_s, found
 def adapt(errors, noise, k, found):
     """Take an accepted innovation (INNOVATION) into the factor of the noise's variance; k: 0 position, 1 attitude.
 
-    It is at least 1: the errors of calibration and bench, which a pose reports as well, are in no scatter.
-
     With ``V`` the noise in ``S``: score ``(v.T S^-1 V S^-1 v - tr S^-1 V) / 2``, information ``tr (S^-1 V)^2 / 2``.
     """
     if errors.noise_variance == 0.0:
@@ -231,4 +230,4 @@ def adapt(errors, noise, k, found):
     noise.information[k] += information
     noise.information[k] = min(noise.information[k], errors.noise_window * information)
     noise.log[k] += min(_LONGEST_STEP, max(-_LONGEST_STEP, score / noise.information[k]))
-    noise.log[k] = max(noise.log[k], 0.0)
+    noise.log[k] = max(noise.log[k], -_LEAST_FACTOR * math.sqrt(errors.noise_variance))
