@@ -70,6 +70,8 @@ class InitialGuessOptions:
     """Initial cameras and LEDs, instead of the rig file's."""
     keep: Parts = ()
     """left, right, stereo, mounting or leds: held at its initial value; may be given more than once."""
+    hand_held: Flag = False
+    """VIEWS has pairs of a board that is held by hand, without a bench: cameras and their relative pose alone."""
     scene: str | None = None
     """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
 
@@ -210,6 +212,7 @@ def calibrate(
     others["rig-out"] = result.rig_out
     others |= {"figure": result.figure, "check": drift.check, "drive": driving.drive}
     problems += _television_problems(start, result.scene_out, others)
+    problems += _hand_held_problems(start, others)
     refuse(problems + (_drive_problems(views, start, driving) if driving.drive else []))
     if start.scene is not None:
         return _calibrate_television(Path(views), start.scene, start, result, limits)
@@ -287,6 +290,7 @@ def _calibrate(
     from hil.config.load import load_geometry, load_rig
     from hil.vmu.calibration import job
     from hil.vmu.calibration.files import Label, as_toml, geometry_table, rig_table
+    from hil.vmu.calibration.hand_held import TARGET
     from hil.vmu.calibration.report import as_json
     from hil.vmu.calibration.views import read_views
     from hil.vmu.geometry import geometry_of_rig
@@ -295,16 +299,21 @@ def _calibrate(
     guess = start.geometry is not None
     geometry = load_geometry(start.geometry).value if start.geometry is not None else geometry_of_rig(rig.value)
     board = _board(start)
-    loaded = read_views(Path(views))
+    loaded = None if start.hand_held else read_views(Path(views))
     sigma = np.array([1e-3 * sigmas.rail_sigma_mm] * 3 + [np.radians(sigmas.gimbal_sigma_deg)] * 3)
     given = job.CalibrationInputs(
         board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent
     )
     date = result.date or datetime.datetime.now().astimezone().date().isoformat()
-    label = Label(result.id or f"vmu-{date}", date, job.target_name(board))
+    target = f"{TARGET} {job.target_name(board)}" if start.hand_held else job.target_name(board)
+    label = Label(result.id or f"vmu-{date}", date, target)
     with ProgressBar(Console(stderr=True), "reading the views") as bar:
         limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))
-        outcome = job.calibrate(loaded, rig.value, geometry, given, limit_values, label, guess, bar.show)
+        common = rig.value, geometry, given, limit_values, label, guess, bar.show
+        if loaded is None:
+            outcome = job.calibrate_hand_held(Path(views), *common)
+        else:
+            outcome = job.calibrate(loaded, *common)
     fit = outcome.solved.fit
     write_json(as_json(outcome), result.json)
     if result.figure is not None:
@@ -330,6 +339,14 @@ def _television_problems(start: InitialGuessOptions, scene_out: str | None, othe
         return [Problem("--scene-out", "", "goes with --scene only")] if scene_out is not None else []
     found = [Problem("--scene", "", f"goes without --{name}") for name, value in others.items() if value]
     return found if start.board is not None else [*found, Problem("--scene", "", "needs --board and --square-mm")]
+
+
+def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -> list[Problem]:
+    if not start.hand_held:
+        return []
+    given = [name for name in ("rig-out", "check", "drive") if others[name]]
+    found = [Problem("--hand-held", "", f"goes without --{name}") for name in given]
+    return found if start.board is not None else [*found, Problem("--hand-held", "", "needs --board and --square-mm")]
 
 
 def _calibrate_television(

@@ -61,7 +61,14 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
         f"{len(used.names)} views, {int(used.visible.sum())} points, residuals {fit.rms_px:.3f} px"
         f" RMS, noise {outcome.sigma_px:.3f} px; images covered: {covered}"
     )
-    show(f"rail errors: {fit.axis_ratio[0]:.2f}, gimbal errors: {fit.axis_ratio[1]:.2f} of the assumed sigma")
+    if outcome.halves is not None:
+        half = outcome.halves
+        show(
+            f"two halves of the views differ by {half.across_mm:.2f} mm across and {half.depth_mm:.2f} mm in depth at "
+            f"{half.range_m:g} m, expected {half.sigma_across_mm:.2f} and {half.sigma_depth_mm:.2f} mm"
+        )
+    if not outcome.is_hand_held:
+        show(f"rail errors: {fit.axis_ratio[0]:.2f}, gimbal errors: {fit.axis_ratio[1]:.2f} of the assumed sigma")
     if solved.spots_left_out:
         show(f"{solved.spots_left_out} spots rejected: inconsistent with the rest of their view")
     for name, why in solved.left_out.items():

@@ -28,12 +28,13 @@ from hil.errors import BadInput, Problem
 if TYPE_CHECKING:
     import numpy as np
 
-    from hil.drivers.cameras.base import Camera
+    from hil.drivers.cameras.base import Camera, CameraFrame
 
 _NAME: Final = "camera"
 _WAIT_WALL_S: Final = 2.0
 
 app = App(name="cameras")
+app.command("hil.cli.camera_aid:aid", name="aid", help="Live page for the set-up of two cameras: spots, peaks, skew.")
 Images = Annotated[Integer, bounded(1)]
 Pixels = Annotated[OptionalInteger, within(16, 16384)]
 
@@ -109,12 +110,12 @@ def show(
     import cv2
     import numpy as np
 
-    problems = _problems(options)
+    problems = option_problems(options)
     if out is not None and (Path(out).suffix != ".png" or not Path(out).absolute().parent.is_dir()):
         problems.append(Problem("--out", "", f"{out}: give a file *.png in a folder that exists"))
     refuse(problems)
     console, taken, incomplete, times = Console(), [], 0, []
-    opened = _open(camera, options)
+    opened = open_camera_of(camera, options)
     try:
         for _ in range(images):
             image = _take(opened, options)
@@ -158,11 +159,11 @@ def focus(
     camera
         IP address, serial number or identifier; of V4L2 the device, /dev/video0.
     """
-    refuse(_problems(options))
+    refuse(option_problems(options))
     from hil.vmu.detect import SpotDetector
 
-    console, detector = Console(), SpotDetector(_size(options)[::-1])
-    opened = _open(camera, options)
+    console, detector = Console(), SpotDetector(size_of(options)[::-1])
+    opened = open_camera_of(camera, options)
     best, count = math.inf, 0
     try:
         while images is None or count < images:
@@ -198,7 +199,8 @@ def _spot_width(spots: np.ndarray, image: np.ndarray) -> float:
     return float(np.median(widths)) if widths else math.inf
 
 
-def _problems(options: CameraOptions) -> list[Problem]:
+def option_problems(options: CameraOptions) -> list[Problem]:
+    """Return a problem for each option that a camera cannot have."""
     from typing import get_args
 
     from hil.config.cameras import CameraInterface, PixelFormat
@@ -216,11 +218,13 @@ def _problems(options: CameraOptions) -> list[Problem]:
     return problems
 
 
-def _size(options: CameraOptions) -> tuple[int, int]:
+def size_of(options: CameraOptions) -> tuple[int, int]:
+    """Return width and height of the images, px."""
     return options.width or 1024, options.height or 1024
 
 
-def _open(camera: str, options: CameraOptions) -> Camera:
+def open_camera_of(camera: str, options: CameraOptions) -> Camera:
+    """Return ``camera``, started. Raises DeviceError."""
     from hil.config.cameras import VisionCameras
     from hil.drivers.cameras.interfaces import open_camera
 
@@ -234,20 +238,25 @@ def _open(camera: str, options: CameraOptions) -> Camera:
             "packet_bytes": options.packet_bytes,
         }
     )
-    opened = open_camera(_NAME, camera, settings, _size(options), options.rate_hz)
+    opened = open_camera(_NAME, camera, settings, size_of(options), options.rate_hz)
     opened.start()
     return opened
 
 
 def _take(camera: Camera, options: CameraOptions) -> np.ndarray | None:
     """Return the next image, None if packets of it are missing. Raises LinkTimeout if there is none."""
-    from hil.errors import LinkTimeout
-
     if options.trigger == "software":
         time.sleep(1.0 / options.rate_hz)
         camera.trigger()
+    return take_frame(camera, options).image
+
+
+def take_frame(camera: Camera, options: CameraOptions) -> CameraFrame:
+    """Return the next frame. Raises LinkTimeout if there is none."""
+    from hil.errors import LinkTimeout
+
     frame = camera.receive(_WAIT_WALL_S + 1.0 / options.rate_hz)
     if frame is None:
         hint = "; is the trigger connected?" if options.trigger == "hardware" else ""
         raise LinkTimeout(_NAME, f"no image within {_WAIT_WALL_S:g} s{hint}")
-    return frame.image
+    return frame

@@ -140,8 +140,9 @@ class Solution:
         A position alone has the status POSITION_ONLY. only_noise: the covariance of a pose is that of the part that is
         independent between images.
         """
-        if self.partial is not None and self.partial.t_v is not None:
-            known, covariance = self.partial, np.diag(np.full(6, UNKNOWN_ATTITUDE_RAD**2))
+        known = self.partial
+        if known is not None and known.t_v is not None:
+            covariance = np.diag(np.full(6, UNKNOWN_ATTITUDE_RAD**2))
             covariance[:3, :3] = known.covariance
             return PoseFrame(counter, self.t_s, received_s, known.t_v, known.q_vt, covariance, 0, 0, POSITION_ONLY)
         if self.pose is None or self.status != OK:

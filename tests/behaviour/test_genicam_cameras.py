@@ -6,10 +6,15 @@ import re
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
+from unittest.mock import patch
 
+import cv2
 import numpy as np
 import pytest
 
+from hil.cameras.aid_server import AidServer
+from hil.cli.main import execute
 from hil.config.cameras import VisionCameras
 from hil.drivers.cameras.base import Camera, CameraFrame, to_8_bits
 from hil.drivers.cameras.emulator import CameraEmulator
@@ -98,3 +103,23 @@ def test_a_camera_that_cannot_be_used_is_named_in_one_line(
 def test_levels_are_rounded_and_saturation_stays_saturation() -> None:
     raw = np.array([[0, 7, 8, 2048, 4087, 4088, 4095]], np.uint16)
     assert to_8_bits(raw, 12).tolist() == [[0, 0, 1, 128, 255, 255, 255]]
+
+
+def test_set_up_aid_measures_two_cameras_and_saves_what_its_page_asks_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    addresses = "127.0.0.5", "127.0.0.6"  # those of the other tests are in use
+    words = ["cameras", "aid", *addresses, "--width", "320", "--height", "240", "--port", "0", "--pairs", "3"]
+    with (
+        emulated(addresses[0], lambda t_s: IMAGE, (640, 480)),
+        emulated(addresses[1], lambda t_s: IMAGE, (640, 480)),
+        patch.object(AidServer, "asked_to_save", lambda _: True),
+    ):
+        assert execute([*words, "--save", str(tmp_path / "pairs")]) == 0
+    printed = capsys.readouterr().out
+    assert "camera aid: http://127.0.0.1:" in printed
+    assert printed.count("of 255") == 2
+    for side in ("left", "right"):
+        saved = sorted((tmp_path / "pairs" / side).iterdir())
+        assert [path.name for path in saved] == ["0000.png", "0001.png", "0002.png"]
+        np.testing.assert_array_equal(cv2.imread(str(saved[0]), cv2.IMREAD_GRAYSCALE), IMAGE)

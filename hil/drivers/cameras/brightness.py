@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -15,12 +16,23 @@ _SETTLING: Final = 4  # images from a command until one shows it: those in fligh
 _SHORTEST_S: Final = 2e-5
 
 
-class BrightnessControl:
-    """Exposure time, s, with which the brightest hundredth of an image has level ``wanted``, up to ``longest_s``."""
+def brightest_hundredth(image: np.ndarray) -> float:
+    """Return the grey level above which a hundredth of ``image`` (h, w), uint8, is."""
+    return float(np.percentile(image[::4, ::4], _PERCENTILE))
 
-    def __init__(self, wanted: float, exposure_s: float, longest_s: float) -> None:
+
+class BrightnessControl:
+    """Exposure time, s, with which the ``level`` of an image is ``wanted``, up to ``longest_s``."""
+
+    def __init__(
+        self,
+        wanted: float,
+        exposure_s: float,
+        longest_s: float,
+        level: Callable[[np.ndarray], float] = brightest_hundredth,
+    ) -> None:
         self.exposure_s = min(exposure_s, longest_s)
-        self._wanted = wanted
+        self._wanted, self._level = wanted, level
         self._longest_s = longest_s
         self._images = 0
 
@@ -29,7 +41,7 @@ class BrightnessControl:
         self._images += 1
         if self._images < _SETTLING:
             return False
-        level = float(np.percentile(image[::4, ::4], _PERCENTILE))
+        level = self._level(image)
         ratio = _FACTORS[0] if level >= _SATURATED else self._wanted / max(level, _DARKEST)
         if abs(ratio - 1.0) < _DEAD_BAND:
             return False

@@ -122,7 +122,8 @@ def _intrinsics(observed: Observations, points: Array, side: int, size: Array, g
     return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *lens[:5]])
 
 
-def _pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
+def board_pose(points: Array, pixels: Array, numbers: Array) -> tuple[Array, Array]:
+    """Return R (3, 3) and t (3,), m, of ``p_camera = R p_board + t`` by the corners in one camera."""
     _, rotation, position = cv2.solvePnP(points, pixels, _matrix(numbers), numbers[4:], flags=cv2.SOLVEPNP_IPPE)
     rotation, position = cv2.solvePnPRefineLM(points, pixels, _matrix(numbers), numbers[4:], rotation, position)
     return Rotation.from_rotvec(np.asarray(rotation, dtype=float).ravel()).as_matrix(), np.asarray(
@@ -135,7 +136,7 @@ def _stereo(
 ) -> tuple[Array, Array, np.ndarray]:
     """Return rotation vector and baseline of the right camera, and the views with consistent pairs."""
     poses = [
-        (k, _pose(points, observed.pixels[k, 0], left), _pose(points, observed.pixels[k, 1], right))
+        (k, board_pose(points, observed.pixels[k, 0], left), board_pose(points, observed.pixels[k, 1], right))
         for k in range(len(observed.names))
     ]
     # all pairs must have the same relative pose: p_v = R p_r + b
@@ -168,6 +169,25 @@ def _stereo(
     )
 
 
+def start_cameras(
+    observed: Observations, nominal: Setup, keep: tuple[str, ...], guess: bool
+) -> tuple[Array, np.ndarray]:
+    """Return the numbers of both cameras and of their relative pose, and the views with consistent pairs.
+
+    keep, guess: as in ``start``.
+    """
+    theta = nominal.theta[:CAMERA_ROTATION].copy()
+    for side, part in enumerate(SIDES):
+        if part not in keep:
+            old = theta[PARTS[part]] if guess else None
+            theta[PARTS[part]] = _intrinsics(observed, nominal.points, side, nominal.sizes[side], old)
+    left, right = theta[PARTS["left"]], theta[PARTS["right"]]
+    rotation, baseline, agree = _stereo(observed, nominal.points, left, right, nominal.sizes[0])
+    if "stereo" not in keep:
+        theta[ROTATION:BASELINE], theta[BASELINE:] = rotation, baseline
+    return theta, agree
+
+
 def start(
     observed: Observations, board: Board, nominal: Setup, turntable: TurntableModel, keep: tuple[str, ...], guess: bool
 ) -> tuple[Setup, Observations, tuple[str, ...]]:
@@ -177,15 +197,9 @@ def start(
     guess: start the cameras at ``nominal``, whose points are the board's.
     """
     theta = nominal.theta.copy()
-    for side, part in enumerate(SIDES):
-        if part not in keep:
-            old = theta[PARTS[part]] if guess else None
-            theta[PARTS[part]] = _intrinsics(observed, nominal.points, side, nominal.sizes[side], old)
-    left, right = theta[PARTS["left"]], theta[PARTS["right"]]
-    rotation, baseline, agree = _stereo(observed, nominal.points, left, right, nominal.sizes[0])
-    if "stereo" not in keep:
-        theta[ROTATION:BASELINE], theta[BASELINE:CAMERA_ROTATION] = rotation, baseline
-    poses = [_pose(nominal.points, observed.pixels[k, 0], left) for k in agree]
+    theta[:CAMERA_ROTATION], agree = start_cameras(observed, nominal, keep, guess)
+    left = theta[PARTS["left"]]
+    poses = [board_pose(nominal.points, observed.pixels[k, 0], left) for k in agree]
     gimbals = np.array(
         [
             quat.to_matrix(euler.to_quaternion(np.ascontiguousarray(observed.axes[k, 3:]), turntable.order))

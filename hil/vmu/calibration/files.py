@@ -13,6 +13,7 @@ import numpy as np
 from hil.config.vmu_geometry import Sensor, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
+from hil.vmu.calibration.hand_held import TARGET
 from hil.vmu.calibration.model import SIDES, Setup, TurntableModel, camera_of, lens_numbers, parameters
 from hil.vmu.calibration.refine import RefinementFit
 from hil.vmu.geometry import EXACT
@@ -156,6 +157,9 @@ def read_back(geometry: VmuGeometry, source: str) -> StoredCalibration:
     found = geometry.calibration
     if found is None:
         raise BadInput.single(source, "calibration", "is missing: a file written by hil calibrate is required")
+    if found.target.startswith(TARGET):
+        text = f'"{found.target}": has no positions of a bench to compare with; calibrate with views at known positions'
+        raise BadInput.single(source, "calibration.target", text)
     n = len(found.covariance)
     if n not in (COMMON, COMMON + 3 * len(geometry.leds_m)):
         allowed = f"{COMMON} rows, or {COMMON + 3 * len(geometry.leds_m)} with the layout of the LEDs"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.vmu.calibration import board as boards
-from hil.vmu.calibration import drift, quality
+from hil.vmu.calibration import drift, hand_held, quality
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.files import Label, StoredCalibration
 from hil.vmu.calibration.leds import SpotViews, identify, spot_views
@@ -25,6 +26,7 @@ from hil.vmu.kernels.chain import COMMON, SCALE
 Progress = Callable[[str, float], None]
 
 _WIDE_GATE_PX = 12.0
+_HALVES_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +82,12 @@ class CalibrationOutcome:
     shares: list[float]
     warnings: list[str]
     checks: list[CalibrationCheck] = field(default_factory=list)
+    halves: hand_held.Halves | None = None
+
+    @property
+    def is_hand_held(self) -> bool:
+        """Whether the board was held by hand: there are no encoders to compare with."""
+        return self.label.target.startswith(hand_held.TARGET)
 
     @property
     def passed(self) -> bool:
@@ -132,6 +140,38 @@ def calibrate(
         not_whole = (name for name in views.names if name not in observed.names)
         solved.left_out.update(dict.fromkeys(not_whole, "the board is not completely visible to both cameras"))
     return _outcome(label, solved, turntable, held, nominal, limits, given.board is not None)
+
+
+def calibrate_hand_held(
+    folder: Path,
+    rig: Rig,
+    geometry: VmuGeometry,
+    given: CalibrationInputs,
+    limits: CalibrationLimits,
+    label: Label,
+    guess: bool,
+    progress: Progress,
+) -> CalibrationOutcome:
+    """Return the calibration of both cameras by pairs of a board that is held by hand; arguments as of ``calibrate``.
+
+    Without ``guess`` the images may have another size than those of ``geometry``.
+    """
+    assert given.board is not None
+    observed, sizes = boards.observations(hand_held.read_pairs(folder), given.board, progress)
+    nominal = Setup.of(geometry, rig.bench, given.board.points())
+    if guess and (sizes != nominal.sizes).any():
+        raise BadInput.single("VIEWS", "", _sizes_differ(sizes, nominal.sizes))
+    nominal = replace(nominal, sizes=sizes)
+    progress("fitting", 0.9)
+    solved, held = hand_held.solve(observed, given.board, nominal, given.keep, given.square_sigma, guess)
+    found = _outcome(label, solved, hand_held.TURNTABLE, held, nominal, limits, False)
+    halves = hand_held.halves(solved, held, limits.range_m)
+    checks = list(found.checks)
+    if halves is not None:
+        checks.append(
+            CalibrationCheck("difference of two halves of the views", halves.in_sigmas, _HALVES_SIGMAS, "sigma")
+        )
+    return replace(found, warnings=hand_held.warnings_of(solved, found.shares), halves=halves, checks=checks)
 
 
 def _sizes_differ(found: Array, expected: Array) -> str:

@@ -124,6 +124,15 @@ def coverage(observed: Observations, sizes: Array) -> list[float]:
     return shares
 
 
+def coverage_warnings(shares: list[float]) -> list[str]:
+    """Return a sentence for each image of which the target has covered less than half."""
+    return [
+        f"the {side} image is covered to {100 * share:.0f} % only: bring the target to its edges and corners too"
+        for side, share in zip(SIDES, shares, strict=True)
+        if share < 0.5
+    ]
+
+
 def sigma_px(fit: RefinementFit, observed: Observations) -> float:
     """Return the standard deviation of one coordinate of a spot or corner, px, as estimated by the fit."""
     variances = np.einsum("...ii->...", observed.covariance)[observed.visible] / 2.0
@@ -135,11 +144,9 @@ def warnings_of(fit: RefinementFit, observed: Observations, held: Prior, shares:
     found = []
     if len(observed.names) < 10:
         found.append(f"few views: {len(observed.names)}, 15 or more are recommended")
-    found += [
-        f"the {side} image is covered to {100 * share:.0f} % only: bring the target to its edges and corners too"
-        for side, share in zip(SIDES, shares, strict=True)
-        if share < 0.5 and held.free[PARTS[side]].any()
-    ]
+    found += coverage_warnings(
+        [s if held.free[PARTS[side]].any() else 1.0 for side, s in zip(SIDES, shares, strict=True)]
+    )
     rails, gimbals = np.ptp(observed.axes[:, :3], axis=0), np.degrees(np.ptp(observed.axes[:, 3:], axis=0))
     turned = int((gimbals >= 8.0).sum())
     if held.free[PARTS["mounting"]].any() and turned < 2:

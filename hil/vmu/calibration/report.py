@@ -76,6 +76,7 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
         },
         "at_ranges": [_range_as_json(found) for found in outcome.at_ranges],
         "coverage": dict(zip(("left", "right"), outcome.shares, strict=True)),
+        "halves": None if outcome.halves is None else asdict(outcome.halves),
         "board_scale": float(fit.setup.theta[SCALE]),
         "warnings": outcome.warnings,
     }
