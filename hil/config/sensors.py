@@ -14,7 +14,7 @@ from hil.errors import BadInput
 
 
 def device_of(name: str) -> str:
-    """Return by which name alarms, faults and errors know the sensor ``name``."""
+    """Return the name of the sensor ``name`` in alarms, faults and errors."""
     return f"sensor.{name}"
 
 
