@@ -289,8 +289,7 @@ def _calibrate(
     from hil.cli.calibrate_tables import print_outcome
     from hil.config.load import load_geometry, load_rig
     from hil.vmu.calibration import job
-    from hil.vmu.calibration.files import Label, as_toml, geometry_table, rig_table
-    from hil.vmu.calibration.hand_held import TARGET
+    from hil.vmu.calibration.files import HAND_HELD, Label, as_toml, geometry_table, rig_table
     from hil.vmu.calibration.report import as_json
     from hil.vmu.calibration.views import read_views
     from hil.vmu.geometry import geometry_of_rig
@@ -305,7 +304,7 @@ def _calibrate(
         board, start.keep, sigma, 1e-3 * sigmas.led_sigma_mm, 0.01 * sigmas.square_sigma_percent
     )
     date = result.date or datetime.datetime.now().astimezone().date().isoformat()
-    target = f"{TARGET} {job.target_name(board)}" if start.hand_held else job.target_name(board)
+    target = f"{HAND_HELD} {job.target_name(board)}" if start.hand_held else job.target_name(board)
     label = Label(result.id or f"vmu-{date}", date, target)
     with ProgressBar(Console(stderr=True), "reading the views") as bar:
         limit_values = job.CalibrationLimits(*(getattr(limits, field.name) for field in fields(limits)))

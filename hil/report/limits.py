@@ -426,10 +426,12 @@ def stop_of_alarm(alarm: Alarm | None, stop: str, t_s: float) -> Stop:
 
 
 def _leading(text: str) -> float | None:
-    """Return the number at the start of ``text``, in SI, None without one."""
+    """Return the finite number at the start of ``text``, in SI, None without one."""
     number, _, unit = text.strip().partition(" ")
     try:
         value = float(number)
     except ValueError:
+        return None
+    if not math.isfinite(value):
         return None
     return math.radians(value) if unit.startswith("deg") else value

@@ -13,7 +13,6 @@ import numpy as np
 from hil.config.vmu_geometry import Sensor, VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.vmu.calibration.hand_held import TARGET
 from hil.vmu.calibration.model import SIDES, Setup, TurntableModel, camera_of, lens_numbers, parameters
 from hil.vmu.calibration.refine import RefinementFit
 from hil.vmu.geometry import EXACT
@@ -29,6 +28,8 @@ from hil.vmu.kernels.chain import (
 )
 
 _ORDER = "xyz"
+HAND_HELD: Final = "hand-held"
+"""First word of a calibration's target: it has no positions of a bench."""
 MOST_LEDS: Final = 8
 """of a geometry file; a target with more points is a board"""
 
@@ -157,7 +158,7 @@ def read_back(geometry: VmuGeometry, source: str) -> StoredCalibration:
     found = geometry.calibration
     if found is None:
         raise BadInput.single(source, "calibration", "is missing: a file written by hil calibrate is required")
-    if found.target.startswith(TARGET):
+    if found.target.startswith(HAND_HELD):
         text = f'"{found.target}": has no positions of a bench to compare with; calibrate with views at known positions'
         raise BadInput.single(source, "calibration.target", text)
     n = len(found.covariance)

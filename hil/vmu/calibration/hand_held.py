@@ -25,8 +25,6 @@ from hil.vmu.calibration.solve import CalibrationSolution
 from hil.vmu.calibration.views import Views
 from hil.vmu.kernels.chain import CAMERA_ROTATION, SCALE
 
-TARGET: Final = "hand-held"
-"""First word of a calibration's target: it has no positions of a bench."""
 TURNTABLE: Final = TurntableModel(np.zeros(3), np.array([2, 1, 0]))
 AXIS_SIGMA: Final = np.array([10.0, 10.0, 10.0, 3.0, 3.0, 3.0])
 LEAST_VIEWS: Final = 8

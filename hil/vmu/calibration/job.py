@@ -15,7 +15,7 @@ from hil.errors import BadInput
 from hil.vmu.calibration import board as boards
 from hil.vmu.calibration import drift, hand_held, quality
 from hil.vmu.calibration.board import Board
-from hil.vmu.calibration.files import Label, StoredCalibration
+from hil.vmu.calibration.files import HAND_HELD, Label, StoredCalibration
 from hil.vmu.calibration.leds import SpotViews, identify, spot_views
 from hil.vmu.calibration.model import PARTS, SIDES, Observations, Setup, TurntableModel
 from hil.vmu.calibration.refine import Prior, weak_prior
@@ -87,7 +87,7 @@ class CalibrationOutcome:
     @property
     def is_hand_held(self) -> bool:
         """Whether the board was held by hand: there are no encoders to compare with."""
-        return self.label.target.startswith(hand_held.TARGET)
+        return self.label.target.startswith(HAND_HELD)
 
     @property
     def passed(self) -> bool:
