@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.fields import Field, record_class, record_dtype
 from hil.core.gnc_records import GNC_SETUP_FIELDS
-from hil.core.messages import MAX_POSES, MAX_THRUSTERS, NAVIGATION_FIELDS, REFERENCE_FIELDS
+from hil.core.messages import MAX_POSES, MAX_THRUSTERS, NAVIGATION_FIELDS, POSE_STATUS, REFERENCE_FIELDS
 
 BACKEND_PROTOCOL: Final = 1
 """Version of the records; incremented when a field is appended."""
@@ -36,14 +36,7 @@ BACKEND_POSE_FIELDS: Final = (
     Field("covariance_position_m2", "f8", (3, 3), "m^2", "c", "covariance of r_TC_C_m"),
     Field("covariance_attitude_rad2", "f8", (3, 3), "rad^2", "c", "covariance of the small-angle rotation of c"),
     Field("covariance_cross_m_rad", "f8", (3, 3), "m rad", "c", "of r_TC_C_m (rows) and the small-angle rotation"),
-    Field(
-        "status",
-        "i8",
-        (),
-        "1",
-        "",
-        "status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess",
-    ),
+    POSE_STATUS,
 )
 _HEAD: Final = (
     Field("cycle", "i8", (), "1", "", "number of the cycle, from 0"),

@@ -58,6 +58,10 @@ IMU_FIELDS: Final = (
 )
 IMU = record_dtype(IMU_FIELDS)
 
+POSE_STATUS: Final = Field(
+    "status", "i8", (), "1", "",
+    "status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess",
+)  # fmt: skip
 POSE_FIELDS: Final = (
     Field("z_TC_C", "f8", 3, "m", "c", "target's reference point seen from the chaser's"),
     Field("covariance_position", "f8", (3, 3), "m^2", "c", "covariance of z_TC_C"),
@@ -68,14 +72,7 @@ POSE_FIELDS: Final = (
     Field(
         "covariance_cross", "f8", (3, 3), "m rad", "c", "of the errors of z_TC_C (rows) and of the small-angle rotation"
     ),
-    Field(
-        "status",
-        "i8",
-        (),
-        "1",
-        "",
-        "status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess",
-    ),
+    POSE_STATUS,
 )
 POSE = record_dtype(POSE_FIELDS)
 

@@ -17,7 +17,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
 from hil.gnc.guidance_transfer import TRANSFER_PLAN, least_drift_range, on_transfer, plan_transfer
-from hil.gnc.impulses import TRANSFER_WORK
+from hil.gnc.impulses import TRANSFER_WORK, size_of
 from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
@@ -100,18 +100,13 @@ def _path(params, phase):
 
 
 @kernel
-def _norm(v):
-    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
-@kernel
 def _length(params, state):
     """Return the length of the phase's path: m, of a slew rad."""
     path = _path(params, state.phase)
     if path == SLEW:
-        return _norm(state.turn_C)
+        return size_of(state.turn_C)
     if path == ARC:
-        return _norm(state.turn_C) * max(_norm(state.from_H), _norm(state.to_H))
+        return size_of(state.turn_C) * max(size_of(state.from_H), size_of(state.to_H))
     square = 0.0
     for i in range(3):
         square += (state.to_H[i] - state.from_H[i]) ** 2
@@ -140,7 +135,7 @@ def _aim(params, state):
         elif params.path[phase] == TRANSFER:
             state.tries = 0
             _plan(params, state)
-    state.turns = 0 if _norm(state.turn_C) == 0.0 else 1
+    state.turns = 0 if size_of(state.turn_C) == 0.0 else 1
     state.length = 0.0 if kind in (BRAKE, HOLD, WAIT) else _length(params, state)
     state.ends_s = _nominal_end(params, state)
 
@@ -194,7 +189,7 @@ def _aim_arc(state):
     """Write axis and rotation of the arc about the target, the shorter way from ``state.from_H`` to ``state.to_H``."""
     a, b, axis = state.from_H, state.to_H, state.axis
     axis[0], axis[1], axis[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-    size = _norm(axis)
+    size = size_of(axis)
     angle = math.atan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
     for i in range(3):
         axis[i] = axis[i] / size if size > 0.0 else 0.0
@@ -442,7 +437,7 @@ def _on_arc(state, length, along, out):
 
     along: path length, m, and its first and second rate (3,). The corridor is about the reference itself.
     """
-    angle, before, after = _norm(state.turn_C), _norm(state.from_H), _norm(state.to_H)
+    angle, before, after = size_of(state.turn_C), size_of(state.from_H), size_of(state.to_H)
     theta, rate, change = angle * along[0] / length, angle * along[1] / length, angle * along[2] / length
     step = (after - before) / length
     radius, radius_rate, radius_change = before + step * along[0], step * along[1], step * along[2]

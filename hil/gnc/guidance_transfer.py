@@ -61,10 +61,12 @@ def plan_transfer(orbit, begin_s, duration_s, optimal, acceleration, start, poin
     copy_into(plan.start, start)
     plan.begin_s, plan.duration_s, plan.n = begin_s, duration_s, 0
     plan.bound = least_impulses(orbit, begin_s, duration_s, start, end, work)
-    spread_times(program, TIMES if optimal != 0 else 2, 0.0, duration_s)
-    set_times(orbit, begin_s, program, work.whole)
-    missed = minimise(program)
-    if optimal != 0:
+    if optimal == 0:
+        spread_times(program, 2)
+        set_times(orbit, begin_s, program, work.whole)
+        missed = minimise(program)
+    else:
+        spread_times(program, TIMES)  # whose impulses the bound has left
         for prunes in range(2):
             if prunes == 0:
                 gather(program)

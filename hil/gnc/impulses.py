@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack
+from hil.maths import cholesky, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.models.elliptic_motion import transition_into
 
@@ -93,23 +93,14 @@ def _solve(weights, program):
     trace = 0.0
     for i in range(6):
         trace += g[i, i]
-    for i in range(6):  # Cholesky, in place
-        for j in range(i + 1):
-            total = g[i, j] + (_RIDGE * trace if i == j else 0.0)
-            for m in range(j):
-                total -= g[i, m] * g[j, m]
-            g[i, j] = math.sqrt(max(total, 1e-300)) if i == j else total / g[j, j]
     for i in range(6):
-        y[i] = program.b[i]
-        for j in range(i):
-            y[i] -= g[i, j] * y[j]
-        y[i] /= g[i, i]
-    for i in range(5, -1, -1):
-        for j in range(i + 1, 6):
-            y[i] -= g[j, i] * y[j]
-        y[i] /= g[i, i]
-    copy_into(program.l, y)
+        g[i, i] += _RIDGE * trace
     program.sum, square, size = 0.0, 0.0, 0.0
+    if not cholesky.factor(g, 6, g):  # these times do not reach all states
+        fill(program.l, 0.0)
+        fill_matrix(program.u, 0.0)
+        return np.inf
+    cholesky.solve(g, 6, program.b, program.l)
     copy_into(y, program.b)
     for k in range(program.n):
         for m in range(3):
@@ -153,7 +144,7 @@ def _bound(program):
 @kernel
 def minimise(program):
     """Write the impulses of the least sum at the times of ``program``; return what is left of ``b``."""
-    weights = stack.vector(33)
+    weights = stack.vector(TIMES)
     fill(weights, 1.0)
     missed = 0.0
     for _ in range(_ITERATIONS):
@@ -166,10 +157,11 @@ def minimise(program):
 
 
 @kernel
-def spread_times(program, n, first_s, last_s):
+def spread_times(program, n):
+    """Spread ``n`` times evenly over the duration of ``program``, begin and end included."""
     program.n = n
     for k in range(n):
-        program.at_s[k] = first_s + (last_s - first_s) * k / (n - 1)
+        program.at_s[k] = program.duration_s * k / (n - 1)
 
 
 @kernel
@@ -219,13 +211,14 @@ def least_impulses(orbit, begin_s, duration_s, start, end, work):
     """Return a lower bound of the sum of any number of impulses, m/s, that lead from ``start`` to ``end`` (6,).
 
     orbit: TARGET_ORBIT, whose axes are those of the Hill frame. begin_s: time of the run. work: TRANSFER_WORK.
+    The impulses of the least sum at ``TIMES`` times are left in ``work.program.u``.
     """
     program = work.program
     program.duration_s = duration_s
     if duration_s <= 0.0:
         return 0.0
     _demand(orbit, begin_s, start, end, program, work.whole)
-    spread_times(program, TIMES, 0.0, duration_s)
+    spread_times(program, TIMES)
     set_times(orbit, begin_s, program, work.whole)
     minimise(program)
     return _certified(orbit, begin_s, program, work.whole)

@@ -198,11 +198,17 @@ def integrity(scenario: Scenario) -> np.record:
     params.nis_weight = 1.0 / settings.nis_window
     params.nis_limit = chi_square.limit_of_recent_mean(settings.nis_window, 3, NIS_TAIL)
     params.gate = math.sqrt(_gate(scenario))
-    params.vision_range = math.inf if settings.vision_range_m is None else settings.vision_range_m
+    params.vision_range = vision_range_m(scenario)
     params.sigmas = protection_sigmas(scenario)
     params.sigmas_go = math.sqrt(chi_square.upper_quantile(settings.go_risk_probability, 1))
     params.cusum_go = min(settings.go_cusum_sigmas, settings.cusum_limit_sigmas)
     return params
+
+
+def vision_range_m(scenario: Scenario) -> float:
+    """Return the distance, m, up to which poses are expected."""
+    range_m = scenario.gnc.integrity.vision_range_m
+    return math.inf if range_m is None else range_m
 
 
 def protection_sigmas(scenario: Scenario) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -30,9 +29,8 @@ def integrity(scenario: Scenario, rig: Rig | None = None) -> np.record:
     limits.acquisition_s = scenario.gnc.integrity.acquisition_s
     limits.converged_mps = gnc_params.converged_mps(scenario)
     limits.time_to_alert_s = scenario.integrity.time_to_alert_s
-    expected = scenario.gnc.integrity
-    limits.lost_after_s = expected.lost_after_s
-    limits.vision_range = math.inf if expected.vision_range_m is None else expected.vision_range_m
+    limits.lost_after_s = scenario.gnc.integrity.lost_after_s
+    limits.vision_range = gnc_params.vision_range_m(scenario)
     if rig is not None:
         limits.tracks = 1
         limits.axis_max, limits.axis_per_speed_s = bench_params.following_limits(rig)

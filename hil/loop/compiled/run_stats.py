@@ -19,6 +19,7 @@ from hil.gnc import ready_phase
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS, INTEGRITY_STATE, start_integrity, update_integrity
 from hil.gnc.ready_phase import READY_PARAMS, READY_STATE
 from hil.maths import stack
+from hil.maths.record_view import copy_record
 from hil.models.rotating_frame import TUMBLE, frame_acceleration, tumble_rate
 from hil.params.dynamics import mean_motion
 from hil.params.integrity import integrity
@@ -166,10 +167,7 @@ def _note_leg(now, stats):
     for i in range(3):
         last.state[i], last.state[3 + i] = reference.r_CT_H[i], reference.v_CT_H[i]
     if (stats.cycles == 0 or reference.phase != stats.phase) and stats.n_legs < MAX_LEGS:
-        leg = stats.leg[stats.n_legs]
-        leg.t_s = last.t_s
-        for i in range(6):
-            leg.state[i] = last.state[i]
+        copy_record(last, stats.leg[stats.n_legs])
         stats.n_legs += 1
     stats.phase = reference.phase
 
