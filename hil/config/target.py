@@ -74,11 +74,16 @@ class MovingTarget(ConfigModel):
 
 
 class KnownTarget(ConfigModel):
-    """The target's tumble in the GNC at the start; it estimates rate and moments from the poses."""
+    """The target's rotation in the GNC at the start; it estimates rate and moments of a tumble from the poses.
+
+    Of a limit cycle it is given the mean, the orbit's rate, and estimates the rate.
+    """
 
     rate_error_degps: Triple = (0.0, 0.0, 0.0)
     """Error of the rate at the start, in the body axes: its value minus the true one."""
     rate_sigma_degps: NotNegative = 0.1
-    """Standard deviation of such an error, about each axis; 0: the tumble is not estimated."""
+    """Standard deviation of such an error, about each axis; 0: the rate is not estimated."""
+    rate_walk_degps: NotNegative = 0.0
+    """Random walk of the rate over a minute, by torques on the target."""
     moments_sigma: NotNegative = 0.02
     """Standard deviation of the relative error of each principal moment; 0: they are known."""

@@ -88,6 +88,7 @@ ERROR_STATE = np.dtype(
         ("variance", "f8", LANES),  # of the parameters
         ("kept", "f8", LANES),  # part of each that is left after a step, 1 of a constant
         ("estimated", "i8", LANES),
+        ("target_walk", "f8"),  # (rad/s)^2 in a step, variance of the target rate's random walk
         ("fraction", "f8"),  # of the noise's variance that is correlated
         ("bench_variance", "f8", 2),  # m^2, rad^2: part of a pose's covariance that is the bench's, all correlated
         ("noise_variance", "f8"),  # of the logarithm of true over reported variance, 0: the reported one is true

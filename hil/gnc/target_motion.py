@@ -175,3 +175,5 @@ def carry_errors(orbit, errors, dt, filters):
             p[j, V + i] += gained[i]
             p[j, ROTATION + i] += gained[3 + i]
             p[j, k + i] += gained[6 + i]
+    for i in range(3):
+        p[k + i, k + i] += errors.target_walk

@@ -219,6 +219,10 @@ def velocity_spread(params, errors, filters, state, i):
     if d != 0:
         largest = max(filters.p[d, d], filters.p[d + 1, d + 1], filters.p[d + 2, d + 2])
         variance += 0.25 * MEMORY_S**2 * largest
+    if errors.target_walk != 0.0:  # a change of the target's rate moves the velocity in its axes
+        r = filters.pkf.x
+        distance_squared = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+        variance += errors.target_walk * MEMORY_S / params.dt_s * distance_squared
     return math.sqrt(variance)
 
 

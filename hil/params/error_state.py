@@ -18,7 +18,8 @@ def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState
     """Return the standard deviations at the start of the states of each block that a scenario may add."""
     given, thrust = scenario.gnc.navigation.budget, scenario.gnc.navigation.thrust
     is_alone = scenario.gnc.navigation.backend == VISION_ALONE  # no accelerometer measures the thrust
-    tumbles, target = scenario.target.motion == "tumble", scenario.gnc.target
+    rotates, target = scenario.target.motion != "aligned", scenario.gnc.target
+    tumbles = scenario.target.motion == "tumble"
     rad, one, three = math.radians, np.ones(1), np.ones(3)
     is_correlated = max(given.vision_correlated_fraction, given.bench_sigma_m, given.bench_sigma_deg) > 0.0
     return {
@@ -27,7 +28,7 @@ def _initial_sigmas(scenario: Scenario, sensor_errors: Sequence[SensorErrorState
         "scale": given.vision_scale_sigma * one,
         "correlated": float(is_correlated) * np.ones(6),
         "sensor_errors": np.array([error.sigma for error in sensor_errors]),
-        "target_rate": rad(float(tumbles) * target.rate_sigma_degps) * three,
+        "target_rate": rad(float(rotates) * target.rate_sigma_degps) * three,
         "target_moments": float(tumbles and target.rate_sigma_degps > 0.0) * target.moments_sigma * three,
         "disturbance": float(thrust.enabled) * thrust.disturbance_mps2 * three,
         "thrust_scale": float(is_alone) * thrust.scale_sigma * one,
@@ -72,6 +73,7 @@ def error_state(scenario: Scenario) -> np.record:
         n += size
     params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, 40, LANES) if lanes >= n)
     params.imu = params.imu or n
+    params.target_walk = math.radians(scenario.gnc.target.rate_walk_degps) ** 2 * scenario.sample_s / 60.0
     params.fraction = given.vision_correlated_fraction
     params.bench_variance = given.bench_sigma_m**2, math.radians(given.bench_sigma_deg) ** 2
     # of the logarithm of the variance

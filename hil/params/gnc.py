@@ -288,7 +288,7 @@ def target_orbit(scenario: Scenario) -> np.record:
     ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(known)
     params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg) + ahead)
     params.tumble = known_tumble(scenario, params.mean_motion)
-    params.estimated = scenario.target.motion == "tumble" and scenario.gnc.target.rate_sigma_degps > 0.0
+    params.estimated = scenario.target.motion != "aligned" and scenario.gnc.target.rate_sigma_degps > 0.0
     params.moments, params.q_PB = scenario.target.moments_kg_m2, principal_axes(scenario.target)
     return params
 

@@ -45,7 +45,8 @@ def known_tumble(scenario: Scenario, mean_motion: float) -> np.record:
         params = new(rotating_frame.TUMBLE)
         if scenario.target.motion == "limit_cycle":
             params.rotates = 1
-            params.amplitude[1, 2] = -mean_motion
+            params.amplitude[:, 2] = np.radians(scenario.gnc.target.rate_error_degps)
+            params.amplitude[1, 2] -= mean_motion
         return params
     return tumble(scenario.target, known_rate(scenario))
 

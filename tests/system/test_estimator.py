@@ -53,8 +53,8 @@ def test_scenario_is_estimated_with_the_errors_that_it_asks_for(
     scenario = load_scenario(name, settings).value
     params = gnc_params.navigation(scenario)
     alone = params.sensors == VISION_ALONE  # the scale of its thrust
-    tumbles = scenario.target.motion == "tumble" and scenario.gnc.target.rate_sigma_degps > 0.0  # rate and moments
-    more = len(error_states(scenario)) + (1 if alone else 0) + (6 if tumbles else 0)
+    of_target = {"aligned": 0, "limit_cycle": 3, "tumble": 6}[scenario.target.motion]  # rate; rate and moments
+    more = len(error_states(scenario)) + (1 if alone else 0) + of_target
     assert params.fusion.errors.n == errors + more
     runner = CaseRunner(scenario, load_rig("mock").value, 5.0)
     history = np.zeros(runner.cycles, CYCLE)
