@@ -10,7 +10,8 @@ Of a pose whose attitude is a guess the position is fused alone; it neither star
 A gate rejects poses by their innovations. After ``close_after`` consecutive rejections it is closed: it opens again
 only for the last of ``reopen_after`` consecutive poses that agree with each other and with what the IMU has carried
 over. The restart keeps the jump as an error that is possible from then on. Poses that agree with each other alone
-replace only a start that no pose has confirmed.
+replace only a start that no pose has confirmed: two of them are enough, and until one agrees with it the estimate is
+without protection.
 """
 
 from __future__ import annotations
@@ -68,6 +69,7 @@ FUSION_PARAMS = np.dtype(
 FUSION_STATE = np.dtype(
     [
         ("started", "i8"),
+        ("unconfirmed", "i8"),  # 1: by a first pose with which no other agrees yet
         ("cycle", "i8"),  # number of the present step
         ("commanded", "i8", MAX_THRUSTERS),  # thrusters, 0 or 1, since the last call
         ("thrust", THRUST_STATE),
@@ -273,16 +275,20 @@ def _fuse_pose(params, state, pose, moment_s, gated):
         nis_a = pose_model.innovate_attitude(
             errors, filters, state.noise, q_measured, pose.covariance_attitude, attitude
         )
-    found = gated
+    found, is_contradicted = gated, is_whole and state.mutual > 0 and state.rejected_in_a_row > 0  # by two that agree
     if gated == NOT_GATED:
         found = ATTITUDE_ONLY if not is_whole or 0.0 <= nis_a <= params.akf.gate else REJECTED
         if state.rejected_in_a_row >= params.close_after and not is_whole:
             found = REJECTED
-        elif state.rejected_in_a_row >= params.close_after:
+        elif state.rejected_in_a_row >= params.close_after or (state.unconfirmed != 0 and is_contradicted):
             nis_p = pose_model.innovate_position(
                 errors, filters, state.noise, z, pose.covariance_position, delta_s, position
             )
-            found = _closed_gate(params, state, found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate)
+            passes = found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate
+            if state.unconfirmed == 0 or not is_contradicted:
+                found = _closed_gate(params, state, passes)
+            elif nis_a >= 0.0 and nis_p >= 0.0 and not passes:
+                found = RESTARTED
         if found == RESTARTED:
             pose_model.start(params, pose, state.noise, filters)
             _count(params, state, pose, found, nis_a, nis_p)
@@ -323,7 +329,7 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
         state.rejected_position += 1
     else:
         state.accepted += 1
-        state.agreeing = 0
+        state.agreeing = state.unconfirmed = 0
         if pose.t_s > state.last_accepted_s:
             state.interval_s = mean_interval(state.interval_s, pose.t_s - state.last_accepted_s)
             state.last_accepted_s = pose.t_s
@@ -360,7 +366,7 @@ def _place(params, state, memory, pose):
     step.n_poses += 1
     if state.started == 0:
         step.is_start = 1
-        state.started = 1
+        state.started = state.unconfirmed = 1
         state.start_cycle = cycle
         state.predicted = state.cycle
         state.last_accepted_s = pose.t_s

@@ -85,6 +85,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
         fusion.begin_step(params.fusion, fused, memory, samples[i])
         if fused.cycle == 0 and params.has_start != 0:
             fusion.fuse(params.fusion, fused, memory, params.start)
+            fused.unconfirmed = 0  # it is given
         if i < n - 1 or n_poses == 0:  # a late pose carries the filters over the last step as well
             fusion.predict_step(params.fusion, fused, memory)
         fused.cycle += 1
