@@ -627,7 +627,7 @@ def _check_places(group: AxisGroupTable, key: str, places: tuple[float, ...]) ->
 
 
 class HeldLinearAxes(LinearAxes):
-    """`[linear_axes.NAME]`: one to three axes, of a light source or a curtain, that stand at their place during a run."""
+    """`[linear_axes.NAME]`: one to three axes, as of a light source, that stand at their place during a run."""
 
     without_wires: ClassVar = ("mock", "none")
 
