@@ -159,6 +159,18 @@ def test_further_axes_are_homed_placed_held_and_reported(tmp_path: Path) -> None
     assert outcome.stop == "completed"
 
 
+@pytest.mark.wires
+@pytest.mark.slow
+def test_run_on_wires_homes_places_and_holds_all_axes(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, CONTROLLER + LAMP.format(driver="modbus") + '[host]\ntime = "lock_step"\n')
+    with make_runner(replace(make_job(1.0), rig=rig)) as runner:
+        outcome = runner.run()
+        assert outcome.stop == "completed"
+        assert runner.meters["held_axes"]()["lamp"]["x_m"] < 0.001
+        error_m = outcome.history["feedback"]["rail_m"][1:] - outcome.history["setpoint"]["rail_m"][:-1]
+        assert np.abs(error_m).max() < 0.002
+
+
 def test_further_axis_that_leaves_its_place_trips_by_its_name() -> None:
     class Axes:
         axis_names = ("sun.roll", "sun.yaw")
