@@ -14,13 +14,15 @@ from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 
 _FIRST_FRAME_S: Final = 5.0
+_AXES: Final = {1: "one axis", 2: "two axes", 3: "three axes"}
 
 
 def expected_identity(rig: Rig) -> list[str]:
-    """Return a line per axis group; both are open, and their drivers reject any other identity."""
+    """Return a line per controller of axes; all are open, and their drivers reject any other identity."""
     return [
-        f"{key}: three axes, {_as_required(table.entry.identity(table) if table.has_wires else {})}"
-        for key, table in (("rails", rig.rails), ("turntable", rig.turntable))
+        f"{name}: {_AXES[len(part.axis_names)]}, {_as_required(part.entry.identity(part) if part.has_wires else {})}"
+        for group, table in rig.axis_groups.items()
+        for name, part in table.parts(group).items()
     ]
 
 

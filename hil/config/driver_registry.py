@@ -111,6 +111,7 @@ class DriverEntry:
     emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
     setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
     if its speed does not matter.
+    any_axes: whether driver and emulator of an axis group serve any of its axes, ``table.axis_names``, not only three.
     keeps_bench_time: whether driver and emulator wait by the clock that they are given, and count the bytes of their
     wires by it: required in lock-step.
     """
@@ -127,6 +128,7 @@ class DriverEntry:
     has_processes: bool = False
     emulated_parts: Sequence[str] = ()
     setpoints_hz: Callable[[Any], float] = lambda table: math.inf
+    any_axes: bool = False
     keeps_bench_time: Callable[[Any], bool] = lambda table: False
 
 
@@ -222,15 +224,25 @@ class DeviceTable(ConfigModel):
             raise BadInput.single("rig", f"{self.device}.driver", f'"{self.driver}": this driver has no emulator')
         return _imported(self.entry.emulator)(self, *args, **kwargs)
 
+    @property
+    def wire_keys(self) -> list[WireKey]:
+        """Keys of the wires that the selected driver opens."""
+        return list(self.entry.wires)
+
+    def check_driver(self) -> None:
+        """Raise ValueError if the selected driver cannot work with this table."""
+        if self.has_wires:
+            self.entry.check(self)
+
     def wires(self, prefix: str = "") -> list[Wire]:
         """Return the wires that the selected driver opens; prefix: key of this table."""
-        found = [key.wire(self) for key in self.entry.wires] if self.has_wires else []
+        found = [key.wire(self) for key in self.wire_keys] if self.has_wires else []
         return [Wire(".".join(filter(None, (prefix, wire.key))), wire.kind, wire.address) for wire in found]
 
     def connected(self, name: str, addresses: Mapping[str, str]) -> Self:
         """Return the table with the addresses that the emulator of the device ``name`` reports."""
         table = self
-        for key in self.entry.wires:
+        for key in self.wire_keys:
             table = key.connected(table, addresses[".".join(filter(None, (name, key.name)))])
         return table
 
@@ -268,8 +280,7 @@ class DeviceTable(ConfigModel):
             tables.setdefault(self.driver, {})
         for key, table in tables.items():
             tables[key] = self._validated(key, table)
-        if self.has_wires:
-            self.entry.check(self)
+        self.check_driver()
         return self
 
     @classmethod

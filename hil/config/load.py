@@ -441,9 +441,13 @@ def _unknown_in_devices(error: ValidationError, model: type[BaseModel], table: T
     found = []
     for device in model.model_fields:
         inner, device_model = table.get(device), model_of_field(model, device)
-        if isinstance(inner, dict) and device_model is not None and issubclass(device_model, DeviceTable):
-            unknown = device_model.unknown_keys(inner)
-            found += [{"type": "extra_forbidden", "loc": (device, key), "input": inner[key]} for key in unknown]
+        if not isinstance(inner, dict) or device_model is None or not issubclass(device_model, DeviceTable):
+            continue
+        named = get_origin(model.model_fields[device].annotation) is dict
+        tables = {(device, name): each for name, each in inner.items()} if named else {(device,): inner}
+        for place, each in tables.items():
+            unknown = device_model.unknown_keys(each) if isinstance(each, dict) else []
+            found += [{"type": "extra_forbidden", "loc": (*place, key), "input": each[key]} for key in unknown]
     return [fault for fault in found if fault["loc"] not in reported]
 
 

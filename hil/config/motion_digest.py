@@ -22,6 +22,9 @@ def motion_digest(rig: Rig) -> str:
     BadInput if a protocol file cannot be read.
     """
     table = rig.model_dump(mode="json", exclude=_NOT_COUNTED)
+    for key in ("linear_axes", "rotary_axes"):
+        if not table[key]:  # as before there were any
+            del table[key]
     del table["vmu"]["drift_check"], table["host"]["cpu"]
     if rig.console.on_loss != "continue":
         del table["console"]["on_loss"]  # the operator's choice of two safe reactions
@@ -37,6 +40,8 @@ def motion_digest(rig: Rig) -> str:
             del table[device][of_emulators]
         for name in names:
             del table[device][name]["lead_s"]
+        if not table[device]["controllers"]:
+            del table[device]["controllers"]
     for device, gimbals in (("turntable", rig.turntable), ("rotary_manipulator", rig.rotary_manipulator)):
         if gimbals is not None and gimbals.ascii is not None:
             table[device]["ascii"]["protocol"] = load_protocol(gimbals.ascii.protocol).value.model_dump(mode="json")

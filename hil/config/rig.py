@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from hil.config.bodies import BenchBody, check_kinds
 from hil.config.cameras import DriftCheckViews, MonitorCamera
 from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
-from hil.config.driver_registry import DeviceTable, Wire
+from hil.config.driver_registry import DeviceTable, Wire, WireKey
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
 from hil.config.guard import GuardConfig
@@ -318,11 +319,62 @@ class SensorLine(ConfigModel):
     """Unless set, that of the sensor's protocol."""
 
 
-class AxisGroupTable(DeviceTable):
-    """Table of three axes, each in a table of its own name."""
+def _wires_of(keys: Iterable[WireKey], names: tuple[str, str, str], axes: Iterable[str]) -> list[WireKey]:
+    """Return those of ``keys`` that are not of an axis other than ``axes``. names: of all axes."""
+    others = set(names) - set(axes)
+    return [key for key in keys if key.name not in others]
+
+
+class AxisController(DeviceTable):
+    """Controller of some axes of a group, which drives them in place of the group's own driver."""
 
     axis_names: ClassVar[tuple[str, str, str]]
+
+    axes: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
+    """Names of the axes that it drives."""
+
+    @property
+    def wire_keys(self) -> list[WireKey]:
+        return _wires_of(super().wire_keys, self.axis_names, self.axes)
+
+    def check_driver(self) -> None:
+        """Check nothing: the group checks what the driver gets, which includes its axes."""
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What the controller's driver finds in place of the group's keys."""
+        own = {key: getattr(self, key) for key in self.model_fields_set - {"axes"}}
+        return own | dict(self.__pydantic_extra__ or {})
+
+
+class RailController(AxisController):
+    """`[[rails.controllers]]`: axes of the rails on a controller of their own; further keys as in `[rails]`."""
+
+    device: ClassVar = "rails"
+    axis_names: ClassVar = RAIL_NAMES
+
+    modbus: Modbus | None = None
+    rtu: ModbusRtu | None = None
+    map: RailMap = RailMap()
+
+
+class GimbalController(AxisController):
+    """`[[turntable.controllers]]`: axes of the turntable on a controller of their own; further keys as there."""
+
+    device: ClassVar = "turntable"
+    axis_names: ClassVar = GIMBAL_NAMES
+
+    cia402: Cia402 | None = None
+    ascii: AsciiTurntableLine | None = None
+
+
+class AxisGroupTable(DeviceTable):
+    """Table of up to three axes, each in a table of its own name."""
+
+    all_names: ClassVar[tuple[str, str, str]]
     si_per_unit: ClassVar[float]  # of positions in the file: 1 for m, rad per degree
+
+    _part: tuple[str, ...] = PrivateAttr(default=())
 
     timeout_s: Positive = 0.4
     """Longest silence of the device, and oldest accepted feedback."""
@@ -340,9 +392,73 @@ class AxisGroupTable(DeviceTable):
         return EXCHANGES_MAX_HZ if self.exchange_rate_max_hz is None else self.exchange_rate_max_hz
 
     @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes that the table has; of a part, of those on its controller."""
+        return tuple(name for name in self._part or self.all_names if getattr(self, name) is not None)
+
+    @property
+    def axis_numbers(self) -> tuple[int, ...]:
+        """Numbers, 0 to 2, of ``axis_names`` among all that the table may have."""
+        return tuple(self.all_names.index(name) for name in self.axis_names)
+
+    @property
     def axes(self) -> tuple[RailAxis | GimbalAxis, ...]:
         """The axes in the order of ``axis_names``."""
         return tuple(getattr(self, name) for name in self.axis_names)
+
+    @property
+    def own_controllers(self) -> tuple[AxisController, ...]:
+        """Controllers of axes that the table's own driver does not drive."""
+        return ()
+
+    def parts(self, name: str) -> dict[str, AxisGroupTable]:
+        """Return what each controller drives, by names: ``rails`` with the remaining axes, ``rails.x``, ``rails.y-z``.
+
+        name: of the group. A group on one controller has one part, itself.
+        """
+        if not self.own_controllers:
+            return {name: self}
+        taken = [axis for controller in self.own_controllers for axis in controller.axes]
+        rest = tuple(axis for axis in self.axis_names if axis not in taken)
+        found = {name: self._part_of(rest, {})}
+        for controller in self.own_controllers:
+            found[part_name(name, controller)] = self._part_of(controller.axes, controller.changes)
+        return found
+
+    def _part_of(self, axes: tuple[str, ...], changes: Mapping[str, Any]) -> AxisGroupTable:
+        part = self.model_copy(update={"controllers": (), **changes})
+        part._part = axes
+        return part
+
+    def connected(self, name: str, addresses: Mapping[str, str]) -> Self:
+        """Return the table with the addresses that the emulators of the device ``name`` report."""
+        table = super().connected(name, addresses)
+        if not self.own_controllers:
+            return table
+        found = [each.connected(part_name(name, each), addresses) for each in self.own_controllers]
+        return table.model_copy(update={"controllers": tuple(found)})
+
+    @property
+    def wire_keys(self) -> list[WireKey]:
+        taken = [axis for controller in self.own_controllers for axis in controller.axes]
+        return _wires_of(super().wire_keys, self.all_names, set(self.axis_names) - set(taken))
+
+    def check_driver(self) -> None:
+        """Raise ValueError for axes that are driven twice or by no driver, and if a driver cannot drive its axes."""
+        given = [axis for controller in self.own_controllers for axis in controller.axes]
+        if unknown := [axis for axis in given if axis not in self.all_names]:
+            raise ValueError(f'controllers: axis "{unknown[0]}", allowed: {", ".join(self.all_names)}')
+        if len(set(given)) != len(given):
+            raise ValueError("controllers: an axis is driven twice, allowed: each axis by one controller")
+        if set(given) >= set(self.axis_names):
+            raise ValueError("controllers: drive all axes, allowed: all but one, which driver drives")
+        for number, part in enumerate(self.parts("").values(), -1):
+            if part.has_wires:
+                if len(part.axis_names) < len(self.all_names) and not part.entry.any_axes:
+                    key = "driver" if number < 0 else f"controllers.{number}.driver"
+                    names = ", ".join(part.axis_names)
+                    raise ValueError(f'{key} "{part.driver}": drives three axes only, here {names}')
+                part.entry.check(part)
 
     @property
     def holding_brakes(self) -> list[Brake]:
@@ -365,11 +481,16 @@ class AxisGroupTable(DeviceTable):
         raise NotImplementedError
 
 
-class Rails(AxisGroupTable):
-    """Three rails: x, y, z."""
+def part_name(name: str, controller: AxisController) -> str:
+    """Return the name of the part of the group ``name`` that is on ``controller``."""
+    return f"{name}.{'-'.join(controller.axes)}"
+
+
+class LinearAxes(AxisGroupTable):
+    """Axes that move along lines, with the keys of rails."""
 
     device: ClassVar = "rails"
-    axis_names: ClassVar = RAIL_NAMES
+    all_names: ClassVar = RAIL_NAMES
     si_per_unit: ClassVar = 1.0
 
     following_error_max_m: Positive = 0.05
@@ -388,9 +509,6 @@ class Rails(AxisGroupTable):
     """Noise of the emulated encoders."""
     mechanics: RailMechanics | None = None
     """Mechanics of the emulated axes; unless given, those of the ideal servo."""
-    x: RailAxis
-    y: RailAxis
-    z: RailAxis
     modbus: Modbus | None = None
     rtu: ModbusRtu | None = None
     map: RailMap = RailMap()
@@ -408,6 +526,20 @@ class Rails(AxisGroupTable):
         return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
+class Rails(LinearAxes):
+    """Three rails: x, y, z."""
+
+    x: RailAxis
+    y: RailAxis
+    z: RailAxis
+    controllers: tuple[RailController, ...] = ()
+    """`[[rails.controllers]]`: axes on a controller of their own."""
+
+    @property
+    def own_controllers(self) -> tuple[AxisController, ...]:
+        return self.controllers
+
+
 class TargetManipulator(Rails):
     """Manipulator of the target: three axes like the rails, placed before a run and held during it."""
 
@@ -420,18 +552,20 @@ class TargetManipulator(Rails):
 
     @model_validator(mode="after")
     def _the_place_can_be_reached(self) -> Self:
-        for name, place in zip(RAIL_NAMES, self.place_m, strict=True):
-            low, high = getattr(self, name).travel_m
-            if not low <= place <= high:
-                raise ValueError(f"place_m: {name} {place:g}, allowed {low:g} to {high:g}")
+        _check_places(self, "place_m", self.place_m)
         return self
 
+    @property
+    def place(self) -> tuple[tuple[float, ...], float]:
+        """Place and allowed distance from it, m."""
+        return self.place_m, self.held_within_m
 
-class Turntable(AxisGroupTable):
-    """Three gimbals: roll, pitch, yaw."""
+
+class RotaryAxes(AxisGroupTable):
+    """Axes that rotate, with the keys of the turntable."""
 
     device: ClassVar = "turntable"
-    axis_names: ClassVar = GIMBAL_NAMES
+    all_names: ClassVar = GIMBAL_NAMES
     si_per_unit: ClassVar = math.pi / 180.0
 
     following_error_max_deg: Positive = 2.0
@@ -450,9 +584,6 @@ class Turntable(AxisGroupTable):
     """Noise of the emulated encoders."""
     mechanics: GimbalMechanics | None = None
     """Mechanics of the emulated axes; unless given, those of the ideal servo."""
-    roll: GimbalAxis
-    pitch: GimbalAxis
-    yaw: GimbalAxis
     cia402: Cia402 | None = None
     ascii: AsciiTurntableLine | None = None
 
@@ -467,6 +598,80 @@ class Turntable(AxisGroupTable):
     @property
     def emulated_mechanics(self) -> DriveMechanics | None:
         return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
+
+
+class Turntable(RotaryAxes):
+    """Three gimbals: roll, pitch, yaw."""
+
+    roll: GimbalAxis
+    pitch: GimbalAxis
+    yaw: GimbalAxis
+    controllers: tuple[GimbalController, ...] = ()
+    """`[[turntable.controllers]]`: axes on a controller of their own."""
+
+    @property
+    def own_controllers(self) -> tuple[AxisController, ...]:
+        return self.controllers
+
+
+def _check_places(group: AxisGroupTable, key: str, places: tuple[float, ...]) -> None:
+    """Raise ValueError unless ``key`` has a place within the travel of each axis."""
+    if not group.axis_names:
+        raise ValueError(f"an axis is missing, allowed: {', '.join(group.all_names)}")
+    if len(places) != len(group.axis_names):
+        raise ValueError(f"{key} {list(places)}: one for each of {', '.join(group.axis_names)}")
+    for name, axis, place in zip(group.axis_names, group.axes, places, strict=True):
+        low, high = axis.limits[:2]
+        if not low <= place <= high:
+            raise ValueError(f"{key}: {name} {place:g}, allowed {low:g} to {high:g}")
+
+
+class HeldLinearAxes(LinearAxes):
+    """`[linear_axes.NAME]`: one to three axes, as of a light source, that stand at their place during a run."""
+
+    without_wires: ClassVar = ("mock", "none")
+
+    x: RailAxis | None = None
+    y: RailAxis | None = None
+    z: RailAxis | None = None
+    place_m: tuple[float, ...]
+    """Place of each axis that is given, in the order x, y, z, reached before the run is armed at half of the limits."""
+    held_within_m: Positive = 0.005
+    """Allowed distance from it while armed and running."""
+
+    @model_validator(mode="after")
+    def _the_place_can_be_reached(self) -> Self:
+        _check_places(self, "place_m", self.place_m)
+        return self
+
+    @property
+    def place(self) -> tuple[tuple[float, ...], float]:
+        """Place and allowed distance from it, m."""
+        return self.place_m, self.held_within_m
+
+
+class HeldRotaryAxes(RotaryAxes):
+    """`[rotary_axes.NAME]`: one to three axes that rotate a light source to its place and hold it during a run."""
+
+    without_wires: ClassVar = ("mock", "none")
+
+    roll: GimbalAxis | None = None
+    pitch: GimbalAxis | None = None
+    yaw: GimbalAxis | None = None
+    place_deg: tuple[float, ...]
+    """Place of each axis that is given, in the order roll, pitch, yaw, reached before the run is armed."""
+    held_within_deg: Positive = 0.5
+    """Allowed distance from it while armed and running."""
+
+    @model_validator(mode="after")
+    def _the_place_can_be_reached(self) -> Self:
+        _check_places(self, "place_deg", self.place_deg)
+        return self
+
+    @property
+    def place(self) -> tuple[tuple[float, ...], float]:
+        """Place and allowed distance from it, rad."""
+        return tuple(math.radians(each) for each in self.place_deg), math.radians(self.held_within_deg)
 
 
 class RotaryManipulator(Turntable):
@@ -607,6 +812,10 @@ class Rig(ConfigModel):
     io: Io | None = None
     target_manipulator: TargetManipulator | None = None
     rotary_manipulator: RotaryManipulator | None = None
+    linear_axes: dict[Name, HeldLinearAxes] = Field(default_factory=dict)
+    """Further axes, by names: placed before a run and held during it."""
+    rotary_axes: dict[Name, HeldRotaryAxes] = Field(default_factory=dict)
+    """The same for axes that rotate."""
     sensors: dict[Name, SensorLine] = Field(default_factory=dict)
     """Wires of the scenario's sensors, by their names."""
     sign_off: SignOff | None = None
@@ -627,6 +836,27 @@ class Rig(ConfigModel):
     def target_axes(self) -> TargetManipulator | RotaryManipulator | None:
         """Axes that move the target, device ``target``; None without any."""
         return self.moved_target or self.rotated_target
+
+    @property
+    def held_axes(self) -> dict[str, HeldLinearAxes | HeldRotaryAxes]:
+        """Further axes that are held at their places, by names."""
+        return {name: table for name, table in (self.linear_axes | self.rotary_axes).items() if table.driver != "none"}
+
+    @property
+    def axis_groups(self) -> dict[str, AxisGroupTable]:
+        """All axes of the bench, by the names of their devices."""
+        target = {} if self.target_axes is None else {"target": self.target_axes}
+        return {"rails": self.rails, "turntable": self.turntable, **target, **self.held_axes}
+
+    @model_validator(mode="after")
+    def _names_of_axes_differ(self) -> Self:
+        taken = {"rails", "turntable", "target", "vmu", "io", "monitor", "sensor"}
+        for key, names in (("linear_axes", set(self.linear_axes)), ("rotary_axes", set(self.rotary_axes))):
+            for name in sorted(names):
+                if name in taken or "." in name or "-" in name:
+                    raise ValueError(f'{key}.{name}: the name of another device, or with "." or "-", allowed: others')
+            taken |= names
+        return self
 
     @property
     def has_io(self) -> bool:
@@ -681,8 +911,7 @@ class Rig(ConfigModel):
     @property
     def holding_brakes(self) -> list[Brake]:
         """Brakes of all gravity-loaded axes."""
-        tables = (self.rails, self.turntable, self.target_axes)
-        return [brake for table in tables if table is not None for brake in table.holding_brakes]
+        return [brake for table in self.axis_groups.values() for brake in table.holding_brakes]
 
     @property
     def brake_close_s(self) -> float:
@@ -705,16 +934,21 @@ class Rig(ConfigModel):
         return 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * step_s)))
 
     def device_tables(self) -> dict[str, DeviceTable]:
-        """Return the tables of the devices that the bench has, by their keys."""
-        tables: dict[str, DeviceTable] = {"rails": self.rails, "turntable": self.turntable}
+        """Return the tables of the devices that the bench has, by their keys; of an axis group, those of its parts."""
+        groups: dict[str, AxisGroupTable] = {"rails": self.rails, "turntable": self.turntable}
+        if self.moved_target is not None:
+            groups["target_manipulator"] = self.moved_target
+        if self.rotated_target is not None:
+            groups["rotary_manipulator"] = self.rotated_target
+        for key in ("linear_axes", "rotary_axes"):
+            groups |= {f"{key}.{name}": each for name, each in getattr(self, key).items() if each.driver != "none"}
+        tables: dict[str, DeviceTable] = {}
+        for key, group in groups.items():
+            keys = [key, *(f"{key}.controllers.{number}" for number in range(len(group.own_controllers)))]
+            tables |= zip(keys, group.parts(key).values(), strict=True)
         if self.io is not None and self.has_io:
             tables["io"] = self.io
-        tables["vmu"] = self.vmu
-        if self.moved_target is not None:
-            tables["target_manipulator"] = self.moved_target
-        if self.rotated_target is not None:
-            tables["rotary_manipulator"] = self.rotated_target
-        return tables
+        return {**tables, "vmu": self.vmu}
 
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""

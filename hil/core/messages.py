@@ -291,9 +291,9 @@ NO_LIMIT: Final = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class AxisFeedback:
-    """Feedback of the three axes of one device: the newest sample and its time.
+    """Feedback of the n axes of one device, three unless its table has fewer: the newest sample and its time.
 
-    position: shape (3,), m or rad; rate: shape (3,), m/s or rad/s; t_s: bench time of the sample.
+    position: shape (n,), m or rad; rate: shape (n,), m/s or rad/s; t_s: bench time of the sample.
     homing: of each axis; only at DONE does its position refer to the bench. limit: limit switch that
     each axis is on, -1 the low one, 1 the high one, 0 none.
     """
@@ -301,8 +301,8 @@ class AxisFeedback:
     t_s: float
     position: Array
     rate: Array
-    homing: tuple[Homing, Homing, Homing] = HOMED
-    limit: tuple[int, int, int] = NO_LIMIT
+    homing: tuple[Homing, ...] = HOMED
+    limit: tuple[int, ...] = NO_LIMIT
 
 
 class IoInputs(NamedTuple):

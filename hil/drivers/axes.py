@@ -1,4 +1,4 @@
-"""Servo model of three axes with its parameters, for mocks and emulators; limits of setpoints, for drivers."""
+"""Servo model of up to three axes with its parameters, for mocks and emulators; limits of setpoints, for drivers."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ _FROM_CONFIG: Final = ("low", "high", "rate_max", "acceleration_max", "position"
 
 
 class ServoAxes:
-    """Three axes that follow setpoints, in SI units: m and m/s, or rad and rad/s.
+    """Axes that follow setpoints, n of one to three, in SI units: m and m/s, or rad and rad/s.
 
-    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (3,), rails x y z or gimbals
+    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (n,), rails x y z or gimbals
     roll pitch yaw; views of ``record`` (SERVO), a new one or the given one. The axes start at their park position, at
     rest.
     """
 
     def __init__(self, config: AxisGroupTable, record: np.record | None = None) -> None:
         table = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
+        n = len(table)
+        table = np.concatenate([table, np.repeat(table[-1:], 3 - n, axis=0)])  # SERVO has three: the others stand
         self.record: np.record = new(SERVO) if record is None else record
         for name, column in zip(_FROM_CONFIG, table.T, strict=True):
             self.record[name] = column
@@ -33,13 +35,13 @@ class ServoAxes:
         self.record.setpoint = self.record.position
         self.record.kp, self.record.tau = config.servo.gain_per_s, config.servo.lag_s
         self.low, self.high, self.rate_max, self.acceleration_max, self.position = (
-            np.asarray(self.record[name]) for name in _FROM_CONFIG
+            np.asarray(self.record[name])[:n] for name in _FROM_CONFIG
         )
         self.rate, self.setpoint, self.feedforward, self.kp, self.tau = (
-            np.asarray(self.record[name]) for name in ("rate", "setpoint", "feedforward", "kp", "tau")
+            np.asarray(self.record[name])[:n] for name in ("rate", "setpoint", "feedforward", "kp", "tau")
         )
         self.counted, self.counted_rate = self.position, self.rate
-        """Positions and rates at the encoders, (3,)."""
+        """Positions and rates at the encoders, (n,)."""
 
     def displace(self, axis: int, position: float, rate: float) -> None:
         """Put one axis to ``position``, moving at ``rate``, whatever its drive does."""
@@ -68,7 +70,7 @@ class ServoAxes:
 
 
 class MechanicalAxes(ServoAxes):
-    """Three axes with the mechanics of a machine: ``position`` and ``rate`` are those of the load.
+    """Axes with the mechanics of a machine: ``position`` and ``rate`` are those of the load.
 
     counted, counted_rate: of the encoders, which are on the motors.
     """
@@ -76,7 +78,8 @@ class MechanicalAxes(ServoAxes):
     def __init__(self, config: AxisGroupTable, mechanics: DriveMechanics) -> None:
         super().__init__(config)
         state: np.record = new(DRIVE_MECHANICS)
-        state.motor = state.counted = self.position
+        n = len(self.position)
+        state.motor = state.counted = self.record.position
         gain = 2.0 * np.pi * mechanics.velocity_bandwidth_hz
         load = mechanics.load_ratio / (1.0 + mechanics.load_ratio)
         resonance = 2.0 * np.pi * mechanics.resonance_hz
@@ -89,9 +92,9 @@ class MechanicalAxes(ServoAxes):
         state.load_fraction = load
         state.cogging, state.cogging_period = mechanics.si("cogging"), mechanics.si("cogging_period")
         state.encoder_step = mechanics.si("encoder_step")
-        state.force_max = (1.0 + mechanics.force_reserve_fraction) * self.acceleration_max + state.breakaway
+        state.force_max = (1.0 + mechanics.force_reserve_fraction) * self.record.acceleration_max + state.breakaway
         self._mechanics = state
-        self.counted, self.counted_rate = np.asarray(state.counted), np.asarray(state.motor_rate)
+        self.counted, self.counted_rate = np.asarray(state.counted)[:n], np.asarray(state.motor_rate)[:n]
 
     def displace(self, axis: int, position: float, rate: float) -> None:
         super().displace(axis, position, rate)
@@ -116,7 +119,7 @@ def axes_of(config: AxisGroupTable) -> ServoAxes:
 
 
 class SetpointLimits:
-    """Names of the axes of a device, and the limits of their setpoints, (3,) each, in SI units."""
+    """Names of the axes of a device, and the limits of their setpoints, (n,) each, in SI units."""
 
     def __init__(self, name: str, config: AxisGroupTable) -> None:
         axes = ServoAxes(config)
@@ -125,7 +128,7 @@ class SetpointLimits:
         self.rate_max, self.acceleration_max = axes.rate_max, axes.acceleration_max
 
     def accepted(self, position: Array, rate: Array, jogging: bool) -> tuple[Array, Array]:
-        """Return position and rate (3,) within the limits; an axis that is limited in position gets rate 0.
+        """Return position and rate (n,) within the limits; an axis that is limited in position gets rate 0.
 
         jogging: the position is not limited. Raises SafetyTrip for a value that is not finite.
         """
@@ -134,6 +137,6 @@ class SetpointLimits:
         return accepted, np.where(accepted == position, accepted_rate, 0.0)
 
     def accepted_goal(self, position: Array, rate: Array) -> tuple[Array, Array]:
-        """Return the goal of a move (3,), and its largest rate, within the limits; errors as of ``accepted``."""
+        """Return the goal of a move (n,), and its largest rate, within the limits; errors as of ``accepted``."""
         goal = accepted_setpoint(self.names, position, self.low, self.high)
-        return goal, accepted_setpoint(self.names, np.abs(rate), np.zeros(3), self.rate_max, "rate")
+        return goal, accepted_setpoint(self.names, np.abs(rate), np.zeros_like(rate), self.rate_max, "rate")

@@ -9,6 +9,7 @@ argument.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -19,10 +20,10 @@ from hil.errors import SafetyTrip
 
 @runtime_checkable
 class AxisGroup(Protocol):
-    """Three position-controlled axes of one device: rails (m, m/s) or turntable (rad, rad/s)."""
+    """Position-controlled axes of one device, in m and m/s or rad and rad/s: rails and turntable have three."""
 
     name: str
-    axis_names: tuple[str, str, str]
+    axis_names: tuple[str, ...]
 
     def open(self, now_s: float) -> None:
         """Connect, check the identity, enable the drives, and hold the present position. Raises DeviceError."""
@@ -158,26 +159,27 @@ class DiscreteIo(Protocol):
         """Set the outputs off and disconnect. Idempotent, never raises."""
 
 
-def full_names(device: str, short: tuple[str, str, str]) -> tuple[str, str, str]:
-    """Return the axis names as used in errors: ``rails.x``."""
-    return (f"{device}.{short[0]}", f"{device}.{short[1]}", f"{device}.{short[2]}")
+def full_names(device: str, short: Sequence[str]) -> tuple[str, ...]:
+    """Return the axis names as used in errors: ``rails.x``, also of the part ``rails.x-y`` of ``rails``."""
+    group = device.partition(".")[0]
+    return tuple(f"{group}.{name}" for name in short)
 
 
 _UNLIMITED = np.full(3, np.finfo(float).max)
 
 
 def setpoint_bounds(low: Array, high: Array, jogging: bool) -> tuple[Array, Array]:
-    """Return the bounds of setpoints, (3,) each: the travel, or any finite number while jogging."""
-    return (-_UNLIMITED, _UNLIMITED) if jogging else (low, high)
+    """Return the bounds of setpoints, (n,) each: the travel, or any finite number while jogging."""
+    return (-_UNLIMITED[: len(low)], _UNLIMITED[: len(low)]) if jogging else (low, high)
 
 
 def accepted_setpoint(
-    axis_names: tuple[str, str, str], values: Array, low: Array, high: Array, quantity: str = "setpoint"
+    axis_names: tuple[str, ...], values: Array, low: Array, high: Array, quantity: str = "setpoint"
 ) -> Array:
-    """Return ``values`` (3,) limited to [low, high]; raise SafetyTrip with ``quantity`` if one is not finite."""
-    first, second, third = values.tolist()
-    if not math.isfinite(first + second + third):
-        for name, value in zip(axis_names, (first, second, third), strict=True):
+    """Return ``values`` (n,) limited to [low, high]; raise SafetyTrip with ``quantity`` if one is not finite."""
+    numbers = values.tolist()
+    if not math.isfinite(sum(numbers)):
+        for name, value in zip(axis_names, numbers, strict=True):
             if not math.isfinite(value):
                 raise SafetyTrip(name, quantity, str(value), "a finite number")
     accepted: Array = np.minimum(high, np.maximum(low, values))

@@ -1,4 +1,4 @@
-"""Cyclic exchange of setpoints and feedback: thread and life cycle shared by drivers of three axes.
+"""Cyclic exchange of setpoints and feedback: thread and life cycle shared by drivers of up to three axes.
 
 The caller's side (``send``, ``read``) never blocks. The thread owns the link from ``open`` to ``close``: it exchanges
 when a setpoint arrives, at most at the rate of the rig file, and every PERIOD_S without one.
@@ -29,9 +29,9 @@ _STOP_WALL_S = 0.08  # longest wait of stop and close for the thread
 
 
 class ExchangeLink(Protocol):
-    """Link to three drives. Calls block for a bounded time; errors are DeviceErrors.
+    """Link to the n drives. Calls block for a bounded time; errors are DeviceErrors.
 
-    Positions and rates have shape (3,) and are in m and m/s, or rad and rad/s.
+    Positions and rates have shape (n,) and are in m and m/s, or rad and rad/s.
     """
 
     has_profiles: bool
@@ -98,7 +98,8 @@ class CyclicAxisGroup:
         self._profile: ProfiledMove | None = None
         self._limiters: list[SetpointLimiter] = []
         self._pacer = ExchangePacer(config.exchanges_max_hz)
-        self._setpoint: tuple[Array, Array, float] = (np.zeros(3), np.zeros(3), 0.0)
+        self._rest = np.zeros(len(self.axis_names))
+        self._setpoint: tuple[Array, Array, float] = (self._rest, self._rest, 0.0)
 
     def open(self, now_s: float) -> None:
         """Connect, enable the drives, hold the present position. Raises DeviceError."""
@@ -120,7 +121,7 @@ class CyclicAxisGroup:
         except DeviceError as error:
             self._box.fail(error)
             raise
-        self._setpoint = (feedback.position, np.zeros(3), now_s)
+        self._setpoint = (feedback.position, self._rest, now_s)
         self._limiters = setpoint_limiters(self._config)
         self._restart_limiters()
         self._box.put(feedback, self._clock.now_s())
@@ -137,12 +138,12 @@ class CyclicAxisGroup:
         """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
         feedback = self._box.peek()
         if on and feedback is not None:
-            self._setpoint = (feedback.position.copy(), np.zeros(3), self._setpoint[2])
+            self._setpoint = (feedback.position.copy(), self._rest, self._setpoint[2])
             self._link.jogging = True  # stays set, so that the drives keep receiving a setpoint
         self._jogging = on
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
-        """Set the limits (3,) within which an axis catches up after a lost response."""
+        """Set the limits (n,) within which an axis catches up after a lost response."""
         for limiter, limits in zip(self._limiters, zip(rate.tolist(), acceleration.tolist(), strict=True), strict=True):
             limiter.set_limits(*limits)
 
@@ -181,10 +182,8 @@ class CyclicAxisGroup:
         """Return the newest feedback. Raises LinkTimeout if it is older than ``timeout_s``."""
         feedback = self._box.get(now_s, self._timeout_s)
         if self._homing_requested.is_set():  # not started yet
-            first, second, third = (
-                Homing.DONE if state is Homing.DONE else Homing.UNDER_WAY for state in feedback.homing
-            )
-            return replace(feedback, homing=(first, second, third))
+            begun = (Homing.DONE if state is Homing.DONE else Homing.UNDER_WAY for state in feedback.homing)
+            return replace(feedback, homing=tuple(begun))
         return feedback
 
     def counters(self) -> dict[str, int]:
@@ -257,7 +256,7 @@ class CyclicAxisGroup:
                 if self._link.has_profiles:
                     self._link.move_to(*self._goal)
             return self._limited(*self._profile.at(now_s), now_s, now_s)
-        return self._limited(position, rate if now_s - sent_s <= _RATE_HOLD_S else np.zeros(3), sent_s, now_s)
+        return self._limited(position, rate if now_s - sent_s <= _RATE_HOLD_S else self._rest, sent_s, now_s)
 
     def _limited(self, position: Array, rate: Array, sent_s: float, now_s: float) -> tuple[Array, Array]:
         """Return position and rate to deliver now."""
@@ -282,7 +281,7 @@ class CyclicAxisGroup:
         before = self._box.peek()
         if before is not None and not _all_homed(before) and not self._link.jogging:
             # homing moves the zero: an earlier setpoint would refer to the old one
-            self._setpoint = (feedback.position.copy(), np.zeros(3), feedback.t_s)
+            self._setpoint = (feedback.position.copy(), self._rest, feedback.t_s)
             self._restart_limiters()
         if Homing.FAILED in feedback.homing:
             self._stopping.set()

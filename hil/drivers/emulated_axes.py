@@ -1,4 +1,4 @@
-"""Mechanics of three emulated drives: servos, holding brakes, encoders, home and limit switches, and their faults."""
+"""Mechanics of emulated drives, one to three: servos, holding brakes, encoders, home and limit switches, faults."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ReadChain = Callable[[], ChainState]
 
 
 class EmulatedAxes:
-    """Axes 0, 1, 2 of ``device``; m and m/s (rails x, y, z) or rad and rad/s (turntable roll, pitch, yaw).
+    """Axes 0 to n - 1 of ``device``; m and m/s (rails x, y, z) or rad and rad/s (turntable roll, pitch, yaw).
 
     An axis follows setpoints, or brakes at its acceleration limit and then holds; with a reversed encoder its drive
     does the opposite of both. Without torque, because the safety
@@ -60,21 +60,23 @@ class EmulatedAxes:
     ) -> None:
         self.device = device
         self.names = config.axis_names
+        n = len(self.names)
+        self._numbers = config.axis_numbers
         self.faults = faults or Faults(device, ("wire", "drive"), self.names)
-        self.overdue = [False, False, False]
-        self.astray = [False, False, False]
+        self.overdue = [False] * n
+        self.astray = [False] * n
         self.torque_off = False
         scale, axes = config.si_per_unit, config.axes
-        self.window = [scale * config.drive_following_error_max] * 3
-        self.window_s = [config.drive_following_error_s] * 3
-        self._speed = [0.0, 0.0, 0.0]  # in the step before
-        self._within_s = [-math.inf, -math.inf, -math.inf]  # bench time at which it was last within the window
+        self.window = [scale * config.drive_following_error_max] * n
+        self.window_s = [config.drive_following_error_s] * n
+        self._speed = [0.0] * n  # in the step before
+        self._within_s = [-math.inf] * n  # bench time at which it was last within the window
         self._unit = scale
         self._axes = axes_of(config)
         mechanics = config.emulated_mechanics
         self._delay_s = 0.0 if mechanics is None else mechanics.loop_delay_s
         self._still = 0.0 if mechanics is None else _STANDSTILL  # friction never lets a rate be exactly zero
-        self._coming: list[deque[tuple[float, float, float]]] = [deque(), deque(), deque()]
+        self._coming: list[deque[tuple[float, float, float]]] = [deque() for _ in self.names]
         self._shared = shared
         self._read_chain = chain or partial(shared.read_chain, clock)
         self._chain = ChainState()
@@ -82,9 +84,9 @@ class EmulatedAxes:
             None if axis.brake is None else HoldingBrakes(axis.brake.close_s, axis.brake.open_s) for axis in axes
         ]
         self._falls = [axis.falls for axis in axes]
-        self._enabled = [False, False, False]
-        self._current_until_s = [-math.inf, -math.inf, -math.inf]  # of a disabled drive, until its brake has closed
-        self._runaway: list[float | None] = [None, None, None]
+        self._enabled = [False] * n
+        self._current_until_s = [-math.inf] * n  # of a disabled drive, until its brake has closed
+        self._runaway: list[float | None] = [None] * n
         self._sigma = scale * config.encoder_sigma
         self._noise = stream(seed, "encoders")
         self._absolute = [axis.encoder == "absolute" for axis in axes]
@@ -93,17 +95,17 @@ class EmulatedAxes:
         self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)
-        self._damage = np.zeros(3)  # part of it that faults have left
+        self._damage = np.zeros(n)  # part of it that faults have left
         self._clears = 0
-        self._gear = np.ones(3)  # displacement assumed by the drive per displacement of the axis
-        self._count = np.ones(3)  # displacement counted by the encoder, negative when reversed
+        self._gear = np.ones(n)  # displacement assumed by the drive per displacement of the axis
+        self._count = np.ones(n)  # displacement counted by the encoder, negative when reversed
         self._altered = False  # one of them is not 1
-        self._setpoint = np.zeros(3)  # in the encoder's zero and scale
-        self._braking = [True, True, True]
-        self._deadline_s = [math.inf, math.inf, math.inf]
-        self._homing_until_s = [math.inf, math.inf, math.inf]
-        self.position: Array = np.zeros(3)
-        self.rate: Array = np.zeros(3)
+        self._setpoint = np.zeros(n)  # in the encoder's zero and scale
+        self._braking = [True] * n
+        self._deadline_s = [math.inf] * n
+        self._homing_until_s = [math.inf] * n
+        self.position: Array = np.zeros(n)
+        self.rate: Array = np.zeros(n)
         self._axes.step(0.0)  # compiles the kernel outside the cycle
         self._t_s = clock.now_s()
         self._stood = self._axes.position.copy()
@@ -112,20 +114,19 @@ class EmulatedAxes:
 
     @property
     def low(self) -> Array:
-        """Positions of the low limit switches, (3,)."""
+        """Positions of the low limit switches, (n,)."""
         return self._axes.low
 
     @property
     def high(self) -> Array:
-        """Positions of the high limit switches, (3,)."""
+        """Positions of the high limit switches, (n,)."""
         return self._axes.high
 
     @property
-    def limit(self) -> tuple[int, int, int]:
+    def limit(self) -> tuple[int, ...]:
         """The limit switch that each axis stands on: -1 low, 1 high, 0 none."""
         place, low, high = self._axes.position, self._axes.low + _SWITCH, self._axes.high - _SWITCH
-        on = [-1 if place[i] <= low[i] else 1 if place[i] >= high[i] else 0 for i in range(3)]
-        return (on[0], on[1], on[2])
+        return tuple(-1 if place[i] <= low[i] else 1 if place[i] >= high[i] else 0 for i in range(len(self.names)))
 
     def moving(self, axis: int) -> bool:
         """Whether the axis moves faster than the standstill limit."""
@@ -189,14 +190,14 @@ class EmulatedAxes:
         self._apply_safety_chain()
         while self._t_s < now_s:
             step_s = min(_SUBSTEP_S, now_s - self._t_s)
-            for axis in range(3):
+            for axis in range(len(self.names)):
                 self._act_on_due_setpoints(axis)
             self._t_s += step_s
-            for axis in range(3):
+            for axis in range(len(self.names)):
                 self._supervise(axis)
             before = self._axes.position.copy(), self._axes.rate.copy()
             self._axes.step(step_s)
-            for axis in range(3):
+            for axis in range(len(self.names)):
                 self._apply_missing_torque(axis, before[0][axis], before[1][axis], step_s)
             self._hold_stuck_axes()
         self._update_encoders()
@@ -207,7 +208,7 @@ class EmulatedAxes:
         self._chain = self._read_chain()
         self.torque_off = not self._chain.torque
         if not self._chain.closed:
-            for axis in range(3):
+            for axis in range(len(self.names)):
                 self.brake(axis)
 
     def _apply_missing_torque(self, axis: int, position: float, rate: float, step_s: float) -> None:
@@ -321,7 +322,7 @@ class EmulatedAxes:
         if self.faults.active or self.faults.clears != self._clears or self._altered:
             self._apply_encoder_faults()
         if self.faults.value("freeze") is None:
-            noise = self._sigma * self._noise.standard_normal(3) if self._sigma > 0.0 else 0.0
+            noise = self._sigma * self._noise.standard_normal(len(self.names)) if self._sigma > 0.0 else 0.0
             self.position = self._count * axes.counted + self._offset + noise
             self.rate = self._count * axes.counted_rate
 
@@ -351,4 +352,4 @@ class EmulatedAxes:
 
     def _publish(self) -> None:
         self._published_s = self._t_s
-        self._shared.write(self.device, self._t_s, self._axes.position, self._axes.rate)
+        self._shared.write(self.device, self._t_s, self._axes.position, self._axes.rate, self._numbers)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
@@ -21,7 +21,6 @@ _SERVER = ForkServer(
     "hil.drivers.turntable.cia402.emulator", "hil.drivers.io.emulator", "hil.drivers.vmu.emulator",
     "hil.setup.emulated_vision",
 )  # fmt: skip
-_ORDERS = {"io": Order.COUPLER, "rails": Order.AXES, "turntable": Order.AXES, "target": Order.AXES}
 
 
 class EmulatedDevices:
@@ -52,8 +51,10 @@ class EmulatedDevices:
         }
         self._processes: dict[str, ChildProcess] = {}
         self._sends_images = "vmu" if images else ""
+        axes = [part for name, table in rig.axis_groups.items() for part in table.parts(name)]
+        orders = {"io": Order.COUPLER} | dict.fromkeys(axes, Order.AXES)
         try:
-            for device in (*_devices(scenario, rig), *map(device_of, sensors)):
+            for device in (*axes, *_devices(scenario, rig), *map(device_of, sensors)):
                 memory = images if device == "vmu" else None
                 self._processes[device] = ChildProcess(
                     f"{device} emulator",
@@ -62,7 +63,7 @@ class EmulatedDevices:
                         **configuration,
                         "device": device,
                         "images": memory,
-                        "clock": clock.configuration(_ORDERS.get(device, Order.CAMERAS), f"{device} emulator"),
+                        "clock": clock.configuration(orders.get(device, Order.CAMERAS), f"{device} emulator"),
                     },
                     (self.board.descriptor, *clock.descriptors, *(memory.descriptors if memory else ())),
                     server=self.server,
@@ -78,7 +79,8 @@ class EmulatedDevices:
 
     def process_of(self, address: str) -> str:
         """Return the name of the process that serves the wire or control port ``address``, as in ``pids``."""
-        return next(name for name in self._processes if address == name or address.startswith(f"{name}."))
+        found = [name for name in self._processes if address == name or address.startswith(f"{name}.")]
+        return max(found, key=len)
 
     def wait_ready(self) -> tuple[Rig, dict[str, str]]:
         """Return the rig with the wires that the emulators opened, and the address of each wire and control port.
@@ -111,17 +113,23 @@ class EmulatedDevices:
 
 
 def _devices(scenario: Scenario, rig: Rig) -> tuple[str, ...]:
-    """Return what is emulated in a process each: devices, and parts of devices as ``DEVICE.PART``."""
+    """Return what is emulated in a process each other than axes: devices, and parts of devices as ``DEVICE.PART``."""
     parts = rig.vmu.entry.emulated_parts
     vision = [f"vmu.{part}" for part in parts] if parts else ["vmu"]
-    more = {"io": rig.has_io, "target": rig.target_axes is not None, "monitor": scenario.monitor.source == "camera"}
-    return ("rails", "turntable", *vision, *(device for device, is_there in more.items() if is_there))
+    more = {"io": rig.has_io, "monitor": scenario.monitor.source == "camera"}
+    return (*vision, *(device for device, is_there in more.items() if is_there))
 
 
 def _connected(rig: Rig, addresses: dict[str, str]) -> Rig:
     """Return ``rig`` with the emulators' addresses in place of its wires."""
-    names = dict.fromkeys(("target_manipulator", "rotary_manipulator"), "target")
-    tables = {key: table.connected(names.get(key, key), addresses) for key, table in rig.device_tables().items()}
+    tables: dict[str, Any] = {name: table.connected(name, addresses) for name, table in rig.axis_groups.items()}
+    if (target := tables.pop("target", None)) is not None:
+        tables["target_manipulator" if rig.moved_target is not None else "rotary_manipulator"] = target
+    for key in ("linear_axes", "rotary_axes"):
+        tables[key] = {name: tables.pop(name, table) for name, table in getattr(rig, key).items()}
+    tables["vmu"] = rig.vmu.connected("vmu", addresses)
+    if rig.io is not None and rig.has_io:
+        tables["io"] = rig.io.connected("io", addresses)
     lines = {
         name.removeprefix("sensor."): SensorLine(port=address)
         for name, address in addresses.items()

@@ -1,4 +1,4 @@
-"""Mock of rails and turntable: three axes in memory, in simulated time."""
+"""Mock of rails, turntable and other axes: up to three in memory, in simulated time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.config.rig import AxisGroupTable
 from hil.core.kernel_record import kernel_record
-from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing
+from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.errors import DeviceError, LinkLost, SafetyTrip
@@ -36,9 +36,14 @@ class MockAxes:
         self._home = [config.si_per_unit * axis.home for axis in config.axes]
         self._homing_rate = [config.si_per_unit * axis.homing_rate for axis in config.axes]
         self._incremental = [axis.encoder == "incremental" for axis in config.axes]
-        self._homing = HOMED
-        self._counted_from: Array = np.zeros(3)  # zero of an encoder that is not homed
-        self._limit = NO_LIMIT
+        n = len(config.axes)
+        self._homed = (Homing.DONE,) * n
+        self._homing = self._homed
+        self._offset, self._disturbance, self._disturbance_rate = (
+            np.asarray(self._axes.record[name])[:n] for name in ("encoder_offset", "disturbance", "disturbance_rate")
+        )
+        self._counted_from: Array = np.zeros(n)  # zero of an encoder that is not homed
+        self._limit: tuple[int, ...] = (0,) * n
         self._without_switch: set[int] = set()
         self._jogging = False
         self._stopped = False
@@ -75,10 +80,9 @@ class MockAxes:
         self._move(now_s)
         if self._stopped:
             return self._shown()
-        servo = axes.record
-        wanted = accepted + self._counted_from if self._homing is not HOMED else accepted
-        axes.setpoint[:] = wanted - servo.encoder_offset + servo.disturbance
-        axes.feedforward[:] = feedforward + servo.disturbance_rate
+        wanted = accepted + self._counted_from if self._homing is not self._homed else accepted
+        axes.setpoint[:] = wanted - self._offset + self._disturbance
+        axes.feedforward[:] = feedforward + self._disturbance_rate
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
@@ -88,7 +92,7 @@ class MockAxes:
         return AxisFeedback(now_s, self._shown(), self._axes.rate.copy(), self._homing, self._limit)
 
     def position_at(self, now_s: float) -> Array:
-        """Return the true positions at ``now_s``, (3,), m or rad, whatever the encoders show."""
+        """Return the true positions at ``now_s``, (n,), m or rad, whatever the encoders show."""
         self._check()
         self._move(now_s)
         return self._axes.position.copy()
@@ -116,14 +120,14 @@ class MockAxes:
         self._axes.hold()
         self._axes.rate[:] = 0.0
         self._counted_from = np.where(self._incremental, self._axes.position, 0.0)
-        self._homing = HOMED
+        self._homing = self._homed
         self._set_homing({i: Homing.NEEDED for i, lost in enumerate(self._incremental) if lost})
 
     def set_limit_switch(self, axis: int, switch: int) -> None:
         """Put ``axis`` on its low (-1), its high (1) or no (0) limit switch."""
         limit = [*self._limit]
         limit[axis] = switch
-        self._limit = (limit[0], limit[1], limit[2])
+        self._limit = tuple(limit)
 
     def hide_home_switch(self, axis: int) -> None:
         """Make homing of ``axis`` fail at the position of its switch."""
@@ -134,7 +138,7 @@ class MockAxes:
             raise self._error
 
     def _refuse_without_home(self) -> None:
-        if self._homing is HOMED:
+        if self._homing is self._homed:
             return
         for name, state in zip(self.axis_names, self._homing, strict=True):
             if state != Homing.DONE:
@@ -142,11 +146,11 @@ class MockAxes:
 
     def _set_homing(self, changed: dict[int, Homing]) -> None:
         states = [changed.get(i, state) for i, state in enumerate(self._homing)]
-        self._homing = HOMED if all(state == Homing.DONE for state in states) else (states[0], states[1], states[2])
+        self._homing = self._homed if all(state == Homing.DONE for state in states) else tuple(states)
 
     def _shown(self) -> Array:
-        position: Array = self._axes.position + self._axes.record.encoder_offset
-        return position if self._homing is HOMED else position - self._counted_from
+        position: Array = self._axes.position + self._offset
+        return position if self._homing is self._homed else position - self._counted_from
 
     def _move(self, now_s: float) -> None:
         left_s = now_s - float(self.servo["t_s"])

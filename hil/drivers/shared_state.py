@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,9 +11,13 @@ from hil.core.clock import BenchClock
 from hil.core.messages import Array
 from hil.frmn.mailbox import MailboxBlock
 
-_AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3)])
+_AXES: Final = np.dtype([("position", "f8", 3), ("rate", "f8", 3), ("given", "?", 3)])
 _CHAIN: Final = np.dtype([("closed", "i8"), ("torque", "i8"), ("brakes_released", "i8")])
-_MAILBOXES: Final = {"rails": _AXES, "turntable": _AXES, "target": _AXES, "chain": _CHAIN}
+_SEEN: Final = ("rails", "turntable", "target")  # by cameras and sensors
+_PARTS: Final = {group: [f"{group}.{first}" for first in range(3)] for group in _SEEN}
+_MAILBOXES: Final = (
+    dict.fromkeys(_SEEN, _AXES) | {name: _AXES for names in _PARTS.values() for name in names} | {"chain": _CHAIN}
+)
 _CHAIN_AGE_WALL_S: Final = 0.25  # of a coupler; its outputs are off when it is older
 
 
@@ -48,19 +53,33 @@ class SharedAxisState:
     def descriptor(self) -> int:
         return self._block.descriptor
 
-    def write(self, device: str, t_s: float, position: Array, rate: Array) -> None:
-        """Write position and rate of the axes of ``device`` at ``t_s``."""
-        record = np.empty(1, _AXES)
-        record["position"][0] = position
-        record["rate"][0] = rate
-        self._block[device].write(record, t_s)
+    def write(self, device: str, t_s: float, position: Array, rate: Array, axes: Sequence[int] = (0, 1, 2)) -> None:
+        """Write position and rate of the axes of ``device`` at ``t_s``. axes: numbers of those of its part.
+
+        Axes that nothing sees are not written.
+        """
+        group = device.partition(".")[0]
+        if group not in _SEEN:
+            return
+        record, which = np.zeros(1, _AXES), list(axes)
+        record["position"][0, which], record["rate"][0, which], record["given"][0, which] = position, rate, True
+        self._block[group if len(axes) == 3 else f"{group}.{axes[0]}"].write(record, t_s)
 
     def read(self, device: str, t_s: float) -> tuple[Array, Array]:
         """Return position and rate of ``device`` extrapolated to ``t_s``; zeros before its first write."""
         record = np.zeros(1, _AXES)
-        _, written_s = self._block[device].read(record)
+        number, written_s = self._block[device].read(record)
         rate = record["rate"][0]
-        return record["position"][0] + (t_s - written_s) * rate, rate
+        position = record["position"][0] + (t_s - written_s) * rate
+        if number:
+            return position, rate
+        for name in _PARTS[device]:  # of a group on several controllers
+            part = np.zeros(1, _AXES)
+            _, written_s = self._block[name].read(part)
+            given, moving = part["given"][0], part["rate"][0]
+            position = np.where(given, part["position"][0] + (t_s - written_s) * moving, position)
+            rate = np.where(given, moving, rate)
+        return position, rate
 
     def write_chain(self, chain: ChainState, t_s: float) -> None:
         """Write the state of the safety chain."""

@@ -34,7 +34,7 @@ class Manipulator(Protocol):
     """From the last ``read``."""
 
     @property
-    def axis_names(self) -> tuple[str, str, str]:
+    def axis_names(self) -> tuple[str, ...]:
         """Names of the axes, roll, pitch and yaw."""
 
     def read(self, now_s: float) -> None:

@@ -21,7 +21,6 @@ from hil.drivers.base import AxisGroup
 from hil.errors import BenchError
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
-from hil.loop.target_stage import TargetAxes
 from hil.safety.alarms import Alarm, speed_text
 
 REACTION_S: Final = 0.12
@@ -61,7 +60,7 @@ class Ramp:
         self._stopped_s = stopped_s
         self._seen: deque[tuple[float, Array]] = deque()
         self._lost_since_s = math.inf
-        self._off_since_s = np.full(3, math.inf)
+        self._off_since_s = np.full(len(deceleration), math.inf)
         self._first: Array | None = None
         with suppress(BenchError):
             self._first = np.abs(axes.read(stopped_s).rate)
@@ -115,7 +114,7 @@ class Ramp:
             self._seen.popleft()
         since_s, before = self._seen[0]
         if now_s - since_s < OFF_RAMP_S:
-            return np.full(3, -math.inf)
+            return np.full(len(position), -math.inf)
         return np.asarray(np.abs(position - before) / (now_s - since_s) - self._allowed(since_s))
 
 
@@ -175,10 +174,9 @@ class ControlledStop:
             Ramp(bench.rails, deceleration[:3], limits.rest_mps, now_s),
             Ramp(bench.turntable, deceleration[3:], limits.rest_radps, now_s, rotates=True),
         ]
-        target = self._loop.target
-        if isinstance(target, TargetAxes):
-            rest = limits.rest_radps if target.rotates else limits.rest_mps
-            ramps.append(Ramp(target.axes, target.acceleration_max, rest, now_s, target.rotates))
+        for group in self._loop.target.groups:
+            rest = limits.rest_radps if group.rotates else limits.rest_mps
+            ramps.append(Ramp(group.axes, group.acceleration_max, rest, now_s, group.rotates))
         return ramps
 
     def _stands(self, now_s: float) -> bool:

@@ -66,7 +66,7 @@ class RotatedTarget(TargetAxes):
         self._stand_at(self.place_at)
 
     @property
-    def axis_names(self) -> tuple[str, str, str]:
+    def axis_names(self) -> tuple[str, ...]:
         """Names of the axes, roll, pitch and yaw."""
         return self.axes.axis_names
 

@@ -118,14 +118,15 @@ class MotionSequencer:
 
     def home(self) -> None:
         """Home the axes that need it; one failure stops all."""
-        bench = self.loop.bench
+        bench, target = self.loop.bench, self.loop.target
         since_s = self.tick().now_s
-        if all(group.homing == HOMED for group in bench.feedback):
+        if all(group.homing == HOMED for group in bench.feedback) and not target.not_homed(since_s):
             return
         self._warn()
         since_s = self._newest.now_s
         self.modes.go(Mode.HOMING)
         bench.home(since_s)
+        target.home(since_s)
         while not all(group.homing == HOMED for group in bench.feedback):
             tick = self.tick()
             self._poll_command(Mode.HOMING)
@@ -134,6 +135,11 @@ class MotionSequencer:
             if self.ticks % self.progress_ticks == 0:
                 done = sum(state is Homing.DONE for group in bench.feedback for state in group.homing)
                 self._on_progress(Mode.HOMING, done / 6.0)
+        while name := target.not_homed(self._newest.now_s):
+            now_s, limit_s = self.tick().now_s, self.safety.limits.homing_timeout_s
+            self._poll_command(Mode.HOMING)
+            if now_s - since_s > limit_s:
+                raise SafetyTrip(name, "homing", f"not done after {now_s - since_s:.1f} s", f"{limit_s:g} s")
         self.tick()
         self._await_standstill()
         self.modes.go(Mode.STANDBY)

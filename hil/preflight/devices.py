@@ -12,7 +12,7 @@ from hil.config.scenario import Scenario
 from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup, PoseSource
 from hil.drivers.emulated_devices import EmulatedDevices
-from hil.drivers.factory import make_drivers
+from hil.drivers.factory import RigDrivers, make_drivers
 from hil.drivers.wire_lock import locked_wires
 from hil.errors import BenchError, DeviceError, LinkTimeout
 from hil.loop.rate_keeper import WallClockRate
@@ -46,13 +46,13 @@ def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Prefli
 
 def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
     """Return the checks of the devices, with the safety chain closed for enabled ones."""
-    rails, turntable, source, _ = make_drivers(rig, clock)
+    drivers = make_drivers(rig, clock)
     if rig.io is None or not rig.has_io:
-        return device_checks(rails, turntable, source, clock, enable_drives)
+        return device_checks(drivers, rig, clock, enable_drives)
     if not enable_drives:
         advice = "opened with --devices, which closes the safety chain"
         skipped = PreflightCheck("device io", None, "skipped", advice)
-        return [skipped, *device_checks(rails, turntable, source, clock, enable_drives)]
+        return [skipped, *device_checks(drivers, rig, clock, enable_drives)]
     rate = WallClockRate(clock, scenario.step_s)
     lines = SafetyIoStage(rig.io.make_driver(clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
     try:
@@ -62,7 +62,7 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
             fine = PreflightCheck(
                 "device io", True, f"identified, emergency stop released, {enabled}safety chain closes"
             )
-            return [fine, *device_checks(rails, turntable, source, clock, enable_drives)]
+            return [fine, *device_checks(drivers, rig, clock, enable_drives)]
     except BenchError as error:
         advice = (
             "release the emergency stop, close the interlocks, switch the local enabling input on, "
@@ -74,18 +74,17 @@ def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool
         lines.close()
 
 
-def device_checks(
-    rails: AxisGroup, turntable: AxisGroup, source: PoseSource, clock: WallClock, enable_drives: bool
-) -> list[PreflightCheck]:
-    """Return a check for each of the three devices."""
+def device_checks(drivers: RigDrivers, rig: Rig, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
+    """Return a check for each axis group and the vision unit."""
     checks = []
-    for group, unit in ((rails, "m"), (turntable, "deg")):
+    for name, group in drivers.axes.items():
+        unit = "m" if rig.axis_groups[name].si_per_unit == 1.0 else "deg"
         if enable_drives:
             checks.append(_axes(group, unit, clock))
         else:
             advice = "opened with --devices, which enables its drives: they hold their positions"
             checks.append(PreflightCheck(f"device {group.name}", None, "skipped", advice))
-    checks.append(_source(source, clock))
+    checks.append(_source(drivers.poses, clock))
     return checks
 
 

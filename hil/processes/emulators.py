@@ -57,7 +57,8 @@ class FaultInjectionService:
 
 def make_emulator(configuration: Message) -> Emulator:
     """Return the emulator of the device that ``configuration`` names."""
-    (device, _, part), seed = configuration["device"].partition("."), configuration["seed"]
+    name, seed = configuration["device"], configuration["seed"]
+    device, _, part = name.partition(".")
     scenario = Scenario.model_validate(configuration["scenario"], strict=False)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     clock = clock_of(configuration)
@@ -71,22 +72,22 @@ def make_emulator(configuration: Message) -> Emulator:
         from hil.setup.emulated_sensors import emulated_sensor
 
         return emulated_sensor(scenario, rig, seed, board, part, clock)
-    table: DeviceTable | None = rig.target_axes if device == "target" else getattr(rig, device)
-    assert table is not None
     emulator: Emulator
+    if device in rig.axis_groups:
+        emulator = rig.axis_groups[device].parts(device)[name].make_emulator(clock, board, seed=seed, name=name)
+        return emulator
+    table: DeviceTable = getattr(rig, device)
     if device == "io":
         emulator = table.make_emulator(clock, board.write_chain, seed=seed)
     elif part:
         from hil.setup.emulated_cameras import emulated_images
 
         emulator = table.make_emulator(clock, emulated_images(scenario, rig, seed, board, part), part)
-    elif device == "vmu":
+    else:
         from hil.setup.emulated_vision import emulated_vision  # its imports take a second
 
         vision = emulated_vision(scenario, rig, seed, board, configuration["images"])
         emulator = table.make_emulator(clock, vision.pose_at, vision.transport, seed=seed, at_end=vision.at_end)
-    else:
-        emulator = table.make_emulator(clock, board, seed=seed, name=device)
     return emulator
 
 

@@ -1,4 +1,4 @@
-"""I/O process: serves rails, turntable and vision unit to the loop through shared memory.
+"""I/O process: serves the axes and vision unit to the loop through shared memory.
 
 ``python -m hil.processes.io_server`` is started by ``IoProcesses``. It monitors the loop's heartbeat: when that
 ceases it stops all axes, whatever has happened to the loop.
@@ -84,7 +84,8 @@ class IoServer(DeviceServer):
             self._write_feedback(name, feedback)
 
     def _pass_on(self, device: AxisGroup, sent_s: float) -> None:
-        position, rate, kind = self._setpoint["position"][0], self._setpoint["rate"][0], int(self._setpoint["kind"][0])
+        n, kind = len(device.axis_names), int(self._setpoint["kind"][0])
+        position, rate = self._setpoint["position"][0, :n], self._setpoint["rate"][0, :n]
         if kind == io_layout.GOAL and isinstance(device, Parks):
             device.move_to(position, rate, sent_s)
             return
@@ -92,7 +93,7 @@ class IoServer(DeviceServer):
             self._jogging[device.name] = kind == io_layout.JOGGED
             device.set_jogging(kind == io_layout.JOGGED)
         if isinstance(device, LimitsSetpoints):
-            device.set_limits(self._setpoint["rate_max"][0], self._setpoint["acceleration_max"][0])
+            device.set_limits(self._setpoint["rate_max"][0, :n], self._setpoint["acceleration_max"][0, :n])
         device.send(position, rate, sent_s)
 
     def _write_feedback(self, name: str, feedback: AxisFeedback) -> None:
@@ -133,10 +134,9 @@ def make(configuration: Message) -> IoServer:
     clock = clock_of(configuration)
     raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
-    rails, turntable, poses, target = make_drivers(rig, clock)
-    axes = {"rails": rails, "turntable": turntable} | ({"target": target} if target is not None else {})
-    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]))
-    return IoServer(axes, poses, memory, socket.socket(fileno=configuration["requests"]), clock)
+    made = make_drivers(rig, clock)
+    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), tuple(rig.held_axes))
+    return IoServer(made.axes, made.poses, memory, socket.socket(fileno=configuration["requests"]), clock)
 
 
 def main() -> None:

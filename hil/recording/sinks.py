@@ -120,8 +120,8 @@ class RecordingSinks:
             loop.dss.sample_sink = self.imu_samples
         if loop.bench.ticks > 1:
             loop.axes_sink = self.axes_samples
-        if isinstance(loop.target, RotatedTarget):
-            loop.target.sink = self.manipulator_samples
+        if isinstance(loop.bench.manipulator, RotatedTarget):
+            loop.bench.manipulator.sink = self.manipulator_samples
         if loop.sensors is not None:
             loop.sensors.sink = self.sensor_samples
         if self.run_time is not None:

@@ -95,6 +95,7 @@ def summarise(
         },
         "clocks": outcome.measured.get("clocks"),
         "manipulator": outcome.measured.get("manipulator"),
+        "held_axes": outcome.measured.get("held_axes"),
         "sensors": outcome.measured.get("sensors"),
         "sign_off": sign_off_summary(rig),
         "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -51,7 +51,7 @@ from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
-from hil.loop.target_stage import FixedTarget, PlacedTarget, TargetStage
+from hil.loop.target_stage import AxesTogether, FixedTarget, HeldAxes, TargetStage
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
@@ -72,13 +72,17 @@ _FRAMES_TO_FORGET = 2.0  # one lost frame drains from the bucket in their time, 
 
 
 class Devices(NamedTuple):
-    """Devices of a bench. source: the vision unit; io: the digital I/O; target: the axes that move the target."""
+    """Devices of a bench. source: the vision unit; io: the digital I/O; target: the axes that move the target.
+
+    held: further axes, by names, that stand during a run.
+    """
 
     rails: AxisGroup
     turntable: AxisGroup
     source: PoseSource
     io: DiscreteIo | None
     target: AxisGroup | None
+    held: Mapping[str, AxisGroup] = {}
 
 
 @dataclass(frozen=True)
@@ -198,12 +202,13 @@ def assemble(
     """Return a Runner of ``job`` on these devices, timed by ``rate``. memory: of the core; None: a new one."""
     memory = memory or core_memory(job, rig)
     scenario = job.scenario.value
-    rails, turntable, source, io, target = devices
+    rails, turntable, source, io, target, held = devices
     axis_names = (*rails.axis_names, *turntable.axis_names)
     limits = safety_limits(rig, memory.params.guard)
     safety = SafetyMonitor(limits, axis_names, _links(rig, rails, turntable, source))
     stage = BenchStage(rails, turntable, memory, safety)
     moved = _target_stage(job, rig, target)
+    standing = {name: HeldAxes(held[name], table) for name, table in rig.held_axes.items()}
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
     sensors = _sensors(job, rig, devices, stage, memory, context.clock)
@@ -238,7 +243,7 @@ def assemble(
         loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
-    loop.target = moved
+    loop.target = AxesTogether([moved, *standing.values()]) if standing else moved
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
@@ -265,6 +270,8 @@ def assemble(
         runner.meters["sensors"] = loop.sensors.numbers
     if isinstance(moved, RotatedTarget):
         runner.meters["manipulator"] = moved.numbers
+    if standing:
+        runner.meters["held_axes"] = lambda: {name: stage.numbers() for name, stage in standing.items()}
     return runner
 
 
@@ -280,7 +287,7 @@ def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     if axes is None:
         return FixedTarget()
     if rig.moved_target is not None:
-        return PlacedTarget(axes, rig.moved_target)
+        return HeldAxes(axes, rig.moved_target)
     step_s, params = job.scenario.value.step_s, bench_params.manipulator(rig)
     assert rig.rotated_target is not None
     assert params is not None
@@ -460,7 +467,8 @@ def mocks(scenario: Scenario, rig: Rig, seed: int, memory: CoreMemory, images: I
     io = MockIo(rig.io) if rig.io is not None and rig.has_io else None
     frames = transport(scenario.vmu, seed)
     source = MockVmu(rig.vmu, pose_at, frames, mock.transit, memory.frames)
-    return Mocks(Devices(rails, turntable, source, io, target), sensor, frames)
+    held = {name: MockAxes(name, table) for name, table in rig.held_axes.items()}
+    return Mocks(Devices(rails, turntable, source, io, target, held), sensor, frames)
 
 
 def axes_at_start(scenario: Scenario, rig: Rig) -> tuple[Rails, Turntable]:

@@ -37,7 +37,7 @@ def python_only(job: Job) -> str:
         and job.truth.monitor.source == "rendered",
         "shadow filter": scenario.gnc.shadow.enabled,
         "parts of the plant in FMUs": bool(job.truth.models),
-        "a target on axes": rig.target_axes is not None,
+        "a target or further bodies on axes": rig.target_axes is not None or bool(rig.held_axes),
         # each cycle could end with an alarm
         "setpoints that expire within two cycles": rig.safety.command_age_max_s < 2.0 * scenario.step_s,
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -18,6 +18,7 @@ from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbu
 from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
+from hil.drivers.factory import make_axes
 from hil.drivers.fault_injection import Faults
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes
@@ -79,12 +80,16 @@ def _mock(config: AxisGroupTable) -> Iterator[Backend]:
 
 @contextmanager
 def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
-    """The selected driver against its emulator, both from the registry of drivers."""
-    with in_lock_step() as clock, closing(SharedAxisState.create()) as board:
-        emulator = config.make_emulator(clock, board, name=config.device)
-        wired = config.connected(config.device, emulator.start())
-        with serving(clock, emulator), closing(wired.make_driver(clock, config.device)) as device:
-            yield Backend(device, clock.now_s, clock.sleep, *_travel(config), emulator.faults)
+    """The selected drivers against their emulators, all from the registry of drivers; faults of the first."""
+    with in_lock_step() as clock, closing(SharedAxisState.create()) as board, ExitStack() as served:
+        parts = config.parts(config.device)
+        emulators = [part.make_emulator(clock, board, name=name) for name, part in parts.items()]
+        addresses = [address for emulator in emulators for address in emulator.start().items()]
+        wired = config.connected(config.device, dict(addresses))
+        for emulator in emulators:
+            served.enter_context(serving(clock, emulator))
+        with closing(make_axes(wired, clock, config.device)) as device:
+            yield Backend(device, clock.now_s, clock.sleep, *_travel(config), emulators[0].faults)
 
 
 @contextmanager
@@ -118,11 +123,21 @@ def _ascii(protocol: str, turntable: Turntable = RIG.turntable) -> Turntable:
     return turntable.model_copy(update={"driver": "ascii", "ascii": AsciiTurntableLine(protocol=protocol)})
 
 
+def _on_two_controllers(key: str, controller: dict[str, Any]) -> Any:
+    """Return the table of the emulated rig with some axes on a further controller."""
+    table = getattr(RIG, key)
+    return type(table).model_validate(table.model_dump(mode="json") | {"controllers": [controller]}, strict=False)
+
+
 WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "rails-modbus": lambda: RIG.rails,
     "rails-modbus-gateway": lambda: GATEWAY,
     "rails-modbus-rtu": lambda: RTU_RAILS,
     "rails-of-another-package": lambda: load_rig(example_driver.RIG).value.rails,
+    "rails-split": lambda: _on_two_controllers("rails", {"axes": ["x"], "driver": "modbus_rtu"}),
+    "turntable-split": lambda: _on_two_controllers(
+        "turntable", {"axes": ["yaw"], "driver": "cia402", "cia402": {"node_ids": [7, 8, 9]}}
+    ),
     "turntable-cia402": lambda: RIG.turntable,
     "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
     "turntable-acu": lambda: _ascii("acu"),
@@ -364,7 +379,7 @@ def _acts(config: AxisGroupTable, kind: str, fault: ErrorTerm, healthy: Motion) 
         np.testing.assert_allclose(found.position[:BEFORE], healthy.position[:BEFORE], atol=1e-9)
         if kind in ("drop", "link_down", "delay", "duplicate", "corrupt"):  # nothing that was read is wrong
             n = len(found.position)
-            assert np.abs(found.position - healthy.position[:n]).max() < 1.1 * SPEED * config.timeout_s + 1e-3
+            assert np.abs(found.position - healthy.position[:n]).max() < 1.1 * SPEED * config.timeout_s + 1e-3, kind
         faults.clear()
         device.close()
         backend.pass_time(0.1)

@@ -17,7 +17,7 @@ from hil.core.operator_commands import OperatorCommand
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import BadInput
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.target_stage import PlacedTarget
+from hil.loop.target_stage import HeldAxes
 from hil.session import build
 from tests.support.operated_bench import Recorded, Script, Session, operate
 from tests.support.plain_filters import PLAIN
@@ -133,7 +133,7 @@ def test_a_target_is_placed_within_its_limit() -> None:
     table = {"driver": "mock", "place_m": [0.2, -0.1, 0.0], "servo": {"gain_per_s": 25.0, "lag_s": 0.008}}
     settings = TargetManipulator.model_validate(table | dict.fromkeys(RAIL_NAMES, axis), strict=False)
     axes = Recorded(MockAxes("target", settings))
-    target, rate = PlacedTarget(axes, settings), SimulatedRate(SimulatedClock(), 0.02)
+    target, rate = HeldAxes(axes, settings), SimulatedRate(SimulatedClock(), 0.02)
     target.open(0.0)
     target.place(rate.wait, 0.02)
     assert axes.stood_at is not None

@@ -1,7 +1,7 @@
-"""Driver of the rails: three drives on Modbus TCP or RTU, one event loop in its own thread.
+"""Driver of the rails: up to three drives on Modbus TCP or RTU, one event loop in its own thread.
 
 An exchange is one transaction (function 23) per drive, or a write and a read for drives without that function, all
-three at once; those that share a wire go one after the other. It is triggered by ``send``, at most at the rate of the
+at once; those that share a wire go one after the other. It is triggered by ``send``, at most at the rate of the
 rig file, and every 20 ms without a setpoint, so that feedback stays fresh and the drives hold the last setpoint. One
 lost or damaged response is retried; when one drive fails the others are stopped at once.
 """
@@ -16,7 +16,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from hil.config.rig import Rails
+from hil.config.rig import LinearAxes
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import SetpointLimits
@@ -44,7 +44,7 @@ class ModbusRails(LoopThread):
     response. name: of the device, for errors.
     """
 
-    def __init__(self, config: Rails, clock: BenchClock, name: str = "rails") -> None:
+    def __init__(self, config: LinearAxes, clock: BenchClock, name: str = "rails") -> None:
         self.name = name
         self._limits = SetpointLimits(name, config)
         self.axis_names = self._limits.names
@@ -69,7 +69,7 @@ class ModbusRails(LoopThread):
         self._stop_task: asyncio.Task[None] | None = None
 
     def open(self, now_s: float) -> None:
-        """Connect to the three drives, check their identity, enable them at their present positions."""
+        """Connect to the drives, check their identity, enable them at their present positions."""
         bound_s = CONNECT_TIMEOUT_S + ENABLE_TIMEOUT_S + 6.0 * self._timeout_s
         self.close()
         self._await_previous_thread(bound_s)
@@ -96,7 +96,7 @@ class ModbusRails(LoopThread):
         self._jogging = on
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
-        """Set the limits (3,), m/s and m/s2, within which an axis catches up after a lost response."""
+        """Set the limits (n,), m/s and m/s2, within which an axis catches up after a lost response."""
         for limiter, limits in zip(self._limiters, zip(rate.tolist(), acceleration.tolist(), strict=True), strict=True):
             limiter.set_limits(*limits)
 
@@ -119,7 +119,7 @@ class ModbusRails(LoopThread):
         return accepted
 
     def read(self, now_s: float) -> AxisFeedback:
-        """Return the newest exchange in which all three drives responded."""
+        """Return the newest exchange in which all drives responded."""
         return self._box.get(now_s, self._timeout_s)
 
     def stop(self, now_s: float) -> None:
@@ -165,7 +165,7 @@ class ModbusRails(LoopThread):
         try:
             await _all(drive.identify() for drive in self._drives)
             held = await _all(drive.enable() for drive in self._drives)
-            self._setpoint = (held, [0.0, 0.0, 0.0], self._clock.now_s())
+            self._setpoint = (held, [0.0] * len(held), self._clock.now_s())
             self._limiters = setpoint_limiters(self._config)
             for limiter, position_m in zip(self._limiters, held, strict=True):
                 limiter.restart(position_m, self._setpoint[2])
@@ -197,9 +197,8 @@ class ModbusRails(LoopThread):
             t_s = sum(drive.sampled_s for drive in self._drives) / len(self._drives)
             position = np.array([state.position_m for state in received])
             rate = np.array([state.rate_mps for state in received])
-            homing = self._homing.state
-            limit = (self._limit(0, received), self._limit(1, received), self._limit(2, received))
-            self._box.put(AxisFeedback(t_s, position, rate, (homing[0], homing[1], homing[2]), limit), t_s)
+            limit = tuple(self._limit(axis, received) for axis in range(len(received)))
+            self._box.put(AxisFeedback(t_s, position, rate, tuple(self._homing.state), limit), t_s)
 
     def _limit(self, axis: int, states: list[State]) -> int:
         middle_m = 0.5 * float(self._limits.low[axis] + self._limits.high[axis])

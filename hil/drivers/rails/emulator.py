@@ -1,4 +1,4 @@
-"""Emulator of the rails: three drives on Modbus TCP, or on one serial line, with servo dynamics."""
+"""Emulator of the rails: up to three drives on Modbus TCP, or on one serial line, with servo dynamics."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import threading
 from typing import Any, Final
 
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import RAIL_NAMES, Rails
+from hil.config.rig import LinearAxes
 from hil.core.clock import BenchClock
-from hil.drivers.base import full_names
 from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel, FaultyWire
 from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
@@ -26,11 +25,11 @@ _PTY_BITS_PER_BYTE: Final = 10  # of PtyLine
 
 
 class EmulatedRails:
-    """The three drives, independent of the wire. seed: of all random numbers."""
+    """The drives, independent of the wire. seed: of all random numbers."""
 
     def __init__(
         self,
-        config: Rails,
+        config: LinearAxes,
         clock: BenchClock,
         shared: SharedAxisState,
         chain: ReadChain | None = None,
@@ -44,7 +43,7 @@ class EmulatedRails:
         self.faults = self._axes.faults
         self.wire_noise = stream(seed, "wire")
         codes = self._map.code_of(FaultKind.TORQUE_OFF), max(1, config.map.following_error)
-        self.drives = [EmulatedRailDrive(self._axes, index, *codes) for index in range(len(RAIL_NAMES))]
+        self.drives = [EmulatedRailDrive(self._axes, index, *codes) for index in range(len(config.axes))]
 
     def server(self, device_ids: dict[int, int], tcp: bool) -> ModbusServer:
         """Return the server of the drives behind one wire. device_ids: device id of each index."""
@@ -58,7 +57,7 @@ class EmulatedRails:
         """Advance axes and drives to the present."""
         now_s = self._clock.now_s()
         self._axes.advance(now_s)
-        for name, drive in zip(RAIL_NAMES, self.drives, strict=True):
+        for name, drive in zip(self._axes.names, self.drives, strict=True):
             code = self.faults.pop("drive_fault", name)
             if code is not None:
                 drive.trip(int(code) or self._map.code_of(FaultKind.OTHER))
@@ -66,13 +65,13 @@ class EmulatedRails:
 
 
 class RailsEmulator(ModbusTcpEmulator):
-    """Three drives on 127.0.0.1, ports by the system; axes of one host and port in the rig file share a port.
+    """Up to three drives on 127.0.0.1, ports by the system; axes of one host and port in the rig file share a port.
 
     Positions are written to ``shared`` every 4 ms, of wall time above real time, and at each request. Further arguments
     are those of ``EmulatedRails``.
     """
 
-    def __init__(self, config: Rails, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
+    def __init__(self, config: LinearAxes, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         super().__init__(clock, clock.paced_s(STEP_S))
         self._config = config
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
@@ -80,7 +79,7 @@ class RailsEmulator(ModbusTcpEmulator):
 
     def start(self) -> dict[str, str]:
         """Listen; return axis name -> "host:port"."""
-        names = full_names(self.faults.device, RAIL_NAMES)
+        names = [f"{self.faults.device}.{name}" for name in self._config.axis_names]
         groups: dict[object, list[int]] = {}
         axes = tcp_axes(self._config)
         for index, axis in enumerate(axes):
@@ -101,14 +100,16 @@ class RailsEmulator(ModbusTcpEmulator):
 
 
 class RtuRailsEmulator:
-    """Three drives on one serial line, a pseudo terminal with the timing of the real line."""
+    """Up to three drives on one serial line, a pseudo terminal with the timing of the real line."""
 
-    def __init__(self, config: Rails, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
+    def __init__(self, config: LinearAxes, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         self._clock = clock
         self._rtu = config.rtu or ModbusRtu()
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
         self.faults, self.drives = self._rails.faults, self._rails.drives
-        self._server = self._rails.server(dict(enumerate(self._rtu.device_ids)), tcp=False)
+        self._server = self._rails.server(
+            {index: self._rtu.device_ids[axis] for index, axis in enumerate(config.axis_numbers)}, tcp=False
+        )
         self._channel = FaultyChannel(self.faults, self._rails.wire_noise)
         self._line: PtyLine | None = None
 

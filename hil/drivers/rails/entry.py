@@ -7,14 +7,14 @@ from typing import Final
 from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.rail_map import range_of
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import RAIL_NAMES, RailAxis, Rails
+from hil.config.rig import RAIL_NAMES, LinearAxes, RailAxis
 
 _EXCHANGES_IN_TIMEOUT: Final = 10.0  # three drives, one retry, and as much again for the drives' response times
 
 
-def _check_map(rails: Rails) -> None:
+def _check_map(rails: LinearAxes) -> None:
     """Raise ValueError if the register map cannot serve an axis."""
-    for name in RAIL_NAMES:
+    for name in rails.axis_names:
         axis: RailAxis = getattr(rails, name)
         if axis.encoder == "incremental" and not rails.map.homes:
             raise ValueError(f'{name}.encoder = "incremental" needs map.control_bits.home and map.status_bits.homed')
@@ -27,16 +27,16 @@ def _check_map(rails: Rails) -> None:
                 )
 
 
-def _check_tcp(rails: Rails) -> None:
+def _check_tcp(rails: LinearAxes) -> None:
     _check_map(rails)
     if rails.modbus is not None:
-        wires = (rails.modbus.x, rails.modbus.y, rails.modbus.z)
+        wires = [getattr(rails.modbus, name) for name in rails.axis_names]
         given = [(wire.host, wire.port, wire.device_id) for wire in wires if wire.port is not None]
         if len(set(given)) != len(given):
             raise ValueError("modbus: two axes have the same host, port and device_id, allowed: different ones")
 
 
-def _check_rtu(rails: Rails) -> None:
+def _check_rtu(rails: LinearAxes) -> None:
     rtu = rails.rtu or ModbusRtu()
     least_s = _EXCHANGES_IN_TIMEOUT * rtu.exchange_s(rails.map)
     if rails.timeout_s < least_s:
@@ -47,12 +47,12 @@ def _check_rtu(rails: Rails) -> None:
     _check_map(rails)
 
 
-def _rtu_setpoints_hz(rails: Rails) -> float:
+def _rtu_setpoints_hz(rails: LinearAxes) -> float:
     """The drives share the line: one exchange after the other."""
-    return 1.0 / (len(RAIL_NAMES) * (rails.rtu or ModbusRtu()).exchange_s(rails.map))
+    return 1.0 / (len(rails.axes) * (rails.rtu or ModbusRtu()).exchange_s(rails.map))
 
 
-def _identity(rails: Rails) -> dict[str, str]:
+def _identity(rails: LinearAxes) -> dict[str, str]:
     major, minor = rails.map.firmware_min
     return {"vendor": f"0x{rails.map.vendor:X}", "firmware from": f"{major}.{minor}"}
 
@@ -65,6 +65,7 @@ TCP: Final = DriverEntry(
     wires=[WireKey(f"modbus.{name}", "tcp", name) for name in RAIL_NAMES],
     check=_check_tcp,
     identity=_identity,
+    any_axes=True,
     keeps_bench_time=lambda table: True,
 )
 RTU: Final = DriverEntry(
@@ -76,6 +77,7 @@ RTU: Final = DriverEntry(
     wires=[WireKey("rtu.port", "serial", emulated={"parity": "none"})],
     check=_check_rtu,
     identity=_identity,
+    any_axes=True,
     setpoints_hz=_rtu_setpoints_hz,
     keeps_bench_time=lambda table: True,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.config.rig import RAIL_NAMES, Rails
+from hil.config.rig import LinearAxes
 from hil.core.messages import Homing
 from hil.drivers.rails.codec import State, Status
 
@@ -14,10 +14,10 @@ class HomingMonitor:
     ignored.
     """
 
-    def __init__(self, config: Rails) -> None:
-        self._absolute = [getattr(config, name).encoder == "absolute" for name in RAIL_NAMES]
+    def __init__(self, config: LinearAxes) -> None:
+        self._absolute = [axis.encoder == "absolute" for axis in config.axes]
         self.state = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
-        self._exchanges = [0, 0, 0]  # since homing was commanded
+        self._exchanges = [0] * len(self.state)  # since homing was commanded
 
     def begin(self) -> None:
         """Start homing of each axis that is not homed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import Modbus, ModbusAxis, Rails
+from hil.config.rig import LinearAxes, Modbus, ModbusAxis
 from hil.core.clock import BenchClock
 from hil.drivers.rails.drive import ATTEMPTS, ModbusDevice
 from hil.drivers.rails.frames import Counters
@@ -15,16 +15,16 @@ from hil.drivers.rails.modbus_bus import ModbusBus
 ATTEMPT_MAX_S: Final = 0.2
 
 
-def make_wires(config: Rails, timeout_s: float, counters: Counters, clock: BenchClock) -> list[ModbusDevice]:
-    """Return the wires of x, y, z, not connected yet. Requires a running event loop.
+def make_wires(config: LinearAxes, timeout_s: float, counters: Counters, clock: BenchClock) -> list[ModbusDevice]:
+    """Return the wires of the axes, not connected yet. Requires a running event loop.
 
     timeout_s: within which a dead wire is reported.
     """
     if config.driver == "modbus_rtu":
         rtu = config.rtu or ModbusRtu()
         line = ModbusBus.on_port(rtu.port or "", rtu, rtu.exchange_s(config.map), counters, clock)
-        attempt_s = _attempt_s(timeout_s, len(rtu.device_ids))
-        return [ModbusDevice(line, device_id, attempt_s) for device_id in rtu.device_ids]
+        attempt_s = _attempt_s(timeout_s, len(config.axes))
+        return [ModbusDevice(line, rtu.device_ids[axis], attempt_s) for axis in config.axis_numbers]
     axes = tcp_axes(config)
     hosts = [(axis.host, axis.port or 0) for axis in axes]
     lines = {host: ModbusBus.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
@@ -42,7 +42,7 @@ def _attempt_s(timeout_s: float, drives: int) -> float:
     return min(timeout_s / (drives + ATTEMPTS - 1), ATTEMPT_MAX_S)
 
 
-def tcp_axes(config: Rails) -> list[ModbusAxis]:
-    """Return the TCP settings of the drives x, y, z."""
+def tcp_axes(config: LinearAxes) -> list[ModbusAxis]:
+    """Return the TCP settings of the drives."""
     modbus = config.modbus or Modbus()
-    return [modbus.x, modbus.y, modbus.z]
+    return [getattr(modbus, name) for name in config.axis_names]

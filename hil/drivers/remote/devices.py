@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.config.io import Io
-from hil.config.rig import Rails, Turntable, Vmu
+from hil.config.rig import AxisGroupTable, Vmu
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.drivers.axes import SetpointLimits
@@ -121,17 +121,18 @@ class _RemoteDevice:
 
 
 class RemoteAxes(_RemoteDevice):
-    """Rails, turntable or target axes in the I/O process. ``read`` sends the loop's heartbeat: call it in every cycle.
+    """Axes of one group in the I/O process. ``read`` sends the loop's heartbeat: call it in every cycle.
 
     When the heartbeat ceases, the I/O process stops the axes. wakes: whether a setpoint wakes that process; False for a
     device whose setpoint is followed by another one's.
     """
 
-    def __init__(self, name: str, config: Rails | Turntable, link: IoLink, wakes: bool = True) -> None:
+    def __init__(self, name: str, config: AxisGroupTable, link: IoLink, wakes: bool = True) -> None:
         super().__init__(name, link)
         self._wakes = wakes
         self._limits = SetpointLimits(name, config)
         self.axis_names = self._limits.names
+        self._n = len(self.axis_names)
         self._timeout_s = config.timeout_s
         self._setpoint = np.zeros(1, io_layout.SETPOINT)
         self._feedback = np.zeros(1, io_layout.FEEDBACK)
@@ -157,20 +158,21 @@ class RemoteAxes(_RemoteDevice):
         self._link.requests.request("home", self.name)
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
-        """Set the limits (3,) within which the axes catch up after a gap in the setpoints."""
-        self._setpoint["rate_max"], self._setpoint["acceleration_max"] = rate, acceleration
+        """Set the limits (n,) within which the axes catch up after a gap in the setpoints."""
+        self._setpoint["rate_max"][0, : self._n], self._setpoint["acceleration_max"][0, : self._n] = rate, acceleration
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Send the newest setpoint; return the accepted position, or the measured one if the device is stopped."""
         self._check(now_s)
         accepted, accepted_rate = self._limits.accepted(position, rate, self._kind == io_layout.JOGGED)
         if self._stopped or self._kind == io_layout.GOAL:
-            return np.array(self._feedback["position"][0])
+            return np.array(self._feedback["position"][0, : self._n])
         self._write_setpoint(accepted, accepted_rate, now_s)
         return accepted
 
     def _write_setpoint(self, position: Array, rate: Array, now_s: float) -> None:
-        self._setpoint["position"], self._setpoint["rate"], self._setpoint["kind"] = position, rate, self._kind
+        self._setpoint["position"][0, : self._n], self._setpoint["rate"][0, : self._n] = position, rate
+        self._setpoint["kind"] = self._kind
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
         if self._wakes:
             self._link.wake()
@@ -187,7 +189,7 @@ class RemoteAxes(_RemoteDevice):
         box = self._block[f"{self.name}.feedback"]
         if box.written > self._received:
             self._received, _ = box.read(self._feedback)
-            self._newest = io_layout.read_feedback(self._feedback)
+            self._newest = io_layout.read_feedback(self._feedback, self._n)
         if self._newest is None or self._received <= self._feedback_before:
             raise LinkTimeout(self.name, "has not answered yet")
         age_s = now_s - self._newest.t_s

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,6 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
 
 AXIS_DEVICES: Final = ("rails", "turntable", "target")
-DEVICES: Final = (*AXIS_DEVICES, "vmu", "io")
 LOOP, IO, WATCHDOG = "loop", "I/O", "watchdog"
 """The processes; mailboxes of their heartbeats."""
 
@@ -63,18 +63,23 @@ OUTPUTS: Final = np.dtype(
 _FRAMES: Final = 256
 _KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
 
-LAYOUT: Final = {
-    LOOP: HEARTBEAT,
-    IO: HEARTBEAT,
-    WATCHDOG: HEARTBEAT,
-    **{f"{device}.setpoint": SETPOINT for device in AXIS_DEVICES},
-    **{f"{device}.feedback": FEEDBACK for device in AXIS_DEVICES},
-    **{f"{device}.stop": STOP for device in (*AXIS_DEVICES, "io")},
-    "io.inputs": INPUTS,
-    "io.outputs": OUTPUTS,
-    **{f"{device}.failure": FAILURE for device in DEVICES},
-    **{f"{device}.counters": COUNTERS for device in DEVICES},
-}
+
+def layout(held: Sequence[str] = ()) -> dict[str, np.dtype]:
+    """Return the mailboxes. held: names of further axes of the rig."""
+    axes = (*AXIS_DEVICES, *held)
+    devices = (*axes, "vmu", "io")
+    return {
+        LOOP: HEARTBEAT,
+        IO: HEARTBEAT,
+        WATCHDOG: HEARTBEAT,
+        **{f"{device}.setpoint": SETPOINT for device in axes},
+        **{f"{device}.feedback": FEEDBACK for device in axes},
+        **{f"{device}.stop": STOP for device in (*axes, "io")},
+        "io.inputs": INPUTS,
+        "io.outputs": OUTPUTS,
+        **{f"{device}.failure": FAILURE for device in devices},
+        **{f"{device}.counters": COUNTERS for device in devices},
+    }
 
 
 class IoSharedMemory:
@@ -86,17 +91,17 @@ class IoSharedMemory:
         self.wakes = wakes
 
     @classmethod
-    def create(cls) -> IoSharedMemory:
-        """Create new memory; pass ``descriptors`` to the other processes (``pass_fds``)."""
+    def create(cls, held: Sequence[str] = ()) -> IoSharedMemory:
+        """Create new memory; pass ``descriptors`` to the other processes (``pass_fds``). held: as of ``layout``."""
         wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (IO, WATCHDOG)}
-        return cls(MailboxBlock.create(LAYOUT, "io"), Ring.create(VMU_FRAME, _FRAMES, "poses"), wakes)
+        return cls(MailboxBlock.create(layout(held), "io"), Ring.create(VMU_FRAME, _FRAMES, "poses"), wakes)
 
     @classmethod
-    def attach(cls, descriptors: tuple[int, int, int, int]) -> IoSharedMemory:
+    def attach(cls, descriptors: tuple[int, int, int, int], held: Sequence[str] = ()) -> IoSharedMemory:
         """Attach to the memory that another process created."""
         block, frames, io, watchdog = descriptors
         wakes = {IO: io, WATCHDOG: watchdog}
-        return cls(MailboxBlock(block, LAYOUT, "io"), Ring(frames, VMU_FRAME, _FRAMES, "poses"), wakes)
+        return cls(MailboxBlock(block, layout(held), "io"), Ring(frames, VMU_FRAME, _FRAMES, "poses"), wakes)
 
     @property
     def descriptors(self) -> tuple[int, int, int, int]:
@@ -112,19 +117,21 @@ class IoSharedMemory:
 
 def write_feedback(record: np.ndarray, feedback: AxisFeedback) -> None:
     """Put ``feedback`` into ``record``, shape (1,) of FEEDBACK."""
-    record[0] = (feedback.t_s, feedback.position, feedback.rate, feedback.homing, feedback.limit)
+    record["t_s"], n = feedback.t_s, len(feedback.position)
+    for name in ("position", "rate", "homing", "limit"):
+        record[name][0, :n] = getattr(feedback, name)
 
 
-def read_feedback(record: np.ndarray) -> AxisFeedback:
-    """Return the feedback in ``record``, shape (1,) of FEEDBACK; its arrays are copies."""
+def read_feedback(record: np.ndarray, n: int = 3) -> AxisFeedback:
+    """Return the feedback of ``n`` axes in ``record``, shape (1,) of FEEDBACK; its arrays are copies."""
     t_s, position, rate, homing, limit = record[0].item()
     del position, rate
     return AxisFeedback(
         t_s,
-        record["position"][0].copy(),
-        record["rate"][0].copy(),
-        (Homing(homing[0]), Homing(homing[1]), Homing(homing[2])),
-        (int(limit[0]), int(limit[1]), int(limit[2])),
+        record["position"][0, :n].copy(),
+        record["rate"][0, :n].copy(),
+        tuple(map(Homing, homing[:n])),
+        tuple(map(int, limit[:n])),
     )
 
 

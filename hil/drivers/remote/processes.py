@@ -11,7 +11,7 @@ from hil.config.rig import Rig
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
 from hil.core.fork_server import ForkServer
-from hil.drivers.base import DiscreteIo, PoseSource
+from hil.drivers.base import AxisGroup, DiscreteIo, PoseSource
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemoteIo, RemotePoses, RemoteTurntable
 from hil.drivers.remote.io_layout import HEARTBEAT, IO, WATCHDOG, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
@@ -52,7 +52,7 @@ class IoProcesses:
     def __init__(self, rig: Rig, clock: BenchClock, server: ForkServer | None = None) -> None:
         self._rig = rig
         self._clock = clock
-        self._memory = IoSharedMemory.create()
+        self._memory = IoSharedMemory.create(tuple(rig.held_axes))
         self._processes: dict[str, _ChildLink] = {}
         try:
             for name in (IO, *((WATCHDOG,) if rig.has_io else ())):
@@ -79,8 +79,10 @@ class IoProcesses:
         for process in self._processes.values():
             process.child.wait_ready(_READY_WALL_S)
 
-    def devices(self) -> tuple[RemoteAxes, RemoteAxes, PoseSource, DiscreteIo | None, RemoteAxes | None]:
-        """Return the loop's rails, turntable, vision unit, digital I/O, and axes of the target."""
+    def devices(
+        self,
+    ) -> tuple[RemoteAxes, RemoteAxes, PoseSource, DiscreteIo | None, RemoteAxes | None, dict[str, AxisGroup]]:
+        """Return the loop's rails, turntable, vision unit, digital I/O, axes of the target, further ones by name."""
         rig, link = self._rig, self._processes[IO].link
         watchdog = self._processes.get(WATCHDOG)
         lines = RemoteIo(rig.io, watchdog.link) if watchdog is not None and rig.io is not None else None
@@ -90,6 +92,7 @@ class IoProcesses:
             rig.vmu.make_driver(self._clock) if rig.vmu.entry.has_processes else RemotePoses(rig.vmu, link),
             lines,
             RemoteAxes("target", rig.target_axes, link) if rig.target_axes is not None else None,
+            {name: RemoteAxes(name, table, link) for name, table in rig.held_axes.items()},
         )
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from hil.core.clock import SimulatedClock
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate, Tick
-from hil.loop.target_stage import FRACTION_OF_LIMITS, PlacedTarget
+from hil.loop.target_stage import FRACTION_OF_LIMITS, HeldAxes
 from hil.session.build import runner as make_runner
 from tests.support.run_settings import make_job
 
@@ -36,7 +36,7 @@ def config(**changes: object) -> TargetManipulator:
 class Desk:
     def __init__(self) -> None:
         self.axes = MockAxes("target", config())
-        self.target = PlacedTarget(self.axes, config())
+        self.target = HeldAxes(self.axes, config())
         self.rate = SimulatedRate(SimulatedClock(), 0.02)
         self.target.open(0.0)
 
@@ -96,6 +96,6 @@ def test_run_places_the_target_first_and_is_the_same_run_otherwise() -> None:
             assert outcome.stop == "completed"
             found.append((outcome, runner.loop.target))
     (plain, _), (placed, target) = found
-    assert isinstance(target, PlacedTarget)
+    assert isinstance(target, HeldAxes)
     np.testing.assert_array_equal(plain.history["truth"]["r_CT_H"][0], placed.history["truth"]["r_CT_H"][0])
     assert len(placed.history) == len(plain.history)

@@ -14,6 +14,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.rig import RAIL_NAMES, AxisGroupTable, Rig
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
+from hil.drivers.factory import RigDrivers
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import ProtocolError
@@ -224,12 +225,17 @@ def bench(mock_rig: Rig) -> tuple[Telltale, Telltale, MockVmu]:
     return rails, turntable, MockVmu(mock_rig.vmu, lambda t_s: replace(pose, t_s=t_s))
 
 
+def of(bench: tuple[Telltale, Telltale, MockVmu]) -> tuple[RigDrivers, Rig]:
+    rails, turntable, poses = bench
+    return RigDrivers({"rails": rails, "turntable": turntable}, poses), load_rig("mock").value
+
+
 def _passed(checks: Sequence[PreflightCheck]) -> list[bool | None]:
     return [check.passed for check in checks]
 
 
 def test_devices_are_opened_read_stopped_and_closed(bench: tuple[Telltale, Telltale, MockVmu]) -> None:
-    checks = device_checks(*bench, WallClock(), enable_drives=True)
+    checks = device_checks(*of(bench), WallClock(), enable_drives=True)
     assert _passed(checks) == [True, True, True]
     assert checks[0].value == "identified, at x 3.000, y 0.000, z 0.000 m"
     assert checks[2].value == "pose at 2.000 m from the camera"
@@ -237,7 +243,7 @@ def test_devices_are_opened_read_stopped_and_closed(bench: tuple[Telltale, Tellt
 
 
 def test_drives_of_hardware_are_not_enabled_unasked(bench: tuple[Telltale, Telltale, MockVmu]) -> None:
-    checks = device_checks(*bench, WallClock(), enable_drives=False)
+    checks = device_checks(*of(bench), WallClock(), enable_drives=False)
     assert _passed(checks) == [None, None, True]
     assert "--devices" in checks[0].advice
     assert bench[0].done == bench[1].done == []
@@ -250,7 +256,7 @@ def test_device_that_fails_is_named_and_the_others_are_still_checked(
         raise ProtocolError("rails", "identity 7, expected 402")
 
     monkeypatch.setattr(bench[0], "open", refuse)
-    checks = device_checks(*bench, WallClock(), enable_drives=True)
+    checks = device_checks(*of(bench), WallClock(), enable_drives=True)
     assert _passed(checks) == [False, True, True]
     assert checks[0].value == "rails: identity 7, expected 402"
     assert bench[0].done[-1] == "close"
@@ -259,7 +265,7 @@ def test_device_that_fails_is_named_and_the_others_are_still_checked(
 def test_silent_device_is_given_up(bench: tuple[Telltale, Telltale, MockVmu], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "_FIRST_SAMPLE_S", 0.05)
     monkeypatch.setattr(bench[2], "poll", lambda _: [])
-    checks = device_checks(*bench, WallClock(), enable_drives=True)
+    checks = device_checks(*of(bench), WallClock(), enable_drives=True)
     assert checks[2].passed is False
     assert checks[2].value == "vmu: no pose"
 

@@ -1,4 +1,4 @@
-"""Turntable of three CiA 402 drives on one CAN bus, cyclic synchronous position mode."""
+"""Turntable of up to three CiA 402 drives on one CAN bus, cyclic synchronous position mode."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.rig import GIMBAL_NAMES, Cia402, Turntable
+from hil.config.rig import Cia402, GimbalAxis, RotaryAxes
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import full_names
@@ -29,26 +29,27 @@ _CONTROL_EVERY: Final = 5  # exchanges: the controlword is repeated, in case a f
 
 
 class Cia402Link:
-    """The bus and its three nodes. A cycle is three setpoint PDOs and a SYNC; three feedback PDOs respond.
+    """The bus and its nodes. A cycle is a setpoint PDO each and a SYNC; a feedback PDO of each responds.
 
     Feedback is stamped with the bench time of the SYNC, when the drives sample. Raises BadInput if
     the drives' EDS lacks objects that the driver needs.
     """
 
-    def __init__(self, device: str, config: Turntable, wire: Cia402, clock: BenchClock) -> None:
+    def __init__(self, device: str, config: RotaryAxes, wire: Cia402, clock: BenchClock) -> None:
         self.device = device
-        self.axis_names = full_names(device, GIMBAL_NAMES)
+        self.axis_names = full_names(device, config.axis_names)
         self._wire = wire
         self._timeout_s = config.timeout_s
         self._clock = clock
         self._scale = wire.counts_per_turn
-        axes = [getattr(config, name) for name in GIMBAL_NAMES]
+        axes: list[GimbalAxis] = [getattr(config, name) for name in config.axis_names]
+        ids = [wire.node_ids[axis] for axis in config.axis_numbers]
         self._eds = Eds.of(wire, homing=any(axis.encoder == "incremental" for axis in axes))
         self.has_profiles = self._eds.has_profiles
         self.jogging = False
         self._nodes = [
             Node(name, node_id, config, axis, wire, clock)
-            for name, node_id, axis in zip(self.axis_names, wire.node_ids, axes, strict=True)
+            for name, node_id, axis in zip(self.axis_names, ids, axes, strict=True)
         ]
         self._handlers = {
             base + node.node_id: handler
@@ -124,7 +125,7 @@ class Cia402Link:
                 self._slow_steps.append(node.begin_homing)
 
     def move_to(self, position: Array, rate: Array) -> None:
-        """Start profiled moves to position (3,), rad, at most at rate (3,), rad/s."""
+        """Start profiled moves to position (n,), rad, at most at rate (n,), rad/s."""
         self._passive = True
         for node, angle, speed in zip(self._nodes, position, rate, strict=True):
             goal = codec.counts_from_rad(angle, self._scale), codec.counts_from_rad(speed, self._scale)
@@ -217,14 +218,13 @@ class Cia402Link:
         return all(node.answered for node in self._nodes)
 
     def _feedback(self, sampled_s: float) -> AxisFeedback:
-        roll, pitch, yaw = self._nodes
         turn = codec.rad_from_counts(1, self._scale)
         return AxisFeedback(
             sampled_s,
             np.array([node.position for node in self._nodes]) * turn,
             np.array([node.velocity for node in self._nodes]) * turn,
-            (roll.homing, pitch.homing, yaw.homing),
-            (roll.limit, pitch.limit, yaw.limit),
+            tuple(node.homing for node in self._nodes),
+            tuple(node.limit for node in self._nodes),
         )
 
     def _handle(self, identifier: int, data: bytes) -> None:
@@ -246,7 +246,7 @@ class Cia402Link:
 class Cia402Turntable(CyclicAxisGroup):
     """Turntable on CAN; ``config.cia402`` names interface, channel, nodes, counts per turn and EDS. Raises BadInput."""
 
-    def __init__(self, config: Turntable, clock: BenchClock, name: str = "turntable") -> None:
+    def __init__(self, config: RotaryAxes, clock: BenchClock, name: str = "turntable") -> None:
         if config.cia402 is None or config.cia402.channel is None:
             raise BadInput.single("rig", "turntable.cia402.channel", "is missing: the wire to the device")
         super().__init__(config, clock, Cia402Link(name, config, config.cia402, clock), name)

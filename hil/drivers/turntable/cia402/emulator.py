@@ -1,10 +1,10 @@
-"""Emulator of three CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
+"""Emulator of up to three CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
 
 from __future__ import annotations
 
 import threading
 
-from hil.config.rig import GIMBAL_NAMES, Turntable
+from hil.config.rig import RotaryAxes
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes, ReadChain
@@ -78,11 +78,11 @@ class _Axis:
 
 
 class Cia402Emulator:
-    """Drives of roll, pitch, yaw on ``config.cia402.node_ids``."""
+    """Drives of the axes on ``config.cia402.node_ids``."""
 
     def __init__(
         self,
-        config: Turntable,
+        config: RotaryAxes,
         clock: BenchClock,
         shared: SharedAxisState,
         chain: ReadChain | None = None,
@@ -96,9 +96,9 @@ class Cia402Emulator:
         self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self.gimbals.faults
         self.drives = []
-        for index, node_id in enumerate(config.cia402.node_ids):
+        for index, number in enumerate(config.axis_numbers):
             axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)
-            self.drives.append(EmulatedCia402Drive(node_id, axis, WATCHDOG_S))
+            self.drives.append(EmulatedCia402Drive(config.cia402.node_ids[number], axis, WATCHDOG_S))
         self._wire_noise = stream(seed, "wire")
         self._station: Station | None = None
 
@@ -134,7 +134,7 @@ class Cia402Emulator:
 
     def _housekeep(self, now_s: float) -> list[Frame]:
         frames: list[Frame] = []
-        for axis, (name, drive) in enumerate(zip(GIMBAL_NAMES, self.drives, strict=True)):
+        for axis, (name, drive) in enumerate(zip(self.gimbals.names, self.drives, strict=True)):
             code = self.faults.pop("drive_fault", name)
             if code is not None:
                 frames += drive.fail(round(code) or codec.OVER_CURRENT)

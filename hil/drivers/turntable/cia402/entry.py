@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.driver_registry import DriverEntry, WireKey
-from hil.config.rig import GIMBAL_NAMES, Cia402, Turntable
+from hil.config.rig import Cia402, RotaryAxes
 
 _PDO_BITS: Final = 111  # of a data frame of 8 bytes with the space after it, without stuff bits (ISO 11898-1)
 _SYNC_BITS: Final = 47  # of one without data
@@ -13,26 +13,26 @@ _ADAPTER_BYTES: Final = {"serial": (19, 11), "slcan": (22, 6)}  # of both on the
 _BITS_PER_BYTE: Final = 10
 
 
-def _check_files(turntable: Turntable) -> list[str]:
+def _check_files(turntable: RotaryAxes) -> list[str]:
     from hil.drivers.turntable.cia402.eds import Eds  # on use: importing canopen is slow
 
     if turntable.cia402 is not None:
-        Eds.of(turntable.cia402, homing=any(getattr(turntable, name).encoder == "incremental" for name in GIMBAL_NAMES))
+        Eds.of(turntable.cia402, homing=any(axis.encoder == "incremental" for axis in turntable.axes))
     return []
 
 
-def _setpoints_hz(turntable: Turntable) -> float:
-    """Three setpoints and SYNC, three replies: on the bus in turn, on a serial adapter one direction each."""
+def _setpoints_hz(turntable: RotaryAxes) -> float:
+    """A setpoint per axis and SYNC, as many replies: on the bus in turn, on a serial adapter one direction each."""
     can = turntable.cia402 or Cia402()
-    bus_bits = 2 * len(GIMBAL_NAMES) * _PDO_BITS + _SYNC_BITS
+    bus_bits = 2 * len(turntable.axes) * _PDO_BITS + _SYNC_BITS
     hz = can.bitrate / bus_bits
     if can.interface in _ADAPTER_BYTES:
         pdo, sync = _ADAPTER_BYTES[can.interface]
-        hz = min(hz, can.baud / (_BITS_PER_BYTE * (len(GIMBAL_NAMES) * pdo + sync)))
+        hz = min(hz, can.baud / (_BITS_PER_BYTE * (len(turntable.axes) * pdo + sync)))
     return hz
 
 
-def _identity(turntable: Turntable) -> dict[str, str]:
+def _identity(turntable: RotaryAxes) -> dict[str, str]:
     if (can := turntable.cia402) is None:
         return {}
     numbers = {"vendor": can.vendor_id, "product": can.product_code, "revision from": can.revision_min}
@@ -48,6 +48,7 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("cia402.channel", "can")],
     check_files=_check_files,
     identity=_identity,
+    any_axes=True,
     setpoints_hz=_setpoints_hz,
     keeps_bench_time=lambda table: bool(table.cia402.interface == "serial"),
 )

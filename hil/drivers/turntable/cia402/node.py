@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.config.rig import Cia402, GimbalAxis, Turntable
+from hil.config.rig import Cia402, GimbalAxis, RotaryAxes
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
@@ -27,7 +27,7 @@ class Node:
     """
 
     def __init__(
-        self, name: str, node_id: int, config: Turntable, axis: GimbalAxis, wire: Cia402, clock: BenchClock
+        self, name: str, node_id: int, config: RotaryAxes, axis: GimbalAxis, wire: Cia402, clock: BenchClock
     ) -> None:
         self.name = name
         self.node_id = node_id

@@ -1,0 +1,127 @@
+"""One axis group on several controllers: its parts, each with a driver of its own, as one AxisGroup."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hil.core.clock import BenchClock, Order
+from hil.core.messages import Array, AxisFeedback, Homing
+from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks
+from hil.errors import BenchError
+
+
+@dataclass(frozen=True)
+class AxisPart:
+    """A part of a group. numbers: of its axes among those of the group."""
+
+    axes: AxisGroup
+    numbers: list[int]
+
+
+class SplitAxes:
+    """AxisGroup of ``parts``; feedback is as old as that of the oldest part, and the failure of one stops all.
+
+    axis_names: full names of all axes.
+    """
+
+    def __init__(self, name: str, axis_names: tuple[str, ...], parts: Sequence[AxisPart], clock: BenchClock) -> None:
+        self.name = name
+        self.axis_names = axis_names
+        self._parts = tuple(parts)
+        self._clock = clock
+
+    def open(self, now_s: float) -> None:
+        """Open the parts one after the other; if one fails, those before are closed. Raises DeviceError."""
+        try:
+            for part in self._parts:
+                part.axes.open(self._clock.now_s())
+        except BenchError:
+            self.close()
+            raise
+
+    def home(self, now_s: float) -> None:
+        """Start homing of each axis that is not homed."""
+        for part in self._parts:
+            part.axes.home(now_s)
+
+    def set_jogging(self, on: bool) -> None:
+        """While on, accept setpoints for axes that are not homed, and do not limit them to the travel."""
+        for part in self._parts:
+            if isinstance(part.axes, Jogs):
+                part.axes.set_jogging(on)
+
+    def set_limits(self, rate: Array, acceleration: Array) -> None:
+        """Set the limits (n,) within which the axes catch up after a gap in the setpoints."""
+        for part in self._parts:
+            if isinstance(part.axes, LimitsSetpoints):
+                part.axes.set_limits(rate[part.numbers], acceleration[part.numbers])
+
+    def send(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Send each part its setpoint; return the accepted position (n,)."""
+        accepted = np.empty(len(self.axis_names))
+        try:
+            for part in self._parts:
+                accepted[part.numbers] = part.axes.send(position[part.numbers], rate[part.numbers], now_s)
+        except BenchError:
+            self.stop(now_s)
+            raise
+        return accepted
+
+    def read(self, now_s: float) -> AxisFeedback:
+        """Return the newest feedback of all parts, with the time of the oldest."""
+        n = len(self.axis_names)
+        position, rate = np.empty(n), np.empty(n)
+        homing, limit, sampled_s = [Homing.DONE] * n, [0] * n, now_s
+        try:
+            for part in self._parts:
+                found = part.axes.read(now_s)
+                sampled_s = min(sampled_s, found.t_s)
+                position[part.numbers], rate[part.numbers] = found.position, found.rate
+                for axis, state, switch in zip(part.numbers, found.homing, found.limit, strict=True):
+                    homing[axis], limit[axis] = state, switch
+        except BenchError:
+            self.stop(now_s)
+            raise
+        return AxisFeedback(sampled_s, position, rate, tuple(homing), tuple(limit))
+
+    def stop(self, now_s: float) -> None:
+        """Stop all parts, each in a thread: a dead controller must not delay the stop of the others."""
+        first, *others = self._parts
+        for part in others:
+            self._clock.start_thread(partial(part.axes.stop, now_s), "stop", Order.REQUESTS)
+        first.axes.stop(now_s)
+
+    def disable(self, now_s: float) -> None:
+        """Switch the torque of all parts off."""
+        for part in self._parts:
+            part.axes.disable(now_s)
+
+    def close(self) -> None:
+        """Close all parts."""
+        for part in self._parts:
+            part.axes.close()
+
+    def counters(self) -> dict[str, int]:
+        """Return the sums of the parts' counters since ``open``."""
+        total: Counter[str] = Counter()
+        for part in self._parts:
+            count = getattr(part.axes, "counters", None)
+            total.update(count() if count is not None else {})
+        return dict(total)
+
+
+class SplitParkingAxes(SplitAxes):
+    """Parts that all have profiled moves."""
+
+    def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
+        """Move to ``position`` (n,) at most at ``rate`` (n,) and hold there; return the accepted goal."""
+        goal = np.empty(len(self.axis_names))
+        for part in self._parts:
+            assert isinstance(part.axes, Parks)
+            goal[part.numbers] = part.axes.move_to(position[part.numbers], rate[part.numbers], now_s)
+        return goal

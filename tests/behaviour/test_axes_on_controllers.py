@@ -1,0 +1,191 @@
+"""Axes on controllers of their own, and further axes: configuration, emulated drives, a run in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.config.load import load_rig
+from hil.config.motion_digest import motion_digest
+from hil.config.rig import Rails, Rig
+from hil.core.messages import Homing
+from hil.drivers.factory import make_axes
+from hil.drivers.shared_state import SharedAxisState
+from hil.errors import BadInput, DeviceError, SafetyTrip
+from hil.loop.target_stage import AxesTogether, HeldAxes
+from hil.session.build import runner as make_runner
+from tests.support.lock_step import in_lock_step, serving
+from tests.support.run_settings import make_job
+
+CONTROLLER = """
+[[rails.controllers]]
+axes = ["x"]
+driver = "modbus_rtu"
+"""
+LAMP = """
+[linear_axes.lamp]
+driver = "{driver}"
+servo = {{ gain_per_s = 30.0, lag_s = 0.006 }}
+place_m = [0.4]
+x = {{ travel_m = [0.0, 2.0], rate_max_mps = 1.0, acceleration_max_mps2 = 2.0, encoder = "incremental", home_m = 0.1 }}
+"""
+SUN = """
+[rotary_axes.sun]
+driver = "mock"
+servo = { gain_per_s = 30.0, lag_s = 0.006 }
+place_deg = [3.0, 40.0]
+roll = { travel_deg = [-10.0, 10.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }
+yaw = { travel_deg = [-90.0, 90.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }
+"""
+
+
+def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
+    file = folder / "rig.toml"
+    file.write_text(f'extends = "{base}"\nname = "own"\n{text}')
+    return load_rig(str(file))
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (CONTROLLER.replace('"x"', '"w"'), r'controllers: axis "w", allowed: x, y, z'),
+        (CONTROLLER + CONTROLLER, r"controllers: an axis is driven twice, allowed: each axis by one controller"),
+        (
+            CONTROLLER.replace('"x"', '"x", "y"') + CONTROLLER.replace('"x"', '"z"'),
+            r"controllers: drive all axes, allowed: all but one, which driver drives",
+        ),
+        (
+            '[[turntable.controllers]]\naxes = ["yaw"]\ndriver = "ascii"\n',
+            r'controllers\.0\.driver "ascii": drives three axes only, here yaw',
+        ),
+        (CONTROLLER.replace("modbus_rtu", "mock"), r'rails\.controllers\.0\.driver = "mock" does not go with kind'),
+        (LAMP.format(driver="modbus").replace("[0.4]", "[2.5]"), r"place_m: x 2\.5, allowed 0 to 2"),
+        (LAMP.format(driver="modbus").replace("[0.4]", "[0.4, 0.5]"), r"place_m \[0\.4, 0\.5\]: one for each of x"),
+        (LAMP.format(driver="modbus").replace(".lamp", ".io"), r"linear_axes\.io: the name of another device"),
+    ],
+)
+def test_what_cannot_be_driven_is_one_line(tmp_path: Path, text: str, line: str) -> None:
+    with pytest.raises(BadInput, match=line) as caught:
+        rig_of(tmp_path, text)
+    assert len(caught.value.problems) == 1, caught.value
+
+
+def test_hardware_names_the_wire_of_each_controller_and_further_axis(tmp_path: Path) -> None:
+    rig: Rig = rig_of(tmp_path, CONTROLLER + LAMP.format(driver="modbus")).value
+    missing = rig.missing_wires()
+    assert "rails.controllers.0.rtu.port" in missing
+    assert "linear_axes.lamp.modbus.x.port" in missing
+    assert "rails.modbus.x.port" not in missing
+    assert "linear_axes.lamp.modbus.y.port" not in missing
+
+
+def test_sign_off_covers_controllers_and_further_axes_and_stays_valid_without_any(tmp_path: Path) -> None:
+    digests = [motion_digest(rig_of(tmp_path, text).value) for text in ("", CONTROLLER, LAMP.format(driver="modbus"))]
+    assert len(set(digests)) == 3
+    dumped = load_rig("emulated").value.model_dump(mode="json")
+    assert {"linear_axes", "rotary_axes"} <= set(dumped)
+    assert digests[0] == motion_digest(load_rig("emulated").value)
+
+
+@contextmanager
+def split_rails() -> Iterator[tuple[Any, Any, list[Any]]]:
+    """Give clock, rails whose x is on a serial line, and the emulators of both controllers."""
+    table = load_rig("emulated").value.rails
+    controllers = {"controllers": [{"axes": ["x"], "driver": "modbus_rtu"}]}
+    config = Rails.model_validate(table.model_dump(mode="json") | controllers, strict=False)
+    with in_lock_step() as clock, closing(SharedAxisState.create()) as board, ExitStack() as served:
+        emulators = [part.make_emulator(clock, board, name=name) for name, part in config.parts("rails").items()]
+        addresses = [address for emulator in emulators for address in emulator.start().items()]
+        for emulator in emulators:
+            served.enter_context(serving(clock, emulator))
+        with closing(make_axes(config.connected("rails", dict(addresses)), clock, "rails")) as rails:
+            rails.open(clock.now_s())
+            yield clock, (rails, board), emulators
+
+
+@pytest.mark.wires
+def test_cameras_see_all_axes_of_a_group_on_two_controllers() -> None:
+    with split_rails() as (clock, (rails, board), _):
+        goal = rails.read(clock.now_s()).position + np.array([-0.02, 0.03, 0.01])
+        for _ in range(150):
+            rails.send(goal, np.zeros(3), clock.now_s())
+            clock.sleep(0.02)
+        assert rails.read(clock.now_s()).position == pytest.approx(goal, abs=1e-4)
+        assert board.read("rails", clock.now_s())[0] == pytest.approx(goal, abs=1e-4)
+
+
+@pytest.mark.wires
+@pytest.mark.parametrize("dead", [0, 1])
+def test_silence_of_one_controller_stops_the_axes_of_the_other(dead: int) -> None:
+    with split_rails() as (clock, (rails, _), emulators):
+        start = rails.read(clock.now_s()).position
+        error = None
+        for k in range(150):
+            if k == 10:
+                emulators[dead].faults.on("drop", value=1.0)
+            try:
+                rails.read(clock.now_s())
+                rails.send(start + 0.05 * 0.02 * k * np.array([-1.0, 1.0, 1.0]), np.zeros(3), clock.now_s())
+            except DeviceError as caught:
+                error = caught
+                break
+            clock.sleep(0.02)
+        assert error is not None
+        assert error.device.startswith("rails.x") == (dead == 1)
+        clock.sleep(0.3)
+        others = emulators[1 - dead]._rails._axes
+        assert np.abs(others.rate).max() < 1e-3
+        assert all(others._braking)
+
+
+def test_further_axes_are_homed_placed_held_and_reported(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, LAMP.format(driver="mock") + SUN, "mock")
+    with make_runner(replace(make_job(0.4), rig=rig)) as runner:
+        outcome = runner.run()
+        lamp, sun = (group.axes for group in runner.loop.target.groups)
+    assert lamp._axes.position == pytest.approx([0.4], abs=1e-3)
+    assert lamp._homing == (Homing.DONE,)
+    assert sun._axes.position == pytest.approx(np.radians([3.0, 40.0]), abs=1e-3)
+    found = runner.meters["held_axes"]()
+    assert set(found) == {"lamp", "sun"}
+    assert 0.0 <= found["lamp"]["x_m"] < 0.005
+    assert 0.0 <= found["sun"]["yaw_deg"] < 0.5
+    assert outcome.stop == "completed"
+
+
+@pytest.mark.wires
+@pytest.mark.slow
+def test_run_on_wires_homes_places_and_holds_all_axes(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, CONTROLLER + LAMP.format(driver="modbus") + '[host]\ntime = "lock_step"\n')
+    with make_runner(replace(make_job(1.0), rig=rig)) as runner:
+        outcome = runner.run()
+        assert outcome.stop == "completed"
+        assert runner.meters["held_axes"]()["lamp"]["x_m"] < 0.001
+        error_m = outcome.history["feedback"]["rail_m"][1:] - outcome.history["setpoint"]["rail_m"][:-1]
+        assert np.abs(error_m).max() < 0.002
+
+
+def test_further_axis_that_leaves_its_place_trips_by_its_name() -> None:
+    class Axes:
+        axis_names = ("sun.roll", "sun.yaw")
+        name = "sun"
+
+        def read(self, now_s: float) -> Any:
+            return type("Feedback", (), {"position": np.radians([3.0, 41.0])})
+
+    file = load_rig("mock").value.model_dump(mode="json", exclude_none=True)
+    gimbal = {"travel_deg": (-90.0, 90.0), "rate_max_degps": 10.0, "acceleration_max_degps2": 10.0}
+    file["rotary_axes"] = {
+        "sun": {"driver": "mock", "servo": {"gain_per_s": 30.0, "lag_s": 0.01}, "place_deg": (3.0, 40.0)}
+        | {"roll": gimbal, "yaw": gimbal}
+    }
+    table = Rig.model_validate(file, strict=False).rotary_axes["sun"]
+    together = AxesTogether([HeldAxes(Axes(), table)])  # type: ignore[arg-type]
+    with pytest.raises(SafetyTrip, match=r"sun\.yaw: distance from commanded place 1\.0000 deg, allowed 0\.5 deg"):
+        together.check(0.0)
