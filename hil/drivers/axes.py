@@ -25,7 +25,7 @@ class ServoAxes:
     """
 
     def __init__(self, config: AxisGroupTable, record: np.record | None = None) -> None:
-        table = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
+        table = np.array([axis.limits for axis in config.axes])
         self.record: np.record = new(SERVO) if record is None else record
         for name, column in zip(_FROM_CONFIG, table.T, strict=True):
             self.record[name] = column
@@ -82,7 +82,7 @@ class MechanicalAxes(ServoAxes):
         resonance = 2.0 * np.pi * mechanics.resonance_hz
         state.velocity_gain = gain
         state.coulomb, state.breakaway = mechanics.si("friction_coulomb"), mechanics.si("friction_breakaway")
-        state.stribeck, state.viscous = mechanics.stribeck, mechanics.viscous
+        state.stribeck, state.viscous = mechanics.si("friction_stribeck"), mechanics.viscous
         state.presliding, state.gap = mechanics.si("presliding"), mechanics.si("backlash")
         state.stiffness = load * resonance * resonance
         state.damping = 2.0 * mechanics.damping_ratio * load * resonance

@@ -64,12 +64,12 @@ class EmulatedAxes:
         self.overdue = [False, False, False]
         self.astray = [False, False, False]
         self.torque_off = False
-        scale, axes = config.si_per_unit, config.axes
-        self.window = [scale * config.drive_following_error_max] * 3
+        axes = config.axes
+        self.window = [config.si("drive_following_error_max")] * 3
         self.window_s = [config.drive_following_error_s] * 3
         self._speed = [0.0, 0.0, 0.0]  # in the step before
         self._within_s = [-math.inf, -math.inf, -math.inf]  # bench time at which it was last within the window
-        self._unit = scale
+        self._unit = config.si_per_unit
         self._axes = axes_of(config)
         mechanics = config.emulated_mechanics
         self._delay_s = 0.0 if mechanics is None else mechanics.loop_delay_s
@@ -85,11 +85,11 @@ class EmulatedAxes:
         self._enabled = [False, False, False]
         self._current_until_s = [-math.inf, -math.inf, -math.inf]  # of a disabled drive, until its brake has closed
         self._runaway: list[float | None] = [None, None, None]
-        self._sigma = scale * config.encoder_sigma
+        self._sigma = config.si("encoder_sigma")
         self._noise = stream(seed, "encoders")
         self._absolute = [axis.encoder == "absolute" for axis in axes]
-        self._home = np.array([scale * axis.home for axis in axes])
-        self._homing_rate = np.array([scale * axis.homing_rate for axis in axes])
+        self._home = np.array([axis.si("home") for axis in axes])
+        self._homing_rate = np.array([axis.si("homing_rate") for axis in axes])
         self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)
