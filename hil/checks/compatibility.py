@@ -182,9 +182,9 @@ def _jerk_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem
     value = rig.value
     period_s = scenario.value.step_s / value.ticks(scenario.value.step_s)
     problems = []
-    for device, table, unit in (("rails", value.rails, "mps3"), ("turntable", value.turntable, "degps3")):
+    for device, table in (("rails", value.rails), ("turntable", value.turntable)):
         for name, axis in zip(table.axis_names, table.axes, strict=True):
-            key, jerk = f"{device}.{name}.jerk_max_{unit}", getattr(axis, f"jerk_max_{unit}")
+            key, jerk = f"{device}.{name}.{axis.key_of('jerk_max')}", axis.in_file("jerk_max")
             if jerk is not None and axis.averaging_s > SETPOINTS_KEPT * period_s:
                 least = jerk * axis.averaging_s / (SETPOINTS_KEPT * period_s)
                 text = f"{jerk:g}: allowed from {least:.3g} at {1.0 / period_s:g} setpoints per second"

@@ -44,7 +44,7 @@ class CameraOptions:
     """Options of a camera."""
 
     interface: str = "genicam"
-    """genicam (GigE Vision, USB3 Vision), pylon, gentl or v4l2."""
+    """genicam (GigE Vision, USB3 Vision), gentl or v4l2."""
     width: Pixels = None
     """Image width, px; default: 1024."""
     height: Pixels = None

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, NotNegative, Positive
 
-CameraInterface = Literal["genicam", "pylon", "gentl", "v4l2"]
+CameraInterface = Literal["genicam", "gentl", "v4l2"]
 PixelFormat = Literal["Mono8", "Mono10", "Mono12", "Mono16"]
 
 
@@ -16,7 +16,7 @@ class CameraSettings(ConfigModel):
     """Interface, trigger and exposure of a camera."""
 
     interface: CameraInterface = "genicam"
-    """GenICam cameras (GigE Vision, USB3 Vision) by Aravis, by pylon, or by the GenTL producers in the folders of
+    """GenICam cameras (GigE Vision, USB3 Vision) by Aravis, or by the GenTL producers in the folders of
     `GENICAM_GENTL64_PATH`; or V4L2 devices by OpenCV."""
     trigger: Literal["software", "hardware", "none"] = "software"
     """Exposures by commands of this host, by a signal at `trigger_source`, or by the cameras' own rate."""

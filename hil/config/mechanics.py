@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Final, Self
+from typing import Annotated, ClassVar, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -18,8 +18,7 @@ Frequency = Annotated[float, Field(ge=0.0, le=_HIGHEST_HZ)]
 class DriveMechanics(ConfigModel):
     """Effects of the mechanics of three emulated axes, each switched off by 0."""
 
-    length: ClassVar[str]  # suffixes of the keys
-    force: ClassVar[str]
+    force: ClassVar[str]  # unit of the keys
     si_per_length: ClassVar[float]
 
     enabled: bool = True
@@ -43,15 +42,9 @@ class DriveMechanics(ConfigModel):
         raise NotImplementedError
 
     def si(self, key: str) -> float:
-        """Return the length or force ``key``, named without its unit, in SI units; forces divided by ``mass``."""
-        if hasattr(self, f"{key}_{self.force}"):
-            return float(getattr(self, f"{key}_{self.force}")) / self.mass
-        return float(getattr(self, f"{key}_{self.length}")) * self.si_per_length
-
-    @property
-    def stribeck(self) -> float:
-        """Stribeck speed, m/s or rad/s."""
-        raise NotImplementedError
+        """Return ``key``, named without its unit, in SI units; forces divided by ``mass``."""
+        value: float = super().si(key)
+        return value / self.mass if self.key_of(key).endswith(f"_{self.force}") else value
 
     @property
     def viscous(self) -> float:
@@ -63,26 +56,22 @@ class DriveMechanics(ConfigModel):
         breakaway = self.si("friction_breakaway")
         if breakaway < self.si("friction_coulomb"):
             raise ValueError(
-                f"friction_breakaway_{self.force} {self._file('friction_breakaway', self.force):g}: allowed from "
-                f"friction_coulomb_{self.force} {self._file('friction_coulomb', self.force):g}"
+                f"friction_breakaway_{self.force} {self.in_file('friction_breakaway'):g}: allowed from "
+                f"friction_coulomb_{self.force} {self.in_file('friction_coulomb'):g}"
             )
         load = self.load_ratio / (1.0 + self.load_ratio) if self.resonance_hz else 1.0
         least = breakaway / load / (math.tau * _HIGHEST_HZ) ** 2
         if self.si("presliding") < least:
             raise ValueError(
-                f"presliding_{self.length} {self._file('presliding', self.length):g}: allowed from "
+                f"{self.key_of('presliding')} {self.in_file('presliding'):g}: allowed from "
                 f"{least / self.si_per_length:.3g} with this friction: else it is stiffer than {_HIGHEST_HZ:g} Hz"
             )
         return self
-
-    def _file(self, key: str, unit: str) -> Any:
-        return getattr(self, f"{key}_{unit}")
 
 
 class RailMechanics(DriveMechanics):
     """Mechanics of the emulated rails."""
 
-    length: ClassVar = "m"
     force: ClassVar = "n"
     si_per_length: ClassVar = 1.0
 
@@ -112,10 +101,6 @@ class RailMechanics(DriveMechanics):
         return self.mass_kg
 
     @property
-    def stribeck(self) -> float:
-        return self.friction_stribeck_mps
-
-    @property
     def viscous(self) -> float:
         return self.friction_viscous_n_per_mps / self.mass
 
@@ -123,7 +108,6 @@ class RailMechanics(DriveMechanics):
 class GimbalMechanics(DriveMechanics):
     """Mechanics of the emulated turntable."""
 
-    length: ClassVar = "deg"
     force: ClassVar = "nm"
     si_per_length: ClassVar = math.pi / 180.0
 
@@ -151,10 +135,6 @@ class GimbalMechanics(DriveMechanics):
     @property
     def mass(self) -> float:
         return self.inertia_kg_m2
-
-    @property
-    def stribeck(self) -> float:
-        return self.friction_stribeck_degps * self.si_per_length
 
     @property
     def viscous(self) -> float:

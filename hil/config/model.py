@@ -7,9 +7,12 @@ errors. Angles are in degrees; ``hil.params`` converts them to radians.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator
+
+from hil.config.units import si_factor, split
 
 SMALLEST: Final = 1e-50
 LARGEST: Final = 1e9
@@ -59,11 +62,31 @@ class ConfigModel(BaseModel):
     # a table is built with the file that holds it, not at import: most are parts of others
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True, defer_build=True)
 
+    @classmethod
+    def key_of(cls, stem: str) -> str:
+        """Return the key that is ``stem`` with a unit at its end."""
+        return _key_of(cls, stem)
+
+    def in_file(self, stem: str) -> Any:
+        """Return the value of ``key_of(stem)`` as the file has it."""
+        return getattr(self, _key_of(type(self), stem))
+
+    def si(self, stem: str) -> Any:
+        """Return the number, or the numbers, of ``key_of(stem)`` in SI units, angles in radians."""
+        value, factor = self.in_file(stem), si_factor(_key_of(type(self), stem))
+        return tuple(factor * each for each in value) if isinstance(value, tuple) else factor * value
+
     @field_validator("*")
     @classmethod
     def _numbers_are_in_range(cls, value: Any) -> Any:
         _check_magnitudes(value)
         return value
+
+
+@cache
+def _key_of(model: type[ConfigModel], stem: str) -> str:
+    (key,) = (name for name in model.model_fields if split(name)[0] == stem)
+    return key
 
 
 def _check_magnitudes(value: Any) -> None:

@@ -105,8 +105,11 @@ class Brake(ConfigModel):
     """Time from the command until the axis is free."""
 
 
-class LoadedAxis(ConfigModel):
-    """Keys of an axis that gravity may move when it has no torque."""
+class BenchAxis(ConfigModel):
+    """Keys of a rail and of a gimbal alike. An axis with an incremental encoder must be homed after power-up.
+
+    Travel, limits and positions are in metres or degrees, by the keys of the subclass.
+    """
 
     gravity_loaded: bool = False
     """The axis falls to the low end of its travel when it has neither torque nor a closed brake."""
@@ -114,15 +117,48 @@ class LoadedAxis(ConfigModel):
     """A counterweight holds a gravity-loaded axis."""
     brake: Brake | None = None
     """Holding brake; hardware rejects a gravity-loaded axis that has neither brake nor counterweight."""
+    encoder: Encoder = "absolute"
+    """"incremental": must be homed after power-up of its drive."""
+    lead_s: Lead = 0.0
+    """Time by which setpoints are advanced, measured by `hil identify`; negative for an axis that leads."""
 
     @property
     def falls(self) -> bool:
         """Whether gravity moves the axis when it has neither torque nor a closed brake."""
         return self.gravity_loaded and not self.counterweight
 
+    @property
+    def limits(self) -> tuple[float, float, float, float, float]:
+        """Low and high end of the travel, highest rate, highest acceleration, park position, in SI units."""
+        return *self.si("travel"), self.si("rate_max"), self.si("acceleration_max"), self.si("park")
 
-class RailAxis(LoadedAxis):
-    """One rail. An axis with an incremental encoder must be homed after power-up."""
+    @property
+    def averaging_s(self) -> float:
+        """Time over which setpoints are averaged for the limit of their jerk, s; 0 without one."""
+        jerk = self.in_file("jerk_max")
+        return 0.0 if jerk is None else float(2.0 * self.in_file("acceleration_max") / jerk)
+
+    @model_validator(mode="after")
+    def _park_is_on_the_travel(self) -> Self:
+        low, high = self.in_file("travel")
+        if not low < high:
+            raise ValueError(f"{self.key_of('travel')} must rise from low to high")
+        if not low <= self.in_file("park") <= high:
+            raise ValueError(f"{self.key_of('park')} must lie within {self.key_of('travel')}")
+        return self
+
+    @model_validator(mode="after")
+    def _jerk_delays_a_move_little(self) -> Self:
+        """Require that a limit of the jerk delays the end of a move by at most ``AVERAGING_MAX_S``."""
+        jerk, least = self.in_file("jerk_max"), 2.0 * self.in_file("acceleration_max") / AVERAGING_MAX_S
+        if jerk is not None and jerk < least:
+            key = self.key_of("jerk_max")
+            raise ValueError(f"{key} {jerk:g}: allowed from {least:g}, twice the acceleration limit per second")
+        return self
+
+
+class RailAxis(BenchAxis):
+    """One rail."""
 
     travel_m: tuple[float, float]
     """Low and high end, inside the limit switches."""
@@ -134,42 +170,14 @@ class RailAxis(LoadedAxis):
     """Limit of the jerk of setpoints, at least twice the acceleration limit per second; unless set, off."""
     park_m: float = 0.0
     """Park position."""
-    encoder: Encoder = "absolute"
-    """"incremental": must be homed after power-up of its drive."""
     home_m: float = 0.0
     """Position of the home switch."""
     homing_rate_mps: Positive = 0.05
     """Speed of the search for it."""
-    lead_s: Lead = 0.0
-    """Time by which setpoints are advanced, measured by `hil identify`; negative for an axis that leads."""
-
-    @property
-    def limits(self) -> tuple[float, float, float, float, float]:
-        """Low and high end of the travel, highest rate, highest acceleration, park position."""
-        return *self.travel_m, self.rate_max_mps, self.acceleration_max_mps2, self.park_m
-
-    @property
-    def home(self) -> float:
-        return self.home_m
-
-    @property
-    def homing_rate(self) -> float:
-        return self.homing_rate_mps
-
-    @property
-    def averaging_s(self) -> float:
-        """Time over which setpoints are averaged for the limit of their jerk, s; 0 without one."""
-        return 0.0 if self.jerk_max_mps3 is None else 2.0 * self.acceleration_max_mps2 / self.jerk_max_mps3
-
-    @model_validator(mode="after")
-    def _park_is_on_the_rail(self) -> Self:
-        _check_travel("travel_m", self.travel_m, "park_m", self.park_m)
-        _check_jerk("jerk_max_mps3", self.jerk_max_mps3, self.acceleration_max_mps2)
-        return self
 
 
-class GimbalAxis(LoadedAxis):
-    """One axis of the turntable. An axis with an incremental encoder must be homed after power-up."""
+class GimbalAxis(BenchAxis):
+    """One axis of the turntable."""
 
     travel_deg: tuple[float, float]
     """Low and high end, inside the limit switches."""
@@ -181,52 +189,10 @@ class GimbalAxis(LoadedAxis):
     """Limit of the jerk of setpoints, at least twice the acceleration limit per second; unless set, off."""
     park_deg: float = 0.0
     """Park position."""
-    encoder: Encoder = "absolute"
-    """"incremental": must be homed after power-up of its drive."""
     home_deg: float = 0.0
     """Position of the home switch."""
     homing_rate_degps: Positive = 5.0
     """Rate of the search for it."""
-    lead_s: Lead = 0.0
-    """Time by which setpoints are advanced, measured by `hil identify`; negative for an axis that leads."""
-
-    @property
-    def limits(self) -> tuple[float, float, float, float, float]:
-        """Low and high end of the travel, highest rate, highest acceleration, park position."""
-        return *self.travel_deg, self.rate_max_degps, self.acceleration_max_degps2, self.park_deg
-
-    @property
-    def home(self) -> float:
-        return self.home_deg
-
-    @property
-    def homing_rate(self) -> float:
-        return self.homing_rate_degps
-
-    @property
-    def averaging_s(self) -> float:
-        """Time over which setpoints are averaged for the limit of their jerk, s; 0 without one."""
-        return 0.0 if self.jerk_max_degps3 is None else 2.0 * self.acceleration_max_degps2 / self.jerk_max_degps3
-
-    @model_validator(mode="after")
-    def _park_is_in_range(self) -> Self:
-        _check_travel("travel_deg", self.travel_deg, "park_deg", self.park_deg)
-        _check_jerk("jerk_max_degps3", self.jerk_max_degps3, self.acceleration_max_degps2)
-        return self
-
-
-def _check_travel(travel_key: str, travel: tuple[float, float], park_key: str, park: float) -> None:
-    if not travel[0] < travel[1]:
-        raise ValueError(f"{travel_key} must rise from low to high")
-    if not travel[0] <= park <= travel[1]:
-        raise ValueError(f"{park_key} must lie within {travel_key}")
-
-
-def _check_jerk(key: str, jerk: float | None, acceleration: float) -> None:
-    """Require that a limit of the jerk delays the end of a move by at most ``AVERAGING_MAX_S``."""
-    least = 2.0 * acceleration / AVERAGING_MAX_S
-    if jerk is not None and jerk < least:
-        raise ValueError(f"{key} {jerk:g}: allowed from {least:g}, twice the acceleration limit per second")
 
 
 class ModbusAxis(ConfigModel):
@@ -385,6 +351,14 @@ class AxisGroupTable(DeviceTable):
     exchange_rate_max_hz: Annotated[float, Field(ge=10.0)] | None = None
     """Most exchanges with the drives per second, Hz; of faster setpoints the newest is sent. Unless set: one per
     setpoint, at most 250."""
+    following_error_per_speed_s: NotNegative = 0.0
+    """Increase of the allowed following error per commanded speed."""
+    lost_packets_max: Positive = 5.0
+    """Level of the leaky bucket of lost packets that trips."""
+    lost_packets_window_s: Positive = 1.0
+    """Time in which the bucket drains by one packet."""
+    mechanics: DriveMechanics | None = None
+    """Mechanics of the emulated axes; unless given, those of the ideal servo."""
 
     @property
     def exchanges_max_hz(self) -> float:
@@ -466,19 +440,9 @@ class AxisGroupTable(DeviceTable):
         return [axis.brake for axis in self.axes if axis.falls and axis.brake is not None]
 
     @property
-    def encoder_sigma(self) -> float:
-        """Noise of the emulated encoders, in the unit of the file."""
-        raise NotImplementedError
-
-    @property
-    def drive_following_error_max(self) -> float:
-        """Following error window of the emulated drives, in the unit of the file."""
-        raise NotImplementedError
-
-    @property
     def emulated_mechanics(self) -> DriveMechanics | None:
         """Mechanics of the emulated axes; None for ideal servos."""
-        raise NotImplementedError
+        return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
 def part_name(name: str, controller: AxisController) -> str:
@@ -495,35 +459,16 @@ class LinearAxes(AxisGroupTable):
 
     following_error_max_m: Positive = 0.05
     """Largest following error at rest."""
-    following_error_per_speed_s: NotNegative = 0.0
-    """Its increase per commanded speed."""
     speed_mismatch_max_mps: Positive = 0.05
     """Largest difference of reported speed and change of position, in addition to a tenth of the speed."""
-    lost_packets_max: Positive = 5.0
-    """Level of the leaky bucket of lost packets that trips."""
-    lost_packets_window_s: Positive = 1.0
-    """Time in which the bucket drains by one packet."""
     drive_following_error_max_m: Positive = 0.1
     """Following error window of the emulated drives, by their own encoders."""
     encoder_sigma_m: NotNegative = 0.0
     """Noise of the emulated encoders."""
     mechanics: RailMechanics | None = None
-    """Mechanics of the emulated axes; unless given, those of the ideal servo."""
     modbus: Modbus | None = None
     rtu: ModbusRtu | None = None
     map: RailMap = RailMap()
-
-    @property
-    def encoder_sigma(self) -> float:
-        return self.encoder_sigma_m
-
-    @property
-    def drive_following_error_max(self) -> float:
-        return self.drive_following_error_max_m
-
-    @property
-    def emulated_mechanics(self) -> DriveMechanics | None:
-        return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
 class Rails(LinearAxes):
@@ -570,34 +515,15 @@ class RotaryAxes(AxisGroupTable):
 
     following_error_max_deg: Positive = 2.0
     """Largest following error at rest."""
-    following_error_per_speed_s: NotNegative = 0.0
-    """Its increase per commanded rate."""
     speed_mismatch_max_degps: Positive = 5.0
     """Largest difference of reported rate and change of position, in addition to a tenth of the rate."""
-    lost_packets_max: Positive = 5.0
-    """Level of the leaky bucket of lost packets that trips."""
-    lost_packets_window_s: Positive = 1.0
-    """Time in which the bucket drains by one packet."""
     drive_following_error_max_deg: Positive = 5.0
     """Following error window of the emulated drives, by their own encoders (object 0x6065)."""
     encoder_sigma_deg: NotNegative = 0.0
     """Noise of the emulated encoders."""
     mechanics: GimbalMechanics | None = None
-    """Mechanics of the emulated axes; unless given, those of the ideal servo."""
     cia402: Cia402 | None = None
     ascii: AsciiTurntableLine | None = None
-
-    @property
-    def encoder_sigma(self) -> float:
-        return self.encoder_sigma_deg
-
-    @property
-    def drive_following_error_max(self) -> float:
-        return self.drive_following_error_max_deg
-
-    @property
-    def emulated_mechanics(self) -> DriveMechanics | None:
-        return self.mechanics if self.mechanics is not None and self.mechanics.enabled else None
 
 
 class Turntable(RotaryAxes):
@@ -621,7 +547,7 @@ def _check_places(group: AxisGroupTable, key: str, places: tuple[float, ...]) ->
     if len(places) != len(group.axis_names):
         raise ValueError(f"{key} {list(places)}: one for each of {', '.join(group.axis_names)}")
     for name, axis, place in zip(group.axis_names, group.axes, places, strict=True):
-        low, high = axis.limits[:2]
+        low, high = (limit / group.si_per_unit for limit in axis.limits[:2])
         if not low <= place <= high:
             raise ValueError(f"{key}: {name} {place:g}, allowed {low:g} to {high:g}")
 

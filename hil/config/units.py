@@ -16,6 +16,7 @@ class Unit(NamedTuple):
 
 
 _DEG: Final = math.degrees(1.0)
+_RAD: Final = math.radians(1.0)
 UNITS: Final = {
     "m": Unit("m", "m"),
     "um": Unit("", "m", 1e-6),
@@ -79,6 +80,12 @@ def split(key: str) -> tuple[str, str]:
         if unit in UNITS and UNITS[unit].text:
             return "_".join(words[:start]), unit
     return key, ""
+
+
+def si_factor(key: str) -> float:
+    """Return what a number of ``key`` is multiplied with for SI units and radians."""
+    unit = split(key)[1]
+    return _RAD if unit.startswith("deg") else UNITS[unit].factor
 
 
 def converted(key: str, value: Any, known: Iterable[str]) -> str:

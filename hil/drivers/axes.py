@@ -25,7 +25,7 @@ class ServoAxes:
     """
 
     def __init__(self, config: AxisGroupTable, record: np.record | None = None) -> None:
-        table = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
+        table = np.array([axis.limits for axis in config.axes])
         n = len(table)
         table = np.concatenate([table, np.repeat(table[-1:], 3 - n, axis=0)])  # SERVO has three: the others stand
         self.record: np.record = new(SERVO) if record is None else record
@@ -85,7 +85,7 @@ class MechanicalAxes(ServoAxes):
         resonance = 2.0 * np.pi * mechanics.resonance_hz
         state.velocity_gain = gain
         state.coulomb, state.breakaway = mechanics.si("friction_coulomb"), mechanics.si("friction_breakaway")
-        state.stribeck, state.viscous = mechanics.stribeck, mechanics.viscous
+        state.stribeck, state.viscous = mechanics.si("friction_stribeck"), mechanics.viscous
         state.presliding, state.gap = mechanics.si("presliding"), mechanics.si("backlash")
         state.stiffness = load * resonance * resonance
         state.damping = 2.0 * mechanics.damping_ratio * load * resonance

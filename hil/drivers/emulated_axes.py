@@ -66,12 +66,12 @@ class EmulatedAxes:
         self.overdue = [False] * n
         self.astray = [False] * n
         self.torque_off = False
-        scale, axes = config.si_per_unit, config.axes
-        self.window = [scale * config.drive_following_error_max] * n
+        axes = config.axes
+        self.window = [config.si("drive_following_error_max")] * n
         self.window_s = [config.drive_following_error_s] * n
         self._speed = [0.0] * n  # in the step before
         self._within_s = [-math.inf] * n  # bench time at which it was last within the window
-        self._unit = scale
+        self._unit = config.si_per_unit
         self._axes = axes_of(config)
         mechanics = config.emulated_mechanics
         self._delay_s = 0.0 if mechanics is None else mechanics.loop_delay_s
@@ -87,11 +87,11 @@ class EmulatedAxes:
         self._enabled = [False] * n
         self._current_until_s = [-math.inf] * n  # of a disabled drive, until its brake has closed
         self._runaway: list[float | None] = [None] * n
-        self._sigma = scale * config.encoder_sigma
+        self._sigma = config.si("encoder_sigma")
         self._noise = stream(seed, "encoders")
         self._absolute = [axis.encoder == "absolute" for axis in axes]
-        self._home = np.array([scale * axis.home for axis in axes])
-        self._homing_rate = np.array([scale * axis.homing_rate for axis in axes])
+        self._home = np.array([axis.si("home") for axis in axes])
+        self._homing_rate = np.array([axis.si("homing_rate") for axis in axes])
         self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)

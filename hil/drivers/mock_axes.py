@@ -33,8 +33,8 @@ class MockAxes:
         self._axes = ServoAxes(config, servo)
         self.servo = kernel_record(self._axes.record)
         """SERVO."""
-        self._home = [config.si_per_unit * axis.home for axis in config.axes]
-        self._homing_rate = [config.si_per_unit * axis.homing_rate for axis in config.axes]
+        self._home = [axis.si("home") for axis in config.axes]
+        self._homing_rate = [axis.si("homing_rate") for axis in config.axes]
         self._incremental = [axis.encoder == "incremental" for axis in config.axes]
         n = len(config.axes)
         self._homed = (Homing.DONE,) * n

@@ -132,8 +132,7 @@ class SetpointLimiter:
 
 def setpoint_limiters(config: AxisGroupTable) -> list[SetpointLimiter]:
     """Return the limiter of each axis, with the limits of the rig file."""
-    scale = config.si_per_unit
-    return [SetpointLimiter(scale * axis.limits[2], scale * axis.limits[3], axis.averaging_s) for axis in config.axes]
+    return [SetpointLimiter(*axis.limits[2:4], axis.averaging_s) for axis in config.axes]
 
 
 class _SlidingMean:

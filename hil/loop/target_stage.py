@@ -101,7 +101,7 @@ class TargetAxes:
         """Whether they rotate, rad, rather than move along lines, m."""
         self.place_at = place
         """Position (n,) that ``place`` moves to."""
-        limits = np.array([axis.limits for axis in config.axes]) * config.si_per_unit
+        limits = np.array([axis.limits for axis in config.axes])
         self._smooth_s = np.array([axis.averaging_s for axis in config.axes])
         self._speed, self._acceleration = FRACTION_OF_LIMITS * limits[:, 2], FRACTION_OF_LIMITS * limits[:, 3]
         self.acceleration_max = limits[:, 3]

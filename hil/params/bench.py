@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
 from hil.config.bench_scale import FULL_SCALE, BenchScale
-from hil.config.rig import GimbalAxis, Rig
+from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.params.bodies import bodies
@@ -29,14 +30,7 @@ def bench(rig: Rig, step_s: float, shown: BenchScale = FULL_SCALE) -> np.record:
     params.dt_s = step_s / rig.ticks(step_s)
     params.lever_arm = rig.bench.lever_arm_m
     params.order = _order(rig.bench.gimbal_order)
-    rails = (rig.rails.x, rig.rails.y, rig.rails.z)
-    gimbals = (rig.turntable.roll, rig.turntable.pitch, rig.turntable.yaw)
-    params.low[:3], params.high[:3] = [a.travel_m[0] for a in rails], [a.travel_m[1] for a in rails]
-    params.rate_max[:3] = [a.rate_max_mps for a in rails]
-    params.acceleration_max[:3] = [a.acceleration_max_mps2 for a in rails]
-    _set_gimbals(params, gimbals)
-    params.lead[:3] = [a.lead_s for a in rails]
-    params.averaged[:3] = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in rails]
+    _set_axes(params, slice(6), (*rig.rails.axes, *rig.turntable.axes))
     return params
 
 
@@ -55,7 +49,7 @@ def manipulator_limits(rig: Rig, step_s: float) -> np.record:
     params = new(BENCH_PARAMS)
     params.dt_s = step_s
     params.low[:3], params.high[:3], params.rate_max[:3], params.acceleration_max[:3] = -1.0, 1.0, 1.0, 1.0
-    _set_gimbals(params, (rig.rotated_target.roll, rig.rotated_target.pitch, rig.rotated_target.yaw))
+    _set_axes(params, slice(3, 6), rig.rotated_target.axes)
     return params
 
 
@@ -63,12 +57,12 @@ def _order(letters: str) -> list[int]:
     return ["xyz".index(letter) for letter in letters]
 
 
-def _set_gimbals(params: np.record, gimbals: tuple[GimbalAxis, GimbalAxis, GimbalAxis]) -> None:
-    params.low[3:], params.high[3:] = np.radians([a.travel_deg for a in gimbals]).T
-    params.rate_max[3:] = np.radians([a.rate_max_degps for a in gimbals])
-    params.acceleration_max[3:] = np.radians([a.acceleration_max_degps2 for a in gimbals])
-    params.lead[3:] = [a.lead_s for a in gimbals]
-    params.averaged[3:] = [math.ceil(a.averaging_s / params.dt_s - 1e-9) for a in gimbals]
+def _set_axes(params: np.record, places: slice, axes: Sequence[BenchAxis]) -> None:
+    limits = np.array([axis.limits for axis in axes]).T
+    for name, column in zip(("low", "high", "rate_max", "acceleration_max"), limits, strict=False):
+        params[name][places] = column
+    params.lead[places] = [axis.lead_s for axis in axes]
+    params.averaged[places] = [math.ceil(axis.averaging_s / params.dt_s - 1e-9) for axis in axes]
 
 
 def keep_out_zone(scenario: Scenario) -> np.record:

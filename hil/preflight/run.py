@@ -119,7 +119,7 @@ def overtravel_check(rig: Rig) -> PreflightCheck:
     """Return how far the hard-wired overtravel switches must lie beyond the soft limits: v^2 / 2a of each axis."""
     texts = []
     for device, table, unit in (("rails", rig.rails, "m"), ("turntable", rig.turntable, "deg")):
-        paths = (axis.limits[2] ** 2 / (2.0 * axis.limits[3]) for axis in table.axes)
+        paths = (axis.in_file("rate_max") ** 2 / (2.0 * axis.in_file("acceleration_max")) for axis in table.axes)
         texts += [f"{device}.{name} {path:.2f} {unit}" for name, path in zip(table.axis_names, paths, strict=True)]
     value = f"hard-wired switches at least this far beyond the travel: {', '.join(texts)}"
     return PreflightCheck("overtravel", None, value, "measure it: their places are not in the rig file")

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
+
+import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.session.build import Job
@@ -90,3 +93,12 @@ def faults_setting(*faults: dict[str, Any]) -> str:
     """Return the setting of a scenario's ``faults``, tables of ``[[faults]]``."""
     tables = [", ".join(f"{key} = {json.dumps(value)}" for key, value in table.items()) for table in faults]
     return f"faults=[{', '.join(f'{{{table}}}' for table in tables)}]"
+
+
+@contextmanager
+def without_pictures() -> Iterator[None]:
+    """Let campaigns draw no pictures of their cases, and write no page: both take longer than short flights."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("draw_percentiles", "draw_integrity", "write_page"):
+            patch.setattr(f"hil.api.campaign_request.{name}", lambda *_: None)
+        yield

@@ -19,6 +19,7 @@ from hil.recording.read import load
 from hil.report.comparison import key_numbers
 from hil.report.page import report
 from hil.report.summary import summary_of
+from tests.support.run_settings import without_pictures
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -62,6 +63,7 @@ def recorded_command(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., 
 def test_every_output_of_a_run_gives_the_same_verdict(
     recorded_command: Callable[..., RecordedCommand],
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
     more: Sequence[str],
     accepted: bool,
     beside: str,
@@ -81,6 +83,7 @@ def test_every_output_of_a_run_gives_the_same_verdict(
     run = hil.open(found.file)
     assert (run.accepted, run.passed) == (accepted, True)
     assert f": {'accepted' if accepted else 'not accepted'}, " in repr(run)
+    monkeypatch.setattr("hil.report.page.figures", lambda *_: ())
     page = report([load(found.file)])
     assert f'<p class="verdict {listed}">{word}{f" {LEFT_OUT}" if accepted else ""}</p>' in page
     assert dict(key_numbers(run.summary))["verdict"] == (f"pass {LEFT_OUT}" if accepted else "fail")
@@ -106,23 +109,9 @@ def test_run_that_misses_several_parts_names_them(capsys: pytest.CaptureFixture[
 
 
 def test_campaign_counts_accepted_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert (
-        execute(
-            [
-                "campaign",
-                "scheme-3",
-                "--runs",
-                "4",
-                "--workers",
-                "1",
-                "--out",
-                str(tmp_path / "c"),
-                *STRICT,
-                *WITHOUT_ENERGY,
-            ]
-        )
-        == 0
-    )
+    options = ("--runs", "4", "--workers", "1", "--out", str(tmp_path / "c"))
+    with without_pictures():
+        assert execute(["campaign", "scheme-3", *options, *STRICT, *WITHOUT_ENERGY]) == 0
     out = capsys.readouterr().out
     summary = json.loads((tmp_path / "c" / "summary.json").read_text())
     rates = summary["pass_rate"]

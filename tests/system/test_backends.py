@@ -30,7 +30,7 @@ from tests.support.run_settings import make_job
 pytestmark = pytest.mark.xdist_group("campaign")
 
 LATE = ("vmu.latency_s=0.07", "vmu.loss_probability=0.2", "rig.vmu.timeout_s=2.0")
-SHORT_S = 20.0
+SHORT_S = 12.0
 
 
 def named(navigation: str = "", control: str = "") -> tuple[str, ...]:
@@ -63,7 +63,7 @@ def case(settings: tuple[str, ...], duration_s: float = SHORT_S, seed: int = 3) 
         named(navigation=OBSERVER),
         named(navigation=EKF, control=LQR),
         named(control=DEAD_BAND),
-        (*named(OBSERVER, LQR), "gnc.abort.at_s=10.0"),
+        (*named(OBSERVER, LQR), "gnc.abort.at_s=6.0"),
         (*named(EKF), "imu.rate_hz=200.0"),
     ],
     ids=["kernel of control", "kernel of navigation", "class and kernel", "class of control", "abort", "fast IMU"],

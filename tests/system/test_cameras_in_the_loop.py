@@ -8,7 +8,7 @@ import os
 import signal
 import socket
 import threading
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 
 import cv2
@@ -16,12 +16,9 @@ import numpy as np
 import pytest
 
 from hil.cli.main import BAD_INPUT, SAFE_STOPPED, execute
-from hil.cli.vmu import row, solve
-from hil.config.cameras import VisionCameras
-from hil.config.load import load_geometry, load_rig, load_scenario
+from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.drivers.cameras.base import SIDES
-from hil.drivers.cameras.interfaces import open_camera
 from hil.loop.runner import Outcome
 from hil.maths.random_streams import stream
 from hil.session.build import Job, wired_bench
@@ -29,8 +26,6 @@ from hil.session.warm_up import warm_up
 from hil.setup.assembly import start_axes
 from hil.setup.emulated_cameras import images_of_folder, rendered_cameras
 from hil.vmu.geometry import geometry_of_rig
-from hil.vmu.sources import Pair
-from hil.vmu.unit import VisionUnit
 from tests.support.emulated_cameras import LEFT, RIGHT, emulated, require_libaravis
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
@@ -114,39 +109,6 @@ def test_poses_are_the_same_from_a_folder_and_through_cameras(approach: tuple[Ri
     assert live == folder
 
 
-@pytest.mark.slow
-def test_poses_are_the_same_from_a_folder_and_through_pylon(
-    approach: tuple[Rig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of pylon's own emulated cameras, which read the images themselves: ``pip install 'hil-bench[pylon]'``."""
-    monkeypatch.setenv("PYLON_CAMEMU", "2")
-    pytest.importorskip("pypylon")
-    _, geometry = approach
-    loaded = load_geometry(str(geometry)).value
-    unit = VisionUnit(loaded)
-    with ExitStack() as stack:
-        cameras = []
-        for k, side in enumerate(SIDES):
-            features = {"TestImageSelector": "Off", "ImageFileMode": "On", "ImageFilename": str(tmp_path / side)}
-            settings = VisionCameras(interface="pylon", features=features)
-            camera = open_camera(f"vmu.{side}", f"0815-{k:04d}", settings, (loaded.left.width, loaded.left.height), 2.0)
-            cameras.append(stack.enter_context(closing(camera)))
-        for camera in cameras:
-            camera.start()
-        rows = []
-        for frame in range(FRAMES):
-            for camera in cameras:
-                camera.trigger()
-            left, right = (camera.receive(2.0) for camera in cameras)
-            assert left is not None
-            assert right is not None
-            assert left.number == right.number == frame
-            rows.append(row(frame, solve(unit, Pair(frame, left.image, right.image), frame / 2.0)))
-    assert {found["status"] for found in rows} == {"ok"}
-    folder = _poses(str(tmp_path), geometry, tmp_path / "folder.csv")
-    assert [{name: str(value) for name, value in found.items()} for found in rows] == folder
-
-
 def _poses(source: str, geometry: Path, out: Path, *options: str) -> list[dict[str, str]]:
     options = ("--geometry", str(geometry), "--out", str(out), "--rate-hz", "2", *options)
     assert execute(["vmu", source, *options]) == 0
@@ -197,10 +159,10 @@ def test_cameras_need_a_rig_on_wires(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_emulated_cameras_have_one_interface(capsys: pytest.CaptureFixture[str]) -> None:
-    interface = 'rig.vmu.cameras.interface="pylon"'
+    interface = 'rig.vmu.cameras.interface="gentl"'
     assert execute(["run", "scheme-1", "--rig", "emulated", *typed(SOURCE, interface)]) == BAD_INPUT
     assert capsys.readouterr().err.splitlines() == [
-        '--set: rig.vmu.cameras.interface: "pylon": emulated cameras have "genicam"'
+        '--set: rig.vmu.cameras.interface: "gentl": emulated cameras have "genicam"'
     ]
 
 

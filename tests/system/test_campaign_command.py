@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +24,26 @@ from hil.monte_carlo import batch, engines
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.store import Store
+from tests.support.run_settings import without_pictures
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
 SHORT = ("--duration", "1.0")
 
 
-def fly(folder: Path, *options: str, runs: int = 120, duration: tuple[str, str] = SHORT) -> None:
-    """Run a short campaign into ``folder``."""
-    assert execute(["campaign", "scheme-1", "--runs", str(runs), "--out", str(folder), *duration, *options]) == 0
+def fly(
+    folder: Path, *options: str, runs: int = 120, duration: tuple[str, str] = SHORT, pictures: bool = False
+) -> None:
+    """Run a short campaign into ``folder``. pictures: draw those of its cases, which takes longer than to fly them."""
+    with nullcontext() if pictures else without_pictures():
+        assert execute(["campaign", "scheme-1", "--runs", str(runs), "--out", str(folder), *duration, *options]) == 0
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a campaign that one process flew."""
     folder = tmp_path_factory.mktemp("alone") / "c"
-    fly(folder, "--workers", "1")
+    fly(folder, "--workers", "1", pictures=True)
     return folder
 
 

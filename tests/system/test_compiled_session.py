@@ -179,10 +179,10 @@ Check = Callable[..., Evidence]
     ],
 )
 def test_compiled_session_equals_the_cycle_in_python(check: Check, scheme: str, settings: tuple[str, ...]) -> None:
-    found = check(make_job(22.0, settings, scenario=scheme, seed=3))
+    found = check(make_job(14.0, settings, scenario=scheme, seed=3))
     assert found.outcome.stop == COMPLETED
     used = sum(topic == "/vmu/frames" for topic, *_ in found.messages)
-    assert used >= found.summary["vision"]["frames"] > 100
+    assert used >= found.summary["vision"]["frames"] > 60
     assert (found.outcome.limited_cycles > 0) == (settings == SLOW_RAILS)
     if settings == CROWDED:
         assert found.outcome.history["pose"]["fresh"].max() == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,14 +114,15 @@ def _devices(*faults: dict[str, Any]) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_compiled_loop_and_cycle_in_python_and_campaign_have_the_same_bits(name: str) -> None:
-    settings = (*DISTURBED, *WITHOUT_GUARD, *_devices(fault(name)), faults_setting(fault(name)))
-    job = make_job(END_S, settings, seed=3)
+    injected = fault(name, at_s=0.5 * AT_S, until_s=0.5 * UNTIL_S)
+    settings = (*DISTURBED, *WITHOUT_GUARD, *_devices(injected), faults_setting(injected))
+    job = make_job(0.5 * END_S, settings, seed=3)
     rows = []
     for compiled in (True, False):
-        with build.runner(build.Job(job.scenario, job.rig, 3, END_S, 1.0, compiled=compiled)) as runner:
+        with build.runner(replace(job, compiled=compiled)) as runner:
             rows.append(runner.run().history)
     case = np.zeros_like(rows[0])
-    CaseRunner(job.scenario.value, job.rig.value, END_S).run(job.scenario.value, 3, case)
+    CaseRunner(job.scenario.value, job.rig.value, 0.5 * END_S).run(job.scenario.value, 3, case)
     assert len(rows[0]) == job.cycles
     assert_same_bits(*rows)
     assert_same_bits(rows[0], case, without=("on_wire_s",))

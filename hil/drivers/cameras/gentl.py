@@ -6,7 +6,6 @@ import contextlib
 import logging
 import math
 import os
-import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +20,6 @@ PATH: Final = "GENICAM_GENTL64_PATH"
 """Environment variable with the folders of the producers (``*.cti``), which GenTL prescribes."""
 _BUFFERS: Final = 8
 _NAMES: Final = ("id_", "serial_number", "user_defined_name")
-_INNER_CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
 
 
 class GentlCamera:
@@ -182,7 +180,7 @@ def _node_map(name: str, library: _Library, nodes: Any) -> NodeMap:
             return None
         return node if node is not None and genapi.is_available(node) else None
 
-    return NodeMap(name, find, genapi.GenericException, lambda method: _INNER_CAPITAL.sub("_", method).lower())
+    return NodeMap(name, find, genapi.GenericException)
 
 
 def _stamp_s(buffer: Any, error: tuple[type[Exception], ...]) -> float:

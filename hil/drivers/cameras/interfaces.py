@@ -13,11 +13,9 @@ from hil.drivers.cameras.v4l2 import found_devices
 
 _DRIVERS: Final[dict[CameraInterface, str]] = {
     "genicam": "genicam:GenicamCamera",
-    "pylon": "pylon:PylonCamera",
     "gentl": "gentl:GentlCamera",
     "v4l2": "v4l2:V4l2Camera",
 }
-_EXTRAS: Final = {"pypylon": "pylon:found_pylon", "harvesters": "gentl:found_gentl"}  # by the package that they need
 
 
 def camera_type(interface: CameraInterface) -> CameraType:
@@ -41,8 +39,5 @@ def open_camera(name: str, identifier: str, settings: CameraSettings, size: tupl
 
 def list_cameras() -> list[CameraInfo]:
     """Return the cameras that answer, once per interface. Raises DeviceError without libaravis."""
-    found = [*found_cameras(), *found_devices()]
-    for package, path in _EXTRAS.items():
-        if importlib.util.find_spec(package) is not None:
-            found += _imported(path)()
-    return found
+    by_producers = _imported("gentl:found_gentl")() if importlib.util.find_spec("harvesters") is not None else []
+    return [*found_cameras(), *found_devices(), *by_producers]

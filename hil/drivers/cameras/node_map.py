@@ -22,20 +22,12 @@ class NodeMap:
     """Features of the camera ``name``, for errors. Each method raises DeviceError for a feature that it cannot set.
 
     find: returns the node of a feature, None if the camera does not have it. error: base of the library's exceptions.
-    spelled: converts the C++ name of a node's method to that of the library's binding.
     """
 
-    def __init__(
-        self,
-        name: str,
-        find: Callable[[str], Any],
-        error: type[Exception],
-        spelled: Callable[[str], str] = lambda method: method,
-    ) -> None:
+    def __init__(self, name: str, find: Callable[[str], Any], error: type[Exception]) -> None:
         self._name = name
         self._find = find
         self._error = error
-        self._spelled = spelled
 
     def set_up(self, settings: CameraSettings, size: tuple[int, int], rate_hz: float) -> None:
         """Set the camera up for images of ``size`` (width, height), px, at ``rate_hz`` without a trigger."""
@@ -58,20 +50,20 @@ class NodeMap:
     def set(self, feature: str, value: float | str) -> None:
         """Set ``feature``."""
         text = str(value).lower() if isinstance(value, bool) else str(value)
-        self._call(feature, f"{feature} = {value}", "FromString", text)
+        self._call(feature, f"{feature} = {value}", "from_string", text)
 
     def execute(self, feature: str) -> None:
         """Execute a command."""
-        self._call(feature, feature, "Execute")
+        self._call(feature, feature, "execute")
 
-    def whole(self, feature: str, limit: str = "Value") -> int:
-        """Return a whole number: the value of ``feature``, or its limit ``Max`` or ``Inc``."""
+    def whole(self, feature: str, limit: str = "value") -> int:
+        """Return a whole number: the value of ``feature``, or its limit ``max`` or ``inc``."""
         return int(self._attribute(feature, limit))
 
     @property
     def shutter(self) -> str:
         """The camera's shutter, empty without one."""
-        return str(self._attribute(SHUTTER, "Value")) if self.has(SHUTTER) else ""
+        return str(self._attribute(SHUTTER, "value")) if self.has(SHUTTER) else ""
 
     def set_exposure(self, exposure_s: float) -> None:
         """Set the exposure time."""
@@ -87,7 +79,7 @@ class NodeMap:
         offsets = [feature for feature in _OFFSETS if self.has(feature)]
         for feature in offsets:
             self.set(feature, 0)
-        sensor = self.whole("Width", "Max"), self.whole("Height", "Max")
+        sensor = self.whole("Width", "max"), self.whole("Height", "max")
         if sensor[0] < size[0] or sensor[1] < size[1]:
             check_size(self._name, sensor, size)
         for feature, pixels in zip(_SIZES, size, strict=True):
@@ -95,7 +87,7 @@ class NodeMap:
         check_size(self._name, (self.whole("Width"), self.whole("Height")), size)
         for feature in offsets:
             axis = _OFFSETS.index(feature)
-            step = self.whole(feature, "Inc")
+            step = self.whole(feature, "inc")
             self.set(feature, (sensor[axis] - size[axis]) // 2 // step * step)
 
     def _set_trigger(self, settings: CameraSettings, rate_hz: float) -> None:
@@ -126,17 +118,17 @@ class NodeMap:
         self.set(feature, wanted)
 
     def _choices(self, feature: str) -> Sequence[str]:
-        return tuple(self._attribute(feature, "Symbolics"))
+        return tuple(self._attribute(feature, "symbolics"))
 
     def _attribute(self, feature: str, name: str) -> Any:
         try:
-            return getattr(self._node(feature), self._spelled(name))
+            return getattr(self._node(feature), name)
         except self._error as cause:
             raise self._failure(feature, cause) from cause
 
     def _call(self, feature: str, what: str, method: str, *arguments: Any) -> None:
         try:
-            getattr(self._node(feature), self._spelled(method))(*arguments)
+            getattr(self._node(feature), method)(*arguments)
         except self._error as cause:
             raise self._failure(what, cause) from cause
 

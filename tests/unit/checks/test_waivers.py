@@ -75,7 +75,10 @@ def test_brake_without_contact_and_command_set_without_checksum_are_found(lab: s
     assert "gone.toml" in gone[0].takes_away
 
 
-def test_all_of_them_stand_in_the_terminal_the_page_the_console_and_the_json(lab: str, tmp_path: Path) -> None:
+def test_all_of_them_stand_in_the_terminal_the_page_the_console_and_the_json(
+    lab: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.report.page.figures", lambda *_: ())
     rig = load_rig(lab, list(EACH)).value
     run = hil.run("scheme-1", duration_s=2.0, record=tmp_path)
     assert run.summary["waived"] == []
@@ -119,14 +122,15 @@ def beyond(limit: Limit, bound: float) -> float:
     return bound * (0.5 if limit.weak_below else 2.0)
 
 
-shipped_scenario, plain_rig = cache(load_scenario), cache(load_rig)
+scenario_with, rig_with = cache(load_scenario), cache(load_rig)
 
 
 def loaded_with(key: str, value: float, rig: str) -> tuple[Loaded[Scenario], Loaded[Rig]]:
     """Return scheme-1 and ``rig`` with a value of one of them. Raises BadInput."""
+    setting = (f"{key}={value!r}",)
     if key.startswith("rig."):
-        return shipped_scenario("scheme-1"), load_rig(rig, [f"{key}={value!r}"])
-    return load_scenario("scheme-1", [f"{key}={value!r}"]), plain_rig(rig)
+        return scenario_with("scheme-1"), rig_with(rig, setting)
+    return scenario_with("scheme-1", setting), rig_with(rig)
 
 
 def bad_text(key: str, value: float, rig: str) -> str:
@@ -169,7 +173,7 @@ def test_bound_is_an_error_of_one_line_with_what_is_allowed(lab: str) -> None:
 def test_shipped_rigs_and_scenarios_have_the_recommended_limits() -> None:
     for rig in shipped("rigs"):
         for scenario in shipped("scenarios"):
-            assert waivers(load_rig(rig).value, load_scenario(scenario).value) == []
+            assert waivers(rig_with(rig).value, scenario_with(scenario).value) == []
 
 
 def test_weak_limit_of_a_mock_rig_and_of_a_scenario_stands_in_the_json_and_with_the_verdict(

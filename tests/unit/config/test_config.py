@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -328,3 +329,14 @@ def test_reactions_that_leave_a_phase_without_an_abort_are_refused() -> None:
     with pytest.raises(BadInput, match='phase "ready", of kind wait, is left without an abort') as refused:
         load_scenario("scheme-1", rows)
     assert "\n" not in str(refused.value)
+
+
+def test_keys_are_found_by_their_names_without_units_and_converted_to_si() -> None:
+    rig = load_rig("mock").value
+    rail, gimbal = rig.rails.x, rig.turntable.yaw
+    assert (rail.key_of("rate_max"), gimbal.key_of("rate_max")) == ("rate_max_mps", "rate_max_degps")
+    assert rail.limits == (*rail.travel_m, rail.rate_max_mps, rail.acceleration_max_mps2, rail.park_m)
+    assert gimbal.si("travel") == tuple(map(math.radians, gimbal.travel_deg))
+    assert gimbal.limits[2:4] == (math.radians(gimbal.rate_max_degps), math.radians(gimbal.acceleration_max_degps2))
+    with pytest.raises(ValueError, match="too many values"):  # pose_error_max_m and pose_error_max_deg
+        rig.guard.si("pose_error_max")

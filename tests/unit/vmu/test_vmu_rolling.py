@@ -71,6 +71,6 @@ def test_rolling_shutter_without_a_row_time_is_refused_with_the_key() -> None:
 @pytest.mark.parametrize(("nodes", "shutter"), [({"SensorShutterMode": "Rolling"}, "Rolling"), ({}, "")])
 def test_shutter_is_read_from_the_camera(nodes: dict[str, str], shutter: str) -> None:
     def find(feature: str) -> object:
-        return SimpleNamespace(Value=nodes[feature]) if feature in nodes else None
+        return SimpleNamespace(value=nodes[feature]) if feature in nodes else None
 
     assert NodeMap("vmu.left", find, RuntimeError).shutter == shutter
