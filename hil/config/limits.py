@@ -68,12 +68,14 @@ def _axes(
         Limit(f"{device}.speed_mismatch_max_{unit}ps", f"{names} with a wrong reported speed", *speed),
         Limit(f"{device}.*.travel_{unit}", f"{names} that run into their ends", *travel),
         Limit(f"{device}.*.rate_max_{unit}ps", f"{names} that are too fast to be stopped", *rate),
-        Limit(
-            f"{device}.*.acceleration_max_{unit}ps2", f"{names} that overload their drives", *(2.0 * r for r in rate)
-        ),
-        Limit(f"{device}.*.homing_rate_{unit}ps", f"{names} that run over their home switch", *(0.2 * r for r in rate)),
+        Limit(f"{device}.*.acceleration_max_{unit}ps2", f"{names} that overload their drives", *_times(2.0, rate)),
+        Limit(f"{device}.*.homing_rate_{unit}ps", f"{names} that run over their home switch", *_times(0.2, rate)),
         *_link(device, f"loose connectors of {names}", 0.2),
     )
+
+
+def _times(factor: float, weakest: Weakest) -> Weakest:
+    return factor * weakest[0], factor * weakest[1], factor * weakest[2]
 
 
 def _link(device: str, protects: str, window_s: float) -> tuple[Limit, ...]:
