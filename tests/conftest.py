@@ -9,7 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: the workers 
 import shutil
 import subprocess
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +35,13 @@ _PAUSED = Pauses()
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Assign each test to the group of one worker, so that expensive fixtures are made once.
 
     Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
-    module is a group of its own. A test that failed while the computer paused is run again, at most twice.
+    module is a group of its own.
     """
-    repeats = config.pluginmanager.hasplugin("rerunfailures")
     for item in items:
-        if repeats:
-            item.add_marker(pytest.mark.flaky(reruns=2, condition=_PAUSED))
         if item.get_closest_marker("wires"):
             item.add_marker(pytest.mark.xdist_group("wires"))
         elif not item.get_closest_marker("xdist_group"):
@@ -55,6 +52,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_setup() -> None:
     """Begin to watch for pauses of the computer."""
     _PAUSED.begin()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Add the longest pause of the computer to the report of a test that failed."""
+    report = yield
+    if report.failed and (paused_s := _PAUSED.longest_s()):
+        report.sections.append(("pause of the computer", f"{1e3 * paused_s:.0f} ms, the longest of this test"))
+    return report
 
 
 @pytest.fixture

@@ -34,10 +34,10 @@ def waivers(rig: Rig, scenario: Scenario) -> list[Waiver]:
     waived = list(_waivers(rig)) if rig.kind == "hardware" else []
     waived += _open_volume(rig, scenario)
     for prefix, limits, table in (("rig.", RIG_LIMITS, rig), ("", SCENARIO_LIMITS, scenario)):
-        for limit, value in values(limits, table):
+        for key, limit, value in values(limits, table):
             if limit.is_weaker(value, limit.recommended):
                 text = f"weak protection from {limit.protects}, recommended {limit.range_text(limit.recommended)}"
-                waived.append(Waiver(f"{prefix}{limit.key}", f"{value:g}", text))
+                waived.append(Waiver(f"{prefix}{key}", f"{value:g}", text))
     return waived
 
 

@@ -472,6 +472,30 @@ def test_poses_exposed_before_the_end_of_a_hold_are_left_out() -> None:
     assert session.runner.loop.vision.not_before_s == pytest.approx(session.marks["resume"], abs=0.05)
 
 
+@pytest.mark.parametrize("is_dead", [False, True], ids=["frames without a pose", "no frame"])
+def test_hold_of_a_run_stays_without_poses_and_ends_in_a_safe_stop_when_the_vision_unit_is_silent(
+    is_dead: bool,
+) -> None:
+    def script(session: Session) -> None:
+        session.order_once(OperatorCommand.HOLD, session.mode is Mode.RUNNING and session.now_s > 1.0)
+        session.once("held", session.mode is Mode.HOLD)
+        session.order_once(OperatorCommand.STOP, session.since_s("held") > 6.0)
+
+    def prepare(session: Session) -> None:
+        source = session.runner.loop.vision.source
+        name = "_expose_until" if is_dead else "_pose_at"
+        works = getattr(source, name)
+        setattr(source, name, lambda t_s: None if session.mode is Mode.HOLD else works(t_s))
+
+    outcome, session = operate(script, prepare=prepare)
+    if is_dead:
+        assert outcome.stop.startswith("vmu: no answer for 0.4")
+        assert session.since_s("held") < 1.0
+    else:
+        assert outcome.stop == "stopped by the operator"
+        assert session.runner.loop.vision.source.counters()["no_pose"] > 30
+
+
 def test_bench_parks_after_a_whole_run_where_its_rig_says() -> None:
     outcome, session = operate(idle, "rig.bench.park_after_run=true", "rig.turntable.yaw.park_deg=20", attended=False)
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING, Mode.STANDBY, Mode.PARKING]

@@ -1,6 +1,6 @@
 """Controller of a rig file in a process of its own, with an operator at its input.
 
-``python -m tests.support.attended_controller RIG [SETTING ...]`` prints a line for each process and each mode, and
+``python -m tests.support.attended_controller RIG [SETTING ...]`` prints a line for each process, alarm and mode, and
 executes the commands in its input, a line each (``home``, ``arm``, ``jog rails.x 1``).
 """
 
@@ -48,6 +48,7 @@ def main() -> None:
     warm_up(job)
     operator = Operator((), attended=True)
     with build.runner(job, announce=send, operator=operator) as runner:
+        runner.safety.alarms.raised.subscribe(lambda alarm: send(f"alarm {alarm.text}"))
         runner.safety.modes.history.subscribe(lambda mode: send(f"mode {mode.value}"))
         threading.Thread(target=obey, args=(operator,), daemon=True).start()
         send(f"stop {runner.run().stop}")

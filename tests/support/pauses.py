@@ -15,7 +15,7 @@ LONGEST_S = 0.02
 
 
 class Pauses:
-    """True if the computer paused for longer than ``LONGEST_S`` since ``begin``. The process starts with the first."""
+    """Pauses of the computer that are longer than ``LONGEST_S``. The process starts with the first interval."""
 
     def __init__(self) -> None:
         self._file: Path | None = None
@@ -35,9 +35,6 @@ class Pauses:
         assert self._file is not None
         found = (line.split() for line in self._file.read_text(encoding="ascii").splitlines(keepends=True))
         return max((float(line[1]) for line in found if len(line) == 2 and float(line[0]) > self._begin_s), default=0.0)
-
-    def __bool__(self) -> bool:
-        return self.longest_s() > 0.0
 
 
 def _watch(file: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from hil.console.app import _REQUEST_PERIOD_S
 from hil.console.strangers import Access
 from tests.support.console_client import Page, console
 from tests.support.run_settings import NEAR, typed
@@ -95,15 +96,17 @@ def opened_page(address: str) -> Iterator[tuple[Page, float]]:
 
 @pytest.mark.parametrize(("crowd", "number"), [(sockets, 60), (idle, 32), (guesses, 60), (flood, 5)])
 def test_operator_stops_a_stub_in_a_crowd(crowd: Crowd, number: int) -> None:
+    """Server and crowd share one interpreter: how long it takes is measured below."""
     with stub_console(Access(TOKEN)) as (address, _, stub), ExitStack() as stack:
+        begun_s = time.monotonic()
         crowd(address, number, stack)
-        with opened_page(address) as (page, took_s):
-            begun_s = time.monotonic()
+        with opened_page(address) as (page, _):
             assert page.ask("order", order="stop")["ok"]
-            assert time.monotonic() - begun_s < 2.0 * STOPS_WITHIN_S  # server and crowd share one interpreter
-            assert took_s < 2.0 * OPENS_WITHIN_S
-        assert stub.orders[-1] in ("stop", "hold")
+        holds, took_s = stub.orders.count("hold"), time.monotonic() - begun_s
         assert "stop" in stub.orders
+    if crowd is flood:
+        assert holds > 0
+        assert holds <= number * (1.0 + took_s / (3.0 * _REQUEST_PERIOD_S))  # each third message of a page is one
 
 
 @pytest.mark.slow

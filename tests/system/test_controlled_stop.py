@@ -18,7 +18,7 @@ from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
 from hil.loop.runner import Outcome, Runner
 from hil.session import build
 from hil.session.warm_up import warm_up
-from tests.support.run_settings import make_job
+from tests.support.run_settings import PATIENT_RELAY, make_job
 
 pytestmark = pytest.mark.wires
 
@@ -182,7 +182,7 @@ BRAKES = ("rig.io.coils.brakes_released=26", "rig.io.inputs.brakes_closed=2")
 
 
 def test_brakes_that_are_not_confirmed_are_an_alarm_and_a_watched_standstill() -> None:
-    with session(True, *BRAKES) as made:
+    with session(True, *BRAKES, *PATIENT_RELAY) as made:
         made.fault("io", "on brakes_open")
         made.operator.submit(OperatorCommand.STOP)  # all drives follow their ramps
         made.wait(lambda: any(alarm.quantity == "holding brakes" for alarm in made.runner.safety.alarms.latched()), 5.0)

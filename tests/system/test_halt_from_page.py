@@ -195,13 +195,16 @@ def test_page_shows_when_keys_or_orders_do_not_arrive_and_then_no_button_looks_a
         client.got, client.sent = 0, 1000  # the console sends nothing more
         begun_s = time.monotonic()
         until(page, "document.getElementById('reach').textContent.startsWith('No connection to the console for 0.')")
-        assert 0.2 < time.monotonic() - begun_s < 2.0
+        assert time.monotonic() - begun_s > 0.2  # by the page's own clock less than 1 s
         assert looks_alive(page) == []
         page.evaluate("void document.getElementById('order_abort').click()")
         until(page, "document.getElementById('answer').textContent === 'no connection: abort was not sent'")
         page.key("x", "KeyX")  # may arrive all the same
         until(page, "window.cells.sent.length > 0")
-        assert "stop" in stub.orders
+        end_s = time.monotonic() + 20.0
+        while "stop" not in stub.orders:
+            assert time.monotonic() < end_s, "the order did not arrive"
+            time.sleep(0.01)
 
 
 def test_second_click_of_a_double_click_confirms_nothing_and_presses_nothing_behind_the_dialog() -> None:

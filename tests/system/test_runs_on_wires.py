@@ -18,6 +18,7 @@ import pytest
 import hil
 from tests.support.run_settings import NEAR, UNHURRIED, typed
 
+OTHERS = ("vmu", "turntable", "io")
 GENEROUS_EXIT_S = 3.0  # the product's own figure is 0.5 s; this one holds on a machine that does other things too
 
 
@@ -38,6 +39,14 @@ def _started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str,
             yield process, pids
         finally:
             process.kill()
+
+
+def _wait_until_it_moves(process: subprocess.Popen[str]) -> None:
+    """Wait until the bench is open, and a second more: it is placed then."""
+    assert process.stderr is not None
+    while not (line := process.stderr.readline()).startswith("watchdog process"):
+        assert line, "ended before the bench was open"
+    time.sleep(1.0)
 
 
 def _alive(pid: int) -> bool:
@@ -88,18 +97,24 @@ def test_whole_scheme_passes_over_real_wires(turntable: str, tmp_path: Path) -> 
     assert _none_left(pids)
 
 
-@pytest.mark.parametrize(
-    "plug",
-    [pytest.param(signal.SIGKILL, id="killed"), pytest.param(signal.SIGSTOP, id="frozen", marks=pytest.mark.slow)],
-)
-@pytest.mark.parametrize(
-    "device",
-    ["rails", *(pytest.param(name, marks=pytest.mark.slow) for name in ("vmu", "turntable", "io"))],
-)
+@pytest.mark.parametrize("device", ["rails", *(pytest.param(each, marks=pytest.mark.slow) for each in OTHERS)])
+def test_killed_device_ends_a_run_in_lock_step_as_a_safe_stop_that_names_it(device: str) -> None:
+    with _started(*typed(*NEAR), "--lock-step") as (process, pids):
+        _wait_until_it_moves(process)
+        os.kill(pids[device], signal.SIGKILL)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 3
+    assert err.strip().splitlines()[-1].startswith(f"safe stop: {device}"), err
+    assert _none_left(pids)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plug", [signal.SIGKILL, signal.SIGSTOP], ids=["killed", "frozen"])
+@pytest.mark.parametrize("device", ["rails", *OTHERS])
 @pytest.mark.wires
 def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str, plug: signal.Signals) -> None:
     with _started(*typed(*NEAR)) as (process, pids):
-        time.sleep(2.0)
+        _wait_until_it_moves(process)
         os.kill(pids[device], plug)
         unplugged_s = time.monotonic()
         _, err = process.communicate(timeout=20)
@@ -112,12 +127,14 @@ def test_unplugged_device_ends_the_run_as_a_safe_stop_that_names_it(device: str,
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-@pytest.mark.wires
-def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal.Signals) -> None:
-    with _started(*typed(*NEAR)) as (process, pids):
-        time.sleep(2.0)
+@pytest.mark.parametrize(
+    "clock", ["lock step", pytest.param("wall clock", marks=[pytest.mark.slow, pytest.mark.wires])]
+)
+def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal.Signals, clock: str) -> None:
+    with _started(*typed(*NEAR), *(["--lock-step"] if clock == "lock step" else [])) as (process, pids):
+        _wait_until_it_moves(process)
         process.send_signal(number)
-        _, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=120)
     assert process.returncode == 3
     assert "stopped by the operator" in err
     assert _none_left(pids)

@@ -6,19 +6,23 @@ import asyncio
 import io
 import json
 import math
+import re
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel, ValidationError
 from rich.console import Console
 
 import hil
 from hil.checks.compatibility import check_scenario_limits
 from hil.checks.waivers import Waiver, waivers
 from hil.cli.main import execute
-from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Limit, values
-from hil.config.load import Loaded, load_rig, load_scenario, shipped
+from hil.config.key_reference import all_keys
+from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess, values
+from hil.config.load import load_rig, load_scenario, shipped
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.console.live_view import Client
@@ -43,6 +47,11 @@ EACH = {
 
 def waived_by(rig: Rig) -> list[Waiver]:
     return waivers(rig, load_scenario("scheme-1").value)
+
+
+@cache
+def scheme() -> Scenario:
+    return load_scenario("scheme-1").value
 
 
 @pytest.fixture
@@ -112,53 +121,142 @@ def test_recording_without_the_list_gets_it_from_its_rig(lab: str, tmp_path: Pat
     assert waiver["key"] == "rig.host.on_overrun"
 
 
-def present(limits: tuple[Limit, ...], lab: str, prefix: str) -> list[tuple[str, Limit]]:
-    """Return the limits that a hardware rig, or the scenario, has, with their whole keys."""
-    table = load_rig(lab).value if prefix else load_scenario("scheme-1").value
-    return [(f"{prefix}{limit.key}", limit) for limit, _ in values(limits, table)]
-
-
 def beyond(limit: Limit, bound: float) -> float:
     return bound * (0.5 if limit.weak_below else 2.0)
 
 
-scenario_with, rig_with = cache(load_scenario), cache(load_rig)
-
-
-def loaded_with(key: str, value: float, rig: str) -> tuple[Loaded[Scenario], Loaded[Rig]]:
-    """Return scheme-1 and ``rig`` with a value of one of them. Raises BadInput."""
-    setting = (f"{key}={value!r}",)
-    if key.startswith("rig."):
-        return scenario_with("scheme-1"), rig_with(rig, setting)
-    return scenario_with("scheme-1", setting), rig_with(rig)
-
-
 def bad_text(key: str, value: float, rig: str) -> str:
-    """Return the error of a value, "" if it is accepted."""
+    """Return the error of a value that is given on the command line, "" if it is accepted."""
+    setting = [f"{key}={value!r}"]
     try:
-        scenario, loaded = loaded_with(key, value, rig)
+        scenario, loaded = load_scenario("scheme-1", setting), load_rig(rig, setting)
     except BadInput as error:
         return "; ".join(map(str, error.problems))
     return "; ".join(map(str, check_scenario_limits(scenario, loaded)))
 
 
-def test_each_limit_is_bounded_per_kind_of_rig_and_weak_ones_are_named(lab: str) -> None:
-    """Weaker than recommended is a waiver on each kind of rig; weaker than accepted is an error with the range."""
-    unsaid = []
-    for key, limit in [*present(RIG_LIMITS, lab, "rig."), *present(SCENARIO_LIMITS, lab, "")]:
-        whole = isinstance(limit.recommended, int)
-        for rig, bound in (("mock", limit.simulated), ("emulated", limit.simulated), (lab, limit.hardware)):
-            for value in (0.0, -1.0, 1e9, math.nan, beyond(limit, limit.recommended), beyond(limit, bound)):
-                given = int(value) if whole and math.isfinite(value) else value
-                if text := bad_text(key, given, rig):
-                    assert key in text
-                    assert "allowed" in text or "must be" in text or "finite" in text, text
+KINDS: tuple[Kind, ...] = ("mock", "emulated", "hardware")
+RAILS = "{ travel_m = [-0.5, 0.5], rate_max_mps = 0.2, acceleration_max_mps2 = 0.4 }"
+TARGET = f"""[target_manipulator]
+servo = {{ gain_per_s = 10.0, lag_s = 0.02 }}
+x = {RAILS}
+y = {RAILS}
+z = {RAILS}
+driver = """
+WIRED = '"modbus"\nmodbus = { x = { port = 506 }, y = { port = 507 }, z = { port = 508 } }\n'
+RANGE = 'extends = "scheme-1"\n[sensors.range]\nkind = "range_finder"\n[gnc.integrity]\nvision_range_m = 8.0\n'
+
+
+def on_each_kind(folder: Path, key: str) -> list[tuple[Kind, BaseModel]]:
+    """Return the table of a rig of each kind, or of a scenario for them, that has ``key``."""
+    if not key.startswith("rig."):
+        path = folder / "scenario.toml"
+        path.write_text(RANGE)
+        return [(kind, load_scenario(str(path)).value) for kind in KINDS]
+    found: list[tuple[Kind, BaseModel]] = []
+    rotates = key.startswith("rig.rotary")
+    for kind in KINDS:
+        base = ("mock" if kind == "mock" else "emulated") + ("-manipulator" if rotates else "")
+        text = f'extends = "{base}"\nname = "each"\n'
+        if kind == "hardware":
+            text += f'kind = "hardware"\n{HARDWARE_WIRES}' + (
+                'rotary_manipulator.cia402.channel = "/dev/zero"\n' * rotates
+            )
+        path = folder / f"{kind}.toml"
+        target = TARGET + ('"mock"\n' if kind == "mock" else WIRED)
+        path.write_text(text + target * key.startswith("rig.target"))
+        found.append((kind, load_rig(str(path)).value))
+    return found
+
+
+def with_value(table: BaseModel, key: str, value: float) -> BaseModel:
+    """Return ``table`` with another value. Raises ValidationError."""
+    content = table.model_dump(by_alias=True, exclude_unset=True)
+    *tables, name = key.split(".")
+    at = content
+    for each in tables:
+        at = at.setdefault(each, {})
+    at[name] = (-value, value) if name.startswith("travel") else value
+    return type(table).model_validate(content)
+
+
+def concrete(limit: Limit) -> str:
+    """Return the key with the first axis, or the sensor, in the place of a ``*``."""
+    star = "roll" if "deg" in limit.key else "range" if "sensors" in limit.key else "x"
+    return limit.key.replace("*", star)
+
+
+ALL_LIMITS = [*((f"rig.{limit.key}", limit) for limit in RIG_LIMITS), *((each.key, each) for each in SCENARIO_LIMITS)]
+
+
+@pytest.mark.parametrize(
+    "kinds", [("hardware",), pytest.param(KINDS, marks=pytest.mark.slow)], ids=["hardware", "all values and rigs"]
+)
+def test_each_limit_at_each_value_is_an_error_or_red_unless_it_is_as_strong_as_recommended(
+    tmp_path: Path, kinds: tuple[Kind, ...]
+) -> None:
+    """0, negative, 1e9, nan, weaker than recommended and than accepted, on each kind of rig: 0 lines are silent."""
+    plain = (0.0, -1.0, math.nan) if kinds == KINDS else ()
+    outcomes: Counter[str] = Counter()
+    tables: dict[str, list[tuple[Kind, BaseModel]]] = {}
+    for whole, limit in ALL_LIMITS:
+        key, of_rig = concrete(limit), whole.startswith("rig.")
+        limits = RIG_LIMITS if of_rig else SCENARIO_LIMITS
+        group = whole.partition("_manipulator")[0] if "_manipulator" in whole else "rig." if of_rig else ""
+        if group not in tables:
+            tables[group] = on_each_kind(tmp_path, whole)
+        for kind, table in tables[group]:
+            for value in (*plain, 1e9, beyond(limit, limit.recommended), beyond(limit, limit.accepted(kind))):
+                if kind not in kinds:
                     continue
-                scenario, chosen = loaded_with(key, given, rig)
-                found = waivers(chosen.value, scenario.value)
-                if limit.is_weaker(value, limit.recommended) and key not in [waiver.key for waiver in found]:
-                    unsaid.append((key, value, rig))
-                assert not limit.is_weaker(value, bound), (key, value, rig)
+                is_whole = isinstance(limit.recommended, int) and math.isfinite(value)
+                try:
+                    changed = with_value(table, key, int(value) if is_whole else value)
+                except ValidationError as error:
+                    outcome = "error" if key.rpartition(".")[2] in str(error) else "other error"
+                else:
+                    (given,) = [found for name, _, found in values((limit,), changed) if name == key]
+                    rig = changed if isinstance(changed, Rig) else load_rig("mock").value
+                    scenario = changed if isinstance(changed, Scenario) else scheme()
+                    red = [waiver.key for waiver in waivers(rig, scenario)]
+                    if limit.is_weaker(given, limit.accepted(kind)):
+                        outcome = "error" if key in [name for name, _ in excess(limits, changed, kind)] else "silent"
+                    elif limit.is_weaker(given, limit.recommended):
+                        outcome = "red" if whole.replace(limit.key, key) in red else "silent"
+                    else:
+                        outcome = "as recommended"
+                outcomes[outcome] += 1
+                assert outcome in ("error", "red", "as recommended"), (key, kind, value, outcome)
+    print(f"{len(ALL_LIMITS)} keys: {dict(outcomes)}")  # noqa: T201
+    assert outcomes["red"] > 100 * len(kinds)
+    assert outcomes["error"] > 200 * len(kinds)
+
+
+PROTECTS = re.compile(
+    r"(timeout|limit|lost|within|lease|heartbeat|_age|reaction_s|interlock|_after|persistence|coast|confidence|mismatch"
+    r"|per_speed|torque_delay|sigmas|_max)(_|$)|_max_"
+)
+NO_PROTECTION = {
+    r"drive_following|mechanics\.|sign_off\.": "of emulated drives, or what was measured",
+    r"jerk_max|exchange_rate_max": "smoothness and load of the wires: an axis within speed and acceleration is safe",
+    r"drift_check\.": "of a measurement that the operator starts; its result has its own probability",
+    r"exchange_max_s|late_wakeup": "counted in reports alone",
+    r"lock_step_timeout|reply_timeout_fraction": "of simulated time, or a fraction of a cycle with its own bounds",
+    r"deadband_sigmas|exposure_max_s|range_max_m|status_bits|map\.|limit_cycle|settle": "no limit: control, camera, "
+    "range of a sensor, bits on a wire, motion of the target",
+}
+
+
+def test_each_key_that_is_named_like_a_limit_is_one_or_has_a_reason() -> None:
+    known = [re.compile(re.escape(key).replace(r"\*", r"[\w]+") + "$") for key, _ in ALL_LIMITS]
+    unsaid = [
+        each.name
+        for each in all_keys()
+        if each.row.type in ("number", "integer")
+        and PROTECTS.search(each.name.rpartition(".")[2])
+        and not any(pattern.match(each.name) for pattern in known)
+        and not any(re.search(pattern, each.name) for pattern in NO_PROTECTION)
+    ]
     assert unsaid == []
 
 
@@ -171,9 +269,9 @@ def test_bound_is_an_error_of_one_line_with_what_is_allowed(lab: str) -> None:
 
 
 def test_shipped_rigs_and_scenarios_have_the_recommended_limits() -> None:
-    for rig in shipped("rigs"):
-        for scenario in shipped("scenarios"):
-            assert waivers(rig_with(rig).value, scenario_with(scenario).value) == []
+    scenarios = [load_scenario(name).value for name in shipped("scenarios")]
+    for rig in (load_rig(name).value for name in shipped("rigs")):
+        assert all(waivers(rig, scenario) == [] for scenario in scenarios)
 
 
 def test_weak_limit_of_a_mock_rig_and_of_a_scenario_stands_in_the_json_and_with_the_verdict(
