@@ -31,7 +31,7 @@ class TargetErrors:
 
 
 class AreaTarget:
-    """The target of ``scene`` before a real camera (``tv_pixels.TvCamera``, without its fields, vibration and shadow)."""
+    """The target of ``scene`` before a real camera (``TvCamera``, without its fields, vibration and shadow)."""
 
     def __init__(self, scene: Scene, camera: TvCamera, errors: TargetErrors | None = None) -> None:
         self._scene, self._camera, self._errors = scene, camera, errors or TargetErrors()
@@ -67,17 +67,19 @@ class AreaTarget:
             shape = target.outline
             edge = _circle(*shape.center_m, shape.radius_m) if shape.radius_m is not None else np.array(shape.corners_m)
             parts.append((edge, shape.offset_m, shape.level))
-        for box in sorted(target.boxes, key=lambda box: box.offset_m):
-            parts.append((_rectangle(box.x_m, box.y_m, box.width_m, box.height_m), box.offset_m, box.level))
+        boxes = sorted(target.boxes, key=lambda box: box.offset_m)
+        parts += [(_rectangle(b.x_m, b.y_m, b.width_m, b.height_m), b.offset_m, b.level) for b in boxes]
         if target.plate is not None:
             behind = target.plate.offset_m - self._camera.plate_behind_m
-            parts.append((_rectangle(0.0, 0.0, target.plate.width_m, target.plate.height_m), behind, target.plate.level))
+            parts.append(
+                (_rectangle(0.0, 0.0, target.plate.width_m, target.plate.height_m), behind, target.plate.level)
+            )
         if target.disc is not None:
             radius = target.disc.radius_m * (1.0 + self._errors.disc)
             parts.append((_circle(0.0, 0.0, radius), 0.0, target.disc.level))
         if target.labels is not None:
-            for centre in target.labels.centers_m:
-                parts.append((_circle(*centre, target.labels.radius_m), 0.0, target.labels.level))
+            labels = target.labels
+            parts += [(_circle(*centre, labels.radius_m), 0.0, labels.level) for centre in labels.centers_m]
         if target.cross is not None:
             arm, half = target.cross.arm_length_m, 0.5 * target.cross.arm_width_m
             quarter = np.array([[arm, -half], [arm, half], [half, half]])
