@@ -7,8 +7,9 @@ their correlation time. An unknown acceleration of given size is included; witho
 covariance too small.
 
 Frames that scatter about their motion are explained, if their likelihood is much larger then, by a vibration of the
-camera (a random rotation in each frame), by images lost unnoticed, by fields in the other order, or by a single wild
-frame, which is left out. What remains widens all sigmas; other times of the frames are accepted only if nothing does.
+camera (a random rotation in each frame), by images lost unnoticed, by fields in the other order, or by wild or
+repeated frames, which are left out. What remains widens all sigmas, or refuses the portion if it is much; other times
+of the frames are accepted only if little does.
 
 Growth and tone curve are estimated. The errors of the lens are considered: frames estimate them, so that they do not
 appear as errors of the edges, but a motion that relies on such estimates would be as good as the edges' model only. It
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.config.scene import Scene
+from hil.monitor.displacement import off_the_line, repeated
 from hil.monitor.kernels.pose import FOCAL, GROWTH, UNKNOWNS
 from hil.monitor.results import FrameResult
 from hil.monitor.settings import MonitorSettings
@@ -39,7 +41,9 @@ _STATES: Final = _CARRIED + 6  # with accelerations
 _LENS: Final = slice(12 + FOCAL - GROWTH, _CARRIED)
 _FREE: Final = np.r_[0 : 12 + FOCAL - GROWTH, _CARRIED:_STATES]  # all states but those of the lens
 _FIRST_SIGMA: Final = np.array([1e3, 2.0] * 3 + [10.0, 0.2] * 3)  # m, m/s, rad, rad/s: initial
-_WILD_FRAME: Final = 60.0  # chi-square of a frame's six pose components about the motion beyond which it may be dropped
+_WILD_FRAME: Final = 60.0  # chi-square of a frame's six pose components about the motion: some may be left out
+_FEWEST: Final = 4  # frames of which others are left out, and that are kept
+_CONTRADICTION: Final = 10.0  # scatter that nothing explains: no motion
 _SIGNIFICANT: Final = 3.0
 _MODEL_ERROR: Final = 0.25  # relative error of sigma^2 from the blur model and the noise estimate
 _JITTERS_PX: Final = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
@@ -47,7 +51,8 @@ _BETTER: Final = 12.0  # of twice the log-likelihood: about the number of explan
 _TIMING: Final = 24.0  # the same, of images lost at up to two places
 _LARGE_SCATTER: Final = 3.0  # of the frames, relative to their noise: images may have been lost
 _DROPPED: Final = 30.0  # the same, of a frame left out
-_MOST_LOST: Final = 6  # images in one portion
+_SLIGHT: Final = 2.0  # up to which other times of the frames explain it
+_MOST_LOST: Final = 10  # images in one portion
 _CHANGES: Final = 3  # explanations in one portion
 NOT_ESTIMATED: Final = 1e-6
 """Prior of an unknown of the camera that is not estimated, px or relative."""
@@ -79,13 +84,17 @@ class MotionSolution:
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """Explanation of a portion: its frames, their times, s, from the last one, jitter, px, and errors of time."""
+    """Explanation of a portion: its frames, their times, s, from the last one, jitter, px, and errors of time.
+
+    ends: the last frames, which are left out, show another motion than those that are kept.
+    """
 
     frames: tuple[FrameResult, ...]
     times: tuple[float, ...]
     jitter_px: float = 0.0
     lost: int = 0
     exchanged: bool = False
+    ends: bool = False
 
     @property
     def timing(self) -> str:
@@ -176,7 +185,7 @@ class MotionFit:
         self._carried = None
 
     def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
-        """Return the motion at ``t_s`` from the used frames; None if it is not determined."""
+        """Return the motion at ``t_s`` from the used frames; None if it is not determined, or if they contradict it."""
         chosen = _Hypothesis(tuple(frames), tuple(frame.detection.t_s - t_s for frame in frames))
         found = self._solve(chosen, t_s)
         for _ in range(_CHANGES):
@@ -186,12 +195,15 @@ class MotionFit:
             rated = [
                 (fit.cost + charge * max(fit.scatter, 1.0), k)
                 for k, (fit, one, charge) in enumerate(others)
-                if fit is not None and not (fit.scattered and one.timing != chosen.timing)
+                if fit is not None and not (fit.scattered and fit.scatter > _SLIGHT and one.timing != chosen.timing)
             ]
             if not rated or not min(rated)[0] < found.cost:
                 break
             found, chosen, _ = others[min(rated)[1]]
         if found is None:
+            return None
+        if chosen.ends or (found.scattered and found.scatter > _CONTRADICTION):
+            self.reset()
             return None
         self._carried = found.carried
         return found.solution
@@ -213,29 +225,35 @@ class MotionFit:
             ]
             for lost in [(gap,) for gap in gaps] + list(combinations_with_replacement(gaps, 2)):
                 yield self._with_gaps(chosen, lost), _TIMING
-            yield from ((one, _TIMING) for one in self._many_lost(chosen, gaps, t_s))
-        worst = int(np.argmax(found.squares))
-        if len(chosen.frames) > 3 and found.squares[worst] > max(_WILD_FRAME, 8.0 * float(np.median(found.squares))):
-            kept = [k for k in range(len(chosen.frames)) if k != worst]
-            frames, at = tuple(chosen.frames[k] for k in kept), tuple(chosen.times[k] for k in kept)
-            yield replace(chosen, frames=frames, times=at), _DROPPED
+            if chosen.jitter_px == 0.0:
+                yield from ((one, _TIMING + one.lost) for one in self._many_lost(chosen, gaps))
+        if len(chosen.frames) >= _FEWEST and found.squares.max() > _WILD_FRAME:
+            poses, information = _six_of(chosen.frames)
+            wild = off_the_line(np.array(chosen.times), poses, information)
+            still = repeated(poses, information)
+            for left_out, charge in ((wild, _DROPPED * wild.sum()), (still, _DROPPED)):
+                if left_out.any() and len(wild) - left_out.sum() >= _FEWEST:
+                    kept = np.flatnonzero(~left_out)
+                    frames, at = tuple(chosen.frames[k] for k in kept), tuple(chosen.times[k] for k in kept)
+                    yield replace(chosen, frames=frames, times=at, ends=bool(left_out[-2:].all())), charge
 
     def _with_gaps(self, chosen: _Hypothesis, lost: Sequence[int]) -> _Hypothesis:
         """Return ``chosen`` with an image lost before each frame of ``lost``."""
         times = (t - self._period_s * sum(k < gap for gap in lost) for k, t in enumerate(chosen.times))
         return replace(chosen, times=tuple(times), lost=chosen.lost + len(lost))
 
-    def _many_lost(self, chosen: _Hypothesis, gaps: Sequence[int], t_s: float) -> Iterator[_Hypothesis]:
-        """Yield explanations with one more image lost each, at the place where that explains most."""
-        for _ in range(_MOST_LOST):
-            rated = [
-                (fit.cost, k) for k in gaps if (fit := self._solve(self._with_gaps(chosen, (k,)), t_s)) is not None
-            ]
-            if not rated:
-                return
-            chosen = self._with_gaps(chosen, (min(rated)[1],))
-            if chosen.lost > 2:
-                yield chosen
+    def _many_lost(self, chosen: _Hypothesis, gaps: Sequence[int]) -> Iterator[_Hypothesis]:
+        """Yield explanations with as many images lost before each frame as the target has moved further there."""
+        poses, information = _six_of(chosen.frames)
+        weights = information.mean(axis=0)
+        steps = np.diff(poses, axis=0) @ weights @ (poses[-1] - poses[0])
+        periods = np.diff(chosen.times) / self._period_s
+        for usual in set(np.quantile(steps / periods, (0.1, 0.25, 0.5)).tolist()):
+            if usual > 0.0:
+                more = np.maximum(np.rint(steps / usual - periods), 0).astype(int)
+                lost = [gap for gap in gaps for _ in range(more[gap - 1])]
+                if 2 < len(lost) <= _MOST_LOST:
+                    yield self._with_gaps(chosen, lost)
 
     def _solve(self, chosen: _Hypothesis, t_s: float) -> _Fit | None:
         frames = chosen.frames
@@ -400,6 +418,13 @@ def _without_camera(full: Floats) -> Floats:
     """Return the information (6, 6) of ``full`` (n, n) on the pose, those of the camera eliminated."""
     loose: Floats = full[:6, :6] - full[:6, 6:] @ np.linalg.solve(full[6:, 6:], full[6:, :6])
     return loose
+
+
+def _six_of(frames: Sequence[FrameResult]) -> tuple[Floats, Floats]:
+    """Return the poses (n, 6) of the frames and their information (n, 6, 6), those of the camera eliminated."""
+    full = [(one.normal + np.diag(one.prior))[:FOCAL, :FOCAL] for one in frames]
+    poses = np.array([_with_stated_lens(one)[:6] for one in frames])
+    return poses, np.array([_without_camera(each) for each in full])
 
 
 def _square(frame: FrameResult, pose: Floats, normal: Floats, at: Floats) -> float:

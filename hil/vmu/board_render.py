@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import cv2
@@ -16,6 +17,7 @@ from hil.vmu.render import RingAppearance
 _FINE: Final = 2  # samples along each side of a pixel
 _PAPER: Final = 0.75  # of full scale: white paper
 _INK: Final = 0.08
+_TAIL: Final = 4.0  # sigmas of the blur
 _ROUNDS: Final = 20  # of the inversion of the distortion
 
 
@@ -42,16 +44,18 @@ class BoardRenderer:
             self._draw(light, ideal)
             if any(lens[name] for name in ("k1", "k2", "p1", "p2", "k3")):
                 light = cv2.remap(light, *self._distortion(camera), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        light = cv2.GaussianBlur(light, (0, 0), chosen.psf_sigma_px)
         sigma = np.sqrt(np.maximum(light, 0.0) / chosen.electrons_per_level + chosen.read_noise_levels**2)
         noisy = light + sigma * rng.standard_normal(light.shape, dtype=np.float32)
         return np.asarray(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
 
     def _draw(self, light: np.ndarray, corners: Array) -> None:
-        """Draw the target with its corners (4, 2) at these pixels, averaged over finer ones."""
-        shape = np.array(light.shape)
-        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 2, 0)
-        high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 3, shape[::-1])
+        """Draw the target with its corners (4, 2) at these pixels, blurred and then averaged over finer ones.
+
+        A blur of whole pixels would displace edges by 0.02 px, according to their place in a pixel.
+        """
+        shape, margin = np.array(light.shape), 2 + math.ceil(_TAIL * self._appearance.psf_sigma_px)
+        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - margin, 0)
+        high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + margin + 1, shape[::-1])
         if (high <= low).any():
             return
         across = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max())
@@ -66,6 +70,7 @@ class BoardRenderer:
         part = cv2.warpPerspective(np.ones_like(texture), to_fine, extent, flags=cv2.INTER_LINEAR)
         behind = light[low[1] : high[1], low[0] : high[0]]
         both = drawn + (1.0 - part) * float(behind.mean())
+        both = cv2.GaussianBlur(both, (0, 0), _FINE * self._appearance.psf_sigma_px, borderType=cv2.BORDER_REPLICATE)
         behind[:] = both.reshape(high[1] - low[1], _FINE, high[0] - low[0], _FINE).mean(axis=(1, 3))
 
     def _distortion(self, camera: int) -> tuple[np.ndarray, np.ndarray]:

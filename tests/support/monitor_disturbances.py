@@ -117,7 +117,7 @@ class MonitorRow:
     def add_portion(self, tally: MonitorTally, number: int, seed: int) -> None:
         """Measure one portion by a new monitor."""
         scene, rng = self.scene(), np.random.default_rng([seed, number])
-        camera, w = self.draw(rng), _motion(rng)
+        camera, w = self.draw(rng), random_approach(rng)
         if self.roll_deg:
             _turn_ship(w, np.radians(self.roll_deg))
         target, monitor = TvTarget(scene, camera), DockingMonitor(scene)
@@ -151,7 +151,7 @@ class MonitorRow:
                 break
         found += monitor.finish()
         end_s = last_s if self.said_fields == "whole" else found[0].t_s
-        tally.add(found[0], _truth(w, end_s), cost_s)
+        tally.add(found[0], portion_truth(w, end_s), cost_s)
 
 
 def _turn_ship(w: Array, roll: float) -> None:
@@ -163,7 +163,7 @@ def _turn_ship(w: Array, roll: float) -> None:
     w[6::2], w[7::2] = Rotation.from_matrix(rotation).as_rotvec(), 0.0
 
 
-def _motion(rng: np.random.Generator) -> Array:
+def random_approach(rng: np.random.Generator) -> Array:
     """Return (12,) of an approach between 3 and 12 m with the target in the image."""
     d3 = float(np.exp(rng.uniform(np.log(3.0), np.log(12.0))))
     passive, sight = rng.uniform(-0.05, 0.05, 2), rng.uniform(-0.03, 0.03, 2)
@@ -182,7 +182,7 @@ def _motion(rng: np.random.Generator) -> Array:
     return w
 
 
-def _truth(w: Array, t_s: float) -> Array:
+def portion_truth(w: Array, t_s: float) -> Array:
     """Return QUANTITIES (12,) at ``t_s``."""
     d, phi, rate = w[0:6:2] + t_s * w[1:6:2], w[6::2] + t_s * w[7::2], w[1:6:2]
     a = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_rotvec(phi).as_matrix()
