@@ -92,6 +92,11 @@ RIG_LIMITS: Final = (
     *_gimbals("turntable", "gimbals"),
     *_rails("target_manipulator", "rails of the target"),
     *_gimbals("rotary_manipulator", "gimbals of the target"),
+    Limit("turntable.controllers.*.cia402.heartbeat_s", "silent drives of gimbals", 0.2, 1.0, 60.0),
+    *_rails("linear_axes.*", "further axes"),
+    *_gimbals("rotary_axes.*", "further axes"),
+    Limit("linear_axes.*.held_within_m", "a further body that leaves its place", 0.02, 0.1, 1e3),
+    Limit("rotary_axes.*.held_within_deg", "a further body that leaves its place", 1.0, 5.0, 360.0),
     Limit("target_manipulator.held_within_m", "a target that leaves its place", 0.02, 0.1, 1e3),
     Limit("vmu.timeout_s", "a run without poses", 2.0, 10.0, 3600.0),
     *_link("vmu", "a vision unit that loses frames", 0.1),
@@ -201,6 +206,8 @@ def _found(names: list[str], table: Any, before: str = "") -> Iterator[tuple[str
     if not names:
         yield before.removeprefix("."), table
         return
+    if isinstance(table, tuple):
+        table = {str(number): each for number, each in enumerate(table)}
     members = table if isinstance(table, dict) else dict(table) if isinstance(table, BaseModel) else {}
     for name in members if names[0] == "*" else names[:1]:
         yield from _found(names[1:], members.get(name), f"{before}.{name}")

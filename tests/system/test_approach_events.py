@@ -79,9 +79,8 @@ def test_order_to_go_on_is_answered_once() -> None:
         events = runner.run().events
     decisions = [(event.t_s, event.text) for event in events if event.text.startswith("docking")]
     assert [t_s for t_s, _ in decisions] == [0.0]
-    assert decisions[0][1].startswith(
-        "docking: no-go, the ready state does not hold: level of x 0.0"
-    )  # what is missing
+    what_is_missing = "level along the docking axis inf m"  # no second pose has confirmed the first
+    assert decisions[0][1].startswith(f"docking: no-go, the ready state does not hold: {what_is_missing}")
 
 
 def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:

@@ -9,9 +9,9 @@ from hil.cli.main import execute
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "json.md"
 BACKENDS = {f"gnc.{part}.{key}" for part in ("navigation", "control") for key in ("backend", "sha256")}
-ONLY_SOMETIMES = {"monitor", "recording", "gnc.python", "manipulator", *BACKENDS}
-"""Keys and groups of runs with a docking monitor, of recorded runs, of a GNC in Python, with a manipulator, with
-backends of one's own."""
+ONLY_SOMETIMES = {"monitor", "recording", "gnc.python", "manipulator", "held_axes", *BACKENDS}
+"""Keys and groups of runs with a docking monitor, of recorded runs, of a GNC in Python, with a manipulator or further
+axes, with backends of one's own."""
 
 
 def described() -> set[str]:

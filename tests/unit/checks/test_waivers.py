@@ -11,6 +11,7 @@ from collections import Counter
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pydantic import BaseModel, ValidationError
@@ -143,6 +144,19 @@ x = {RAILS}
 y = {RAILS}
 z = {RAILS}
 driver = """
+LAMP = f"""[linear_axes.lamp]
+driver = "DRIVER"
+servo = {{ gain_per_s = 10.0, lag_s = 0.02 }}
+place_m = [0.0]
+x = {RAILS}
+"""
+SUN = """[rotary_axes.lamp]
+driver = "DRIVER"
+servo = { gain_per_s = 10.0, lag_s = 0.02 }
+place_deg = [0.0]
+roll = { travel_deg = [-10.0, 10.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }
+"""
+SPLIT = '[[turntable.controllers]]\naxes = ["roll"]\ndriver = "cia402"\ncia402 = { channel = "/dev/zero" }\n'
 WIRED = '"modbus"\nmodbus = { x = { port = 506 }, y = { port = 507 }, z = { port = 508 } }\n'
 RANGE = 'extends = "scheme-1"\n[sensors.range]\nkind = "range_finder"\n[gnc.integrity]\nvision_range_m = 8.0\n'
 
@@ -154,7 +168,7 @@ def on_each_kind(folder: Path, key: str) -> list[tuple[Kind, BaseModel]]:
         path.write_text(RANGE)
         return [(kind, load_scenario(str(path)).value) for kind in KINDS]
     found: list[tuple[Kind, BaseModel]] = []
-    rotates = key.startswith("rig.rotary")
+    rotates = key.startswith("rig.rotary_manipulator")
     for kind in KINDS:
         base = ("mock" if kind == "mock" else "emulated") + ("-manipulator" if rotates else "")
         text = f'extends = "{base}"\nname = "each"\n'
@@ -164,6 +178,13 @@ def on_each_kind(folder: Path, key: str) -> list[tuple[Kind, BaseModel]]:
             )
         path = folder / f"{kind}.toml"
         target = TARGET + ('"mock"\n' if kind == "mock" else WIRED)
+        lamp = LAMP.replace("DRIVER", "mock" if kind == "mock" else "modbus")
+        lamp += "" if kind == "mock" else "modbus = { x = { port = 506 } }\n"
+        sun = SUN.replace("DRIVER", "mock" if kind == "mock" else "cia402")
+        sun += "" if kind == "mock" else 'cia402 = { channel = "/dev/zero" }\n'
+        text += lamp * key.startswith("rig.linear_axes") + sun * key.startswith("rig.rotary_axes")
+        split = SPLIT.replace('driver = "cia402"', 'driver = "mock"') if kind == "mock" else SPLIT
+        text += split * key.startswith("rig.turntable.controllers")
         path.write_text(text + target * key.startswith("rig.target"))
         found.append((kind, load_rig(str(path)).value))
     return found
@@ -171,11 +192,11 @@ def on_each_kind(folder: Path, key: str) -> list[tuple[Kind, BaseModel]]:
 
 def with_value(table: BaseModel, key: str, value: float) -> BaseModel:
     """Return ``table`` with another value. Raises ValidationError."""
-    content = table.model_dump(by_alias=True, exclude_unset=True)
+    content: Any = table.model_dump(by_alias=True, exclude_unset=True)
     *tables, name = key.split(".")
     at = content
     for each in tables:
-        at = at.setdefault(each, {})
+        at = at.setdefault(each, {}) if isinstance(at, dict) else at[int(each)]
     at[name] = (-value, value) if name.startswith("travel") else value
     return type(table).model_validate(content)
 
@@ -183,7 +204,7 @@ def with_value(table: BaseModel, key: str, value: float) -> BaseModel:
 def concrete(limit: Limit) -> str:
     """Return the key with the first axis, or the sensor, in the place of a ``*``."""
     star = "roll" if "deg" in limit.key else "range" if "sensors" in limit.key else "x"
-    return limit.key.replace("*", star)
+    return limit.key.replace("axes.*", "axes.lamp").replace("controllers.*", "controllers.0").replace("*", star)
 
 
 ALL_LIMITS = [*((f"rig.{limit.key}", limit) for limit in RIG_LIMITS), *((each.key, each) for each in SCENARIO_LIMITS)]
@@ -202,7 +223,15 @@ def test_each_limit_at_each_value_is_an_error_or_red_unless_it_is_as_strong_as_r
     for whole, limit in ALL_LIMITS:
         key, of_rig = concrete(limit), whole.startswith("rig.")
         limits = RIG_LIMITS if of_rig else SCENARIO_LIMITS
-        group = whole.partition("_manipulator")[0] if "_manipulator" in whole else "rig." if of_rig else ""
+        group = (
+            whole.partition("_manipulator")[0]
+            if "_manipulator" in whole
+            else whole[:14]
+            if "_axes." in whole or "controllers" in whole
+            else "rig."
+            if of_rig
+            else ""
+        )
         if group not in tables:
             tables[group] = on_each_kind(tmp_path, whole)
         for kind, table in tables[group]:
@@ -248,7 +277,7 @@ NO_PROTECTION = {
 
 
 def test_each_key_that_is_named_like_a_limit_is_one_or_has_a_reason() -> None:
-    known = [re.compile(re.escape(key).replace(r"\*", r"[\w]+") + "$") for key, _ in ALL_LIMITS]
+    known = [re.compile(re.escape(key).replace(r"\.\*", r"(\.[\w]+|\[\])") + "$") for key, _ in ALL_LIMITS]
     unsaid = [
         each.name
         for each in all_keys()
