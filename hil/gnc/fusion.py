@@ -275,17 +275,19 @@ def _fuse_pose(params, state, pose, moment_s, gated):
         nis_a = pose_model.innovate_attitude(
             errors, filters, state.noise, q_measured, pose.covariance_attitude, attitude
         )
-    found, is_contradicted = gated, is_whole and state.mutual > 0 and state.rejected_in_a_row > 0  # by two that agree
+    found = gated
     if gated == NOT_GATED:
+        # the first pose, by two that agree
+        contradicted = is_whole and state.unconfirmed != 0 and state.mutual > 0 and state.rejected_in_a_row > 0
         found = ATTITUDE_ONLY if not is_whole or 0.0 <= nis_a <= params.akf.gate else REJECTED
         if state.rejected_in_a_row >= params.close_after and not is_whole:
             found = REJECTED
-        elif state.rejected_in_a_row >= params.close_after or (state.unconfirmed != 0 and is_contradicted):
+        elif state.rejected_in_a_row >= params.close_after or contradicted:
             nis_p = pose_model.innovate_position(
                 errors, filters, state.noise, z, pose.covariance_position, delta_s, position
             )
             passes = found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate
-            if state.unconfirmed == 0 or not is_contradicted:
+            if not contradicted:
                 found = _closed_gate(params, state, passes)
             elif nis_a >= 0.0 and nis_p >= 0.0 and not passes:
                 found = RESTARTED

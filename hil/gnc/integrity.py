@@ -297,7 +297,8 @@ def protect(params, sensors, state, fusion, t_s, out):
     for i in range(SUMS):
         worst_sum = max(worst_sum, max(state.high[i], state.low[i]))
     doubt = state.followed_go * fusion.noise_m if worst_sum <= params.cusum_go else np.inf
-    if state.biased != 0 or fusion.unconfirmed != 0:
+    unbounded = state.biased != 0 or fusion.unconfirmed != 0
+    if unbounded:
         bias = doubt = np.inf
     second = _second_bound(params, state, fusion, t_s, out.sigma_v_mps, velocity)
     returns = fusion.updated != 0 and state.age_s > _GAP_INTERVALS * fusion.interval_s
@@ -323,5 +324,5 @@ def protect(params, sensors, state, fusion, t_s, out):
         sensor_monitor.missed_rotation(sensors, fusion.sensors, t_s, largest),
     )
     out.protection_level_rad = params.sigmas * largest + turned
-    if state.biased != 0 or fusion.unconfirmed != 0:
+    if unbounded:
         out.protection_level_rad = np.inf
