@@ -40,6 +40,20 @@ class BrowserPage(Protocol):
         """Press and release at a point. kind: mouse or touch."""
 
 
+def until(page: Any, expression: str, wall_s: float = 20.0) -> None:
+    """Wait for ``expression`` on a page, also one of Playwright; a failure states the console's answer."""
+    end_s = time.monotonic() + wall_s
+    while not page.evaluate(expression):
+        answer = "document.getElementById('answer') && document.getElementById('answer').textContent"
+        assert time.monotonic() < end_s, f"{expression} did not come; the page's answer: {page.evaluate(answer)!r}"
+        time.sleep(0.005)
+
+
+def ask_by(page: Any, button: str) -> None:
+    """Click a button that asks the console, while the page hears it: after a frame of 0.5 s the page sends nothing."""
+    until(page, f"!window.hil.link.lost && (document.getElementById('{button}').click(), true)")
+
+
 class ChromiumPage:
     """``BrowserPage`` of Chromium; keys and touches are trusted events."""
 

@@ -13,7 +13,7 @@ import pytest
 
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
-from tests.support.browsers import BrowserPage, chromium, firefox
+from tests.support.browsers import BrowserPage, ask_by, chromium, firefox, until
 from tests.support.console_client import PATIENT, console
 from tests.support.run_settings import NEAR, typed
 from tests.support.stub_console import StubSession, stub_console
@@ -27,6 +27,7 @@ LAYOUTS = ("plain", "shift", "caps lock", "cyrillic", "greek", "input method", "
 CONFIRMED = ("home", "arm", "start", "resume", "abort", "go", "park", "reset")
 FIELDS = ("fault_device", "fault_kind", "fault_axis", "fault_value")
 SETTING = "#settinglist tr:nth-child(1) input"
+SETTING_BUTTON = "#settinglist tr:nth-child(1) button"
 FOCUS = ("nothing", *FIELDS, *(f"list {name}" for name in FIELDS[:3]), "settings", "setting", "camera", "log",
          "who name", "who token", *(f"confirm {order}" for order in CONFIRMED), "confirm open",
          "confirm setting")  # fmt: skip
@@ -47,20 +48,13 @@ for (const kind of ["keydown", "pointerdown"]) {
 """
 
 
-def until(page: BrowserPage, expression: str, wall_s: float = 20.0) -> None:
-    end_s = time.monotonic() + wall_s
-    while not page.evaluate(expression):
-        assert time.monotonic() < end_s, f"{expression} did not come"
-        time.sleep(0.005)
-
-
 @contextmanager
 def opened(page: BrowserPage) -> Iterator[StubSession]:
     """Load the page of a console with a stub, and take the command."""
     with stub_console() as (address, _, stub):
         page.open(f"http://{address}/", SCRIPT)
         until(page, "Boolean(window.hil && window.hil.page)")
-        page.evaluate("void document.getElementById('take').click()")
+        ask_by(page, "take")
         until(page, "window.hil.now.lease.mine && !document.body.classList.contains('away')")
         yield stub
 
@@ -98,13 +92,12 @@ def set_focus(page: BrowserPage, stub: StubSession | None, focus: str) -> None:
             page.evaluate(f"void document.querySelector('{SETTING}').focus()")
         if name == "setting":
             page.evaluate(f"void (document.querySelector('{SETTING}').value = '0.0003')")
-            page.evaluate("void document.querySelector('#settinglist tr:nth-child(1) button').click()")
+            until(page, f"!window.hil.link.lost && (document.querySelector('{SETTING_BUTTON}').click(), true)")
     elif what == "confirm":
-        page.evaluate(
-            f"void (document.getElementById('order_{name}') || document.getElementById('take')).click()"
-            if name != "open"
-            else "import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('confirm')))"
-        )
+        if name == "open":
+            page.evaluate("import('/page/dialogs.js').then((d) => d.openDialog(document.getElementById('confirm')))")
+        else:
+            ask_by(page, f"order_{name}")
     if what == "confirm":
         until(page, "document.getElementById('confirm').open")
 
@@ -184,7 +177,7 @@ def test_page_shows_when_keys_or_orders_do_not_arrive_and_then_no_button_looks_a
     with chromium() as page, stub_console() as (address, service, stub):
         page.open(f"http://{address}/", SCRIPT)
         until(page, "Boolean(window.hil && window.hil.page)")
-        page.evaluate("void document.getElementById('take').click()")
+        ask_by(page, "take")
         until(page, "window.hil.now.lease.mine && document.getElementById('reach').textContent === ''")
         until(page, f"['stop', 'order_hold', 'order_abort'].every((id) => {ALIVE}.includes(id))")
 
@@ -220,6 +213,7 @@ def test_second_click_of_a_double_click_confirms_nothing_and_presses_nothing_beh
             time.sleep(0.5)
             page.evaluate("void (window.cells.sent = [])")
             where = middle(page, "yes")
+            until(page, "!window.hil.link.lost")
             page.point("mouse", *where)
             until(page, "!document.getElementById('confirm').open && window.cells.sent.length === 1")
             page.point("mouse", *where)

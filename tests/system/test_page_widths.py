@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,7 +12,7 @@ from hil.console.strangers import Access
 from hil.core.modes import Mode
 from hil.core.operator_keys import OperatorKey, write_key
 from hil.report import html
-from tests.support.browsers import ChromiumPage, chromium
+from tests.support.browsers import ChromiumPage, ask_by, chromium, until
 from tests.support.stub_console import stub_console
 
 pytestmark = [pytest.mark.wires, pytest.mark.timeout(120)]
@@ -77,13 +76,6 @@ CONTRAST = """() => {
 }"""
 
 
-def until(page: Any, expression: str, wall_s: float = 20.0) -> None:
-    end_s = time.monotonic() + wall_s
-    while not page.evaluate(expression):
-        assert time.monotonic() < end_s, f"{expression} did not come"
-        time.sleep(0.01)
-
-
 @pytest.fixture(scope="module")
 def screens() -> Iterator[ChromiumPage]:
     """Return the page of a running session with an alarm, of an operator who has the command."""
@@ -101,7 +93,7 @@ def screens() -> Iterator[ChromiumPage]:
         service.changed()
         page.open(f"http://{address}/", "localStorage.setItem('hil.name', 'ann')")
         until(page, "Boolean(window.hil && window.hil.page)")
-        page.evaluate("void document.getElementById('take').click()")
+        ask_by(page, "take")
         until(page, "window.hil.now.lease.mine && document.getElementById('alarmline').textContent")
         yield page
 
@@ -204,7 +196,7 @@ def test_key_is_chosen_once_kept_over_a_reload_and_forgotten_on_signing_out(
         page.set_input_files("#key_file", tmp_path / "ann.key")
         page.click("#enter")
         until(page, "window.hil.page && window.hil.now.me.name === 'ann'")
-        page.click("#take")
+        ask_by(page, "take")
         until(page, "window.hil.now.lease.mine")
         page.reload()
         until(page, "window.hil.page && window.hil.now.lease.mine")  # the command continues
