@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from cyclopts import Parameter
 
 from hil.cli.output import file_path_problem, say
 from hil.errors import BadInput
 
+Form = Literal["parquet", "csv", "ros2"]
+
 
 def export(
     recording: str,
     /,
     *,
-    form: Annotated[Literal["parquet", "csv", "ros2"], Parameter(name="--format")] = "csv",
+    form: Annotated[Form | None, Parameter(name="--format")] = None,
     out: Annotated[str | None, Parameter(name=("--out", "-o"))] = None,
     images: str | None = None,
 ) -> int:
@@ -26,7 +28,8 @@ def export(
     recording
         File of hil run --record, of any version.
     form
-        parquet requires the extra of that name: pip install 'hil-bench[parquet]'.
+        Default: that of the ending of --out, or csv. parquet requires the extra of that name: pip install
+        'hil-bench[parquet]'.
     out
         File, or of ros2 the new folder, to write; default: the recording's name with the format's ending.
     images
@@ -34,8 +37,13 @@ def export(
     """
     if images is not None:
         return _export_images(recording, images, out)
-    target = Path(out) if out is not None else Path(recording).with_suffix(f".{form}")
-    if form == "ros2":
+    ending = Path(out).suffix[1:] if out is not None else ""
+    endings: dict[str, Form] = {each: each for each in get_args(Form)}
+    chosen = form or endings.get(ending, "csv")
+    if ending != chosen and ending in endings:
+        raise BadInput.single("--out", "", f"{out} ends in .{ending}, and the format is {chosen}")
+    target = Path(out) if out is not None else Path(recording).with_suffix(f".{chosen}")
+    if chosen == "ros2":
         from hil.recording.ros2 import export_ros2
 
         for topic, count in export_ros2(Path(recording), target).items():
@@ -46,7 +54,7 @@ def export(
 
     from hil.recording import export as numbers
 
-    for path, rows in numbers.export(Path(recording), form, target):
+    for path, rows in numbers.export(Path(recording), chosen, target):
         say(f"{path}: {rows} rows")
     return 0
 

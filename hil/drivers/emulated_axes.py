@@ -88,7 +88,7 @@ class EmulatedAxes:
         self._current_until_s = [-math.inf] * n  # of a disabled drive, until its brake has closed
         self._runaway: list[float | None] = [None] * n
         self._sigma = config.si("encoder_sigma")
-        self._noise = stream(seed, "encoders")
+        self._noise = stream(seed, "encoders", device)
         self._absolute = [axis.encoder == "absolute" for axis in axes]
         self._home = np.array([axis.si("home") for axis in axes])
         self._homing_rate = np.array([axis.si("homing_rate") for axis in axes])

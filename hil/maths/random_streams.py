@@ -27,9 +27,10 @@ _STREAMS = {
 _NO_MEANS = np.zeros(0)
 
 
-def stream(seed: int, name: str) -> np.random.Generator:
-    """Return the generator of the source ``name`` for a run of ``seed``."""
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_STREAMS[name],))))
+def stream(seed: int, name: str, device: str = "") -> np.random.Generator:
+    """Return the generator of the source ``name`` for a run of ``seed``; each ``device`` has one of its own."""
+    key = (_STREAMS[name], *device.encode())
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 class NoiseSource(Protocol):

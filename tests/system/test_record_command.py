@@ -132,6 +132,12 @@ def test_a_run_that_broke_off_replays_as_far_as_it_goes(folder: Path, tmp_path: 
     assert execute(["replay", str(cut)]) == 0
 
 
+def test_ending_of_the_exported_file_is_its_format(folder: Path, tmp_path: Path) -> None:
+    target = tmp_path / "run.parquet"
+    assert execute(["export", files(folder)[0], "-o", str(target)]) == 0
+    assert target.read_bytes()[:4] == b"PAR1"
+
+
 def test_bad_input_is_one_clear_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good, foreign, missing = files(folder)[0], tmp_path / "x.mcap", str(tmp_path / "none.mcap")
     foreign.write_text("t_s,x\n0,1\n")
@@ -143,6 +149,9 @@ def test_bad_input_is_one_clear_line(folder: Path, tmp_path: Path, capsys: pytes
     assert ".html" in refused(capsys, "report", good, "-o", str(tmp_path / "r.pdf"))
     assert "folder does not exist" in refused(capsys, "report", good, "-o", str(tmp_path / "no" / "r.html"))
     assert "folder does not exist" in refused(capsys, "export", good, "-o", str(tmp_path / "no" / "r.csv"))
+    assert "r.parquet ends in .parquet, and the format is csv" in refused(
+        capsys, "export", good, "-o", str(tmp_path / "r.parquet"), "--format", "csv"
+    )
     assert "--record" in refused(capsys, "recordings", "list", str(tmp_path))
     assert "2026-13-01" in refused(capsys, "recordings", "list", str(folder), "--since", "2026-13-01")
     assert "--passed" in refused(capsys, "recordings", "list", str(folder), "--failed", "--passed")

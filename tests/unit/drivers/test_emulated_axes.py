@@ -298,3 +298,13 @@ def test_a_runaway_ignores_all_commands_as_long_as_it_has_torque(make: Make) -> 
     chain[0] = OPEN
     axes.advance(4.0)
     assert not axes.moving(1)
+
+
+def test_encoders_of_two_groups_have_noise_of_their_own(board: SharedAxisState) -> None:
+    config = load_rig("emulated", ("rig.rails.encoder_sigma_m=1e-5",)).value.rails
+    positions = []
+    for device in ("rails", "rails", "further.lamp"):
+        axes = EmulatedAxes(device, config, StoppedClock(), board, seed=3)
+        axes.advance(PERIOD_S)
+        positions.append(axes.position.tolist())
+    assert positions[0] == positions[1] != positions[2]
