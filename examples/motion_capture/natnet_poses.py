@@ -14,8 +14,8 @@ moves may be moved. The sensor:
     port = 5005
     stamp = "capture"
 
-A measurement is the middle of the cameras' exposure: as long before the datagram's arrival as the server's own clock
-says. The network's delay, about 0.2 ms, is not in it. A frame without either of the bodies is not passed on.
+A measurement is the middle of the cameras' exposure: as long before the datagram's arrival as by the server's own
+clock. The network's delay, about 0.2 ms, is not in it. A frame without either of the bodies is not passed on.
 """
 
 from __future__ import annotations

@@ -22,13 +22,15 @@ _COPIES: Final = {"self", "error", "check"}
 
 def quantities() -> dict[str, str]:
     """Return each quantity, with * for a part that varies, and the file that raises it first."""
-    sources = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+    texts_of = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+    sources = {path: ast.parse(text) for path, text in texts_of.items()}
     public = {name: text for tree in sources.values() for name, text in _constants(tree) if not name.startswith("_")}
+    callers = [(tree, texts_of[path]) for path, tree in sources.items()]
     found = {quantity: "safety/alarms.py" for quantity, _ in _KINDS.values()}
     for path, tree in sources.items():
-        source = _Source(tree, public | dict(_constants(tree)), list(sources.values()))
-        for quantity in source.raised():
-            found.setdefault(quantity, str(path.relative_to(PACKAGE)))
+        if any(f"{name}(" in texts_of[path] for name in _QUANTITY):
+            for quantity in _Source(tree, public | dict(_constants(tree)), callers).raised():
+                found.setdefault(quantity, str(path.relative_to(PACKAGE)))
     for expression, texts in varying().items():
         place = found.pop(expression)
         found |= {text: place for text in texts if text not in found}
@@ -50,9 +52,9 @@ def _texts_of(target: ast.expr | None, value: ast.expr | None) -> Iterator[tuple
 
 
 class _Source:
-    """One file. constants: texts by their names; everything: all files."""
+    """One file. constants: texts by their names; everything: all files, parsed and as text."""
 
-    def __init__(self, tree: ast.Module, constants: dict[str, str], everything: list[ast.Module]) -> None:
+    def __init__(self, tree: ast.Module, constants: dict[str, str], everything: list[tuple[ast.Module, str]]) -> None:
         self._tree, self._constants, self._everything = tree, constants, everything
 
     def raised(self) -> Iterator[str]:
@@ -96,7 +98,7 @@ class _Source:
         defaults = dict(zip(reversed(names), reversed(function.args.defaults), strict=False))
         if name in defaults:
             yield from self._texts(defaults[name], function)
-        for tree in self._everything:
+        for tree in [tree for tree, text in self._everything if f"{function.name}(" in text]:
             local = _Source(tree, self._constants | dict(_constants(tree)), [])
             for call in [node for node in ast.walk(tree) if isinstance(node, ast.Call)]:
                 if isinstance(call.func, ast.Name) and call.func.id == function.name:
