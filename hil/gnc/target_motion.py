@@ -175,5 +175,22 @@ def carry_errors(orbit, errors, dt, filters):
             p[j, V + i] += gained[i]
             p[j, ROTATION + i] += gained[3 + i]
             p[j, k + i] += gained[6 + i]
-    for i in range(3):
-        p[k + i, k + i] += errors.target_walk
+    if errors.target_walk != 0.0:
+        _add_walk(errors, filters)
+
+
+@kernel
+def _add_walk(errors, filters):
+    """Add the random walk of the rate over a step: ``dw``, and the velocity ``r x dw`` that it gives in these axes."""
+    p, k = filters.p, errors.target_rate
+    unit, moved = stack.vector(3), stack.vector(3)
+    for m in range(3):
+        for i in range(3):
+            unit[i] = 1.0 if i == m else 0.0
+        cross_into(filters.pkf.x[0:3], unit, moved)
+        p[k + m, k + m] += errors.target_walk
+        for i in range(3):
+            p[V + i, k + m] += errors.target_walk * moved[i]
+            p[k + m, V + i] += errors.target_walk * moved[i]
+            for j in range(3):
+                p[V + i, V + j] += errors.target_walk * moved[i] * moved[j]

@@ -83,6 +83,17 @@ def test_errors_of_rate_and_moments_move_the_other_errors_as_the_states_do(which
     np.testing.assert_allclose(found, expected, atol=1.5 / steps * np.abs(expected).max())  # of first order in a step
 
 
+def test_walk_of_the_rate_moves_the_velocity_in_the_axes() -> None:
+    """A chaser that goes on as before has the velocity -dw x r in axes whose rate has changed by dw."""
+    state, errors = begun(np.zeros(3), np.zeros(3)), PARAMS.errors.copy()
+    errors.target_walk = walk = 1e-10
+    target_motion.carry_errors(PARAMS.orbit, errors, 0.0, state.filters)
+    change = [np.concatenate([-np.cross(dw, state.filters.pkf.x[:3]), dw]) for dw in np.eye(3)]
+    rows = [*range(V, V + 3), *range(RATE, RATE + 3)]
+    expected = walk * np.sum([np.outer(each, each) for each in change], axis=0)
+    np.testing.assert_allclose(state.filters.p[np.ix_(rows, rows)], expected, atol=1e-9 * walk)
+
+
 def test_tumble_is_found_from_poses() -> None:
     scenario = load_scenario("tumbling-5", ("duration_s=40.0",))
     error = (0.05, -0.06, 0.08)
