@@ -6,75 +6,18 @@ import threading
 
 from hil.config.rig import RotaryAxes
 from hil.core.clock import BenchClock
-from hil.core.messages import Homing
 from hil.drivers.emulated_axes import STEP_S, WATCHDOG_S, EmulatedAxes, ReadChain
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.emulated_bus import BusStation, SerialStation, Station
+from hil.drivers.turntable.cia402.modes import DriveAxis
 from hil.drivers.turntable.cia402.serial_can import Frame
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 
 BUS_BYTES_PER_S = 150e3
 """A frame of 8 data bytes is 19 bytes in python-can's serial framing and about 125 us at 1 Mbit/s."""
-
-
-class _Axis:
-    """One gimbal as its drive sees it: counts."""
-
-    def __init__(self, gimbals: EmulatedAxes, axis: int, counts_per_turn: int, clock: BenchClock) -> None:
-        self._gimbals = gimbals
-        self._axis = axis
-        self._scale = counts_per_turn
-        self._clock = clock
-
-    def feedback(self) -> tuple[int, int]:
-        position, rate = self._gimbals.position[self._axis], self._gimbals.rate[self._axis]
-        return codec.counts_from_rad(position, self._scale), codec.counts_from_rad(rate, self._scale)
-
-    def follow(self, target: int, velocity_offset: int, watchdog_s: float) -> None:
-        position = codec.rad_from_counts(target, self._scale)
-        rate = codec.rad_from_counts(velocity_offset, self._scale)
-        self._gimbals.follow(self._axis, position, rate, self._clock.now_s(), watchdog_s)
-
-    def brake(self) -> None:
-        self._gimbals.brake(self._axis)
-
-    def enable(self) -> None:
-        self._gimbals.enable(self._axis)
-
-    def disable(self) -> None:
-        self._gimbals.disable(self._axis)
-
-    def home(self) -> None:
-        self._gimbals.home(self._axis)
-
-    def homing(self) -> Homing:
-        return self._gimbals.homing[self._axis]
-
-    def moving(self) -> bool:
-        return self._gimbals.moving(self._axis)
-
-    def limit(self) -> int:
-        return self._gimbals.limit[self._axis]
-
-    def torque_off(self) -> bool:
-        return self._gimbals.torque_off
-
-    def astray(self) -> bool:
-        return self._gimbals.astray[self._axis]
-
-    def clear_astray(self) -> None:
-        self._gimbals.astray[self._axis] = False
-
-    def window(self) -> tuple[int, int]:
-        window, time_s = self._gimbals.window[self._axis], self._gimbals.window_s[self._axis]
-        return codec.counts_from_rad(window, self._scale), round(1e3 * time_s)
-
-    def set_window(self, counts: float, time_out_ms: int) -> None:
-        self._gimbals.window[self._axis] = counts * codec.rad_from_counts(1, self._scale)
-        self._gimbals.window_s[self._axis] = 1e-3 * time_out_ms
 
 
 class Cia402Emulator:
@@ -97,7 +40,7 @@ class Cia402Emulator:
         self.faults = self.gimbals.faults
         self.drives = []
         for index, number in enumerate(config.axis_numbers):
-            axis = _Axis(self.gimbals, index, config.cia402.counts_per_turn, clock)
+            axis = DriveAxis(self.gimbals, index, config.cia402.counts_per_turn, clock)
             self.drives.append(EmulatedCia402Drive(config.cia402.node_ids[number], axis, WATCHDOG_S))
         self._wire_noise = stream(seed, "wire")
         self._station: Station | None = None
