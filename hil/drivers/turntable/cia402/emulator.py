@@ -34,7 +34,6 @@ class Cia402Emulator:
     ) -> None:
         if config.cia402 is None:
             raise BadInput.single("rig", "turntable.cia402", "is missing")
-        self._config = config.cia402
         self._clock = clock
         self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
         self.faults = self.gimbals.faults
@@ -42,23 +41,21 @@ class Cia402Emulator:
         for index, number in enumerate(config.axis_numbers):
             axis = DriveAxis(self.gimbals, index, config.cia402.counts_per_turn, clock)
             self.drives.append(EmulatedCia402Drive(config.cia402.node_ids[number], axis, WATCHDOG_S))
-        self._wire_noise = stream(seed, "wire")
-        self._station: Station | None = None
+        noise = stream(seed, "wire")
+        self._station: Station
+        if config.cia402.interface == "serial":
+            self._station = SerialStation(BUS_BYTES_PER_S, clock, self.faults, noise)
+        else:
+            self._station = BusStation(config.cia402, clock, self.faults, noise)
 
     def start(self) -> dict[str, str]:
-        """Join the bus; return its address."""
-        if self._config.interface == "serial":
-            self._station = SerialStation(BUS_BYTES_PER_S, self._clock, self.faults, self._wire_noise)
-        else:
-            self._station = BusStation(self._config, self._clock, self.faults, self._wire_noise)
+        """Announce the drives on the bus; return its address."""
         self._station.send([frame for drive in self.drives for frame in drive.boot()])
         return {self.faults.device: self._station.address}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the bus until ``stop`` is set."""
         station = self._station
-        if station is None:
-            raise RuntimeError("start the emulator first")
         stepped_s, step_s = self._clock.now_s(), self._clock.paced_s(STEP_S)
         while not stop.is_set():
             received = station.receive(stepped_s + step_s - self._clock.now_s())
@@ -71,9 +68,7 @@ class Cia402Emulator:
 
     def close(self) -> None:
         """Leave the bus."""
-        if self._station is not None:
-            self._station.close()
-        self._station = None
+        self._station.close()
 
     def _housekeep(self, now_s: float) -> list[Frame]:
         frames: list[Frame] = []
