@@ -6,6 +6,7 @@ import pytest
 
 from hil.core.jit import kernel
 from hil.core.kernel_digest import NotDigestible, digest_of
+from hil.loop.compiled import run_stats
 from hil.loop.compiled.run_cycles import run_cycles
 
 SOURCE = """
@@ -59,9 +60,10 @@ def test_constant_layout_and_formula_are_in_the_digest(old: str, new: str) -> No
         ("Documentation.", "Other words."),
         ("FACTOR = 2.0", "\n# a comment\nFACTOR = 2.0"),
         ("def called(x):\n    return x + 1.0", "def called(x):\n    return x + 2.0"),
+        ("FACTOR = 2.0", "FACTOR = 2.0\nx = object()"),  # x is a field of the row here
     ],
 )
-def test_words_and_the_inside_of_an_entry_are_not_in_the_digest_of_its_caller(old: str, new: str) -> None:
+def test_words_fields_and_the_inside_of_an_entry_are_not_in_the_digest_of_its_caller(old: str, new: str) -> None:
     assert digest(old, new) == digest()
 
 
@@ -88,4 +90,5 @@ def test_kernel_with_a_global_that_has_no_digest_is_compiled_and_not_cached() ->
 
 
 def test_every_kernel_of_the_loop_has_a_digest() -> None:
-    assert len(digest_of(run_cycles)) == 16
+    for entry in (run_cycles, run_stats.start_run_stats, run_stats.count_cycle):
+        assert len(digest_of(entry)) == 16
