@@ -76,7 +76,7 @@ def _globals(code: CodeType) -> set[str]:
         whole = extended << 8 | argument
         extended = whole if operation == _EXTENDED_ARG else 0
         if operation == _LOAD_GLOBAL:
-            found.add(code.co_names[whole >> 1])  # the last bit says that it is called
+            found.add(code.co_names[whole >> 1])  # the last bit: whether it is called at once
     return found.union(*(_globals(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
 
 
