@@ -118,30 +118,25 @@ class _Base:
     """Campaign of the base branch in ``folder``, or of an earlier ``hil ci`` there. Raises BadInput."""
 
     def __init__(self, folder: Path, seed: int, runs: int) -> None:
-        from hil.monte_carlo.store import TABLE, parquet
-        from hil.monte_carlo.stored_campaign import StoredCampaign
+        from hil.monte_carlo.explain import Cases
+        from hil.monte_carlo.store import TABLE
 
-        self._folder = folder / "campaign" if (folder / "campaign").is_dir() else folder
-        if not (self._folder / TABLE).is_file():
+        inner = folder / "campaign" if (folder / "campaign").is_dir() else folder
+        if not (inner / TABLE).is_file():
             raise BadInput.single(
                 "--base", "", f"{folder}: has no numbers, the campaign of a hil ci on the base branch"
             )
-        found = StoredCampaign(self._folder)
-        self._table = parquet()[1].read_table(self._folder / TABLE)
-        for name, own, given in (("seed", found.seed, seed), ("runs", len(self._table), runs)):
+        self._cases = Cases(inner, "--base")
+        for name, own, given in (("seed", self._cases.identity["seed"], seed), ("runs", len(self._cases.table), runs)):
             if own != given:
                 text = f"{folder}: its campaign has {name} {own}, this one {given}: cases can only be paired if equal"
                 raise BadInput.single("--base", "", text)
-
-    def column(self, name: str) -> Any:
-        """Return a column of the cases, (n,)."""
-        return self._table.column(name).to_numpy()
 
     def compare(self, cases: Campaign) -> dict[str, Any]:
         """Return the differences of ``cases`` from the base, by the keys of ``comparison.json``."""
         from hil.monte_carlo.statistics import compare
 
-        return compare(self, cases, ("base", "here"))
+        return compare(self._cases, cases, ("base", "here"))
 
 
 def _campaign_step(cases: Campaign) -> PipelineStep:

@@ -208,7 +208,9 @@ def _found(names: list[str], table: Any, before: str = "") -> Iterator[tuple[str
         return
     if isinstance(table, tuple):
         table = {str(number): each for number, each in enumerate(table)}
-    members = table if isinstance(table, dict) else dict(table) if isinstance(table, BaseModel) else {}
+    elif isinstance(table, BaseModel):
+        table = table.__dict__ | (table.__pydantic_extra__ or {})
+    members = table if isinstance(table, dict) else {}
     for name in members if names[0] == "*" else names[:1]:
         yield from _found(names[1:], members.get(name), f"{before}.{name}")
 

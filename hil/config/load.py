@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import pickle
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -253,6 +254,19 @@ def _put_dispersion_set(table: Table, name: str, origin: dict[str, str]) -> None
 
 
 def _read_table(path: Path) -> Table:
+    """Return the table in the file at ``path``; a shipped file is parsed once."""
+    if configs_folder() not in path.parents:
+        return _parsed_table(path)
+    found: Table = pickle.loads(_shipped_table(path))
+    return found
+
+
+@cache
+def _shipped_table(path: Path) -> bytes:
+    return pickle.dumps(_parsed_table(path))
+
+
+def _parsed_table(path: Path) -> Table:
     text, is_json = read_text(path, CONFIG_BYTES), path.suffix == ".json"
     try:
         table = parse_json(text) if is_json else parse_toml(text)

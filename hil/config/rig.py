@@ -450,6 +450,30 @@ def part_name(name: str, controller: AxisController) -> str:
     return f"{name}.{'-'.join(controller.axes)}"
 
 
+class HeldAtPlace(AxisGroupTable):
+    """Axes that are brought to their places, key ``place``, before the run is armed, and held there during it."""
+
+    without_wires: ClassVar = ("mock", "none")
+
+    @property
+    def place(self) -> tuple[tuple[float, ...], float]:
+        """Place of each axis and allowed distance from it, m or rad."""
+        return self.si("place"), self.si("held_within")
+
+    @model_validator(mode="after")
+    def _the_place_can_be_reached(self) -> Self:
+        key, places = self.key_of("place"), self.in_file("place")
+        if not self.axis_names:
+            raise ValueError(f"an axis is missing, allowed: {', '.join(self.all_names)}")
+        if len(places) != len(self.axis_names):
+            raise ValueError(f"{key} {list(places)}: one for each of {', '.join(self.axis_names)}")
+        for name, axis, place in zip(self.axis_names, self.axes, places, strict=True):
+            low, high = axis.in_file("travel")
+            if not low <= place <= high:
+                raise ValueError(f"{key}: {name} {place:g}, allowed {low:g} to {high:g}")
+        return self
+
+
 class LinearAxes(AxisGroupTable):
     """Axes that move along lines, with the keys of rails."""
 
@@ -485,25 +509,13 @@ class Rails(LinearAxes):
         return self.controllers
 
 
-class TargetManipulator(Rails):
+class TargetManipulator(Rails, HeldAtPlace):
     """Manipulator of the target: three axes like the rails, placed before a run and held during it."""
-
-    without_wires: ClassVar = ("mock", "none")
 
     place_m: Triple = (0.0, 0.0, 0.0)
     """Position of the target, reached before the run is armed, at half of the limits."""
     held_within_m: Positive = 0.005
     """Allowed deviation from it, per axis, while armed and running."""
-
-    @model_validator(mode="after")
-    def _the_place_can_be_reached(self) -> Self:
-        _check_places(self, "place_m", self.place_m)
-        return self
-
-    @property
-    def place(self) -> tuple[tuple[float, ...], float]:
-        """Place and allowed distance from it, m."""
-        return self.place_m, self.held_within_m
 
 
 class RotaryAxes(AxisGroupTable):
@@ -540,22 +552,8 @@ class Turntable(RotaryAxes):
         return self.controllers
 
 
-def _check_places(group: AxisGroupTable, key: str, places: tuple[float, ...]) -> None:
-    """Raise ValueError unless ``key`` has a place within the travel of each axis."""
-    if not group.axis_names:
-        raise ValueError(f"an axis is missing, allowed: {', '.join(group.all_names)}")
-    if len(places) != len(group.axis_names):
-        raise ValueError(f"{key} {list(places)}: one for each of {', '.join(group.axis_names)}")
-    for name, axis, place in zip(group.axis_names, group.axes, places, strict=True):
-        low, high = (limit / group.si_per_unit for limit in axis.limits[:2])
-        if not low <= place <= high:
-            raise ValueError(f"{key}: {name} {place:g}, allowed {low:g} to {high:g}")
-
-
-class HeldLinearAxes(LinearAxes):
+class HeldLinearAxes(LinearAxes, HeldAtPlace):
     """`[linear_axes.NAME]`: one to three axes, as of a light source, that stand at their place during a run."""
-
-    without_wires: ClassVar = ("mock", "none")
 
     x: RailAxis | None = None
     y: RailAxis | None = None
@@ -565,21 +563,9 @@ class HeldLinearAxes(LinearAxes):
     held_within_m: Positive = 0.005
     """Allowed distance from it while armed and running."""
 
-    @model_validator(mode="after")
-    def _the_place_can_be_reached(self) -> Self:
-        _check_places(self, "place_m", self.place_m)
-        return self
 
-    @property
-    def place(self) -> tuple[tuple[float, ...], float]:
-        """Place and allowed distance from it, m."""
-        return self.place_m, self.held_within_m
-
-
-class HeldRotaryAxes(RotaryAxes):
+class HeldRotaryAxes(RotaryAxes, HeldAtPlace):
     """`[rotary_axes.NAME]`: one to three axes that rotate a light source to its place and hold it during a run."""
-
-    without_wires: ClassVar = ("mock", "none")
 
     roll: GimbalAxis | None = None
     pitch: GimbalAxis | None = None
@@ -588,16 +574,6 @@ class HeldRotaryAxes(RotaryAxes):
     """Place of each axis that is given, in the order roll, pitch, yaw, reached before the run is armed."""
     held_within_deg: Positive = 0.5
     """Allowed distance from it while armed and running."""
-
-    @model_validator(mode="after")
-    def _the_place_can_be_reached(self) -> Self:
-        _check_places(self, "place_deg", self.place_deg)
-        return self
-
-    @property
-    def place(self) -> tuple[tuple[float, ...], float]:
-        """Place and allowed distance from it, rad."""
-        return tuple(math.radians(each) for each in self.place_deg), math.radians(self.held_within_deg)
 
 
 class RotaryManipulator(Turntable):
@@ -764,7 +740,7 @@ class Rig(ConfigModel):
         return self.moved_target or self.rotated_target
 
     @property
-    def held_axes(self) -> dict[str, HeldLinearAxes | HeldRotaryAxes]:
+    def held_axes(self) -> dict[str, HeldAtPlace]:
         """Further axes that are held at their places, by names."""
         return {name: table for name, table in (self.linear_axes | self.rotary_axes).items() if table.driver != "none"}
 

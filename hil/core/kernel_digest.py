@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import enum
 import hashlib
+import opcode
 import platform
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,7 @@ import numpy as np
 from numba.core.extending import _Intrinsic
 
 _LENGTH: Final = 16
+_LOAD_GLOBAL, _EXTENDED_ARG = (opcode.opmap[name] for name in ("LOAD_GLOBAL", "EXTENDED_ARG"))
 _COMPILER: Final = ("numpy", "numba", "llvmlite")  # packages whose versions are in every digest
 _PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis), range, slice)
 
@@ -61,10 +63,21 @@ def _function(function: FunctionType) -> str:
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     parts += [f"{name}={_value(cell.cell_contents, names)}" for name, cell in cells]
     parts.append(repr([_value(value, names) for value in function.__defaults__ or ()]))
-    for name in sorted(names):
+    for name in sorted(_globals(function.__code__)):
         if name in function.__globals__:
             parts.append(f"{name}={_value(function.__globals__[name], names)}")
     return "\n".join(parts)
+
+
+def _globals(code: CodeType) -> set[str]:
+    """Return the names of globals in ``code`` and the functions inside it: an attribute may have the same name."""
+    found, extended = set[str](), 0
+    for operation, argument in zip(code.co_code[::2], code.co_code[1::2], strict=True):
+        whole = extended << 8 | argument
+        extended = whole if operation == _EXTENDED_ARG else 0
+        if operation == _LOAD_GLOBAL:
+            found.add(code.co_names[whole >> 1])  # the last bit: whether it is called at once
+    return found.union(*(_globals(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
 
 
 def _names(code: CodeType) -> set[str]:

@@ -47,7 +47,6 @@ NOT_USED, REJECTED, ACCEPTED, EXCLUDED, LATE = range(5)
 """What became of a sample. EXCLUDED: its sensor is suspect; LATE: older than the memory of the filters, or too many.
 
 A sample of a witness is ACCEPTED if it agrees with the navigation, REJECTED if not, LATE if too old to be compared."""
-SENSOR_RESULTS: Final = ("not used", "rejected", "accepted", "excluded", "too late")
 
 SENSOR_ARRIVAL_FIELDS: Final = (
     Field("cycle", "i8", (), "1", "", "number of the cycle in which the loop received it"),

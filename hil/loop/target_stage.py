@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil.config.rig import AxisGroupTable, HeldLinearAxes, HeldRotaryAxes, TargetManipulator
+from hil.config.rig import AxisGroupTable, HeldAtPlace
 from hil.core.messages import Array, Homing
 from hil.drivers.base import AxisGroup, LimitsSetpoints
 from hil.errors import SafetyTrip
@@ -173,7 +173,7 @@ class TargetAxes:
 class HeldAxes(TargetAxes):
     """Axes of ``config``, those of a target manipulator or further ones, held at their place during the run."""
 
-    def __init__(self, axes: AxisGroup, config: TargetManipulator | HeldLinearAxes | HeldRotaryAxes) -> None:
+    def __init__(self, axes: AxisGroup, config: HeldAtPlace) -> None:
         place, self._held_within = config.place
         super().__init__(axes, config, np.array(place))
         self._largest = np.zeros(len(place))

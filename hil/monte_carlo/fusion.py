@@ -37,7 +37,6 @@ LARGEST_RATIO = 1.05
 """Greatest rmse over bound with which the filters count as optimal after many runs; with few its sampling error."""
 
 TABLE_II_SD = ((0.0037, 0.0039, 0.0039), (0.0304, 0.0315, 0.0312))  # m, deg
-TABLE_II_MAX = ((0.0141, 0.0142, 0.0132), (0.1078, 0.1045, 0.1146))
 
 _OF_THE_PAPER = (
     "gnc.ephemeris.rate_sigma_degps=[0,0,0]",

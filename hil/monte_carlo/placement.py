@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.files import CONFIG_BYTES, parse_json, read_text
 from hil.core.messages import Array
 from hil.errors import BadInput, one_line
-from hil.monte_carlo.store import TABLE, parquet
+from hil.monte_carlo.explain import Cases
 from hil.monte_carlo.stored_campaign import StoredCampaign
 from hil.params.ready import ROW_NAMES
 from hil.report.requirements_page import EvidenceRow, campaign_rows, run_row
@@ -77,24 +77,15 @@ def place(value: float, cases: Array) -> dict[str, Any]:
 
 def place_run(summary: Mapping[str, Any], folder: Path) -> dict[str, dict[str, Any]]:
     """Return the place of each outcome of a run in the finished campaign of ``folder``. Raises BadInput."""
-    pa, pq = parquet()
-    table = folder / TABLE
-    if not table.is_file():
-        raise BadInput.single("--campaign", "", f"{folder}: holds no finished campaign")
-    campaign, scenario = StoredCampaign(folder), summary.get("scenario")
+    campaign, cases, scenario = StoredCampaign(folder), Cases(folder, "--campaign"), summary.get("scenario")
     if not campaign.is_sample:
         raise BadInput.single("--campaign", "", f"{folder}: its cases are no sample of the scenario")
     if campaign.scenario != scenario:
         text = f"{folder}: is a campaign of {campaign.scenario}, the recording one of {scenario}"
         raise BadInput.single("--campaign", "", text)
-    outcomes = outcomes_of(summary)
-    try:
-        file = pq.ParquetFile(table)
-        known = [name for name in outcomes if name in file.schema_arrow.names]
-        columns = file.read(columns=known)
-        return {name: place(outcomes[name], np.asarray(columns.column(name).to_numpy(), dtype=float)) for name in known}
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise BadInput.single("--campaign", "", f"{folder}: {one_line(str(error), 200)}") from error
+    outcomes = outcomes_of(summary).items()
+    known = {name: value for name, value in outcomes if name in cases.table.column_names}
+    return {name: place(value, np.asarray(cases.column(name), dtype=float)) for name, value in known.items()}
 
 
 class RecordedRun(NamedTuple):

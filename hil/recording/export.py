@@ -17,7 +17,6 @@ from hil.errors import BadInput
 from hil.recording import foxglove, schema
 from hil.recording.read import Contents, contents
 
-FORMATS: Final = ("parquet", "csv")
 TABLES: Final = {
     "/cycle": "cycles",
     "/vmu/frames": "frames",

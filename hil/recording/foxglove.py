@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -26,16 +27,39 @@ def table(title: str, properties: dict[str, Any]) -> dict[str, Any]:
     return {"title": title, "type": "object", "properties": properties}
 
 
-def list_of(title: str, properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": table(title, properties)}
+def schema_of(title: str, example: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of messages with the keys and types of ``example``, which has one item in each list."""
+    return {"title": title, **_type_of(example)}
 
 
-NUMBER: Final = {"type": "number"}
-COLOUR: Final = table("colour", dict.fromkeys("rgba", NUMBER))
-TIME: Final = table("time", {"sec": {"type": "integer"}, "nsec": {"type": "integer"}})
-_XYZ: Final = table("vector", dict.fromkeys("xyz", NUMBER))
-_XYZW: Final = table("quaternion", dict.fromkeys("xyzw", NUMBER))
+def _type_of(value: Any) -> dict[str, Any]:
+    match value:
+        case dict():
+            return {"type": "object", "properties": {key: _type_of(each) for key, each in value.items()}}
+        case list():
+            return {"type": "array", "items": _type_of(value[0])}
+        case _:
+            names = {bool: "boolean", int: "integer", float: "number", str: "string"}
+            return {"type": names[type(value)]}
+
+
+def time_of(time_ns: int) -> dict[str, int]:
+    return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}
+
+
+TIME: Final = _type_of(time_of(0))
 TEXT: Final = {"type": "string"}
+
+
+def _transform(r: Iterable[float], q: Iterable[float], time_ns: int) -> dict[str, Any]:
+    return {
+        "timestamp": time_of(time_ns),
+        "parent_frame_id": "H",
+        "child_frame_id": "chaser",
+        "translation": dict(zip("xyz", map(float, r), strict=True)),
+        "rotation": dict(zip("xyzw", map(float, q), strict=True)),
+    }
+
 
 SCHEMAS: Final[dict[str, dict[str, Any]]] = {
     STATE_TOPIC: table(
@@ -58,16 +82,7 @@ SCHEMAS: Final[dict[str, dict[str, Any]]] = {
             "lateness_us": number("us, lateness of the cycle's wake-up"),
         },
     ),
-    TRANSFORM_TOPIC: table(
-        "foxglove.FrameTransform",
-        {
-            "timestamp": TIME,
-            "parent_frame_id": TEXT,
-            "child_frame_id": TEXT,
-            "translation": _XYZ,
-            "rotation": _XYZW,
-        },
-    ),
+    TRANSFORM_TOPIC: schema_of("foxglove.FrameTransform", _transform([0.0] * 3, [0.0] * 4, 0)),
     LOG_TOPIC: table(
         "foxglove.Log",
         {
@@ -113,14 +128,7 @@ def state(row: np.void) -> dict[str, Any]:
 
 def transform(row: np.void, time_ns: int) -> dict[str, Any]:
     """Return the chaser's true pose in H. The rotation takes c to H, as Foxglove's child to parent."""
-    r, q = row["truth"]["r_CT_H"], row["truth"]["q_CH"]
-    return {
-        "timestamp": time_of(time_ns),
-        "parent_frame_id": "H",
-        "child_frame_id": "chaser",
-        "translation": dict(zip("xyz", map(float, r), strict=True)),
-        "rotation": dict(zip("xyzw", map(float, q), strict=True)),
-    }
+    return _transform(row["truth"]["r_CT_H"], row["truth"]["q_CH"], time_ns)
 
 
 def log(entry: np.void, time_ns: int) -> dict[str, Any]:
@@ -157,7 +165,3 @@ def _list(values: Any) -> list[float | None]:
 
 def text_of(text: bytes) -> str:
     return text.decode(errors="replace")
-
-
-def time_of(time_ns: int) -> dict[str, int]:
-    return {"sec": time_ns // 1_000_000_000, "nsec": time_ns % 1_000_000_000}

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.core.camera_images import Shape, image_data
-from hil.recording.foxglove import COLOUR, NUMBER, TEXT, TIME, encoded, finite, list_of, number, table, text_of, time_of
+from hil.recording.foxglove import TEXT, TIME, encoded, finite, number, schema_of, table, text_of, time_of
 
 PICTURE_TOPICS: Final = "/pictures/"
 ANNOTATIONS: Final = "/annotations"
@@ -29,47 +29,6 @@ PICTURE_SCHEMA: Final = table(
         "status": {"type": "string", "description": "result of the vision unit or docking monitor"},
         "width_px": {"type": "integer"},
         "height_px": {"type": "integer"},
-    },
-)
-
-_POINT: Final = table("point", dict.fromkeys("xy", NUMBER))
-ANNOTATION_SCHEMA: Final = table(
-    "foxglove.ImageAnnotations",
-    {
-        "circles": list_of(
-            "circle",
-            {
-                "timestamp": TIME,
-                "position": _POINT,
-                "diameter": NUMBER,
-                "thickness": NUMBER,
-                "fill_color": COLOUR,
-                "outline_color": COLOUR,
-            },
-        ),
-        "points": list_of(
-            "points",
-            {
-                "timestamp": TIME,
-                "type": {"type": "integer"},
-                "points": {"type": "array", "items": _POINT},
-                "outline_color": COLOUR,
-                "outline_colors": {"type": "array", "items": COLOUR},
-                "fill_color": COLOUR,
-                "thickness": NUMBER,
-            },
-        ),
-        "texts": list_of(
-            "text",
-            {
-                "timestamp": TIME,
-                "position": _POINT,
-                "text": TEXT,
-                "font_size": NUMBER,
-                "text_color": COLOUR,
-                "background_color": COLOUR,
-            },
-        ),
     },
 )
 
@@ -161,3 +120,14 @@ def _lines(ends: list[dict[str, float]], when: dict[str, int], colour: dict[str,
 
 def _point(u: float, v: float) -> dict[str, float]:
     return {"x": float(u), "y": float(v)}
+
+
+def _example() -> dict[str, Any]:
+    """Return an overlay with one item in each of its lists."""
+    circle, text = {"kind": "circle", "at": (0, 0), "radius": 1}, {"kind": "text", "at": (0, 0), "text": ""}
+    found = overlay([circle, text, {"kind": "cross", "at": (0, 0)}], 0)
+    found["points"][0]["outline_colors"] = [_GOOD]
+    return found
+
+
+ANNOTATION_SCHEMA: Final = schema_of("foxglove.ImageAnnotations", _example())

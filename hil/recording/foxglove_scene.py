@@ -13,47 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.core.files import parse_json
-from hil.recording.foxglove import COLOUR, NUMBER, TEXT, TIME, list_of, table, time_of
-
-_POINT: Final = table("point", dict.fromkeys("xyz", NUMBER))
-_POSE: Final = table("pose", {"position": _POINT, "orientation": table("quaternion", dict.fromkeys("xyzw", NUMBER))})
-_SOLID: Final = {"pose": _POSE, "size": _POINT, "color": COLOUR}
-_ARROW: Final = {
-    "pose": _POSE,
-    **dict.fromkeys(("shaft_length", "shaft_diameter", "head_length", "head_diameter"), NUMBER),
-    "color": COLOUR,
-}
-_LINE: Final = {
-    "type": {"type": "integer"},
-    "pose": _POSE,
-    "thickness": NUMBER,
-    "scale_invariant": {"type": "boolean"},
-    "points": {"type": "array", "items": _POINT},
-    "color": COLOUR,
-    "colors": {"type": "array", "items": COLOUR},
-    "indices": {"type": "array", "items": {"type": "integer"}},
-}
-SCENE_SCHEMA: Final = table(
-    "foxglove.SceneUpdate",
-    {
-        "deletions": list_of("deletion", {"timestamp": TIME, "type": {"type": "integer"}, "id": TEXT}),
-        "entities": list_of(
-            "entity",
-            {
-                "timestamp": TIME,
-                "frame_id": TEXT,
-                "id": TEXT,
-                "lifetime": TIME,
-                "frame_locked": {"type": "boolean"},
-                "metadata": list_of("pair", {"key": TEXT, "value": TEXT}),
-                "arrows": list_of("arrow", _ARROW),
-                "cubes": list_of("cube", _SOLID),
-                "spheres": list_of("sphere", _SOLID),
-                "lines": list_of("line", _LINE),
-            },
-        ),
-    },
-)
+from hil.recording.foxglove import schema_of, time_of
 
 _LINE_LIST: Final = 2  # of foxglove.LinePrimitive: each two points a line
 _PLATE_M: Final = 0.1
@@ -179,3 +139,16 @@ def _pose(position: np.ndarray, q: list[float]) -> dict[str, Any]:
 
 def _point(point: np.ndarray) -> dict[str, float]:
     return dict(zip("xyz", map(float, point), strict=True))
+
+
+def _example() -> dict[str, Any]:
+    """Return a scene with one item in each of its lists."""
+    solid, line, when = _solid(_ORIGIN, _ORIGIN, _identity(), _GREY), _lines([_ORIGIN]), time_of(0)
+    line |= {"colors": [_GREY], "indices": [0]}
+    arrow = _arrow(_ORIGIN, np.array([1.0, 0.0, 0.0]))
+    entity = _entity("", "", when, arrows=[arrow], cubes=[solid], spheres=[solid], lines=[line])
+    entity["metadata"] = [{"key": "", "value": ""}]
+    return {"deletions": [{"timestamp": when, "type": 0, "id": ""}], "entities": [entity]}
+
+
+SCENE_SCHEMA: Final = schema_of("foxglove.SceneUpdate", _example())

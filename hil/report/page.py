@@ -9,14 +9,13 @@ from typing import Any, Final
 
 from hil.checks.waivers import Waiver
 from hil.loop.compiled.run_stats import counted
-from hil.params.ready import ROW_NAMES, tolerances
 from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.acceptance import not_required_text
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
 from hil.report.summary import BROKE_OFF, summary_of
-from hil.report.table import ROW_LABELS, verdict_lines
+from hil.report.table import ready_rows, verdict_lines
 from hil.report.verdict import TABLE_V, Verdict, verdict_of
 
 _VERSIONS: Final = (
@@ -103,21 +102,8 @@ def _verdict(run: Judged) -> Iterator[str]:
     if run.verdict.worst is None:
         yield html.paragraph("The ready phase was not reached: there is no comparison with Table V.", "note")
         return
-    allowed, lines = tolerances(scenario.requirements), []
-    for name in ROW_NAMES:
-        label, axes, unit, scale = ROW_LABELS[name]
-        for i, axis in enumerate(axes):
-            limit, here = scale * allowed[name][i], scale * run.verdict.worst[name][i]
-            lines.append(
-                (
-                    f"{label} {axis}, {unit}",
-                    f"{limit:.4g}",
-                    f"{here:.3g}",
-                    f"{100.0 * (1.0 - here / limit):.0f} %",
-                    f"{scale * getattr(paper, name)[i]:.4g}" if paper else "-",
-                    "ok" if here <= limit else "out",
-                )
-            )
+    ready = ready_rows(summary["scenario"], run.verdict, scenario.requirements)
+    lines = [(f"{label} {axis}, {unit}", *cells) for label, axis, unit, *cells in ready]
     beside = f"{paper.ready_time_s:g}" if paper and paper.ready_time_s is not None else "-"
     lines.append(("ready, s", "", f"{summary['ready_time_s']:.2f}", "", beside, ""))
     head = ("", "Table III", "here", "margin", "Table V", "")

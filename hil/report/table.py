@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from rich.console import Console
@@ -119,28 +119,26 @@ def _host_text(privileges: list[dict[str, Any]]) -> str:
     return "; ".join([f"{kind}: {', '.join(granted) or 'nothing granted'}", *(f"refused {r}" for r in refused)])
 
 
+def ready_rows(scenario: str, verdict: Verdict, requirements: Requirements) -> Iterator[tuple[str, ...]]:
+    """Yield name, axis, unit, limit, largest deviation, margin, Table V, and "ok" or "out", of each of the 12 rows."""
+    paper, allowed = TABLE_V.get(scenario), tolerances(requirements)
+    assert verdict.worst is not None
+    for name in ROW_NAMES:
+        label, axes, unit, scale = ROW_LABELS[name]
+        for i, axis in enumerate(axes):
+            limit, here = allowed[name][i] * scale, verdict.worst[name][i] * scale
+            theirs = f"{getattr(paper, name)[i] * scale:.4g}" if paper else "-"
+            margin, word = f"{100.0 * (1.0 - here / limit):.0f} %", "ok" if here <= limit else "out"
+            yield label, axis, unit, f"{limit:.4g}", f"{here:.3g}", margin, theirs, word
+
+
 def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requirements) -> Table:
-    paper = TABLE_V.get(summary["scenario"])
-    allowed = tolerances(requirements)
     table = Table(title="Ready phase: largest deviations against Table III", title_justify="left")
     for column in ("", "axis", "limit", "here", "margin", "Table V", ""):
         table.add_column(column, justify="left" if column in ("", "axis") else "right")
-    for name in ROW_NAMES:
-        label, axes, unit, scale = ROW_LABELS[name]
-        assert verdict.worst is not None
-        for i, axis in enumerate(axes):
-            limit, here = allowed[name][i] * scale, verdict.worst[name][i] * scale
-            theirs = getattr(paper, name)[i] * scale if paper else None
-            table.add_row(
-                f"{label}, {unit}" if i == 0 else "",
-                axis,
-                f"{limit:.4g}",
-                f"{here:.3g}",
-                f"{100.0 * (1.0 - here / limit):.0f} %",
-                f"{theirs:.4g}" if theirs is not None else "-",
-                "[green]ok[/]" if here <= limit else "[red]out[/]",
-                end_section=i == 2,
-            )
+    for i, (label, axis, unit, *numbers, word) in enumerate(ready_rows(summary["scenario"], verdict, requirements)):
+        first = "" if i % 3 else f"{label}, {unit}"
+        table.add_row(first, axis, *numbers, f"[{'green' if word == 'ok' else 'red'}]{word}[/]", end_section=i % 3 == 2)
     return table
 
 

@@ -36,20 +36,17 @@ class LineSensorEmulator:
         self._rate_hz, self._latency_s = times
         self.faults = Faults(name, ("wire",))
         self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
-        self._line: PtyLine | None = None
+        self._line = PtyLine(protocol.baud, clock)
         self._measures = not protocol.start
         self._received, self._last = b"", b""
 
     def start(self) -> dict[str, str]:
-        """Open the line; return its path by the name of the sensor."""
-        self._line = PtyLine(self._protocol.baud, self._clock)
+        """Return the path of the line by the name of the sensor."""
         return {self._name: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
-        """Serve until ``stop`` is set; after ``start``."""
+        """Serve until ``stop`` is set."""
         line = self._line
-        if line is None:
-            raise RuntimeError("LineSensorEmulator.run before start")
         number = math.ceil(self._clock.now_s() * self._rate_hz)
         while not stop.is_set():
             number = max(number, math.ceil(self._clock.now_s() * self._rate_hz - _CATCHES_UP))
@@ -67,9 +64,7 @@ class LineSensorEmulator:
 
     def close(self) -> None:
         """Let go of the line; idempotent. Not while ``run`` is at work."""
-        if self._line is not None:
-            self._line.close()
-            self._line = None
+        self._line.close()
 
     def _obey(self, data: bytes) -> None:
         """Take commands: start and stop."""

@@ -258,6 +258,3 @@ def _to_wire(flags: int, bits: list[tuple[int, int]]) -> int:
 
 def _from_wire(word: int, bits: list[tuple[int, int]]) -> int:
     return sum(flag for flag, wire in bits if word & wire)
-
-
-DRIVE_MAP: Final = RegisterMap(RailMap())

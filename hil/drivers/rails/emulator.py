@@ -104,26 +104,23 @@ class RtuRailsEmulator:
 
     def __init__(self, config: LinearAxes, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         self._clock = clock
-        self._rtu = config.rtu or ModbusRtu()
+        rtu = config.rtu or ModbusRtu()
         self._rails = EmulatedRails(config, clock, shared, **kwargs)
         self.faults, self.drives = self._rails.faults, self._rails.drives
         self._server = self._rails.server(
-            {index: self._rtu.device_ids[axis] for index, axis in enumerate(config.axis_numbers)}, tcp=False
+            {index: rtu.device_ids[axis] for index, axis in enumerate(config.axis_numbers)}, tcp=False
         )
         self._channel = FaultyChannel(self.faults, self._rails.wire_noise)
-        self._line: PtyLine | None = None
+        baud = round(rtu.baud * _PTY_BITS_PER_BYTE / rtu.bits_per_byte)
+        self._line = PtyLine(baud, clock)
 
     def start(self) -> dict[str, str]:
-        """Open the line; return its path."""
-        self._line = PtyLine(round(self._rtu.baud * _PTY_BITS_PER_BYTE / self._rtu.bits_per_byte), self._clock)
+        """Return the path of the line."""
         return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the line until ``stop`` is set."""
-        line = self._line
-        if line is None:
-            raise RuntimeError("start the emulator first")
-        data, received_s, step_s = b"", 0.0, self._clock.paced_s(STEP_S)
+        data, received_s, step_s, line = b"", 0.0, self._clock.paced_s(STEP_S), self._line
         while not stop.is_set():
             received = line.read(step_s)
             self._rails.advance()
@@ -143,6 +140,4 @@ class RtuRailsEmulator:
 
     def close(self) -> None:
         """Close the line. Idempotent."""
-        if self._line is not None:
-            self._line.close()
-        self._line = None
+        self._line.close()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from hil.core.jit import kernel
 from hil.core.kernel_digest import NotDigestible, digest_of
+from hil.loop.compiled import run_stats
 from hil.loop.compiled.run_cycles import run_cycles
 
 SOURCE = """
@@ -59,9 +62,10 @@ def test_constant_layout_and_formula_are_in_the_digest(old: str, new: str) -> No
         ("Documentation.", "Other words."),
         ("FACTOR = 2.0", "\n# a comment\nFACTOR = 2.0"),
         ("def called(x):\n    return x + 1.0", "def called(x):\n    return x + 2.0"),
+        ("FACTOR = 2.0", "FACTOR = 2.0\nx = object()"),  # x is a field of the row here
     ],
 )
-def test_words_and_the_inside_of_an_entry_are_not_in_the_digest_of_its_caller(old: str, new: str) -> None:
+def test_words_fields_and_the_inside_of_an_entry_are_not_in_the_digest_of_its_caller(old: str, new: str) -> None:
     assert digest(old, new) == digest()
 
 
@@ -89,3 +93,8 @@ def test_kernel_with_a_global_that_has_no_digest_is_compiled_and_not_cached() ->
 
 def test_every_kernel_of_the_loop_has_a_digest() -> None:
     assert len(digest_of(run_cycles)) == 16
+    modules = [module for name, module in sys.modules.items() if name.startswith("hil.")]
+    kernels = {each for module in modules for each in vars(module).values() if hasattr(each, "py_func")}
+    assert run_stats.count_cycle in kernels
+    for each in kernels:  # one without a digest would be compiled at each start
+        digest_of(each)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import pytest
 
+from hil.config.rail_map import RailMap
 from hil.drivers.rails.codec import (
-    DRIVE_MAP,
     Command,
     ControlFlags,
     DriveIdentity,
     Number,
     RegisterBlock,
+    RegisterMap,
     State,
     Status,
 )
+
+DRIVE_MAP = RegisterMap(RailMap())
 
 
 def test_command_fills_its_registers() -> None:

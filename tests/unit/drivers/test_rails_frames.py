@@ -10,7 +10,8 @@ import pytest
 from pymodbus.framer import FramerRTU
 
 from hil.config.load import load_rig
-from hil.drivers.rails.codec import DRIVE_MAP, DriveIdentity, RegisterMap, State, Status
+from hil.config.rail_map import RailMap
+from hil.drivers.rails.codec import DriveIdentity, RegisterMap, State, Status
 from hil.drivers.rails.frames import (
     READ,
     READ_WRITE,
@@ -24,6 +25,7 @@ from hil.drivers.rails.frames import (
     split,
 )
 
+DRIVE_MAP = RegisterMap(RailMap())
 FLOAT_MAP = RegisterMap(load_rig("emulated-rtu").value.rails.map)
 ECHO = 0x2A
 STATE = State(Status.READY | Status.ENABLED, 0, ECHO, 1.25, 0.0)

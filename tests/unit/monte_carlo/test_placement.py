@@ -28,7 +28,7 @@ SUMMARY: dict[str, Any] = {
 def folder_of(path: Path, **identity: Any) -> Path:
     """Return a folder with a campaign of 999 cases."""
     table = {f"position_m_{axis}": np.linspace(0.0, 1.0, 999) for axis in "xyz"} | {"nees_pkf": np.full(999, np.nan)}
-    pq.write_table(pa.table(table), path / "cases.parquet")
+    pq.write_table(pa.table(table | {"first_violated": np.full(999, "")}), path / "cases.parquet")
     known = {"scenario": "scheme-1", "digest": "", "seed": 0, "duration_s": 400.0}
     (path / "campaign.json").write_text(json.dumps(known | identity))
     return path

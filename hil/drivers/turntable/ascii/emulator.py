@@ -40,7 +40,6 @@ class AsciiTurntableEmulator:
         if config.ascii is None:
             raise BadInput.single("rig", "turntable.ascii", "is missing")
         protocol = load_protocol(config.ascii.protocol).value
-        self._baud = config.ascii.baud
         self._clock = clock
         self._bits = protocol.status
         self._words = protocol.emulator
@@ -57,19 +56,15 @@ class AsciiTurntableEmulator:
         self._quick_stopped = False
         self.fault = [0, 0, 0]
         self._frozen: FieldValues | None = None
-        self._line: PtyLine | None = None
+        self._line = PtyLine(config.ascii.baud, clock)
 
     def start(self) -> dict[str, str]:
-        """Open the line; return its path."""
-        self._line = PtyLine(self._baud, self._clock)
+        """Return the path of the line."""
         return {self.faults.device: self._line.path}
 
     def run(self, stop: threading.Event) -> None:
         """Serve the line until ``stop`` is set."""
-        line = self._line
-        if line is None:
-            raise RuntimeError("start the emulator first")
-        step_s = self._clock.paced_s(STEP_S)
+        line, step_s = self._line, self._clock.paced_s(STEP_S)
         while not stop.is_set():
             data = line.read(step_s)
             if self.faults.value("link_down") is not None:
@@ -85,9 +80,7 @@ class AsciiTurntableEmulator:
 
     def close(self) -> None:
         """Close the line."""
-        if self._line is not None:
-            self._line.close()
-        self._line = None
+        self._line.close()
 
     def answer(self, text: bytes) -> bytes:
         """Execute one request; return the reply, b"" for a broken line."""

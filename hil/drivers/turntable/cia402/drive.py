@@ -1,6 +1,6 @@
 """Emulated CiA 402 drive: NMT, PDOs and power state machine over its object dictionary.
 
-Frames in, frames out; no wire, no clock. The axis is an ``AxisPort``.
+Frames in, frames out; no wire, no clock. The axis is an ``DriveAxis``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Final
 
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.drivers.turntable.cia402.modes import AxisPort, DriveMotion
+from hil.drivers.turntable.cia402.modes import DriveAxis, DriveMotion
 from hil.drivers.turntable.cia402.objects import MappedPdo, ObjectDictionary
 from hil.drivers.turntable.cia402.serial_can import Frame
 
@@ -60,7 +60,7 @@ class EmulatedCia402Drive:
     Every method that can cause traffic returns the frames to send.
     """
 
-    def __init__(self, node_id: int, axis: AxisPort, watchdog_s: float) -> None:
+    def __init__(self, node_id: int, axis: DriveAxis, watchdog_s: float) -> None:
         self.node_id = node_id
         self.state = DriveState.SWITCH_ON_DISABLED
         self.operational = False

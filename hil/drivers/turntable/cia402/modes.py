@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
+from hil.core.clock import BenchClock
 from hil.core.messages import Homing
+from hil.drivers.emulated_axes import EmulatedAxes
 from hil.drivers.profiled_move import ProfiledMove, compile_profile
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.objects import ObjectDictionary
@@ -23,56 +24,79 @@ _HOMING_WORD = {
 }
 
 
-class AxisPort(Protocol):
-    """The axis behind a drive; counts and counts/s."""
+class DriveAxis:
+    """The axis ``axis`` of ``gimbals`` as its drive sees it; counts and counts/s."""
+
+    def __init__(self, gimbals: EmulatedAxes, axis: int, counts_per_turn: int, clock: BenchClock) -> None:
+        self._gimbals = gimbals
+        self._axis = axis
+        self._scale = counts_per_turn
+        self._clock = clock
 
     def feedback(self) -> tuple[int, int]:
         """Return position and velocity."""
+        position, rate = self._gimbals.position[self._axis], self._gimbals.rate[self._axis]
+        return codec.counts_from_rad(position, self._scale), codec.counts_from_rad(rate, self._scale)
 
     def follow(self, target: int, velocity_offset: int, watchdog_s: float) -> None:
         """Move to ``target``; brake without another target within ``watchdog_s``."""
+        position = codec.rad_from_counts(target, self._scale)
+        rate = codec.rad_from_counts(velocity_offset, self._scale)
+        self._gimbals.follow(self._axis, position, rate, self._clock.now_s(), watchdog_s)
 
     def brake(self) -> None:
         """Quick stop, then hold."""
+        self._gimbals.brake(self._axis)
 
     def enable(self) -> None:
         """Switch the torque on and release the brake."""
+        self._gimbals.enable(self._axis)
 
     def disable(self) -> None:
         """Close the brake, then switch the torque off."""
+        self._gimbals.disable(self._axis)
 
     def home(self) -> None:
         """Start homing."""
+        self._gimbals.home(self._axis)
 
     def homing(self) -> Homing:
-        """Return the homing state."""
+        return self._gimbals.homing[self._axis]
 
     def moving(self) -> bool:
-        """Return whether the axis moves."""
+        return self._gimbals.moving(self._axis)
 
     def limit(self) -> int:
         """Return the active limit switch: -1, 0, 1."""
+        return self._gimbals.limit[self._axis]
 
     def torque_off(self) -> bool:
         """Return whether the safety chain is open."""
+        return self._gimbals.torque_off
 
     def astray(self) -> bool:
         """Return whether the axis has lost its torque because of its following error."""
+        return self._gimbals.astray[self._axis]
 
     def clear_astray(self) -> None:
         """Allow torque again."""
+        self._gimbals.astray[self._axis] = False
 
     def window(self) -> tuple[int, int]:
         """Return the following error window, counts, and its time-out, ms."""
+        window, time_s = self._gimbals.window[self._axis], self._gimbals.window_s[self._axis]
+        return codec.counts_from_rad(window, self._scale), round(1e3 * time_s)
 
     def set_window(self, counts: float, time_out_ms: int) -> None:
         """Set them; inf: no supervision."""
+        self._gimbals.window[self._axis] = counts * codec.rad_from_counts(1, self._scale)
+        self._gimbals.window_s[self._axis] = 1e-3 * time_out_ms
 
 
 class DriveMotion:
     """Motion of the enabled drive: setpoints, homing or profile, selected by object 0x6060."""
 
-    def __init__(self, axis: AxisPort, objects: ObjectDictionary) -> None:
+    def __init__(self, axis: DriveAxis, objects: ObjectDictionary) -> None:
         self._axis = axis
         self._objects = objects
         self._profile: ProfiledMove | None = None
