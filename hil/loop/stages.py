@@ -55,6 +55,7 @@ class VisionStage:
         self.source = source
         self._simulated = source if isinstance(source, Exposes) else None
         self._memory, self._params, self._state = memory, memory.params, memory.state
+        self._reception = memory.view("vmu")
         self.poses = memory.poses
         self.arrived = 0
         """Poses of the present cycle."""
@@ -80,16 +81,16 @@ class VisionStage:
         arrivals = _NO_ARRIVALS
         if waiting and (self.frame_sink is not None or self.on_frame_used is not None):
             arrivals = np.zeros(waiting, ARRIVAL).view(np.recarray)
-            self._state.logged = 0
+            self._reception.logged = 0
         self.arrived = core.receive_poses(
             self._params, self._state, bench_s, self._frames, len(received), self._memory.delayed, self.poses, arrivals
         )
         if len(arrivals):
-            self._tell(arrivals[: self._state.logged])
+            self._tell(arrivals[: self._reception.logged])
 
     def _make_room(self, n: int) -> int:
         """Enlarge the arrays for ``n`` further frames; return how many frames the cycle may receive."""
-        waiting = n + int(self._state["delayed"])
+        waiting = n + int(self._reception.delayed)
         if n > len(self._frames):
             self._frames = np.resize(self._frames, 2 * n).view(np.recarray)
         if waiting > len(self._memory.delayed):
@@ -107,11 +108,11 @@ class VisionStage:
     @property
     def not_before_s(self) -> float:
         """Frames exposed before this bench time are stale and discarded."""
-        return float(self._state.not_before_s)
+        return float(self._reception.not_before_s)
 
     @not_before_s.setter
     def not_before_s(self, bench_s: float) -> None:
-        self._state.not_before_s = bench_s
+        self._reception.not_before_s = bench_s
 
     def set_run_zero(self, run_zero_s: float | None) -> None:
         """Report a changed bench time of the run's time zero to ``on_run_zero``; None: the run's time stops."""
@@ -130,7 +131,7 @@ class VisionStage:
         """Discard the frames received since the last cycle; return their number."""
         self.set_run_zero(None)
         frames = self.source.poll(bench_s)
-        self._state.delayed = 0
+        self._reception.delayed = 0
         if self.frame_sink is not None:
             for frame in frames:
                 row = np.zeros(1, ARRIVAL)

@@ -17,7 +17,8 @@ from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
 from hil.gnc.navigation import normalised_errors
 from hil.gnc.step_memory import step_at
 from hil.maths import quat
-from hil.maths.arrays import copy_into, fill_matrix
+from hil.maths.arrays import copy_into
+from hil.sensors.vision_unit.pose import write_pose
 
 STEADY_STATE_AFTER_S = 100.0  # errors count from here on
 SNAPSHOTS_S = (100.0, 200.0, 300.0, 400.0)  # when the NEES is taken
@@ -108,15 +109,11 @@ def _move(study, filter_params, line, guidance_state, point, cycle, truth):
 @kernel
 def _measure(study, truth, t_s, noise, pose):
     """Write a pose of ``truth`` with the noise (6,) of standard normals."""
-    z = quat.transform(truth.q_CH, truth.r_CT_H)
     rotation = np.empty(3)
-    fill_matrix(pose.covariance_position, 0.0)
-    fill_matrix(pose.covariance_attitude, 0.0)
+    write_pose(truth.r_CT_H, truth.q_CH, study.sigma_position, study.sigma_angle, pose)
     for i in range(3):
-        pose.z_TC_C[i] = -z[i] + study.sigma_position * noise[i]
+        pose.z_TC_C[i] += study.sigma_position * noise[i]
         rotation[i] = study.sigma_angle * noise[3 + i]
-        pose.covariance_position[i, i] = study.sigma_position**2
-        pose.covariance_attitude[i, i] = study.sigma_angle**2
     copy_into(pose.q_CH, quat.multiply(quat.from_rotation_vector(rotation), truth.q_CH))
     pose.t_s = t_s
 

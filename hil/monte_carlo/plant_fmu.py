@@ -34,8 +34,8 @@ from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.core import LOOP_STATE
 from hil.loop.mock_bench import MOCK_STATE
-from hil.models.frame_transit import FRAME_TRANSIT
 from hil.monte_carlo.case_runner import CaseRunner
+from hil.sensors.vision_unit.transit import FRAME_TRANSIT
 
 _OMITTED: Final = ("history", "arrivals", "axes_log", "samples_log")
 """Last arguments of ``run_cycles``, which the FMU does without."""

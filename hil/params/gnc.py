@@ -38,6 +38,7 @@ from hil.params.dynamics import mean_motion, semi_major_axis_m
 from hil.params.error_state import error_state
 from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
+from hil.sensors.vision_unit.pose import write_pose
 
 _CORRELATION_S = 10.0  # of the filters' errors
 _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
@@ -147,10 +148,8 @@ def handover_pose(scenario: Scenario) -> np.record:
     """Return the POSE from which the navigation starts: the planned start, with the standard deviations handed over."""
     pose, given = new(POSE), scenario.gnc.navigation.handover
     assert given is not None
-    pose.q_CH = quat.from_rotation_vector(initial_rotation_vector(scenario))
-    pose.z_TC_C = -quat.transform(pose.q_CH, np.array(scenario.initial.position_m))
-    pose.covariance_position = given.sigma_m**2 * np.eye(3)
-    pose.covariance_attitude = math.radians(given.sigma_deg) ** 2 * np.eye(3)
+    r_CT_H, q_CH = np.array(scenario.initial.position_m), quat.from_rotation_vector(initial_rotation_vector(scenario))
+    write_pose(r_CT_H, q_CH, given.sigma_m, math.radians(given.sigma_deg), pose)
     return pose
 
 

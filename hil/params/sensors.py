@@ -12,8 +12,7 @@ from hil.config.sensors import SensorConfig
 from hil.core.messages import Array, new
 from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.maths import chi_square, quat
-from hil.models.faults import NUMBER, VALUE
-from hil.params.errors import SEED_BITS
+from hil.models.faults import NUMBER, SEED_BITS, VALUE
 from hil.params.faults import fault_rows
 from hil.params.monitor import MONITOR, monitor_sensor, mounting
 from hil.sensors.compiled import addresses
