@@ -207,6 +207,13 @@ def navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, co
     given.n_poses = n_poses
     for i in range(n_poses):
         write_all_sent(poses[i], given.poses[i])
+    given.n_measurements, arrived = 0, state.navigation.fusion.sensors
+    for i in range(arrived.arrived):
+        sample = arrived.arrival[i].sample
+        slot = params.navigation.fusion.sensors.slot[sample.sensor]
+        if slot.witness == 0 and slot.enabled != 0:
+            copy_record(sample, given.measurements[given.n_measurements])
+            given.n_measurements += 1
     second = state.navigation.integrity
     given.second_bound_m, given.second_bound_s = second.second_m, second.second_s
     _write_thrusters(params, state.thrusters, state.isolated_cycles, given)

@@ -35,6 +35,7 @@ from hil.gnc.sensor_monitor import SENSOR_MONITOR, bound_missed, count, watch
 from hil.gnc.sensor_witness import WITNESS, WITNESS_PARAMS
 from hil.gnc.step_memory import SAMPLES_PER_STEP, sensor_step_at
 from hil.maths.arrays import fill, fill_matrix
+from hil.maths.kalman import is_covariance_3
 from hil.maths.limits import to_integer
 from hil.maths.record_view import copy_record
 
@@ -175,7 +176,7 @@ def _judge(params, state, sample, cycle, arrival):
     groups = (slot.n + 2) // 3
     for group in range(groups):
         nis = _innovate(params, state, sample, cycle, group)
-        passes = passes and 0.0 <= nis <= slot.gate[group]
+        passes = passes and 0.0 <= nis <= slot.gate[group] and is_covariance_3(found.noise, np.inf)
         arrival.nis += nis
         for i in range(3):
             if 3 * group + i < slot.n:
