@@ -134,7 +134,7 @@ class CompiledCycles:
         """Prepare the state for the cycles ``first`` to ``end`` - 1."""
         loop, state = self._loop, self._state
         state.cycle, state.end, state.zero_s = first, end, tick.run_zero_s
-        loop.vision.set_run_zero(tick.run_zero_s)
+        loop.run_zero.set(tick.run_zero_s)
         loop.safety_io.check(tick.now_s)
         state.mock.lines, state.mock.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
         state.vmu.logged = state.axes_logged = state.samples_logged = state.sensors_logged = 0
