@@ -144,7 +144,7 @@ def _fuse_sensors(params, sensors, waiting, errors, t_s, truth, state, memory):
         for i in range(before, waiting.waiting):
             sample = waiting.sample[i]
             slot = params.sensors.slot[sample.sensor]
-            innovate(slot, found, sample, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, 0.0)
+            innovate(params.sensors, slot, found, sample, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, 0.0)
             for k in range(slot.errors):
                 for c in range(slot.n):
                     sample.value[c] += found.innovation.h_errors[c, k] * errors[sample.sensor, k]
