@@ -21,7 +21,7 @@ from hil.drivers.emulated_axes import EmulatedAxes
 from hil.drivers.shared_state import SharedAxisState
 from hil.loop.rate_keeper import SimulatedRate
 from hil.params import bench as bench_params
-from hil.params import vision as vision_params
+from hil.sensors.vision_unit import parameters as vmu_params
 from hil.session.build import in_memory
 from hil.setup.assembly import Job, axes_at_start
 
@@ -92,7 +92,7 @@ def place_error(rows: np.ndarray, setpoints: np.ndarray, job: Job, rig_settings:
         distance, angle = np.empty(k), np.empty(k)
         camera_errors(
             bench_params.bench(machine, job.scenario.value.step_s),
-            vision_params.mounting(machine),
+            vmu_params.mounting(machine),
             np.ascontiguousarray(places[:k, shown, 0]),
             np.ascontiguousarray(places[:k, shown, 1]),
             np.ascontiguousarray(rows["truth"]["r_CT_H"][:k]),

@@ -26,8 +26,8 @@ from hil.loop import core, mock_bench
 from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_stats import count_cycle
 from hil.models.camera_timing import TIME_SLACK_S
-from hil.models.frame_transit import forget_frames
 from hil.monte_carlo.case_runner import CaseRunner
+from hil.sensors.vision_unit.transit import forget_frames
 
 ROWS = (
     "axes of the mock rig, encoders", "safety checks of the bench", "vision unit", "poses to the cycle",

@@ -20,8 +20,8 @@ from hil.gnc.guidance import GUIDANCE_STATE
 from hil.maths import euler, quat
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
-from hil.params import vision as vision_params
 from hil.params.dynamics import gravity
+from hil.sensors.vision_unit import parameters as vmu_params
 
 FRAME_CYCLES = 8
 
@@ -94,7 +94,7 @@ class PlainLoop:
         self.rng, self.dt = np.random.default_rng(seed), scenario.step_s
         self.dss, self.truth = dynamics_params.dss(scenario), dynamics_params.initial_truth(scenario)
         self.field, self.imu = Field(scenario), dynamics_params.imu(scenario)
-        self.vision, self.nav = vision_params.vision(scenario), gnc_params.navigation(scenario).fusion
+        self.vision, self.nav = vmu_params.model(scenario), gnc_params.navigation(scenario).fusion
         self.sets, strength = gnc_params.allocation(scenario.chaser)
         self.control = gnc_params.control(scenario, strength)
         self.line, self.flown, self.point = gnc_params.guidance(scenario), new(GUIDANCE_STATE), new(REFERENCE)

@@ -111,6 +111,7 @@ the run whenever it changes.""",
 _TITLES = {
     "hil_backend_sample": "Sample of the IMU, `samples` of the input of navigation",
     "hil_backend_pose": "Pose of the vision unit, `poses` of the input of navigation",
+    "hil_measurement": "Measurement of a further sensor, `measurements` of the input of navigation",
     "hil_navigation": "Estimate, `navigation` of the input of control",
     "hil_reference": "Reference, `reference` of the input of control",
     "hil_navigation_input": "Input of navigation",

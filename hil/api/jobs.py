@@ -13,6 +13,7 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
+from hil.checks.sensors import unfused_sensors
 from hil.config import load
 from hil.config.load import Loaded
 from hil.config.model import ConfigModel
@@ -187,7 +188,7 @@ def _gnc_problems(gnc: object, scenario: Loaded[Scenario], rig: Loaded[Rig]) -> 
 
 
 def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for each key of scenario and rig that names a GNC other than that of the caller."""
+    """Return a problem for each key of scenario and rig that a GNC of the caller's own rules out."""
     found = []
     if (binary := scenario.value.gnc.binary) is not None:
         key = key_of(scenario.value.gnc)
@@ -198,7 +199,7 @@ def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Pro
     key = "flight_computer.command_words"
     if (wire := rig.value.flight_computer.command_words) != "none":
         found.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))
-    return found
+    return found + unfused_sensors(scenario, "another GNC")
 
 
 def is_positive(value: object) -> bool:

@@ -25,6 +25,7 @@ from hil.report.limits import why_of
 from hil.report.summary import limits_of
 from hil.report.verdict import Verdict, verdict_of
 from hil.safety.alarms import Alarm
+from hil.sensors.vision_unit import columns as vmu_columns
 from hil.setup.assembly import Job
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ class Run:
     @property
     def pose(self) -> RecordGroup:
         """Poses that navigation received: the newest of each cycle in which any arrived; ``t_s``: exposure."""
-        poses = self.history["pose"][self.history["pose"]["fresh"] > 0]
+        poses = vmu_columns.poses(self.history)
         return RecordGroup(poses, poses["t_s"])
 
     @property

@@ -19,6 +19,7 @@ from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
 from hil.models.bodies import BODIES, are_apart, chord, travel_to_rest
+from hil.sensors.vision_unit.pose import deviation
 
 POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(9, 16)
 """What was found, in addition to ``keep_out``; the numbers follow those of the compiled loop's other reasons to end."""
@@ -287,21 +288,14 @@ def compare_pose(params, bench, memory, pose):
 
     bench: BENCH_PARAMS. memory: BENCH_GUARD_MEMORY.
     """
-    r, q, z, rotation = stack.vector(3), stack.vector(4), stack.vector(3), stack.vector(3)
+    r, q, off, variance = stack.vector(3), stack.vector(4), stack.vector(6), stack.vector(6)
     if not _pose_at(bench, memory, pose.t_s, r, q):
         return
-    quat.transform_into(q, r, z)
-    quat.rotation_between(pose.q_CH, q, rotation)
-    for i in range(3):
-        error, variance = abs(pose.z_TC_C[i] + z[i]), pose.covariance_position[i, i]
-        if _is_beyond(memory.vision, i, error, variance, params.vision_sigmas, params.vision_position):
-            memory.vision_code = VISION_POSITION
-            memory.vision_frames += 1
-            return
-    for i in range(3):
-        error, variance = abs(rotation[i]), pose.covariance_attitude[i, i]
-        if _is_beyond(memory.vision, i, error, variance, params.vision_sigmas, params.vision_attitude):
-            memory.vision_code = VISION_ATTITUDE
+    deviation(pose, r, q, off, variance)
+    for i in range(6):
+        calibration = params.vision_position if i < 3 else params.vision_attitude
+        if _is_beyond(memory.vision, i % 3, abs(off[i]), variance[i], params.vision_sigmas, calibration):
+            memory.vision_code = VISION_POSITION if i < 3 else VISION_ATTITUDE
             memory.vision_frames += 1
             return
     memory.vision_frames = 0

@@ -9,8 +9,8 @@ import numpy as np
 from hil.bench.kinematics import pose_of_axes, pose_on_bench
 from hil.core.jit import kernel
 from hil.maths import quat
-from hil.models.camera import view_margin
-from hil.models.mounting import camera_pose
+from hil.sensors.mounting import camera_pose
+from hil.sensors.vision_unit.camera import view_margin
 
 
 @kernel

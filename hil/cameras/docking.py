@@ -14,11 +14,11 @@ from hil.core.messages import POSE, Array, new
 from hil.maths import quat
 from hil.maths.random_streams import stream
 from hil.models import docking_view
-from hil.models.mounting import camera_pose, chaser_pose
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.monitor.sources import VideoFrame, exposure
 from hil.params import bench as bench_params
 from hil.params.monitor import mounting
+from hil.sensors.mounting import camera_pose, chaser_pose
 
 _KEPT_S = 2.0  # s of samples kept before the last requested time: largest delay of an encoder
 

@@ -15,11 +15,11 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import ImageSink
 from hil.core.messages import VMU_FRAME, Array, PoseFrame, new
 from hil.drivers.vmu.transport import Transport
-from hil.dynamics.vision import VISION_NOISE, measure_frame
-from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.maths.random_streams import NormalRows, noise_source, stream
 from hil.params import bench as bench_params
-from hil.params import vision as vision_params
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.errors import VISION_MEMORY
+from hil.sensors.vision_unit.model import VISION_NOISE, measure_frame
 from hil.vmu.estimators import PoseEstimator, board_of, make_estimator
 from hil.vmu.geometry import geometry_of_rig, nominal_geometry
 
@@ -39,9 +39,9 @@ class PoseModel:
 
     def __init__(self, scenario: Scenario, rig: Rig, seed: int, memory: np.record | None = None) -> None:
         self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-        self._mounting = vision_params.mounting(rig)
-        self._vision = vision_params.vision(scenario, seed)
-        self._camera, self.leds = vision_params.camera(rig)
+        self._mounting = vmu_params.mounting(rig)
+        self._vision = vmu_params.model(scenario, seed)
+        self._camera, self.leds = vmu_params.camera(rig)
         self.noise = NormalRows(noise_source(seed, "vision"), VISION_NOISE)
         """One row per exposure."""
         self._memory = new(VISION_MEMORY) if memory is None else memory
@@ -83,7 +83,7 @@ def make_pose_sensor(
         return PoseModel(scenario, rig, seed, memory)
     from hil.cameras.rendered import RenderedCameras, RenderedPoseSensor
 
-    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
+    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vmu_params.mounting(rig)
     rng, estimator = stream(seed, "pictures"), estimator_of_unit(rig.vmu)
     images = scenario.vmu.images
     cameras = RenderedCameras(bench, mounting, geometry_of_rig(rig), images, rng, board_of(estimator))

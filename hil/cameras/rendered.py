@@ -13,7 +13,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import LEFT, RIGHT, CameraImage, ImageSink, Shape
 from hil.core.messages import Array, PoseFrame
 from hil.maths import quat
-from hil.models.mounting import camera_pose
+from hil.sensors.mounting import camera_pose
 from hil.vmu.estimators import FlatTarget, PoseEstimator, Solved, solve_pair
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.overlay import shapes

@@ -21,7 +21,7 @@ from hil.core.messages import Array
 from hil.errors import Problem
 from hil.maths import quat
 from hil.params import bench as bench_params
-from hil.params import vision as vision_params
+from hil.sensors.vision_unit import parameters as vmu_params
 
 _ROUNDING = 1e-9
 _LEAST_SPAN_S = 1e-3
@@ -212,8 +212,8 @@ class _Findings:
 
     def view(self) -> None:
         """Add one problem if an LED leaves an image."""
-        camera, leds = vision_params.camera(self._rig)
-        asked, mounting = self._asked, vision_params.mounting(self._rig)
+        camera, leds = vmu_params.camera(self._rig)
+        asked, mounting = self._asked, vmu_params.mounting(self._rig)
         # of the relative pose, whichever axes show it
         r, attitudes = np.array([m.r_CT_H for m in asked.relative]), asked.attitudes
         if asked.target_rad.any():

@@ -10,6 +10,16 @@ from hil.params.monitor import MONITOR
 from hil.params.sensors import sensors_of
 
 
+def unfused_sensors(scenario: Loaded[Scenario], gnc: str) -> list[Problem]:
+    """Return a problem for each sensor to be fused by a GNC that receives none. gnc: its name."""
+    text = f"not available: {gnc} receives no measurements of further sensors"
+    return [
+        Problem(scenario.where(f"sensors.{name}"), f"sensors.{name}", text)
+        for name, config in scenario.value.sensors.items()
+        if config.use == "fusion"
+    ]
+
+
 def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each sensor that GNC or rig cannot use: none is left out without notice."""
     value, problems = scenario.value, []
@@ -17,16 +27,16 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
     def problem(key: str, text: str) -> None:
         problems.append(Problem(scenario.where(f"sensors.{key}"), f"sensors.{key}", text))
 
-    elsewhere = value.gnc.foreign.get("navigation") or value.gnc.binary
+    elsewhere = value.gnc.binary
     if rig.value.flight_computer.command_words != "none":
         elsewhere = f"rig.flight_computer.command_words = {rig.value.flight_computer.command_words}"
     modules = sensors_of(value)
+    if elsewhere is not None:
+        problems += unfused_sensors(scenario, elsewhere)
     if MONITOR in value.sensors:
         problem(MONITOR, "is the name of the docking monitor, table [monitor]")
     for name, config in value.sensors.items():
         sensor = modules[name].kind
-        if elsewhere is not None and config.use == "fusion":
-            problem(name, f"not available: the navigation is elsewhere ({elsewhere}), only the built-in one uses it")
         rate_hz = config.rate_hz or sensor.module.rate_hz
         if config.rate_hz is not None and rate_hz * value.step_s > 1.0 + 1e-9:
             problem(f"{name}.rate_hz", f"{rate_hz:g}: at most one measurement per cycle, {1.0 / value.step_s:g}")

@@ -41,10 +41,6 @@ def fusion(
     figure
         Figure of one run's errors with their 3-sigma band, as the paper's Fig. 5 (PNG, PDF or SVG).
     """
-    from hil.config.load import load_rig, load_scenario
-
-    load_scenario("scheme-2", settings)  # report errors of the settings before the start
-    load_rig("mock", settings)
     from hil.monte_carlo.batch import worker_count
     from hil.monte_carlo.fusion import Study, run_fusion
 

@@ -11,6 +11,7 @@ from hil.bench.kinematics import pose_of_axes
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.maths import euler, quat
+from hil.sensors.vision_unit.pose import position_in_h
 
 _TRIPLES: Final = (
     "reference_m",  # of r_CT_H, in H
@@ -88,7 +89,7 @@ def columns_of(params, order, rows, out):
     params: BENCH_PARAMS. order (3,): rotation sequence of the angles. Lengths in m or mm, angles in deg, as named.
     """
     deg = 180.0 / math.pi
-    r_bench, q_bench = np.empty(3), np.empty(4)
+    r_bench, q_bench, r_seen = np.empty(3), np.empty(4), np.empty(3)
     for k in range(rows.shape[0]):
         row, o = rows[k], out[k]
         truth, estimate, reference, pose = row.truth, row.navigation, row.reference, row.pose
@@ -99,7 +100,8 @@ def columns_of(params, order, rows, out):
         at = _put(o, at, r_bench, 1.0)
         seen = pose.fresh > 0
         none = np.full(3, np.nan)
-        at = _put(o, at, quat.transform_back(pose.q_CH, pose.z_TC_C) if seen else none, -1.0)
+        position_in_h(pose, r_seen)
+        at = _put(o, at, r_seen if seen else none, 1.0)
         at = _put(o, at, estimate.v_CT_H, 1.0)
         at = _put(o, at, truth.v_CT_H, 1.0)
         at = _put_angles(o, at, reference.q_CH, order)

@@ -16,9 +16,10 @@ import numpy as np
 from hil.core.fields import Field, record_class, record_dtype
 from hil.core.gnc_records import GNC_SETUP_FIELDS
 from hil.core.messages import MAX_POSES, MAX_THRUSTERS, NAVIGATION_FIELDS, POSE_STATUS, REFERENCE_FIELDS
+from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_SAMPLE_FIELDS
 
-BACKEND_PROTOCOL: Final = 1
-"""Version of the records; incremented when a field is appended."""
+BACKEND_PROTOCOL: Final = 2
+"""Version of the records; incremented when a field is appended. 2: measurements of further sensors."""
 MAX_IMU_SAMPLES: Final = 64
 """Samples of the IMU that a backend can receive in one cycle."""
 MAX_SETTINGS: Final = 32
@@ -62,6 +63,8 @@ NAVIGATION_INPUT_FIELDS: Final = (
     Field("samples", BACKEND_SAMPLE_FIELDS, MAX_IMU_SAMPLES, "", "", "the first n_samples are valid"),
     Field("poses", BACKEND_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid, in order of arrival"),
     Field("setup", GNC_SETUP_FIELDS, (), "", "", "nominal vehicle and plan: hil_gnc_setup"),
+    Field("n_measurements", "i8", (), "1", "", "measurements of further sensors since the cycle before"),
+    Field("measurements", SENSOR_SAMPLE_FIELDS, SAMPLES_PER_CYCLE, "", "", "the first n_measurements are valid"),
 )
 NAVIGATION_OUTPUT_FIELDS: Final = (
     Field("state", "i4", (), "1", "", "hil_gnc_state"),

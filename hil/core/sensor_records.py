@@ -83,6 +83,7 @@ SENSOR_ESTIMATE = np.dtype(
         ("v_CT_H", "f8", 3),  # m/s
         ("q_CH", "f8", 4),
         ("w_CH_C", "f8", 3),  # rad/s
+        ("q_HI", "f8", 4),  # by the orbit as the GNC has it; nan for a target that tumbles
     ],
     align=True,
 )

@@ -1,1 +1,1 @@
-"""The dynamics simulation subsystem (DSS): truth, virtual IMU, virtual vision noise."""
+"""The dynamics simulation subsystem (DSS): truth and virtual IMU."""

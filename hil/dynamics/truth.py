@@ -35,7 +35,6 @@ from hil.dynamics.isolation import ISOLATION, close_isolated
 from hil.dynamics.mass_centre import add_lever_terms, shift
 from hil.dynamics.mass_properties import MASS_MODEL, MASS_PROPERTIES, set_mass_properties
 from hil.dynamics.orbit_forces import ORBIT_FORCES
-from hil.dynamics.plume import PLUME_MEMORY, PLUME_PARAMS, keep_share, push_of_plumes
 from hil.dynamics.rigid_body import add_gravity_gradient, angular_acceleration
 from hil.dynamics.solar_pressure import PLATE_PARAMS, pressure_force
 from hil.dynamics.target_attitude import ALIGNED, TARGET_ATTITUDE, move_target_axes
@@ -46,6 +45,7 @@ from hil.dynamics.thrusters import propellant_flow, wrench
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.models.faults import FAULTS
+from hil.models.plume import PLUME_MEMORY, PLUME_PARAMS, keep_share, push_of_plumes
 from hil.models.valves import step_valves
 
 HILL, NONLINEAR = 0, 1

@@ -63,7 +63,8 @@ def _record_fields(fields: Fields, prefix: str, base: int, group: int) -> Iterat
         if isinstance(field.type, str):
             if part.base.kind in "iuf":
                 code = part.base.str[1:]
-                yield RecordField(f"{prefix}{field.name}", field.unit, code, base + offset, part.shape, group)
+                unit = "1" if field.unit == "SI" else field.unit  # of each component its own: an FMU states none
+                yield RecordField(f"{prefix}{field.name}", unit, code, base + offset, part.shape, group)
             continue
         if field.shape == ():
             yield from _record_fields(field.type, f"{prefix}{field.name}.", base + offset, group)

@@ -40,9 +40,9 @@ AKF_STATE = np.dtype(
 
 
 @kernel
-def start(params, pose, state):
-    """Start from the first pose: its attitude, the drift from ``params``."""
-    copy_into(state.x[0:4], pose.q_CH)
+def start(params, q_CH, state):
+    """Start from a measured attitude (4,), the drift from ``params``."""
+    copy_into(state.x[0:4], q_CH)
     for i in range(3):
         state.x[4 + i] = params.initial_drift[i]
         state.w_CH_C[i] = 0.0

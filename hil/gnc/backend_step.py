@@ -21,8 +21,9 @@ from hil.core.backend_records import (
 from hil.core.foreign_call import call_address, same_bytes
 from hil.core.gnc_records import GncHealth, GncMode, GncState
 from hil.core.jit import entry, kernel
-from hil.maths.arrays import copy_into, copy_matrix, fill
+from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
+from hil.sensors.vision_unit.pose import write_all_sent
 
 FINE, STATE, VALID, POSITION, VELOCITY, ATTITUDE, RATE, SIGMA, PROTECTION_LEVEL, HEALTH = range(10)
 DIRECT, FORCE, TORQUE, THRUSTER, BIAS, REPORTED, RETURNED = range(10, 17)
@@ -205,13 +206,14 @@ def navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, co
         copy_into(given.samples[i].force_mps2, samples[i].force_C)
     given.n_poses = n_poses
     for i in range(n_poses):
-        sent, pose = given.poses[i], poses[i]
-        sent.t_s, sent.status = pose.t_s, pose.status
-        copy_into(sent.r_TC_C_m, pose.z_TC_C)
-        copy_into(sent.q_CH, pose.q_CH)
-        copy_matrix(sent.covariance_position_m2, pose.covariance_position)
-        copy_matrix(sent.covariance_attitude_rad2, pose.covariance_attitude)
-        copy_matrix(sent.covariance_cross_m_rad, pose.covariance_cross)
+        write_all_sent(poses[i], given.poses[i])
+    given.n_measurements, arrived = 0, state.navigation.fusion.sensors
+    for i in range(arrived.arrived):
+        sample = arrived.arrival[i].sample
+        slot = params.navigation.fusion.sensors.slot[sample.sensor]
+        if slot.witness == 0 and slot.enabled != 0:
+            copy_record(sample, given.measurements[given.n_measurements])
+            given.n_measurements += 1
     second = state.navigation.integrity
     given.second_bound_m, given.second_bound_s = second.second_m, second.second_s
     _write_thrusters(params, state.thrusters, state.isolated_cycles, given)

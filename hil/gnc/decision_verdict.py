@@ -8,6 +8,7 @@ unless an alarm follows within ``QUIET_S``. A mean NEES beyond what a consistent
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from hil.maths.limits import has_held
 
 QUIET_S = 2.0
 """Time in which an alarm must follow an error beyond the protection level."""
-_VISION = GncHealth.VISION_LOST.value | GncHealth.VISION_SUSPECT.value
-_IMU, _THRUSTER = GncHealth.IMU_SUSPECT.value, GncHealth.THRUSTER_FAULT.value
-_SENSOR = GncHealth.SENSOR_SUSPECT.value
+ACCUSED: Final = ("vision", "imu", "thruster", "sensor")
+_BITS = (
+    GncHealth.VISION_LOST.value | GncHealth.VISION_SUSPECT.value, GncHealth.IMU_SUSPECT.value,
+    GncHealth.THRUSTER_FAULT.value, GncHealth.SENSOR_SUSPECT.value,
+)  # fmt: skip
 
 DECISION_PARAMS = np.dtype(
     [
@@ -48,10 +51,7 @@ DECISION_STATE = np.dtype(
         ("pending", "i8"),  # cycles beyond it that an alarm may still follow
         ("pending_s", "f8"),  # time of the first of them, nan for none
         ("health", "i8"),  # of the cycle before
-        ("false_vision", "i8"),  # accusations before the first fault
-        ("false_imu", "i8"),
-        ("false_thruster", "i8"),
-        ("false_sensor", "i8"),
+        ("false", "i8", len(ACCUSED)),  # accusations before the first fault
         ("fused", "i8", 2),  # updates with a NEES, of position and attitude filter
         ("nees", "f8", 2),  # their sums
     ],
@@ -104,10 +104,8 @@ def _count_accusations(params, state, t_s, health):
     new = health & ~state.health
     state.health = health
     if new != 0 and t_s < params.first_fault_s:
-        state.false_vision += 1 if new & _VISION != 0 else 0
-        state.false_imu += 1 if new & _IMU != 0 else 0
-        state.false_thruster += 1 if new & _THRUSTER != 0 else 0
-        state.false_sensor += 1 if new & _SENSOR != 0 else 0
+        for i in range(len(_BITS)):
+            state.false[i] += 1 if new & _BITS[i] != 0 else 0
 
 
 @kernel

@@ -26,14 +26,12 @@ from hil.gnc import body_frame, joint_filter, pose_model, sensor_fusion, target_
 from hil.gnc.akf import AKF_PARAMS
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import DRIFT, ERROR_STATE, FILTERS, INNOVATION, NOISE_FACTOR, ROTATION, R, V
-from hil.gnc.integrity import pose_sigmas
 from hil.gnc.intervals import mean_interval
 from hil.gnc.pkf import PKF_PARAMS
 from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS, SENSOR_FUSION_STATE
 from hil.gnc.step_memory import (
     DOUBTS,
     POSES_PER_STEP,
-    copy_pose,
     keep_predicted,
     return_to,
     sensor_step_at,
@@ -46,6 +44,7 @@ from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.limits import to_integer
 from hil.maths.record_view import copy_record
+from hil.sensors.vision_unit import pose as vmu_pose
 
 NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
 
@@ -167,16 +166,15 @@ def _predict(params, state, step):
 def _compare(state, pose):
     """Compare ``pose`` with the one before: count it in ``state.mutual`` if both agree, otherwise count from 0."""
     r, rotation = stack.vector(3), stack.vector(3)
-    quat.transform_back_into(pose.q_CH, pose.z_TC_C, r)
+    vmu_pose.position_in_h(pose, r)
     quat.rotation_between(pose.q_CH, state.seen_q, rotation)
-    (sigma, sigma_angle), elapsed_s = pose_sigmas(pose), abs(pose.t_s - state.seen_s)
+    (sigma, sigma_angle), elapsed_s = vmu_pose.largest_sigmas(pose), abs(pose.t_s - state.seen_s)
     agree = True
     for i in range(3):
-        agree = agree and abs(r[i] + state.seen_r[i]) <= _AGREEMENT * sigma + _SPEED_MAX * elapsed_s
+        agree = agree and abs(r[i] - state.seen_r[i]) <= _AGREEMENT * sigma + _SPEED_MAX * elapsed_s
         agree = agree and abs(rotation[i]) <= _AGREEMENT * sigma_angle + _RATE_MAX * elapsed_s
     state.mutual = state.mutual + 1 if agree else 0
-    for i in range(3):
-        state.seen_r[i] = -r[i]
+    copy_into(state.seen_r, r)
     copy_into(state.seen_q, pose.q_CH)
     state.seen_s = pose.t_s
 
@@ -363,7 +361,7 @@ def _place(params, state, memory, pose):
     if held >= POSES_PER_STEP:
         state.too_late += 1
         return -1
-    copy_pose(pose, params.noise_scale**2, step.poses[held])
+    vmu_pose.copy_pose(pose, params.noise_scale**2, step.poses[held])
     step.gated[held] = NOT_GATED
     step.n_poses += 1
     if state.started == 0:

@@ -15,13 +15,14 @@ import numpy as np
 
 from hil.core.gnc_records import GncHealth
 from hil.core.jit import entry, kernel
-from hil.core.messages import POSITION_ONLY
+from hil.core.messages import POSE
 from hil.gnc import sensor_monitor, thrust_model
 from hil.gnc.approach_monitor import LEVEL_TERMS
 from hil.gnc.error_state import V
 from hil.gnc.missed_fault import largest_missed
 from hil.maths.arrays import copy_into, fill
-from hil.maths.kalman import is_covariance_3
+from hil.maths.record_view import copy_record
+from hil.sensors.vision_unit import pose as vmu_pose
 
 VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
     GncHealth.VISION_LOST.value,
@@ -31,7 +32,6 @@ VISION_LOST, VISION_SUSPECT, COVARIANCE_INVALID = (
 SUMS: Final = 12
 """CUSUMs: of six innovations, and of sum and difference of each pair of position."""
 _REPEATS_MAX = 2  # of a pose with all its digits: noise leaves none
-_UNIT_TOLERANCE = 1e-3  # of the length of a quaternion
 _FOLLOW_EACH = 4  # accepted poses
 _CONVERGES = 4.0  # times the variance of the velocity: what it was
 _JUMP_S = 60.0  # in which a change of the dynamics is estimated
@@ -65,9 +65,7 @@ INTEGRITY_STATE = np.dtype(
         ("refused", "i8"),  # poses that are no measurement
         ("refused_in_a_row", "i8"),
         ("repeats", "i8"),  # consecutive, of the last pose with another time
-        ("last_z", "f8", 3),
-        ("last_q", "f8", 4),
-        ("last_s", "f8"),
+        ("last", POSE),
         ("monitored", "i8"),  # accepted poses so far
         ("high", "f8", SUMS),  # CUSUM of each innovation, position then attitude, and of pairs of position, upwards
         ("low", "f8", SUMS),  # and downwards
@@ -94,58 +92,21 @@ INTEGRITY_STATE = np.dtype(
 
 
 @kernel
-def is_measurement(params, pose):
-    """Return whether ``pose`` (POSE) can be one: finite, a rotation, within range, with covariances that are some."""
-    square, norm = 0.0, 0.0
-    for i in range(3):
-        square += pose.z_TC_C[i] ** 2
-    for i in range(4):
-        norm += pose.q_CH[i] ** 2
-    return (
-        math.isfinite(pose.t_s)
-        and square <= params.range_max**2
-        and abs(norm - 1.0) <= 2.0 * _UNIT_TOLERANCE
-        and is_covariance_3(pose.covariance_position, params.sigma_max)
-        and (pose.status == POSITION_ONLY or is_covariance_3(pose.covariance_attitude, params.sigma_angle_max))
-    )
-
-
-@kernel
 def _is_repeated(state, pose):
     """Return whether ``pose`` has all digits of the one before at another time, more often than by chance."""
-    same = True
-    for i in range(3):
-        same = same and pose.z_TC_C[i] == state.last_z[i]
-    for i in range(4):
-        same = same and pose.q_CH[i] == state.last_q[i]
-    if not same:
+    if not vmu_pose.is_repeat(state.last, pose):
         state.repeats = 0
-    elif pose.t_s != state.last_s:
+    elif pose.t_s != state.last.t_s:
         state.repeats += 1
-    copy_into(state.last_z, pose.z_TC_C)
-    copy_into(state.last_q, pose.q_CH)
-    state.last_s = pose.t_s
+    copy_record(pose, state.last)
     return state.repeats > _REPEATS_MAX
-
-
-@kernel
-def pose_sigmas(pose):
-    """Return the largest standard deviations of ``pose`` (POSE): of its position in H, m, and of its attitude, rad.
-
-    Seen from H, an error of the attitude moves the chaser across the line of sight.
-    """
-    square, position, attitude = 0.0, 0.0, 0.0
-    for i in range(3):
-        square += pose.z_TC_C[i] ** 2
-        position = max(position, pose.covariance_position[i, i])
-        attitude = max(attitude, pose.covariance_attitude[i, i])
-    return math.sqrt(position + square * attitude), math.sqrt(attitude)
 
 
 @kernel
 def admits(params, state, pose):
     """Return whether ``pose`` may be passed to the filters; count it if not."""
-    if is_measurement(params, pose) and not _is_repeated(state, pose):
+    is_one = vmu_pose.is_measurement(params.range_max, params.sigma_max, params.sigma_angle_max, pose)
+    if is_one and not _is_repeated(state, pose):
         state.refused_in_a_row = 0
         return True
     state.refused += 1

@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc.target_orbit import add_ellipse
-from hil.maths import quat, stack
+from hil.maths import stack
 from hil.maths.arrays import copy_into
 
 PKF_PARAMS = np.dtype(
@@ -41,12 +41,10 @@ PKF_STATE = np.dtype([("x", "f8", 9)], align=True)
 
 
 @kernel
-def start(params, pose, state):
-    """Start from the first pose, at rest, the bias from ``params``."""
-    r = stack.vector(3)
-    quat.transform_back_into(pose.q_CH, pose.z_TC_C, r)
+def start(params, r_CT_H, state):
+    """Start from a measured position (3,), m, in H, at rest, the bias from ``params``."""
     for i in range(3):
-        state.x[i] = -r[i]
+        state.x[i] = r_CT_H[i]
         state.x[3 + i] = 0.0
         state.x[6 + i] = params.initial_bias[i]
 

@@ -19,6 +19,7 @@ from hil.gnc import akf, joint_filter, pkf, target_motion
 from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION, R, V
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
+from hil.sensors.vision_unit.pose import position_in_h
 
 _LEAST_WHITE = 1e-4  # of a pose's variance
 _LONGEST_STEP = 1.0  # of the logarithm of the noise's factor, per pose
@@ -111,9 +112,10 @@ def start(params, pose, noise, filters):
     ``r = A.T (theta x z' + H_z e + n_z)``, ``z' = -z``.
     """
     errors, of_akf, of_pkf, p = params.errors, params.akf, params.pkf, filters.p
-    n = errors.n
-    akf.start(of_akf, pose, filters.akf)
-    pkf.start(of_pkf, pose, filters.pkf)
+    n, expected = errors.n, stack.vector(3)
+    akf.start(of_akf, pose.q_CH, filters.akf)
+    position_in_h(pose, expected)
+    pkf.start(of_pkf, expected, filters.pkf)
     start_noise(errors, noise)
     fill_matrix(p, 0.0)
     for i in range(FILTER_ERRORS, n):
@@ -125,7 +127,7 @@ def start(params, pose, noise, filters):
     akf.add_in_chaser_axes(of_akf.rate_sigma, 1.0, pose.q_CH, DRIFT, p)
     # columns: white noise of rotation and position (6), then as the joint errors
     response = stack.matrix(FILTER_ERRORS, LANES)
-    h, a, expected = stack.matrix(3, LANES), stack.matrix(3, 3), stack.vector(3)
+    h, a = stack.matrix(3, LANES), stack.matrix(3, 3)
     white_z, white_a = stack.matrix(3, 3), stack.matrix(3, 3)
     fill_matrix(response, 0.0)
     quat.to_matrix_into(pose.q_CH, a)

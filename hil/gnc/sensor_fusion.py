@@ -34,7 +34,9 @@ from hil.gnc.sensor_innovation import innovate
 from hil.gnc.sensor_monitor import SENSOR_MONITOR, bound_missed, count, watch
 from hil.gnc.sensor_witness import WITNESS, WITNESS_PARAMS
 from hil.gnc.step_memory import SAMPLES_PER_STEP, sensor_step_at
+from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths.arrays import fill, fill_matrix
+from hil.maths.kalman import is_covariance_3
 from hil.maths.limits import to_integer
 from hil.maths.record_view import copy_record
 
@@ -71,6 +73,8 @@ SENSOR_FUSION_PARAMS = np.dtype(
         ("nis_limit", "f8"),  # largest mean of a component
         ("suspect_after", "i8"),  # consecutive rejections
         ("gate", "f8"),  # standard deviations of one component that the gate passes
+        ("orbit", TARGET_ORBIT),
+        ("q_HI", "f8", 4),  # at the start of the run
     ],
     align=True,
 )
@@ -145,7 +149,7 @@ def _innovate(params, state, sample, cycle, group):
     sensors, filters, found = state.sensors, state.filters, state.found_position
     slot, innovation, x = params.sensors.slot[sample.sensor], sensors.innovation, filters.pkf.x
     delta_s = sample.t_s - cycle * params.pkf.dt_s
-    innovate(slot, sensors, sample, x[0:3], x[3:6], filters.akf.x[0:4], filters.akf.w_CH_C, delta_s)
+    innovate(params.sensors, slot, sensors, sample, x[0:3], x[3:6], filters.akf.x[0:4], filters.akf.w_CH_C, delta_s)
     first = 3 * group
     fill_matrix(found.h, 0.0)
     fill_matrix(found.noise, 0.0)
@@ -175,7 +179,7 @@ def _judge(params, state, sample, cycle, arrival):
     groups = (slot.n + 2) // 3
     for group in range(groups):
         nis = _innovate(params, state, sample, cycle, group)
-        passes = passes and 0.0 <= nis <= slot.gate[group]
+        passes = passes and 0.0 <= nis <= slot.gate[group] and is_covariance_3(found.noise, np.inf)
         arrival.nis += nis
         for i in range(3):
             if 3 * group + i < slot.n:

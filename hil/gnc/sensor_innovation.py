@@ -5,6 +5,7 @@ from __future__ import annotations
 from hil.core.foreign_call import call_address
 from hil.core.jit import kernel
 from hil.core.sensor_records import COMPONENTS_MAX
+from hil.gnc.target_orbit import frame_attitude
 from hil.maths import quat, stack
 from hil.maths.arrays import fill, fill_matrix
 from hil.maths.record_view import copy_record
@@ -13,10 +14,11 @@ _ERROR_SIGMAS = 3.0  # of a constant error for which the module states no tolera
 
 
 @kernel
-def innovate(slot, state, sample, r_CT_H, v_CT_H, q_CH, w_CH_C, delta_s):
+def innovate(params, slot, state, sample, r_CT_H, v_CT_H, q_CH, w_CH_C, delta_s):
     """Write ``state.innovation`` of ``sample``, which was measured ``delta_s`` after the estimate.
 
-    slot: SENSOR_SLOT. state: SENSOR_FUSION_STATE. The estimate moves with its own rates, ``w_CH_C`` (3,), rad/s.
+    params: SENSOR_FUSION_PARAMS. slot: SENSOR_SLOT. state: SENSOR_FUSION_STATE. The estimate moves with its own rates,
+    ``w_CH_C`` (3,), rad/s.
     """
     estimate, innovation = state.estimate, state.innovation
     turn, rotation = stack.vector(3), stack.vector(4)
@@ -28,6 +30,7 @@ def innovate(slot, state, sample, r_CT_H, v_CT_H, q_CH, w_CH_C, delta_s):
         turn[i] = delta_s * w_CH_C[i]
     quat.from_rotation_vector_into(turn, rotation)
     quat.multiply_into(rotation, q_CH, estimate.q_CH)
+    frame_attitude(params.orbit, params.q_HI, sample.t_s, estimate.q_HI)
     copy_record(sample, innovation.sample)
     fill(innovation.value, 0.0)
     fill(innovation.tolerance, 0.0)

@@ -160,7 +160,8 @@ def _compare(params, state, t_s, navigation, arrival):
         monitor.late += 1
         return
     innovate(
-        slot, state, arrival.sample, navigation.r_CT_H, navigation.v_CT_H, navigation.q_CH, navigation.w_CH_C, -age_s
+        params, slot, state, arrival.sample, navigation.r_CT_H, navigation.v_CT_H, navigation.q_CH, navigation.w_CH_C,
+        -age_s,
     )  # fmt: skip
     witness.compared += 1
     witness.last_s = arrival.sample.t_s

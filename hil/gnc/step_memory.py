@@ -145,15 +145,3 @@ def return_to(params, filters, memory, cycle):
             at += 8
         for j in range(i - i % 8):
             filters.p[i, j] = filters.p[j, i]
-
-
-@kernel
-def copy_pose(source, factor, target):
-    """Copy what the filters need of POSE, with the covariances times ``factor``."""
-    copy_into(target.z_TC_C, source.z_TC_C)
-    copy_into(target.q_CH, source.q_CH)
-    target.t_s, target.status = source.t_s, source.status
-    for i in range(3):
-        for j in range(3):
-            target.covariance_position[i, j] = factor * source.covariance_position[i, j]
-            target.covariance_attitude[i, j] = factor * source.covariance_attitude[i, j]

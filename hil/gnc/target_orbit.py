@@ -19,7 +19,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack
+from hil.maths import quat, stack
+from hil.maths.arrays import fill
 from hil.maths.kepler import true_anomaly
 from hil.models.rotating_frame import TUMBLE, tumble_rate
 
@@ -77,6 +78,21 @@ def frame_rate(orbit, t_s, out):
     if e != 0.0:
         rate = _rate(orbit, true_anomaly(e, orbit.mean_anomaly + orbit.mean_motion * t_s))
     out[0], out[1], out[2] = 0.0, -rate, 0.0
+
+
+@kernel
+def frame_attitude(orbit, q_start, t_s, q_HI):
+    """Write ``q_HI`` (4,) at ``t_s`` of the run, from that at its start; nan for a target that tumbles."""
+    turn, rotation = stack.vector(3), stack.vector(4)
+    e, first = orbit.eccentricity, orbit.mean_anomaly
+    turn[0] = turn[2] = 0.0
+    turn[1] = -orbit.mean_motion * t_s
+    if e != 0.0:
+        turn[1] = true_anomaly(e, first) - true_anomaly(e, first + orbit.mean_motion * t_s)
+    quat.from_rotation_vector_into(turn, rotation)
+    quat.multiply_into(rotation, q_start, q_HI)
+    if orbit.tumble.rotates != 0:
+        fill(q_HI, np.nan)
 
 
 @kernel

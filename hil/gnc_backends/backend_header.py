@@ -16,12 +16,14 @@ from hil.core.backend_records import (
 from hil.core.fields import Fields
 from hil.core.gnc_records import GNC_SETUP_FIELDS
 from hil.core.messages import NAVIGATION_FIELDS, REFERENCE_FIELDS
+from hil.core.sensor_records import SENSOR_SAMPLE_FIELDS
 from hil.gnc_backends.c_header import HEADER_FILE, TAIL, layout_checks, struct_text
 
 BACKENDS_HEADER_FILE: Final = HEADER_FILE.with_name("hil_backends.h")
 BACKEND_STRUCTS: Final[dict[str, Fields]] = {
     "hil_backend_sample": BACKEND_SAMPLE_FIELDS,
     "hil_backend_pose": BACKEND_POSE_FIELDS,
+    "hil_measurement": SENSOR_SAMPLE_FIELDS,
     "hil_navigation": NAVIGATION_FIELDS,
     "hil_reference": REFERENCE_FIELDS,
     "hil_navigation_input": NAVIGATION_INPUT_FIELDS,

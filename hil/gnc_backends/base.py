@@ -74,7 +74,7 @@ class GncBackend(Protocol):
     def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
         """Take note that the loop is open in this cycle: STANDBY, ARMED or HOLD. Raises BenchError."""
 
-    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+    def step(self, t_s: float, now: Records, inbox: Poses) -> None:
         """Write NAVIGATION, REFERENCE, SUPERVISION and COMMAND of ``now`` for ``t_s`` of the run. Raises BenchError."""
 
     def close(self) -> None:

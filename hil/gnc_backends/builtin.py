@@ -75,7 +75,7 @@ class BuiltinGnc(Approach):
         """What a Python object of the user has raised."""
         return self._backends.user_error
 
-    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+    def step(self, t_s: float, now: Records, inbox: Poses) -> None:
         """Run stages 4 to 7 of the cycle."""
         before = self._progress.tobytes()
         works = step.gnc_step(
@@ -84,8 +84,8 @@ class BuiltinGnc(Approach):
             self.memory,
             t_s,
             now.samples,
-            vision.poses,
-            vision.arrived,
+            inbox.poses,
+            inbox.arrived,
             now.navigation,
             now.reference,
             now.supervision,
@@ -93,7 +93,7 @@ class BuiltinGnc(Approach):
         )
         if not works:
             self.fail(t_s, before, now.supervision)
-        self._monitor_filters(now.samples, vision, now.navigation)
+        self._monitor_filters(now.samples, inbox, now.navigation)
         self.log_step(t_s, before, now.supervision)
         if self._backends.kinds and self.state["backends"]["asks_for_hold"]:
             self.hold_as_asked()
@@ -129,30 +129,30 @@ class BuiltinGnc(Approach):
         found.arrived = len(arrivals)
         found.arrival[: len(arrivals)] = arrivals
 
-    def navigate(self, samples: np.ndarray, vision: Poses, estimate: np.record, command: np.record | None) -> None:
+    def navigate(self, samples: np.ndarray, inbox: Poses, estimate: np.record, command: np.record | None) -> None:
         """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION.
 
         command: COMMAND of the cycle before; None if its samples are unknown.
         """
         self.state.navigation.fusion.commanded[:] = 0 if command is None else command.on
         navigation.navigate(
-            self.params.navigation, self.state.navigation, self.memory, samples, vision.poses, vision.arrived, estimate
+            self.params.navigation, self.state.navigation, self.memory, samples, inbox.poses, inbox.arrived, estimate
         )
         if command is None:
             thruster_monitor.pause(self.state.thrusters)
         else:
             step.watch_thrusters(self.params, self.state, self.memory, samples, command, estimate)
-        self._monitor_filters(samples, vision, estimate)
+        self._monitor_filters(samples, inbox, estimate)
 
     def actuate(self, estimate: np.record, reference: np.record, command: np.record) -> None:
         """Run stage 7 alone: write the demands and the thrusters of COMMAND."""
         step.actuate(self.params, self.state, estimate, reference, command)
 
-    def _monitor_filters(self, samples: np.ndarray, vision: Poses, estimate: np.record) -> None:
+    def _monitor_filters(self, samples: np.ndarray, inbox: Poses, estimate: np.record) -> None:
         self.cycle += 1
         self.fused_now = bool(self.state["navigation"]["fused"])
         if self.fused_now or (self.fuses and self.filter_monitor.needs_every_cycle):
-            self.filter_monitor.update(self.cycle, samples, vision.poses[: vision.arrived], estimate, self.memory)
+            self.filter_monitor.update(self.cycle, samples, inbox.poses[: inbox.arrived], estimate, self.memory)
 
     def adjust(self, params: np.record) -> int:
         """Take over other parameters between two cycles; return the number of the cycle from which on they act.

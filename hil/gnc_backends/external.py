@@ -70,7 +70,7 @@ class ExternalGnc(Approach):
         external_records.mark_invalid(now.navigation)
         external_records.close_thrusters(now.command)
 
-    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+    def step(self, t_s: float, now: Records, inbox: Poses) -> None:
         """Write the reference, exchange input and output, and check the estimate."""
         self.cycle += 1
         orders = GncOrder.ABORT if self.approach_state["abort_began"] else GncOrder.NONE
@@ -78,7 +78,7 @@ class ExternalGnc(Approach):
         self.guide(t_s, now.supervision, now.reference)
         if ordered and self._progress["phase"] != phase:
             orders |= GncOrder.GO
-        self._write_input(t_s, GncMode.RUNNING, orders, now, vision)
+        self._write_input(t_s, GncMode.RUNNING, orders, now, inbox)
         if self.exchange():
             self.read_output(now, self.cycle, t_s)
         else:
@@ -112,9 +112,9 @@ class ExternalGnc(Approach):
         """Return nan, (2,): the estimate has no covariance."""
         return self._nees
 
-    def _write_input(self, t_s: float, mode: GncMode, orders: GncOrder, now: Records, vision: Poses | None) -> None:
-        """Write ``input``. vision: None if no poses are to be sent."""
-        poses, arrived = (vision.poses, vision.arrived) if vision is not None else (_NO_POSES, 0)
+    def _write_input(self, t_s: float, mode: GncMode, orders: GncOrder, now: Records, inbox: Poses | None) -> None:
+        """Write ``input``. inbox: None if no poses are to be sent."""
+        poses, arrived = (inbox.poses, inbox.arrived) if inbox is not None else (_NO_POSES, 0)
         external_records.write_input(
             self.cycle, t_s, int(mode), int(orders), now.imu, now.reference, poses, arrived, self.input
         )

@@ -16,7 +16,8 @@ from hil.core.messages import POSITION_ONLY
 from hil.gnc import allocation
 from hil.gnc.backend_step import first_not_finite
 from hil.gnc.backend_step import mark_invalid as mark_invalid
-from hil.maths.arrays import copy_into, copy_matrix, fill
+from hil.maths.arrays import copy_into, fill
+from hil.sensors.vision_unit.pose import write_sent
 
 FINE, CYCLE, STATE, DIRECT, FORCE, TORQUE, THRUSTER, ESTIMATE, POSITION, VELOCITY, ATTITUDE, RATE = range(12)
 PROTECTION_LEVEL, HEALTH = 12, 13
@@ -48,15 +49,9 @@ def write_input(cycle, t_s, mode, orders, imu, reference, poses, n_poses, out):
     out.boost = reference.boost
     out.n_poses = 0
     for i in range(n_poses):
-        sent, pose = out.poses[out.n_poses], poses[i]
-        if pose.status == POSITION_ONLY:
-            continue
-        out.n_poses += 1
-        sent.t_s = pose.t_s
-        copy_into(sent.r_TC_C_m, pose.z_TC_C)
-        copy_into(sent.q_CH, pose.q_CH)
-        copy_matrix(sent.covariance_position_m2, pose.covariance_position)
-        copy_matrix(sent.covariance_attitude_rad2, pose.covariance_attitude)
+        if poses[i].status != POSITION_ONLY:
+            write_sent(poses[i], out.poses[out.n_poses])
+            out.n_poses += 1
 
 
 @kernel

@@ -56,7 +56,8 @@ _WHOLE: Final = StepLayout(
 )  # fmt: skip
 _OF_PART: Final = {
     "navigation": StepLayout(
-        NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS, {"samples": "n_samples", "poses": "n_poses"}, "valid",
+        NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS,
+        {"samples": "n_samples", "poses": "n_poses", "measurements": "n_measurements"}, "valid",
         frozenset({"r_CT_H", "v_CT_H", "q_CH", "w_CH_C"}),
     ),
     "control": StepLayout(CONTROL_INPUT_FIELDS, CONTROL_OUTPUT_FIELDS, {}, "", frozenset()),

@@ -163,12 +163,12 @@ class SharedLibraryGnc(ExternalGnc):
             self._instance = None
             self._record.step_address = 0
 
-    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+    def step(self, t_s: float, now: Records, inbox: Poses) -> None:
         """Run stages 4 to 7 of the cycle; log what has changed."""
         self.cycle += 1
         before = self._progress.tobytes()
         works = library_step(
-            self.params, self._record, self.approach_state, now.record, vision.poses, vision.arrived, self.cycle, t_s
+            self.params, self._record, self.approach_state, now.record, inbox.poses, inbox.arrived, self.cycle, t_s
         )
         if not works:
             self.fail(t_s, before, now.supervision)

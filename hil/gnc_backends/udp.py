@@ -143,10 +143,10 @@ class UdpGnc(ExternalGnc):
         if self._period_s is None:
             self.link.wait(_IDLE_S)
 
-    def step(self, t_s: float, now: Records, vision: Poses) -> None:
+    def step(self, t_s: float, now: Records, inbox: Poses) -> None:
         """Write the reference, exchange input and output, and check the estimate."""
         self._reference, self._held_since_s = now.reference, None
-        super().step(t_s, now, vision)
+        super().step(t_s, now, inbox)
         if self.approach_state["abort_began"] and self._lock_step and self._missed == 0 and self._buffers.has_flight:
             self._control_again(t_s, now)
 
@@ -242,13 +242,13 @@ class UdpGnc(ExternalGnc):
         )
         self._send()
 
-    def _write_input(self, t_s: float, mode: GncMode, orders: GncOrder, now: Records, vision: Poses | None) -> None:
+    def _write_input(self, t_s: float, mode: GncMode, orders: GncOrder, now: Records, inbox: Poses | None) -> None:
         pending, sent_in = self._sent_orders
         if pending and self.cycle - sent_in >= 2:
             orders |= pending  # the input with it, or the reply to it, was lost
         if orders:
             self._sent_orders = (orders, self.cycle)
-        super()._write_input(t_s, mode, orders, now, vision)
+        super()._write_input(t_s, mode, orders, now, inbox)
         n = len(now.samples)
         self._samples["cycle"], self._samples["n"] = self.cycle, n
         if n <= IMU_SAMPLES_MAX:

@@ -8,8 +8,9 @@ from hil.core.gnc_records import GncState
 from hil.core.jit import kernel
 from hil.gnc import joint_filter
 from hil.gnc.error_state import ROTATION, R
-from hil.maths.arrays import copy_into, copy_matrix, fill_matrix
+from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.record_view import copy_record
+from hil.sensors.vision_unit.pose import read_sent
 
 _WORKING = GncState.WORKING.value
 
@@ -80,15 +81,9 @@ def read_input(sent, not_before_s, imu, reference, poses):
     reference.boost = sent.boost
     came = 0
     for i in range(min(max(sent.n_poses, 0), poses.shape[0])):
-        pose, received = poses[came], sent.poses[i]
-        if received.t_s < not_before_s:
-            continue
-        came += 1
-        pose.t_s = received.t_s
-        copy_into(pose.z_TC_C, received.r_TC_C_m)
-        copy_into(pose.q_CH, received.q_CH)
-        copy_matrix(pose.covariance_position, received.covariance_position_m2)
-        copy_matrix(pose.covariance_attitude, received.covariance_attitude_rad2)
+        if not sent.poses[i].t_s < not_before_s:
+            read_sent(sent.poses[i], poses[came])
+            came += 1
     return came
 
 

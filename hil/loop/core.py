@@ -16,13 +16,12 @@ from hil.bench.bench_guard import BENCH_GUARD_MEMORY, BENCH_GUARD_PARAMS
 from hil.bench.guard import BREACH, GUARD
 from hil.bench.kinematics import BENCH_PARAMS, MOTION, SPAN
 from hil.core.jit import entry, kernel
-from hil.core.messages import AXES, CYCLE, MAX_POSES
+from hil.core.messages import AXES, CYCLE
 from hil.dynamics import imu, truth
 from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.imu_faults import IMU_MEMORY
 from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
-from hil.dynamics.vision_faults import VMU_MEMORY, disturb_frame, see_through_plume
 from hil.gnc import integrity, navigation, sensor_witness
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
 from hil.gnc_backends.library_kernel import LIBRARY
@@ -31,11 +30,10 @@ from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
 from hil.maths import stack
 from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
-from hil.models.camera_timing import TIME_SLACK_S
 from hil.models.faults import FAULTS
-from hil.models.frame_transit import next_arrival
-from hil.models.mounting import MOUNTING, chaser_pose
 from hil.sensors.measurement import SENSOR_PARAMS, SENSOR_STATE
+from hil.sensors.mounting import MOUNTING
+from hil.sensors.vision_unit.reception import VMU_RECEPTION, receive
 
 _COMPARED_S = 2.0  # for which estimate and encoders are compared before a go relies on it
 
@@ -71,7 +69,7 @@ LOOP_STATE = np.dtype(
         ("now", CYCLE),  # the row that is recorded
         ("truth_memory", TRUTH_MEMORY),
         ("imu_memory", IMU_MEMORY),
-        ("vmu_memory", VMU_MEMORY),
+        ("vmu", VMU_RECEPTION),
         ("motion", MOTION),  # positions and rates of the last setpoints
         ("wanted", AXES),  # of the last demanded pose, without limits
         ("span", SPAN),  # course of the axes over the last cycle, if they are faster than it
@@ -87,11 +85,6 @@ LOOP_STATE = np.dtype(
         ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
         ("disagreed_before", "i8"),  # the interlock of the cycle before the last one
         ("library", LIBRARY),
-        ("not_before_s", "f8"),  # frames exposed before this bench time are stale and not used
-        ("delayed", "i8"),  # frames received that faults of the vision unit delay
-        ("arrived_s", "f8", MAX_POSES),  # when the poses of this cycle were received, bench time
-        ("dropped", "i8"),  # frames beyond MAX_POSES in one cycle
-        ("logged", "i8"),  # rows of ARRIVAL written
         ("axes_logged", "i8"),  # rows of AXES_SAMPLE written
         ("samples_logged", "i8"),  # rows of IMU_SAMPLE written
         ("mock", MOCK_STATE),  # used by the bench in memory alone
@@ -140,52 +133,6 @@ def guard_bench(params, state, t_s):
 
 
 @kernel
-def _delay_frames(params, state, frames, n, delayed):
-    """Pass the frames that were received through plumes and the faults of the vision unit, into ``delayed``."""
-    plume = params.dss.plume
-    for i in range(n):
-        frame = frames[i]
-        if plume.dimming > 0.0 and not see_through_plume(
-            plume, state.truth_memory.plume, params.vmu_faults.seed, state.zero_s, frame
-        ):
-            continue
-        if disturb_frame(params.vmu_faults, params.mounting, state.zero_s, state.vmu_memory, frame):
-            copy_record(frame, delayed[state.delayed])
-            state.delayed += 1
-
-
-@kernel
-def _write_pose(params, state, frame, arrived, poses):
-    """Write ``frame`` as one more of ``poses``, of which the last MAX_POSES are kept; return how many there are."""
-    if arrived == MAX_POSES:
-        for j in range(MAX_POSES - 1):
-            copy_record(poses[j + 1], poses[j])
-            state.arrived_s[j] = state.arrived_s[j + 1]
-        arrived -= 1
-        state.dropped += 1
-    pose = poses[arrived]
-    chaser_pose(params.mounting, frame.t_v, frame.q_vt, frame.covariance, pose)
-    pose.t_s = frame.t_s - state.zero_s
-    pose.status = frame.status
-    state.arrived_s[arrived] = frame.received_s
-    return arrived + 1
-
-
-@kernel
-def _record_newest(state, poses, arrived):
-    """Write the newest of the poses into the present row."""
-    now = state.now
-    if arrived > 0:
-        newest = 0
-        for i in range(1, arrived):
-            if poses[i].t_s > poses[newest].t_s:
-                newest = i
-        copy_record(poses[newest], now.pose)
-        now.received_s = state.arrived_s[newest] - state.zero_s
-    now.pose.fresh = arrived
-
-
-@kernel
 def _shows_target(params, state):
     """Return whether the bench is at full scale, so that the vision unit sees the target where it is."""
     square = 0.0
@@ -196,59 +143,16 @@ def _shows_target(params, state):
 
 @entry
 def receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals):
-    """Write the poses of the first ``n`` frames, in the order of arrival, into ``poses`` (MAX_POSES,); return how many.
+    """Write the poses of the first ``n`` frames into ``poses``; return how many there are: ``reception.receive``.
 
-    The newest one goes into the present row, all are compared with the encoders by the bench guard. Of more than
-    MAX_POSES the last ones are kept. delayed: of VMU_FRAME, received and not yet passed on; used if the vision unit has
-    faults or plumes dim its LEDs. arrivals: of ARRIVAL, receives every frame; (0,) for none.
+    All are compared with the encoders by the bench guard.
     """
-    arrived, taken, logged = 0, 0, state.logged
-    has_faults = params.vmu_faults.n != 0 or params.dss.plume.dimming > 0.0
     shows = _shows_target(params, state)
-    if has_faults:
-        _delay_frames(params, state, frames, n, delayed)
-    while True:
-        i = taken
-        if has_faults:
-            i = next_arrival(delayed, 0, state.delayed)
-            if i < 0 or delayed[i].received_s > now_s + TIME_SLACK_S:
-                break
-        elif taken == n:
-            break
-        frame = delayed[i] if has_faults else frames[i]
-        used = shows and frame.t_s >= state.not_before_s
-        if used:
-            arrived = _write_pose(params, state, frame, arrived, poses)
-        if state.logged < arrivals.shape[0]:
-            row = arrivals[state.logged]
-            copy_record(frame, row.frame)
-            row.cycle = state.cycle if used else -1
-            state.logged += 1
-        if has_faults:
-            state.delayed -= 1
-            if i < state.delayed:
-                copy_record(delayed[state.delayed], delayed[i])
-        taken += 1
-    _record_newest(state, poses, arrived)
-    _log_poses(state, poses, arrived, logged, arrivals)
+    arrived = receive(params, state, now_s, frames, n, shows, delayed, poses, arrivals)
     if params.bench_guard.enabled != 0:
         for i in range(arrived):
             bench_guard.compare_pose(params.bench_guard, params.bench, state.bench_guard, poses[i])
     return arrived
-
-
-@kernel
-def _log_poses(state, poses, arrived, logged, arrivals):
-    """Add the poses to the rows of their frames, from ``logged`` on; a frame that was dropped was used by no cycle."""
-    left = arrived
-    for row in range(state.logged - 1, logged - 1, -1):
-        if arrivals[row].cycle < 0:
-            continue
-        left -= 1
-        if left >= 0:
-            copy_record(poses[left], arrivals[row].pose)
-        else:
-            arrivals[row].cycle = -1
 
 
 @entry

@@ -12,12 +12,12 @@ from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE, MAX_POSES, POSE, VMU_FRAME, imu_samples, new
 from hil.loop.core import LOOP_PARAMS, LOOP_STATE
-from hil.models.frame_transit import SPARE_FRAMES
 from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
-from hil.params import vision as vision_params
 from hil.params.faults import fault_rows
 from hil.params.sensors import sensor_sources
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.transit import SPARE_FRAMES
 
 _TRANSIT_MAX_S: Final = 3.0  # longest delay of a frame: latency, jitter and a fault's latency, at most 1 s each
 
@@ -85,7 +85,7 @@ class CoreMemory:
     def clear(self) -> None:
         """Set the state to that before a run, without truth, errors and axes."""
         self._bytes.fill(0)  # by fields it takes ten times longer
-        self.state.not_before_s = -math.inf
+        self.state.vmu.not_before_s = -math.inf
 
     def view(self, name: str) -> np.record:
         """Return the record ``name`` of the state, for kernels that are called often."""
@@ -110,7 +110,7 @@ def loop_params(scenario: Scenario, rig: Rig, gnc: np.record, bench: np.record, 
     params.ticks = rig.ticks(scenario.step_s)
     params.tick_s = bench.dt_s
     params.mock.vmu_rate_hz, params.mock.vmu_timeout_s = rig.vmu.rate_hz, rig.vmu.timeout_s
-    params.mounting, params.mock.camera = vision_params.mounting(rig), vision_params.camera(rig)[0]
+    params.mounting, params.mock.camera = vmu_params.mounting(rig), vmu_params.camera(rig)[0]
     params.bench, params.guard, params.gnc = bench, guard, gnc
     params.bench_guard = bench_params.bench_guard(rig, scenario)
     return params
@@ -123,7 +123,7 @@ def set_truth(params: np.record, truth: Scenario, seed: int, dss: np.record) -> 
     """
     vmu = truth.vmu
     params.dss, params.imu = dss, dynamics_params.imu(truth, seed)
-    params.mock.vision = vision_params.vision(truth, seed)
+    params.mock.vision = vmu_params.model(truth, seed)
     params.mock.travel = (vmu.latency_s, vmu.latency_jitter_s, vmu.duplicate_probability, vmu.loss_probability)
     params.sensors = sensor_sources(truth, seed)
     params.vmu_faults, params.mock.axis_faults = fault_rows(truth, "vmu", seed), fault_rows(truth, "axis", seed)

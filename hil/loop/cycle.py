@@ -5,6 +5,7 @@ thrusters on/off -> truth (DSS) -> rails and turntable -> cameras (VMU) -> AKF, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -20,7 +21,7 @@ from hil.loop.core_memory import CoreMemory, CycleData
 from hil.loop.rate_keeper import Tick
 from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
 from hil.loop.sensor_stage import SensorStage
-from hil.loop.stages import DssStage, VisionStage
+from hil.loop.stages import DssStage, RunZero, VisionStage
 from hil.loop.target_stage import FixedTarget, TargetStage
 from hil.safety.condition_alarms import HealthAlarms
 
@@ -44,6 +45,7 @@ class Loop:
     telemetry: Telemetry = field(default_factory=NoTelemetry)
     safety_io: SafetyIo = field(default_factory=NoSafetyIo)
     target: TargetStage = field(default_factory=FixedTarget)
+    run_zero: RunZero = field(default_factory=RunZero)
     axis_faults: Callable[[float], None] | None = None
     """Applies the faults of axes in memory that act at a time of the run; None if there are none."""
     sensors: SensorStage | None = None
@@ -82,6 +84,11 @@ class Loop:
             self._history_bytes = self.history.view(np.uint8).data
         self.first = k
 
+    def discard_frames(self, bench_s: float) -> int:
+        """Stop the run's time; discard the frames received since the last cycle, and return their number."""
+        self.run_zero.set(math.nan)
+        return self.vision.discard_pending(bench_s)
+
     def rows(self) -> np.ndarray:
         """Return the rows since ``first``."""
         return self.history[: self.done - self.first]
@@ -104,6 +111,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     now, memory = loop.now, loop.memory
     params, state = memory.params, memory.state
     state.cycle, state.zero_s = k, run_zero_s
+    loop.run_zero.set(run_zero_s)
     if loop.axis_faults is not None:
         loop.axis_faults(t_s)
     loop.safety_io.check(bench_s)  # 0  emergency stop and safety chain
@@ -113,7 +121,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.target.relate(now.feedback)  #    axes of the chaser relative to those of the target
     loop.bench.guard(bench_s, run_zero_s)  #    bench guard
     loop.gnc.set_bench_check(now.bench_off[0], now.bench_breach[0], bool(state.gnc.approach.bench_disagrees))
-    loop.vision.receive(bench_s, run_zero_s)  # 3  poses from the vision unit
+    loop.vision.receive(bench_s)  # 3  poses from the vision unit
     if loop.sensors is not None:
         loop.sensors.receive(t_s, bench_s, run_zero_s, loop.gnc)  #    further sensors, witnesses against navigation
     loop.gnc.step(t_s, now, loop.vision)  # 4-7  navigation, guidance, approach monitor, control

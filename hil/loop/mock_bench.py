@@ -11,17 +11,17 @@ from hil.bench import kinematics
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.dynamics.truth import rate_against_hill
-from hil.dynamics.vision import VISION_PARAMS, measure_frame
-from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.maths import stack
 from hil.models.axis_faults import NOMINAL_AXES
-from hil.models.camera import CAMERA
 from hil.models.camera_timing import TRAVEL, delays, exposure_time
 from hil.models.faults import FAULTS
-from hil.models.frame_transit import FRAME_TRANSIT, put_exposure
-from hil.models.frame_transit import receive_frames as receive_from
 from hil.models.servo import SERVO, move_servo, send_to_servo, servo_step_of_two
 from hil.sensors.measurement import deliver, is_any_due, measure
+from hil.sensors.vision_unit.camera import CAMERA
+from hil.sensors.vision_unit.errors import VISION_MEMORY
+from hil.sensors.vision_unit.model import VISION_PARAMS, measure_frame
+from hil.sensors.vision_unit.transit import FRAME_TRANSIT, put_exposure
+from hil.sensors.vision_unit.transit import receive_frames as receive_from
 
 MOCK_PARAMS = np.dtype(
     [

@@ -289,7 +289,7 @@ class MotionSequencer:
                 break
             tick = self.tick()
             if held_mode is Mode.RUNNING:
-                self.loop.vision.discard_pending(tick.now_s)
+                self.loop.discard_frames(tick.now_s)
             if self.ticks % self.progress_ticks == 0:
                 self._on_progress(Mode.HOLD, 0.0)
         bench.seed_for_run(tick.now_s)

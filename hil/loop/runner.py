@@ -243,7 +243,7 @@ class Runner:
     def _stand_by(self) -> None:
         """Run one monitored cycle without motion."""
         tick = self._sequencer.tick()
-        self.loop.vision.discard_pending(tick.now_s)
+        self.loop.discard_frames(tick.now_s)
         if self._sequencer.ticks % self._sequencer.progress_ticks == 0:
             self._on_progress(self._modes.mode, 0.0)
 
@@ -284,7 +284,7 @@ class Runner:
         while frames < self._plan.frames_to_arm:
             tick = self._sequencer.tick()
             self.loop.target.check(tick.now_s)
-            frames += self.loop.vision.discard_pending(tick.now_s)
+            frames += self.loop.discard_frames(tick.now_s)
             self._on_progress(Mode.ARMED, 0.0)
 
     def _close_the_loop(self) -> None:

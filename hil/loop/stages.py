@@ -48,6 +48,23 @@ class DssStage:
             self.sample_sink.put(self._row)
 
 
+class RunZero:
+    """Bench time of the run's time zero, for those who follow the run in another process."""
+
+    def __init__(self) -> None:
+        self.on_change: Callable[[float], None] | None = None
+        """Called with it when it changes; nan while the run's time stops."""
+        self._run_zero_s = math.nan
+
+    def set(self, run_zero_s: float) -> None:
+        """Report it if it has changed; nan: the run's time stops."""
+        if run_zero_s == self._run_zero_s or (math.isnan(run_zero_s) and math.isnan(self._run_zero_s)):
+            return
+        self._run_zero_s = run_zero_s
+        if self.on_change is not None:
+            self.on_change(run_zero_s)
+
+
 class VisionStage:
     """Frames of the vision unit on their way to the poses of the cycle."""
 
@@ -55,24 +72,18 @@ class VisionStage:
         self.source = source
         self._simulated = source if isinstance(source, Exposes) else None
         self._memory, self._params, self._state = memory, memory.params, memory.state
+        self._reception = memory.view("vmu")
         self.poses = memory.poses
         self.arrived = 0
         """Poses of the present cycle."""
         self.frame_sink: Telemetry | None = None
         """Receives each frame, as a row of ARRIVAL."""
-        self.on_run_zero: Callable[[float], None] | None = None
-        """Called with the bench time of the run's time zero when it changes; nan while the run's time stops."""
-        self._run_zero_s: float | None = None
         self.on_frame_used: Callable[[PoseFrame, float], None] | None = None
         """Called with each used frame and its time of exposure in the run's time."""
         self._frames = np.zeros(len(memory.frames), memory.frames.dtype).view(np.recarray)
 
-    def receive(self, bench_s: float, run_zero_s: float) -> None:
-        """Write the frames received since the last cycle into ``poses``, the newest also into the present row.
-
-        run_zero_s: bench time of the run's time zero.
-        """
-        self.set_run_zero(run_zero_s)
+    def receive(self, bench_s: float) -> None:
+        """Write the frames received since the last cycle into ``poses``, the newest also into the present row."""
         received = self.source.poll(bench_s)
         waiting = self._make_room(len(received))
         for i, frame in enumerate(received):
@@ -80,16 +91,16 @@ class VisionStage:
         arrivals = _NO_ARRIVALS
         if waiting and (self.frame_sink is not None or self.on_frame_used is not None):
             arrivals = np.zeros(waiting, ARRIVAL).view(np.recarray)
-            self._state.logged = 0
+            self._reception.logged = 0
         self.arrived = core.receive_poses(
             self._params, self._state, bench_s, self._frames, len(received), self._memory.delayed, self.poses, arrivals
         )
         if len(arrivals):
-            self._tell(arrivals[: self._state.logged])
+            self._tell(arrivals[: self._reception.logged])
 
     def _make_room(self, n: int) -> int:
         """Enlarge the arrays for ``n`` further frames; return how many frames the cycle may receive."""
-        waiting = n + int(self._state["delayed"])
+        waiting = n + int(self._reception.delayed)
         if n > len(self._frames):
             self._frames = np.resize(self._frames, 2 * n).view(np.recarray)
         if waiting > len(self._memory.delayed):
@@ -107,19 +118,11 @@ class VisionStage:
     @property
     def not_before_s(self) -> float:
         """Frames exposed before this bench time are stale and discarded."""
-        return float(self._state.not_before_s)
+        return float(self._reception.not_before_s)
 
     @not_before_s.setter
     def not_before_s(self, bench_s: float) -> None:
-        self._state.not_before_s = bench_s
-
-    def set_run_zero(self, run_zero_s: float | None) -> None:
-        """Report a changed bench time of the run's time zero to ``on_run_zero``; None: the run's time stops."""
-        if run_zero_s == self._run_zero_s:
-            return
-        self._run_zero_s = run_zero_s
-        if self.on_run_zero is not None:
-            self.on_run_zero(math.nan if run_zero_s is None else run_zero_s)
+        self._reception.not_before_s = bench_s
 
     def expose(self, bench_s: float) -> None:
         """Let a simulated unit expose up to ``bench_s``, between two cycles."""
@@ -128,9 +131,8 @@ class VisionStage:
 
     def discard_pending(self, bench_s: float) -> int:
         """Discard the frames received since the last cycle; return their number."""
-        self.set_run_zero(None)
         frames = self.source.poll(bench_s)
-        self._state.delayed = 0
+        self._reception.delayed = 0
         if self.frame_sink is not None:
             for frame in frames:
                 row = np.zeros(1, ARRIVAL)

@@ -1,1 +1,1 @@
-"""Models of bench components: servo, valves, cameras, mounting, motion profiles."""
+"""Models of bench components: servo, valves, camera timing, plumes, motion profiles."""

@@ -17,6 +17,8 @@ KIND, NUMBER, AT, UNTIL, VALUE, SIZE, OPTION = 0, 1, 2, 3, 4, 7, 8
 """Columns of a row. NUMBER: of thruster or axis. VALUE: the first of three, SI. SIZE: of an outlier, m, or the least
 light of visible LEDs, 1/m^2. OPTION: sensor, or stamp."""
 COLUMNS = 9
+SEED_BITS = 0x7FFF_FFFF_FFFF_FFFF
+"""Of a seed: those that a signed number holds."""
 AT_ARRIVAL = 1.0
 """Option of a latency: what comes late is stamped with its arrival."""
 

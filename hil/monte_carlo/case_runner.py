@@ -19,7 +19,6 @@ from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
-from hil.dynamics.vision import VISION_NOISE
 from hil.errors import BadInput, BenchError, LinkTimeout, SafetyTrip
 from hil.gnc.fusion import new_memory
 from hil.gnc_backends.backend import OwnBackends
@@ -40,11 +39,12 @@ from hil.params import bench as bench_params
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import integrity as integrity_params
-from hil.params import vision as vision_params
 from hil.params.ready import settled_s
 from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.model import VISION_NOISE
 from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
 from hil.setup.gnc_setup import gnc_setup
 
@@ -79,7 +79,7 @@ class CaseRunner:
         self._vision_noise = np.empty((exposures, VISION_NOISE))
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
         self._arrivals = np.zeros(0, ARRIVAL).view(np.recarray)
-        self._leds = vision_params.camera(rig)[1]
+        self._leds = vmu_params.camera(rig)[1]
         self._library = open_library(scenario.gnc, "campaign")
         self._backends = OpenBackends(backends_of(scenario, own, copies=True), gnc_setup(scenario))
 

@@ -15,6 +15,7 @@ import numpy as np
 from hil.config.units import UNITS, split
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
 from hil.errors import BadInput, one_line
+from hil.gnc.decision_verdict import ACCUSED
 from hil.maths.limits import finite_or_none
 from hil.monte_carlo.drivers import DISTANCE_PRODUCT, RATIO, VALUE, Candidates, Drivers, Term, find_drivers, threshold
 from hil.monte_carlo.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
@@ -25,7 +26,6 @@ from hil.report.limits import LIMITS, bound, relative_margin, sentence, shown, u
 _START: Final = 1.0  # s, up to which a limit is broken by the start
 _CLUSTERS: Final = 12  # whose drivers are looked for, the largest ones
 _DIFFERENCES: Final = 5
-_ACCUSED: Final = ("vision", "imu", "thruster", "sensor")
 _FIXED: Final = frozenset(("case", "seed", *FLAGS, *COUNTS, *TEXTS, *NUMBERS, *MARGINS))
 _FAMILY: Final = {
     f"{what}_{axis}": f"{what}_across" for what in ("deviation", "velocity") for axis in ("y", "z")
@@ -99,7 +99,7 @@ def explain(column: Column, names: list[str], seed: int = 0) -> dict[str, Any]:
         "nothing_found": drivers.nothing_found and not any(cause["driver"] for cause in causes),
         "false_alarms": [
             {"bit": name, "alarms": int(total), "per_1000": 1000.0 * float(total) / n}
-            for name in _ACCUSED
+            for name in ACCUSED
             for total in [np.nansum(column(f"false_alarm_{name}"))]
         ],
     }

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from scipy.stats import chi2
@@ -14,8 +14,10 @@ from scipy.stats import chi2
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
+from hil.errors import BadInput, Problem
 from hil.gnc.fusion import FUSION_STATE, new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.models.faults import SEED_BITS
 from hil.monte_carlo.fusion_interval import AxisProblem, degrees_of_freedom, largest_ratio
 from hil.monte_carlo.fusion_kernel import (
     SNAPSHOTS_S,
@@ -26,6 +28,9 @@ from hil.monte_carlo.fusion_kernel import (
 )
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
+from hil.params.sensors import constant_error_sigmas, sensor_sources, sensors_of
+from hil.sensors.measurement import SENSOR_STATE
+from hil.sensors.registry import with_sensor_settings
 
 Reading = Literal["swapped", "printed"]
 
@@ -47,6 +52,7 @@ _OF_THE_PAPER = (
     "gnc.navigation.budget.vision_noise_scale_sigma=0",
 )
 """The motion of the study is Hill's, the filters' only inputs are the IMU and poses."""
+_SENSORS: Final = 1  # key of the random streams of further sensors
 _ROTATION_TIME_S = 10.0  # the paper's attitude converges in about 10 s
 _BAND = 0.999
 _BATCH = 20
@@ -84,12 +90,26 @@ def _with_sizes_of_the_sensors(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"gnc": gnc.model_copy(update={"akf": akf, "pkf": pkf})})
 
 
+def _scenario(settings: tuple[str, ...]) -> Scenario:
+    """Return scheme 2 with ``settings``. Raises BadInput, also for a sensor that the study cannot fuse."""
+    scenario = with_sensor_settings(load_scenario("scheme-2", settings))
+    problems = [
+        Problem(scenario.where(f"sensors.{name}"), f"sensors.{name}", f"not available: hil fusion has no {what}")
+        for name, (_, config, models) in sensors_of(scenario.value).items()
+        for what, is_one in (("witnesses", config.use == "witness"), ("datagrams, only modelled sensors", not models))
+        if is_one
+    ]
+    if problems:
+        raise BadInput(problems)
+    return scenario.value
+
+
 class Study:
     """The parameters of one reading of Table I; each ``run`` is keyed by its number."""
 
     def __init__(self, settings: tuple[str, ...], reading: Reading, seed: int) -> None:
         circular = (*_OF_THE_PAPER, *settings)
-        scenario = load_scenario("scheme-2", circular).value
+        scenario = _scenario(circular)
         self.step_s = scenario.step_s
         self.vmu_rate_hz = load_rig("mock", settings).value.vmu.rate_hz
         self._study = study_params(scenario, reading, self.vmu_rate_hz)
@@ -98,7 +118,8 @@ class Study:
         self._filters.orbit.eccentricity = self._optimal.orbit.eccentricity = 0.0
         self._imu, self._imu_sizes = dynamics_params.imu(scenario), scenario.imu
         self._line = gnc_params.guidance(scenario)
-        self._seed = seed
+        self._seed, self._start = seed, dynamics_params.initial_truth(scenario)
+        self._sensors, self._error_sigmas = sensor_sources(scenario, 0), constant_error_sigmas(scenario)
 
     def run(self, number: int, result: np.record, trace: Array | None = None, noisy: bool = True) -> None:
         """Do run ``number``; write STUDY_RESULT. trace: (n, 12), filled for the first n cycles.
@@ -106,6 +127,11 @@ class Study:
         noisy: if not, the covariance of the optimal filter is that of the result, whatever the filters assume.
         """
         filters = self._filters if noisy else self._optimal
+        truth, sensors = new(TRUTH), self._sensors
+        truth.r_T_I, truth.q_HI = self._start.r_T_I, self._start.q_HI
+        random = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number, _SENSORS)))
+        sensors.seed = int(random.integers(SEED_BITS)) if noisy else -1
+        errors = self._error_sigmas * random.standard_normal(self._error_sigmas.shape) * noisy
         run_study(
             self._study,
             filters,
@@ -113,11 +139,14 @@ class Study:
             self._line,
             new(GUIDANCE_STATE),
             new(REFERENCE),
-            new(TRUTH),
+            truth,
             new(IMU),
             new(POSE),
             new(FUSION_STATE),
             new_memory(filters),
+            sensors,
+            new(SENSOR_STATE),
+            errors,
             np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number,))),
             1 if noisy else 0,
             result,

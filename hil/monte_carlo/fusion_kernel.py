@@ -1,7 +1,8 @@
 """Run of the bench paper's numerical simulation (IV.A) as a compiled loop of the GNC's own kernels.
 
 The truth moves by Hill's equations along scheme 2's reference line while the chaser rotates to the
-attitude of H; the filters receive the virtual IMU and poses with white noise of constant sigma.
+attitude of H; the filters receive the virtual IMU, poses with white noise of constant sigma, and the scenario's further
+sensors, whose constant errors are drawn for each run.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.dynamics.imu import sample
+from hil.dynamics import imu as imu_kernels
+from hil.dynamics.truth import rate_against_hill
 from hil.gnc import akf, fusion, guidance
-from hil.gnc.error_state import BIAS, DRIFT, ROTATION, R, V
+from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, ROTATION, R, V
 from hil.gnc.navigation import normalised_errors
+from hil.gnc.sensor_innovation import innovate
 from hil.gnc.step_memory import step_at
 from hil.maths import quat
-from hil.maths.arrays import copy_into, fill_matrix
+from hil.maths.arrays import copy_into
+from hil.sensors.measurement import deliver, is_any_due, measure
+from hil.sensors.vision_unit.pose import write_pose
 
 STEADY_STATE_AFTER_S = 100.0  # errors count from here on
 SNAPSHOTS_S = (100.0, 200.0, 300.0, 400.0)  # when the NEES is taken
@@ -66,6 +71,17 @@ def _attitude(params, t_s):
 
 
 @kernel
+def _move_target(q_HI, w0, truth):
+    """Write the target on its circle in ``truth``, with H at ``q_HI``."""
+    radius = math.sqrt(truth.r_T_I[0] ** 2 + truth.r_T_I[1] ** 2 + truth.r_T_I[2] ** 2)
+    down, along = np.zeros(3), np.zeros(3)
+    down[2], along[0] = -radius, w0 * radius
+    copy_into(truth.q_HI, q_HI)
+    copy_into(truth.r_T_I, quat.transform_back(q_HI, down))
+    copy_into(truth.v_T_I, quat.transform_back(q_HI, along))
+
+
+@kernel
 def _move(study, filter_params, line, guidance_state, point, cycle, truth):
     """Move ``truth`` on by one step; leave in it what gyro and accelerometer integrate over the step."""
     dt = filter_params.pkf.dt_s
@@ -80,10 +96,9 @@ def _move(study, filter_params, line, guidance_state, point, cycle, truth):
     q_next = _attitude(study, (cycle + 1) * dt)
     hill_rotation = np.zeros(3)
     hill_rotation[1] = -w0 * dt
+    hill = quat.from_rotation_vector(hill_rotation)
     # c's inertial rotation over the step: q_next = rotation * q * (inverse rotation of H)
-    rotation = quat.multiply(
-        q_next, quat.multiply(quat.from_rotation_vector(hill_rotation), quat.conjugate(truth.q_CH))
-    )
+    rotation = quat.multiply(q_next, quat.multiply(hill, quat.conjugate(truth.q_CH)))
     phi = quat.to_rotation_vector(rotation)
     middle = np.empty(4)
     for i in range(4):
@@ -103,22 +118,39 @@ def _move(study, filter_params, line, guidance_state, point, cycle, truth):
         truth.mean_rate_C[i] = phi[i] / dt
         truth.mean_force_C[i] = force_c[i]
     copy_into(truth.q_CH, q_next)
+    copy_into(truth.w_CI_C, truth.mean_rate_C)
+    _move_target(quat.multiply(hill, truth.q_HI), w0, truth)
 
 
 @kernel
 def _measure(study, truth, t_s, noise, pose):
     """Write a pose of ``truth`` with the noise (6,) of standard normals."""
-    z = quat.transform(truth.q_CH, truth.r_CT_H)
     rotation = np.empty(3)
-    fill_matrix(pose.covariance_position, 0.0)
-    fill_matrix(pose.covariance_attitude, 0.0)
+    write_pose(truth.r_CT_H, truth.q_CH, study.sigma_position, study.sigma_angle, pose)
     for i in range(3):
-        pose.z_TC_C[i] = -z[i] + study.sigma_position * noise[i]
+        pose.z_TC_C[i] += study.sigma_position * noise[i]
         rotation[i] = study.sigma_angle * noise[3 + i]
-        pose.covariance_position[i, i] = study.sigma_position**2
-        pose.covariance_attitude[i, i] = study.sigma_angle**2
     copy_into(pose.q_CH, quat.multiply(quat.from_rotation_vector(rotation), truth.q_CH))
     pose.t_s = t_s
+
+
+@kernel
+def _fuse_sensors(params, sensors, waiting, errors, t_s, truth, state, memory):
+    """Let the sensors measure that are due, with their constant ``errors`` (sensors, errors); fuse what arrives."""
+    if is_any_due(sensors, waiting, t_s):
+        rate, before, found = np.empty(3), waiting.waiting, state.sensors
+        rate_against_hill(truth, rate)
+        measure(sensors, waiting, t_s, truth, rate, truth.r_CT_H, truth.q_CH)
+        for i in range(before, waiting.waiting):
+            sample = waiting.sample[i]
+            slot = params.sensors.slot[sample.sensor]
+            innovate(params.sensors, slot, found, sample, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, 0.0)
+            for k in range(slot.errors):
+                for c in range(slot.n):
+                    sample.value[c] += found.innovation.h_errors[c, k] * errors[sample.sensor, k]
+    deliver(waiting, t_s, state.sensors)
+    if state.sensors.arrived > 0:
+        fusion.fuse_sensors(params, state, memory)
 
 
 @kernel
@@ -135,6 +167,8 @@ def _start(study, params, truth, imu, draws, state, memory):
         filters.akf.x[4 + i] = params.akf.initial_drift[i]
         imu.bias_C[i] = params.pkf.initial_bias[i] + study.initial_sigma[BIAS + i] * draws[BIAS + i]
         imu.drift_C[i] = params.akf.initial_drift[i] + study.initial_sigma[DRIFT + i] * draws[DRIFT + i]
+    for i in range(FILTER_ERRORS, params.errors.n):
+        filters.p[i, i] = params.errors.variance[i]
     copy_into(filters.akf.x[0:4], quat.multiply(quat.from_rotation_vector(rotation), truth.q_CH))
     state.started = 1
     state.cycle = 1
@@ -167,15 +201,16 @@ def _trace(truth, filters, error, row):
 
 @kernel
 def run_study(
-    study, params, imu_params, line, guidance_state, point, truth, imu, pose, state, memory, rng, noisy, result,
-    trace,
+    study, params, imu_params, line, guidance_state, point, truth, imu, pose, state, memory, sensors, waiting, errors,
+    rng, noisy, result, trace,
 ):  # fmt: skip
     """Do one run; write ``result`` (STUDY_RESULT).
 
-    study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state,
-    point, truth, imu, pose, state: records of the run, zeroed. memory: of ``fusion.new_memory``. rng:
-    numpy Generator. noisy: 0 gives the linear covariance along the line, without any noise or error. trace: (n, 12),
-    errors and sigmas of position, m, and small-angle rotation, rad, of the first n cycles.
+    study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state, point,
+    imu, pose, state: records of the run, zeroed; truth: with the target and H at the start. memory: of
+    ``fusion.new_memory``. sensors: SENSOR_PARAMS. waiting: SENSOR_STATE. errors: (n, n), SI, constant ones of each
+    sensor. rng: numpy Generator. noisy: 0 gives the linear covariance along the line, without any noise or error.
+    trace: (n, 12), errors and sigmas of position, m, and small-angle rotation, rad, of the first n cycles.
     """
     dt = params.pkf.dt_s
     guidance.start(line, guidance_state)
@@ -201,11 +236,13 @@ def run_study(
         if noisy != 0:
             for i in range(18):
                 noise[i] = rng.standard_normal()
-        sample(imu_params, truth, noise[:12], imu)
+        imu_kernels.sample(imu_params, truth, noise[:12], imu)
         fusion.advance(params, state, memory, imu)
         if cycle % study.frame_cycles == 0:
             _measure(study, truth, t_s, noise[12:], pose)
             fusion.fuse(params, state, memory, pose)
+        if params.sensors.fused > 0:
+            _fuse_sensors(params, sensors, waiting, errors, t_s, truth, state, memory)
         state.cycle += 1
         akf.error(state.filters.akf, truth.q_CH, imu.drift_C, error)
         if cycle <= trace.shape[0]:

@@ -10,6 +10,7 @@ import numpy as np
 from hil.config.required_parts import PART_COLUMNS
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.gnc.decision_verdict import ACCUSED
 from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
@@ -47,14 +48,13 @@ _SINGLE: Final = (
 )  # fmt: skip
 _TEXTS_OF_FAULT: Final = ("fault_device", "fault_kind", "detected_by", "reaction")
 _OF_FAULT: Final = ("fault_at_s", "fault_size", "detected_s", "reaction_s")
-_ACCUSED: Final = ("vision", "imu", "thruster", "sensor")
 FLAGS: Final = (
     "accepted", *dict.fromkeys(("passed", "passed_all_parts", *PART_COLUMNS.values())), "decision_error", "nees_ok",
 )  # fmt: skip
 """Columns of the verdict: the whole one first, then those of its parts."""
 COUNTS: Final = (
     "firings", "limited_cycles", "cycles", "false_alerts", "beyond_level_cycles",
-    *(f"false_alarm_{name}" for name in _ACCUSED),
+    *(f"false_alarm_{name}" for name in ACCUSED),
 )  # fmt: skip
 _TERM_COLUMNS: Final = tuple(f"margin_{name}_term" for name in LIMITS)
 TEXTS: Final = (
@@ -105,7 +105,7 @@ def row_of(
         "go_s": decision["go_s"],
         "beyond_level_cycles": decision["beyond_level_cycles"],
         "error_over_level": decision["error_over_level"],
-        **{f"false_alarm_{name}": int(stats.integrity.decision[f"false_{name}"]) for name in _ACCUSED},
+        **{f"false_alarm_{name}": int(n) for name, n in zip(ACCUSED, stats.integrity.decision["false"], strict=True)},
         "propellant_limit_kg": energy["factor"] * energy["least_propellant_kg"],
         "hmi_cycles": integrity["hmi_cycles"],
         "worst_error_m": integrity["worst_error_m"],

@@ -25,7 +25,7 @@ from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GncState
 from hil.core.kernel_library import whole_module
 from hil.core.messages import CYCLE
-from hil.errors import BadInput
+from hil.errors import BadInput, Problem
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
@@ -34,8 +34,8 @@ from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.core import LOOP_STATE
 from hil.loop.mock_bench import MOCK_STATE
-from hil.models.frame_transit import FRAME_TRANSIT
 from hil.monte_carlo.case_runner import CaseRunner
+from hil.sensors.vision_unit.transit import FRAME_TRANSIT
 
 _OMITTED: Final = ("history", "arrivals", "axes_log", "samples_log")
 """Last arguments of ``run_cycles``, which the FMU does without."""
@@ -83,8 +83,8 @@ def export_plant(case: PlantCase, version: int, out: Path) -> None:
         text = f"{', '.join(models)}: in an FMU already: the exported plant has the built-in models"
         raise BadInput.single("hil fmu-export", f"{next(iter(models))}.fmu", text)
     if case.truth.sensors:
-        text = "are not available in an exported plant, which has vision unit and IMU alone"
-        raise BadInput.single("hil fmu-export", "sensors", f"{', '.join(case.truth.sensors)}: {text}")
+        text = "not available: an exported plant has vision unit and IMU alone"
+        raise BadInput([Problem("hil fmu-export", f"sensors.{name}", text) for name in case.truth.sensors])
     alone = {"gnc": case.scenario.gnc.built_in(), "monitor": DockingMonitorConfig()}
     scenario = case.scenario.model_copy(update=alone)
     runner = CaseRunner(scenario, case.rig, case.duration_s)

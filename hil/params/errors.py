@@ -11,29 +11,13 @@ from hil.config.model import Triple
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.dynamics.imu_errors import IMU_ERRORS
-from hil.dynamics.plume import PLUME_PARAMS
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
-from hil.dynamics.vision_errors import VISION_ERRORS
 from hil.maths import quat
+from hil.models.faults import SEED_BITS
+from hil.models.plume import PLUME_PARAMS
+from hil.sensors.vision_unit.parameters import least_light
 
-SEED_BITS: Final = 0x7FFF_FFFF_FFFF_FFFF
-LEAST_SNR: Final = 6.0
-"""Of a spot's light over its noise, from which on the vision unit sees it."""
 _PLUME_SPAN_S: Final = 0.02
-
-
-def vision_errors(scenario: Scenario, seed: int = 0) -> np.record:
-    """Return VISION_ERRORS. seed: of the run."""
-    given, params = scenario.vmu.errors, new(VISION_ERRORS)
-    params.seed, params.needs_view = seed & SEED_BITS, given.needs_view
-    params.bias, params.scale_error = given.bias_m, given.scale_error
-    params.q_misaligned = quat.from_rotation_vector(-np.radians(given.misalignment_deg))  # it turns the frame
-    params.correlated_fraction, params.correlation_s = given.correlated_fraction, given.correlation_time_s
-    params.outlier_probability, params.outlier_size = given.outlier_probability, given.outlier_size_m
-    params.misidentified_probability = given.misidentified_probability
-    systematic = any(given.bias_m) or any(given.misalignment_deg) or given.scale_error != 0.0
-    params.enabled = systematic or given.outlier_probability + given.misidentified_probability > 0.0
-    return params
 
 
 def imu_errors(scenario: Scenario, seed: int = 0) -> np.record:
@@ -74,18 +58,6 @@ def plume(scenario: Scenario) -> np.record:
     params.dimming, params.least_light = given.plume_dimming_fraction, least_light(scenario)
     params.span_s = max(_PLUME_SPAN_S, scenario.sample_s)
     return params
-
-
-def least_light(scenario: Scenario) -> float:
-    """Return the least light of a visible LED, 1/m^2: that of an LED which is not dimmed, over its distance squared.
-
-    The spot of a point of light, a Gaussian of known width s, has the flux F with the variance ``4 pi s^2 v + F / e``
-    of read and background noise v per pixel and of shot noise, e electrons per level: the root of F = LEAST_SNR sigma.
-    """
-    images = scenario.vmu.images
-    per_pixel = images.read_noise_levels**2 + images.background_levels / images.electrons_per_level
-    dark, half = 4.0 * math.pi * images.psf_sigma_px**2 * per_pixel, 0.5 * LEAST_SNR**2 / images.electrons_per_level
-    return (half + math.sqrt(half * half + LEAST_SNR**2 * dark)) / images.led_flux_1m_levels
 
 
 def _gain(scale_error: Triple, misalignment_deg: Triple) -> Array:

@@ -10,14 +10,15 @@ import numpy as np
 from hil.config.faults import TERMS, TimedFault
 from hil.config.scenario import Scenario
 from hil.core.messages import new
-from hil.dynamics import imu_faults, target_faults, thruster_faults, vision_faults
+from hil.dynamics import imu_faults, target_faults, thruster_faults
 from hil.models import axis_faults
-from hil.models.faults import AT, AT_ARRIVAL, FAULTS, KIND, NUMBER, OPTION, SIZE, UNTIL, VALUE
-from hil.params.errors import SEED_BITS, least_light
+from hil.models.faults import AT, AT_ARRIVAL, FAULTS, KIND, NUMBER, OPTION, SEED_BITS, SIZE, UNTIL, VALUE
 from hil.sensors import measurement
+from hil.sensors.vision_unit import faults as vmu_faults
+from hil.sensors.vision_unit.parameters import least_light
 
 _KERNELS: Final = {
-    "vmu": vision_faults,
+    "vmu": vmu_faults,
     "imu": imu_faults,
     "thruster": thruster_faults,
     "axis": axis_faults,

@@ -34,10 +34,11 @@ from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
 from hil.params.control_rule import control_rule
-from hil.params.dynamics import mean_motion, semi_major_axis_m
+from hil.params.dynamics import initial_truth, mean_motion, semi_major_axis_m
 from hil.params.error_state import error_state
 from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
+from hil.sensors.vision_unit.pose import write_pose
 
 _CORRELATION_S = 10.0  # of the filters' errors
 _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
@@ -130,6 +131,9 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.errors = error_state(scenario)
     fusion.thrust = _thrust_model(scenario)
     fusion.sensors = sensor_fusion(scenario, int(fusion.errors.sensor_errors), _gate_tail(scenario))
+    fusion.sensors.orbit = fusion.orbit
+    if fusion.sensors.n:
+        fusion.sensors.q_HI = initial_truth(scenario).q_HI
     witness = fusion.sensors.witness
     witness.acceleration, witness.angular_acceleration = largest_accelerations(scenario.chaser)
     witness.age_max_s, witness.step_s = _WITNESS_AGE_MAX_S, scenario.step_s
@@ -147,10 +151,8 @@ def handover_pose(scenario: Scenario) -> np.record:
     """Return the POSE from which the navigation starts: the planned start, with the standard deviations handed over."""
     pose, given = new(POSE), scenario.gnc.navigation.handover
     assert given is not None
-    pose.q_CH = quat.from_rotation_vector(initial_rotation_vector(scenario))
-    pose.z_TC_C = -quat.transform(pose.q_CH, np.array(scenario.initial.position_m))
-    pose.covariance_position = given.sigma_m**2 * np.eye(3)
-    pose.covariance_attitude = math.radians(given.sigma_deg) ** 2 * np.eye(3)
+    r_CT_H, q_CH = np.array(scenario.initial.position_m), quat.from_rotation_vector(initial_rotation_vector(scenario))
+    write_pose(r_CT_H, q_CH, given.sigma_m, math.radians(given.sigma_deg), pose)
     return pose
 
 

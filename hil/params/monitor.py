@@ -14,7 +14,7 @@ from hil.config.scenario import Scenario
 from hil.config.sensors import SensorConfig
 from hil.core.messages import new
 from hil.maths import quat
-from hil.models.mounting import MOUNTING
+from hil.sensors.mounting import MOUNTING
 
 MONITOR: Final = "monitor"
 """Name of the docking monitor among the sensors."""

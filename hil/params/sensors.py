@@ -10,10 +10,10 @@ import numpy as np
 from hil.config.scenario import Scenario
 from hil.config.sensors import SensorConfig
 from hil.core.messages import Array, new
+from hil.core.sensor_records import MAX_SENSORS, SENSOR_ERRORS_MAX
 from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.maths import chi_square, quat
-from hil.models.faults import NUMBER, VALUE
-from hil.params.errors import SEED_BITS
+from hil.models.faults import NUMBER, SEED_BITS, VALUE
 from hil.params.faults import fault_rows
 from hil.params.monitor import MONITOR, monitor_sensor, mounting
 from hil.sensors.compiled import addresses
@@ -74,6 +74,15 @@ def error_states(scenario: Scenario) -> list[SensorErrorState]:
                 time_s = math.inf if error.time_s is None else values[error.time_s]
                 found.append(SensorErrorState(number, index, values[error.sigma], time_s))
     return found
+
+
+def constant_error_sigmas(scenario: Scenario) -> Array:
+    """Return the standard deviations of the constant errors of the sensors, (sensors, SENSOR_ERRORS_MAX), SI."""
+    sigmas = np.zeros((MAX_SENSORS, SENSOR_ERRORS_MAX))
+    for state in error_states(scenario):
+        if math.isinf(state.time_s):
+            sigmas[state.sensor, state.number] = state.sigma
+    return sigmas
 
 
 def settings_row(kind: SensorKind, config: SensorConfig) -> Array:

@@ -23,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES
 from hil.core.camera_images import LEFT, RIGHT
 from hil.errors import BadInput
+from hil.recording import schema
 from hil.recording.images import recorded_images
 from hil.recording.read import Recorded, load
 
@@ -75,7 +76,7 @@ TOPICS: Final = {
     f"/{LEFT}/image/compressed": _IMAGE,
     f"/{RIGHT}/image/compressed": _IMAGE,
 }
-"""Topic -> type."""
+"""Topic -> type; those of further sensors, ``/sensors/NAME``, are JointState."""
 _AXES: Final = (*RAIL_NAMES, *GIMBAL_NAMES)
 _LEVELS: Final = {"alarm": 2, "fault": 2, "order": 1}
 _HILL, _CHASER = "H", "chaser"
@@ -112,6 +113,11 @@ def _full_name(kind: str, name: str) -> str:
 def _is_numbers(kind: str) -> bool:
     """Return whether ``kind`` consists of numbers of type float64."""
     return kind in _DEFINITIONS and all(field == ("float64", None) for field in _fields(kind))
+
+
+def type_of(topic: str) -> str:
+    """Return the type of the messages of ``topic``."""
+    return _JOINTS if topic.startswith("/sensors/") else TOPICS[topic]
 
 
 class _Cdr:
@@ -195,7 +201,7 @@ def _write_bag(recorded: Recorded, folder: Path, name: str) -> dict[str, int]:
         schemas: dict[str, int] = {}
         for topic, time_ns, data in _messages(recorded):
             if topic not in channels:
-                kind = TOPICS[topic]
+                kind = type_of(topic)
                 if kind not in schemas:
                     schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind).encode())
                 channels[topic] = writer.register_channel(topic, "cdr", schemas[kind], {"offered_qos_profiles": ""})
@@ -214,9 +220,9 @@ def start_ns(recorded: Recorded) -> int:
 
 
 def _messages(recorded: Recorded) -> Iterator[_Message]:
-    """Yield all messages: those of the cycles in the order of time, then the log and the images."""
+    """Yield all messages: those of the cycles in the order of time, then further sensors, log and images."""
     for topic, time_ns, value in _values(recorded):
-        yield topic, time_ns, encoded(TOPICS[topic], value)
+        yield topic, time_ns, encoded(type_of(topic), value)
 
 
 def _values(recorded: Recorded) -> Iterator[tuple[str, int, Any]]:
@@ -226,6 +232,7 @@ def _values(recorded: Recorded) -> Iterator[tuple[str, int, Any]]:
         time_ns = _stamp(float(row["t_s"]), zero_ns)
         for topic, value in _cycle(row, time_ns, zero_ns):
             yield topic, time_ns, value
+    yield from _samples(recorded, zero_ns)
     for line in recorded.log:
         time_ns = _stamp(line.get("t_s"), zero_ns)
         values = [(key, _text(line.get(key))) for key in ("kind", "t_s", "bench_s", "cycle")]
@@ -235,6 +242,19 @@ def _values(recorded: Recorded) -> Iterator[tuple[str, int, Any]]:
     for image in recorded_images(recorded.path, LEFT, RIGHT):
         time_ns = _stamp(image.t_s, zero_ns)
         yield f"/{image.camera}/image/compressed", time_ns, (_header(time_ns, image.camera), image.encoding, image.data)
+
+
+def _samples(recorded: Recorded, zero_ns: int) -> Iterator[tuple[str, int, Any]]:
+    """Yield the measurements of further sensors at their times: components as positions, their sigmas as efforts."""
+    if not len(recorded.sensor_arrivals):
+        return
+    sensors = list(json.loads(recorded.files[schema.SENSORS_FILE]).items())
+    for sample in recorded.sensor_arrivals["sample"]:
+        name, declared = sensors[int(sample["sensor"])]
+        names, time_ns = [each["name"] for each in declared["components"]], _stamp(float(sample["t_s"]), zero_ns)
+        n = len(names)
+        sigmas = np.sqrt(np.diagonal(sample["covariance"])[:n])
+        yield f"/sensors/{name}", time_ns, (_header(time_ns, name), names, sample["value"][:n], (), sigmas)
 
 
 def _text(value: Any) -> str:
@@ -321,7 +341,7 @@ def _metadata(counts: dict[str, int], name: str, first_ns: int, length_ns: int) 
         {
             "topic_metadata": {
                 "name": topic,
-                "type": TOPICS[topic],
+                "type": type_of(topic),
                 "serialization_format": "cdr",
                 "offered_qos_profiles": "",
             },

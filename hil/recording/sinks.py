@@ -125,7 +125,7 @@ class RecordingSinks:
         if loop.sensors is not None:
             loop.sensors.sink = self.sensor_samples
         if self.run_time is not None:
-            loop.vision.on_run_zero = self.run_time.set_zero
+            loop.run_zero.on_change = self.run_time.set_zero
         for events in (*loop.gnc.event_logs, runner.events):
             events.subscribe(recorder.event)
         loop.gnc.orders.subscribe(lambda order: recorder.order(*order))

@@ -18,8 +18,8 @@ from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
-from hil.params import vision as vision_params
 from hil.report.sums import Squares
+from hil.sensors.vision_unit import parameters as vmu_params
 
 _TIME_SLACK_S = 1e-6
 ENERGY_KEYS: Final = ("translation_added_j", "translation_work_j", "rotation_added_j", "rotation_work_j")
@@ -33,7 +33,7 @@ class BenchErrorSums:
 
     def __init__(self, scenario: Scenario, rig: Rig, settled_s: float) -> None:
         self._params = bench_params.bench(rig, scenario.step_s, scenario.bench)
-        self._mounting = vision_params.mounting(rig)
+        self._mounting = vmu_params.mounting(rig)
         self._wrenches = gnc_params.wrenches_of(scenario.chaser.thrusters)
         self._settled_s = settled_s
         self._counted_s = -math.inf
@@ -95,7 +95,7 @@ def _ratio(part: Squares, whole: Squares) -> float | None:
 
 def pose_errors(history: np.ndarray, scenario: Scenario, rig: Rig) -> tuple[np.ndarray, Array, Array]:
     """Return the rows (n,) of CYCLE with known encoders, and the left camera's errors in them: m, rad, (n,)."""
-    params, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
+    params, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vmu_params.mounting(rig)
     rows, rail_m, gimbal_rad = encoders_at_truth(history)
     return rows, *_camera_errors(params, mounting, rows, rail_m, gimbal_rad)
 

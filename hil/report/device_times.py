@@ -15,6 +15,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.core.messages import Array
 from hil.report.latency import percentiles
+from hil.sensors.vision_unit import columns as vmu_columns
 
 NAMES: Final = ("cycle", "rails", "turntable", "vmu", "io")
 EXCHANGED: Final = ("rails", "turntable")
@@ -26,12 +27,11 @@ _STAMP_S: Final = 1e-3  # a command is stamped just after its lines were passed 
 def execution_times_s(history: np.ndarray) -> dict[str, Array]:
     """Return the times in the rows (n,) of CYCLE, s of bench time, by what they are of."""
     begun_s = history["t_s"] + np.nan_to_num(history["lateness_s"])  # in lock-step it has none
-    used = history[history["pose"]["fresh"] > 0]
     return {
         "cycle": history["commanded_s"] - begun_s,
         "rails": begun_s - history["sampled_s"][:, 0],
         "turntable": begun_s - history["sampled_s"][:, 1],
-        "vmu": used["received_s"] - used["pose"]["t_s"],
+        "vmu": vmu_columns.travel_s(history),
         "io": _acknowledged_s(history),
     }
 

@@ -15,6 +15,7 @@ from hil.monitor.kernels.quantities import of_chaser, of_measured_pose, quantiti
 from hil.monitor.results import QUANTITIES
 from hil.params import bench as bench_params
 from hil.params.monitor import mounting
+from hil.sensors.vision_unit import columns as vmu_columns
 from hil.setup.docking_monitor import MonitorOutcome
 
 Floats = NDArray[np.float64]
@@ -138,7 +139,7 @@ def _bench(history: np.ndarray, scenario: Scenario, rig: Rig, times: Floats) -> 
 
 def _vision_unit(history: np.ndarray, truth: _Truth) -> tuple[Floats, Floats, Floats]:
     """Return times (n,), s, errors and sigmas (n, 12), SI, of the vision unit's poses in the monitor's quantities."""
-    poses = history["pose"][history["pose"]["fresh"] > 0] if len(history) else history["pose"]
+    poses = vmu_columns.poses(history)
     poses = poses[(poses["t_s"] >= 0.0)]
     values, sigmas = np.empty((len(poses), len(QUANTITIES))), np.empty((len(poses), len(QUANTITIES)))
     for i, pose in enumerate(poses):

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
+from hil.sensors.vision_unit import columns as vmu_columns
 
 LATENCIES: Final = ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "pose_behind_imu_ms")
 _WINDOW_S = 1.0
@@ -40,7 +41,7 @@ def measured(rows: np.ndarray, joined: np.ndarray, step_s: float, tick_s: float)
 
 def pose_to_command_s(history: np.ndarray) -> Array:
     """Return a time for each cycle that used a pose, s."""
-    used = history[history["pose"]["fresh"] > 0]
+    used = history[vmu_columns.has_pose(history)]
     taken: Array = used["commanded_s"] - used["received_s"]
     return taken
 
@@ -53,7 +54,7 @@ def pose_to_wire_s(history: np.ndarray) -> Array:
     """
     wire_s, commanded_s = history["on_wire_s"], history["commanded_s"]
     found = []
-    for k in np.flatnonzero(history["pose"]["fresh"] > 0):
+    for k in np.flatnonzero(vmu_columns.has_pose(history)):
         later = wire_s[k + 1 : k + 1 + _KNOWN_WITHIN]
         changed = later[later >= commanded_s[k] - _STAMP_S]
         if k and len(changed) and (history["command"]["on"][k] != history["command"]["on"][k - 1]).any():
@@ -86,7 +87,7 @@ def pose_behind_imu_s(history: np.ndarray) -> Array:
     (lag of the axes, an unknown latency of cameras or clock) lags by d times the velocity: d is fitted to the
     poses' positions of a window by least squares. Windows with an uncertain d are omitted.
     """
-    used = history["pose"][history["pose"]["fresh"] > 0]
+    used = vmu_columns.poses(history)
     used = used[np.isfinite(used["t_s"]) & (used["t_s"] >= (history["t_s"][0] if len(history) else 0.0))]
     if not len(used):
         return np.empty(0)

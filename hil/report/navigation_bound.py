@@ -17,6 +17,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array
+from hil.sensors.vision_unit import columns as vmu_columns
 
 _START_MPS: Final = 1e-3  # standard deviation of the velocity at the first pose: of a hold before the approach
 _KINDS: Final = ("covariance_position", "covariance_attitude")
@@ -52,7 +53,7 @@ class NavigationBound:
 
     def add(self, rows: np.ndarray) -> None:
         """Add the next ``rows`` (n,) of CYCLE."""
-        poses = rows["pose"][rows["pose"]["fresh"] > 0]
+        poses = vmu_columns.poses(rows)
         if not self._has_imu or not len(poses):
             return
         for t_s, variance in zip(poses["t_s"].tolist(), self._variances(poses), strict=True):

@@ -142,6 +142,13 @@ def _numbers(summary: dict[str, Any]) -> Iterator[str]:
     if summary["vision"]:
         counted = [(name, str(count)) for name, count in summary["vision"].items()]
         yield html.table(("vision unit", "count"), counted)
+    if sensors := summary.get("sensors"):
+        keys = ("accepted", "rejected", "excluded", "too_late", "suspected", "mean_nis")
+        samples = [
+            (name, *("-" if found[key] is None else f"{found[key]:.6g}" for key in keys))
+            for name, found in sensors.items()
+        ]
+        yield html.table(("sensor", *(key.replace("_", " ") for key in keys)), samples)
     if drift := summary.get("drift_check"):
         parts = [(e["part"], f"{e['shift_px']:.3f}", f"{e['chance']:.1e}") for e in drift["explanations"]]
         title = f"Drift since calibration {drift['calibration']} of {drift['date']}"

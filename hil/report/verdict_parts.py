@@ -36,8 +36,8 @@ from hil.maths.limits import finite_or_none
 from hil.models import elliptic_motion
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
-from hil.params import vision as vision_params
 from hil.params.dynamics import mean_motion
+from hil.sensors.vision_unit import parameters as vmu_params
 
 _DRIFT_SAMPLES = 720  # over one orbit
 
@@ -187,8 +187,8 @@ class FieldOfView:
     def __init__(self, scenario: Scenario, rig: Rig) -> None:
         self._step_s = scenario.step_s
         self._bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-        self._mounting = vision_params.mounting(rig)
-        self._camera, self._leds = vision_params.camera(rig)
+        self._mounting = vmu_params.mounting(rig)
+        self._camera, self._leds = vmu_params.camera(rig)
         self._least_px, self._at_s, self._range_m = math.inf, math.nan, math.nan
         self._rows = self._lost = 0
 

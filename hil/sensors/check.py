@@ -101,8 +101,8 @@ def _place(trial: Trial, random: np.random.Generator) -> None:
     truth.v_CT_H = random.normal(0.0, 0.02, 3)
     truth.q_CH = quat.from_rotation_vector(random.normal(0.0, 0.03, 3))
     truth.w_CH_C = random.normal(0.0, 1e-3, 3)
-    truth.r_T_I, truth.v_T_I, truth.q_HI = (1.9e6, 1e5, 2e5), (0.0, 1.6e3, 10.0), (0.0, 0.0, 0.0, 1.0)
-    truth.dt_s = 0.1
+    truth.r_T_I, truth.v_T_I = (1.9e6, 1e5, 2e5), (0.0, 1.6e3, 10.0)
+    truth.dt_s, truth.q_HI = 0.1, quat.from_rotation_vector(random.normal(0.0, 1.0, 3))
     for name in SENSOR_ESTIMATE.names or ():
         trial.estimate[name] = truth[name]
 

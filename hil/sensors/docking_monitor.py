@@ -16,8 +16,8 @@ from hil.core.jit import kernel
 from hil.core.settings import Setting
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
-from hil.models.mounting import target_pose
 from hil.sensors.module import Component, SensorError, SensorModule
+from hil.sensors.mounting import target_pose
 
 AXES: Final = (0.5, -0.5, -0.5, 0.5)
 """Quaternion from c to the camera's axes v, x1 = -y_c, x2 = z_c, x3 = -x_c, and from H to those of the target."""

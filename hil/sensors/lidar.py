@@ -12,7 +12,7 @@ import math
 from hil.core.jit import kernel
 from hil.core.settings import Setting
 from hil.maths import quat, stack
-from hil.sensors.module import Component, SensorError, SensorModule
+from hil.sensors.module import FUSED_FAULTS, Component, SensorError, SensorModule
 
 
 @kernel
@@ -61,15 +61,8 @@ class Lidar(SensorModule):
         SensorError("bias", 1, "bias_bearing_sigma_rad"),
         SensorError("bias", 2, "bias_bearing_sigma_rad"),
     )
-    faults = {
-        "no_sample": "no measurement: known at once; nothing is unseen",
-        "frozen": "gate and CUSUM of the innovations once the chaser has moved by sigmas",
+    faults = FUSED_FAULTS | {
         "offset": "another reflector is decimetres off: gate; below its sigmas the CUSUM of the innovations",
-        "drift": "CUSUM of the innovations: unseen up to what the level has",
-        "outlier": "the gate",
-        "noise_scale": "mean NIS",
-        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
-        "latency": "innovations in motion, if stamped with the arrival",
     }
     rate_hz = 5.0
 

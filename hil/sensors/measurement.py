@@ -120,8 +120,8 @@ def measure(params, state, t_s, true, w_CH_C, r_CT_H, q_CH):
 
 @kernel
 def noise_of(seed, k, number, i):
-    """Return standard normal ``i`` of measurement ``number`` of sensor ``k``."""
-    return normal(seed, number, _LANES * (k + 1) + _NOISE_LANE + i)
+    """Return standard normal ``i`` of measurement ``number`` of sensor ``k``; 0 for a negative ``seed``."""
+    return normal(seed, number, _LANES * (k + 1) + _NOISE_LANE + i) if seed >= 0 else 0.0
 
 
 @kernel

@@ -22,6 +22,17 @@ FAMILY: Final = "sensor"
 """Family of the faults of sensors (``hil.config.faults``)."""
 COMMON: Final = ("name", *SensorConfig.model_fields)
 """Keys that every sensor has (``hil.config.sensors``)."""
+FUSED_FAULTS: Final = {
+    "no_sample": "no measurement: known at once; nothing is unseen",
+    "frozen": "gate and CUSUM of the innovations once the chaser has moved by sigmas",
+    "offset": "gate beyond its sigmas, below the CUSUM of the innovations: unseen up to what the level has",
+    "drift": "CUSUM of the innovations: unseen up to what the level has",
+    "outlier": "the gate",
+    "noise_scale": "mean NIS",
+    "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
+    "latency": "innovations in motion, if stamped with the arrival",
+}
+"""What the filters see of the faults of a sensor that they fuse."""
 
 
 @dataclass(frozen=True, slots=True)

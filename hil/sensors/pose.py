@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from hil.core.settings import Setting
 from hil.maths import quat, stack
-from hil.sensors.module import Component, SensorError, SensorModule
+from hil.sensors.module import FUSED_FAULTS, Component, SensorError, SensorModule
 
 
 class ExternalPose(SensorModule):
@@ -32,16 +32,7 @@ class ExternalPose(SensorModule):
         Setting("point_z_m", 0.0, "m", -10.0, 10.0),
     )
     errors = tuple(SensorError("bias", i, "bias_sigma_m") for i in range(3))
-    faults = {
-        "no_sample": "no measurement: known at once; nothing is unseen",
-        "frozen": "gate and CUSUM of the innovations once the chaser has moved by sigmas",
-        "offset": "gate beyond its sigmas, below the CUSUM of the innovations: unseen up to what the level has",
-        "drift": "CUSUM of the innovations: unseen up to what the level has",
-        "outlier": "the gate",
-        "noise_scale": "mean NIS",
-        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
-        "latency": "innovations in motion, if stamped with the arrival",
-    }
+    faults = FUSED_FAULTS
 
     @staticmethod
     def measure(settings, truth, out):

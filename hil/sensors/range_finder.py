@@ -13,7 +13,7 @@ from hil.core.jit import kernel
 from hil.core.settings import Setting
 from hil.maths import quat, stack
 from hil.sensors.dimetix import DimetixLines
-from hil.sensors.module import Component, SensorError, SensorModule
+from hil.sensors.module import FUSED_FAULTS, Component, SensorError, SensorModule
 
 
 @kernel
@@ -47,15 +47,8 @@ class RangeFinder(SensorModule):
     )
     errors = (SensorError("bias", 0, "bias_sigma_m"),)
     wire = DimetixLines()
-    faults = {
-        "no_sample": "no measurement: known at once; nothing is unseen",
+    faults = FUSED_FAULTS | {
         "frozen": "a distance that stands still: gate and CUSUM of the innovations once the chaser has moved by sigmas",
-        "offset": "gate beyond its sigmas; below, the CUSUM of the innovations: unseen up to what the level has",
-        "drift": "CUSUM of the innovations: unseen up to what the level has",
-        "outlier": "the gate",
-        "noise_scale": "mean NIS",
-        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
-        "latency": "innovations in motion, if stamped with the arrival",
     }
 
     @staticmethod

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from hil.core.settings import Setting
-from hil.sensors.module import Component, SensorError, SensorModule
+from hil.sensors.module import FUSED_FAULTS, Component, SensorError, SensorModule
 
 _AXES = "xyz"
 
@@ -36,15 +36,9 @@ class RelativeGnss(SensorModule):
         Setting("shadow_probability", 0.02, "1", 0.0, 0.99, "of a measurement farther out to be lost"),
     )
     errors = tuple(SensorError("correlated", i, "correlated_sigma_m", "correlation_time_s") for i in range(3))
-    faults = {
-        "no_sample": "no measurement: known at once; nothing is unseen",
+    faults = FUSED_FAULTS | {
         "frozen": "a position that stands still: gate and CUSUM of the innovations once the chaser has moved",
         "offset": "a wrong ambiguity is 0.1 to 0.2 m: gate beyond its sigmas, below the CUSUM of the innovations",
-        "drift": "CUSUM of the innovations of position and velocity: unseen up to what the level has",
-        "outlier": "the gate",
-        "noise_scale": "mean NIS",
-        "sigma_scale": "mean NIS, if smaller; a larger one wastes information",
-        "latency": "innovations in motion, if stamped with the arrival",
     }
     sees = "truth"
     rate_hz = 1.0

@@ -117,7 +117,7 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.bench.check(0.0)
     loop.bench.brake(0.0)
     loop.bench.guard(0.0, 0.0)
-    loop.vision.receive(0.0, 0.0)
+    loop.vision.receive(0.0)
     loop.dss.step(0)
     loop.bench.follow(0.0)
 

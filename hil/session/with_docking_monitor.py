@@ -55,7 +55,7 @@ class MonitorResults:
     def attach(self, runner: Runner) -> None:
         """Connect the sensor of the runner's loop, if there is one, and the run's time for a live camera."""
         if self._run_time is not None:
-            runner.loop.vision.on_run_zero = self._run_time.set_zero
+            runner.loop.run_zero.on_change = self._run_time.set_zero
         if runner.loop.sensors is not None and self._source is not None and self._number is not None:
             runner.loop.sensors.sources.append(PortionSamples(self._source, self._number))
 

@@ -26,7 +26,7 @@ from hil.maths.random_streams import stream
 from hil.monitor.render import Conditions, TargetRenderer
 from hil.params import bench as bench_params
 from hil.params import monitor as monitor_params
-from hil.params import vision as vision_params
+from hil.sensors.vision_unit import parameters as vmu_params
 from hil.setup.assembly import start_axes
 from hil.setup.docking_monitor import MONITOR_ADDRESS
 from hil.setup.emulated_vision import seen_axes
@@ -57,7 +57,7 @@ def emulated_images(scenario: Scenario, rig: Rig, seed: int, board: SharedAxisSt
 
 def rendered_cameras(scenario: Scenario, rig: Rig, seed: int) -> RenderedCameras:
     """Return the renderer of the vision unit of ``rig``."""
-    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vision_params.mounting(rig)
+    bench, mounting = bench_params.bench(rig, scenario.step_s, scenario.bench), vmu_params.mounting(rig)
     board, rng = board_of(estimator_of_unit(rig.vmu)), stream(seed, "pictures")
     return RenderedCameras(bench, mounting, geometry_of_rig(rig), scenario.vmu.images, rng, board)
 

@@ -15,8 +15,8 @@ from hil.core.kernel_record import kernel_record
 from hil.core.sensor_records import NORMALS
 from hil.drivers.line_sensor.emulator import LineSensorEmulator
 from hil.drivers.shared_state import SharedAxisState
+from hil.models.faults import SEED_BITS
 from hil.params import bench as bench_params
-from hil.params.errors import SEED_BITS
 from hil.params.sensors import sensors_of, settings_row
 from hil.sensors.check import Trial
 from hil.sensors.measurement import noise_of

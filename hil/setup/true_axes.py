@@ -17,7 +17,7 @@ from hil.core.messages import CYCLE
 from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.ring import Telemetry
 from hil.params import bench as bench_params
-from hil.params import vision as vision_params
+from hil.sensors.vision_unit import parameters as vmu_params
 
 
 class TrueAxesWatch:
@@ -37,7 +37,7 @@ class TrueAxesWatch:
     ) -> None:
         self._rows, self._board, self._now_s = rows, board, now_s
         self._bench = kernel_record(bench_params.bench(rig, step_s, shown))
-        self._mounting = kernel_record(vision_params.mounting(rig))
+        self._mounting = kernel_record(vmu_params.mounting(rig))
         self._manipulator = bench_params.manipulator(rig)
         self._errors = np.zeros(1), np.zeros(1)
         self._n, self._squares, self._largest = 0, np.zeros(2), np.zeros(2)

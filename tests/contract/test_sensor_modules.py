@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,7 +171,7 @@ def test_scenario_that_nothing_could_fly_names_key_and_reason() -> None:
          "the filters remember"),
         (settings("pose", "sensors.s.source=udp", "sensors.s.port=5005", "sensors.s.stamp=capture"),
          "sensors.s.source", "needs the wall clock"),
-        (settings("lidar", 'gnc.navigation.backend="examples/backends/ekf.py:Ekf"'), "sensors.s", "not available"),
+        (settings("lidar", "gnc.library=own.so"), "sensors.s", "own.so receives no measurements"),
         (settings("star_tracker", faults_setting({"device": "sensor.s", "kind": "outlier", "at_s": 1.0, "value": 0.1})),
          "faults[0]", "star_tracker has no_sample"),
     ):  # fmt: skip
@@ -178,6 +179,120 @@ def test_scenario_that_nothing_could_fly_names_key_and_reason() -> None:
             build.check(build.Job(load_scenario("scheme-1", texts), rig, 0, 1.0, 1.0))
         assert [problem.key for problem in error.value.problems] == [key]
         assert reason in error.value.problems[0].message
+
+
+class OwnNavigation:
+    """Navigation that keeps the measurements that it receives."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[int, float, float, float]] = []
+
+    def step(self, given: Any) -> None:
+        for each in given.measurements[: given.n_measurements]:
+            self.taken.append((int(each.sensor), float(each.t_s), float(each.value[0]), float(each.covariance[0, 0])))
+
+
+def test_navigation_of_the_users_own_receives_what_is_fused_and_no_witness() -> None:
+    own = OwnNavigation()
+    overrides = {
+        "sensors.w.kind": "range_finder", "sensors.w.use": "witness", "sensors.s.kind": "range_finder",
+        "sensors.s.latency_s": 0.1, "sensors.s.sigma_m": 0.002,
+    }  # fmt: skip
+    run = hil.run("scheme-1", seed=3, duration_s=2.0, navigation=own, overrides=overrides)
+    assert {number for number, *_ in own.taken} == {1}
+    assert [t_s for _, t_s, *_ in own.taken] == pytest.approx(0.1 * np.arange(len(own.taken)), abs=1e-9)
+    assert len(own.taken) == 20  # that of 2 s has not arrived
+    _, _, distance, variance = own.taken[0]
+    assert distance == pytest.approx(np.linalg.norm(run.truth.r_CT_H[0] + (0.3, 0.0, 0.0)), abs=0.05)
+    assert variance == pytest.approx(0.002**2)
+
+
+def test_gnc_that_receives_no_measurements_is_refused_with_the_sensors_name() -> None:
+    of_ranger = {"sensors.ranger.kind": "range_finder"}
+    with pytest.raises(hil.errors.BadInput) as error:
+        hil.run("scheme-1", duration_s=1.0, gnc=OwnNavigation(), overrides=of_ranger)
+    assert "sensors.ranger: not available: another GNC receives no measurements" in str(error.value)
+    assert len(error.value.problems) == 1
+
+
+MODULE = """
+import hil
+
+
+class Height(hil.SensorModule):
+    kind = "height"
+    components = (hil.Component("height_m", "m", "z of the chaser in H"),)
+    faults = {"no_sample": "nothing is unseen"}
+
+    @staticmethod
+    def measure(settings, truth, out):
+        out.sample.value[0] = truth.r_CT_H[2]
+        out.sample.covariance[0, 0] = VARIANCE
+
+    @staticmethod
+    def innovate(settings, estimate, out):
+        out.value[0] = out.sample.value[0] - estimate.r_CT_H[2]
+        out.h[0, 2] = 1.0
+"""
+
+
+SUN = """
+import hil
+from hil.maths import quat, stack
+
+
+class SunSensor(hil.SensorModule):
+    kind = "sun"
+    components = tuple(hil.Component(f"sun_{axis}", "1", "direction of the Sun in c") for axis in "xyz")
+    settings = (hil.Setting("sigma", 1e-3, "1", 1e-7, 1.0, "noise of each component"),)
+    faults = {"no_sample": "nothing is unseen"}
+
+    @staticmethod
+    def measure(settings, truth, out):
+        sun = stack.vector(3)
+        sun[0], sun[1], sun[2] = 0.6, 0.8, 0.0  # in I
+        quat.transform_into(truth.q_HI, sun, sun)
+        quat.transform_into(truth.q_CH, sun, sun)
+        for i in range(3):
+            out.sample.value[i] = sun[i] + settings.sigma * truth.normal[i]
+            out.sample.covariance[i, i] = settings.sigma**2
+
+    @staticmethod
+    def innovate(settings, estimate, out):
+        sun = stack.vector(3)
+        sun[0], sun[1], sun[2] = 0.6, 0.8, 0.0
+        quat.transform_into(estimate.q_HI, sun, sun)
+        quat.transform_into(estimate.q_CH, sun, sun)
+        for i in range(3):
+            out.value[i] = out.sample.value[i] - sun[i]
+            j, k = (i + 1) % 3, (i + 2) % 3
+            out.h[i, 6 + k], out.h[i, 6 + j] = sun[j], -sun[k]  # -theta x sun
+"""
+
+
+def test_module_of_a_direction_in_inertial_space_knows_where_the_hill_frame_points(tmp_path: Path) -> None:
+    path = tmp_path / "sun.py"
+    path.write_text(SUN)
+    kind = f"{path}:SunSensor"
+    assert check.problems(sensor(kind), seed=5) == []
+    for eccentricity in (0.0, 0.02):
+        overrides = {"sensors.s.kind": kind, "orbit.eccentricity": eccentricity}
+        run = hil.run("scheme-1", seed=4, duration_s=100.0, overrides=overrides)
+        found = run.summary["sensors"]["s"]
+        assert found["accepted"] > 500
+        assert found["mean_nis"] == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("variance", ["-1e-6", "0.0", "float('nan')"])
+def test_sample_whose_covariance_is_none_is_rejected_and_the_filters_stay_sound(tmp_path: Path, variance: str) -> None:
+    path = tmp_path / "height.py"
+    path.write_text(MODULE.replace("VARIANCE", variance))
+    run = hil.run("scheme-1", seed=3, duration_s=2.0, overrides={"sensors.s.kind": f"{path}:Height"})
+    found = run.summary["sensors"]["s"]
+    assert found["accepted"] == 0
+    assert found["rejected"] + found["excluded"] > 15
+    assert not (run.navigation.health & GncHealth.COVARIANCE_INVALID).any()
+    assert np.isfinite(run.navigation.r_CT_H[5:]).all()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -243,7 +243,7 @@ WRONG = "return HIL_BACKENDS_PROTOCOL; => return 99;"
         (lambda folder: f'gnc.control.backend="{observer_library(folder)}"', "has no function hil_control_open"),
         (
             lambda folder: f'gnc.navigation.backend="{observer_library(folder, "v.so", WRONG)}"',
-            "has version 99 of the records, this bench has 1",
+            "has version 99 of the records, this bench has 2",
         ),
         (
             lambda folder: f'gnc.control.backend="{kernel_file(folder, "pass", "inp, out")}"',

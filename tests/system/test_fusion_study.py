@@ -77,6 +77,17 @@ def test_every_run_has_its_own_noise_from_seed_and_number() -> None:
     assert not np.any(batch[0].square_error == batch[1].square_error)
 
 
+def test_further_sensor_is_fused_and_its_covariance_is_honest() -> None:
+    alone = Study((), "swapped", 0).bound()
+    sensors = ("sensors.ranger.kind=range_finder", "sensors.gnss.kind=relative_gnss", "sensors.gnss.range_min_m=0.1")
+    found = run_fusion("swapped", 20, 3, sensors, 1, lambda n: None)
+    assert found["position_bound_m"][0] < 0.6 * math.sqrt(alone.variance[0])
+    assert max(found["position_ratio"]) < found["position_ratio_limit"]
+    for moment in found["nees_at_s"].values():
+        for band in moment.values():
+            assert band["low"] < band["mean"] < band["high"]
+
+
 @pytest.mark.parametrize(
     ("reading", "position_m", "attitude_100_s_deg", "attitude_400_s_deg"),
     [("swapped", 0.00087, 0.0014, 0.0012), ("printed", 0.0041, 0.00035, 0.00020)],
@@ -167,6 +178,8 @@ def test_json_to_standard_output_is_all_that_stands_there(capsys: pytest.Capture
         (("--figure", "/no/such/folder/f.png"), ("--figure", "/no/such/folder", "does not exist")),
         (("--set", "gnc.akf.colour=3"), ("gnc.akf.colour", "unknown key", "gyro_noise_degps")),
         (("--set", "gnc.akf.form=as_printed"), ("gnc.akf.form", "unknown key")),
+        (("--set", "sensors.r.kind=range_finder", "--set", "sensors.r.use=witness"), ("sensors.r", "no witnesses")),
+        (("--set", "sensors.r.kind=ranger"), ("sensors.r.kind", "no such sensor")),
         (("--no-such-option", "1"), ("--no-such-option",)),
     ],
 )

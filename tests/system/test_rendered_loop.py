@@ -16,9 +16,9 @@ from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import PoseFrame
 from hil.maths import quat
-from hil.models.mounting import camera_pose
 from hil.params import bench as bench_params
-from hil.params import vision as vision_params
+from hil.sensors.mounting import camera_pose
+from hil.sensors.vision_unit import parameters as vmu_params
 from hil.session import build
 from hil.vmu.geometry import geometry_of_rig
 from tests.support.run_settings import make_job
@@ -43,7 +43,7 @@ def seen(*settings: str, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) 
 
     r, q = np.empty(3), np.empty(4)
     pose_of_axes(bench_params.bench(rig, scenario.step_s), axes.rail_m, axes.gimbal_rad, r, q)
-    camera_pose(vision_params.mounting(rig), r, q, t_v, q_vt)
+    camera_pose(vmu_params.mounting(rig), r, q, t_v, q_vt)
     return found, t_v, q_vt
 
 

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from hil.cli.main import execute
 from hil.recording.read import Recorded, load
 from hil.recording.ros2 import TOPICS, definition, export_ros2, in_hill, start_ns
+from hil.report.page import report
 from tests.support.run_settings import typed
 
 pytestmark = pytest.mark.xdist_group("campaign")
@@ -48,6 +49,24 @@ def test_bag_has_every_topic_and_its_metadata_counts_them(recorded: Recorded, ba
     assert counts["/truth/pose"] == counts["/imu"] == counts["/tf"] == len(recorded.cycles)
     assert counts["/vision/pose"] == int((recorded.cycles["pose"]["fresh"] > 0).sum())
     assert found["starting_time"]["nanoseconds_since_epoch"] == start_ns(recorded)
+
+
+def test_further_sensors_have_topics_and_a_row_in_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = typed("sensors.ranger.kind=range_finder", "sensors.stars.kind=star_tracker")
+    assert execute(["run", "scheme-1", "--duration", "2", "--record", str(tmp_path / "runs"), *settings]) in (0, 1)
+    (path,) = (tmp_path / "runs").glob("**/*.mcap")
+    counts = export_ros2(path, tmp_path / "bag")
+    samples = load(path).sensor_arrivals["sample"]
+    for number, name in enumerate(("ranger", "stars")):
+        assert counts[f"/sensors/{name}"] == (samples["sensor"] == number).sum() > 4
+    with next((tmp_path / "bag").glob("*.mcap")).open("rb") as file:
+        data = [m.data for _, _, m in make_reader(file).iter_messages(topics=["/sensors/ranger"])]
+    for message, sample in zip(data, samples[samples["sensor"] == 0], strict=True):
+        assert np.float64(sample["value"][0]).tobytes() in message
+        assert np.sqrt(sample["covariance"][0, 0]).tobytes() in message
+        assert b"range_m" in message
+    monkeypatch.setattr("hil.report.page.figures", lambda *_: ())
+    assert ">ranger</td>" in report([load(path)])
 
 
 def test_truth_is_at_its_place_in_the_message(recorded: Recorded, bag: Path) -> None:

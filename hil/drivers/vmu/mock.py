@@ -14,7 +14,7 @@ from hil.drivers.vmu import COUNTERS, NAME
 from hil.drivers.vmu.transport import Transport
 from hil.errors import DeviceError, LinkLost
 from hil.models.camera_timing import TIME_SLACK_S, exposure_time, first_exposure
-from hil.models.frame_transit import FRAME_TRANSIT, SPARE_FRAMES, forget_frames, put_exposure, receive_frames
+from hil.sensors.vision_unit.transit import FRAME_TRANSIT, SPARE_FRAMES, forget_frames, put_exposure, receive_frames
 
 _NO_POSE = PoseFrame(0, 0.0, 0.0, np.full(3, np.nan), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros((6, 6)))
 

@@ -13,7 +13,7 @@
 extern "C" {
 #endif
 
-#define HIL_BACKENDS_PROTOCOL 1
+#define HIL_BACKENDS_PROTOCOL 2
 
 typedef struct {
     double rate_radps[3]; /* gyro, mean over the sample, against inertial space; rad/s, in c */
@@ -29,6 +29,16 @@ typedef struct {
     double covariance_cross_m_rad[3][3]; /* of r_TC_C_m (rows) and the small-angle rotation; m rad, in c */
     int64_t status; /* status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess */
 } hil_backend_pose;
+
+typedef struct {
+    int64_t sensor; /* number of the sensor in the scenario, from 0 */
+    int64_t number; /* number of the measurement of that sensor, from 0 */
+    double t_s; /* moment of the measurement, time of the run; s */
+    double received_s; /* when the loop received it, time of the run; s */
+    double value[6]; /* components as the module declares them; the others are zero; SI */
+    double covariance[6][6]; /* of the noise, as the sensor reports it; zero if it does not; SI */
+    int64_t status; /* status that the sensor reported, 0 good */
+} hil_measurement;
 
 typedef struct {
     int64_t valid; /* 1 after the first pose */
@@ -74,6 +84,8 @@ typedef struct {
     hil_backend_sample samples[64]; /* the first n_samples are valid */
     hil_backend_pose poses[4]; /* the first n_poses are valid, in order of arrival */
     hil_gnc_setup setup; /* nominal vehicle and plan: hil_gnc_setup */
+    int64_t n_measurements; /* measurements of further sensors since the cycle before */
+    hil_measurement measurements[16]; /* the first n_measurements are valid */
 } hil_navigation_input;
 
 typedef struct {
@@ -172,6 +184,14 @@ _Static_assert(offsetof(hil_backend_pose, covariance_position_m2) == 64, "place 
 _Static_assert(offsetof(hil_backend_pose, covariance_attitude_rad2) == 136, "place of hil_backend_pose.covariance_attitude_rad2");
 _Static_assert(offsetof(hil_backend_pose, covariance_cross_m_rad) == 208, "place of hil_backend_pose.covariance_cross_m_rad");
 _Static_assert(offsetof(hil_backend_pose, status) == 280, "place of hil_backend_pose.status");
+_Static_assert(sizeof(hil_measurement) == 376, "size of hil_measurement");
+_Static_assert(offsetof(hil_measurement, sensor) == 0, "place of hil_measurement.sensor");
+_Static_assert(offsetof(hil_measurement, number) == 8, "place of hil_measurement.number");
+_Static_assert(offsetof(hil_measurement, t_s) == 16, "place of hil_measurement.t_s");
+_Static_assert(offsetof(hil_measurement, received_s) == 24, "place of hil_measurement.received_s");
+_Static_assert(offsetof(hil_measurement, value) == 32, "place of hil_measurement.value");
+_Static_assert(offsetof(hil_measurement, covariance) == 80, "place of hil_measurement.covariance");
+_Static_assert(offsetof(hil_measurement, status) == 368, "place of hil_measurement.status");
 _Static_assert(sizeof(hil_navigation) == 240, "size of hil_navigation");
 _Static_assert(offsetof(hil_navigation, valid) == 0, "place of hil_navigation.valid");
 _Static_assert(offsetof(hil_navigation, r_CT_H) == 8, "place of hil_navigation.r_CT_H");
@@ -195,7 +215,7 @@ _Static_assert(offsetof(hil_reference, boost) == 104, "place of hil_reference.bo
 _Static_assert(offsetof(hil_reference, phase) == 112, "place of hil_reference.phase");
 _Static_assert(offsetof(hil_reference, from_H) == 120, "place of hil_reference.from_H");
 _Static_assert(offsetof(hil_reference, to_H) == 144, "place of hil_reference.to_H");
-_Static_assert(sizeof(hil_navigation_input) == 5912, "size of hil_navigation_input");
+_Static_assert(sizeof(hil_navigation_input) == 11936, "size of hil_navigation_input");
 _Static_assert(offsetof(hil_navigation_input, cycle) == 0, "place of hil_navigation_input.cycle");
 _Static_assert(offsetof(hil_navigation_input, t_s) == 8, "place of hil_navigation_input.t_s");
 _Static_assert(offsetof(hil_navigation_input, mode) == 16, "place of hil_navigation_input.mode");
@@ -212,6 +232,8 @@ _Static_assert(offsetof(hil_navigation_input, isolated) == 104, "place of hil_na
 _Static_assert(offsetof(hil_navigation_input, samples) == 128, "place of hil_navigation_input.samples");
 _Static_assert(offsetof(hil_navigation_input, poses) == 3200, "place of hil_navigation_input.poses");
 _Static_assert(offsetof(hil_navigation_input, setup) == 4352, "place of hil_navigation_input.setup");
+_Static_assert(offsetof(hil_navigation_input, n_measurements) == 5912, "place of hil_navigation_input.n_measurements");
+_Static_assert(offsetof(hil_navigation_input, measurements) == 5920, "place of hil_navigation_input.measurements");
 _Static_assert(sizeof(hil_navigation_output) == 360, "size of hil_navigation_output");
 _Static_assert(offsetof(hil_navigation_output, state) == 0, "place of hil_navigation_output.state");
 _Static_assert(offsetof(hil_navigation_output, valid) == 8, "place of hil_navigation_output.valid");

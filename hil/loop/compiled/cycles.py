@@ -22,6 +22,7 @@ from hil.loop.cycle import Cycles, Loop
 from hil.loop.rate_keeper import SimulatedRate, Tick
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.maths.random_streams import RandomRows
+from hil.sensors.vision_unit import columns as vmu_columns
 
 _BLOCK_S: Final = 20.0  # of the run's time: a few milliseconds, after which Ctrl-C and progress have their turn
 _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
@@ -133,10 +134,10 @@ class CompiledCycles:
         """Prepare the state for the cycles ``first`` to ``end`` - 1."""
         loop, state = self._loop, self._state
         state.cycle, state.end, state.zero_s = first, end, tick.run_zero_s
-        loop.vision.set_run_zero(tick.run_zero_s)
+        loop.run_zero.set(tick.run_zero_s)
         loop.safety_io.check(tick.now_s)
         state.mock.lines, state.mock.lines_changed_s = loop.now.command.on, loop.safety_io.thrusters_s
-        state.logged = state.axes_logged = state.samples_logged = state.sensors_logged = 0
+        state.vmu.logged = state.axes_logged = state.samples_logged = state.sensors_logged = 0
 
     def _run(self, first: int, end: int) -> int:
         """Run the cycles ``first`` to ``end`` - 1; return the code of ``run_cycles``."""
@@ -147,7 +148,7 @@ class CompiledCycles:
         exposures = max(0, math.ceil(end_s * params.mock.vmu_rate_hz) - next_exposure + 1)
         self._arrivals = _NO_ARRIVALS
         if loop.vision.frame_sink is not None:
-            most = 2 * exposures + int(transit.in_transit) + int(state.delayed)
+            most = 2 * exposures + int(transit.in_transit) + int(state.vmu.delayed)
             self._arrivals = np.zeros(most, ARRIVAL).view(np.recarray)
         if loop.axes_sink is not None:
             self._axes_log = np.zeros((end - first) * self._ticks, AXES_SAMPLE)
@@ -175,7 +176,7 @@ class CompiledCycles:
             self._samples_log,
             self._sensor_log,
         )
-        used_in = self._arrivals["cycle"][: state.logged]
+        used_in = self._arrivals["cycle"][: state.vmu.logged]
         self._last_arrivals = {int(cycle): i + 1 for i, cycle in enumerate(used_in) if cycle >= 0}
         self._sent_arrivals = self._sent_axes = self._sent_samples = self._sent_sensors = 0
         loop.dss.noise.skip((int(state.cycle) - first + (code == run_cycles.NOT_FINITE)) * self._n_samples)
@@ -205,7 +206,7 @@ class CompiledCycles:
         loop = self._loop
         is_last = code in (run_cycles.COMPLETED, run_cycles.EVENT, run_cycles.GNC_HOLDS)
         rows = loop.history[first - loop.first : end - loop.first]
-        has_poses = rows["pose"]["fresh"] > 0
+        has_poses = vmu_columns.has_pose(rows)
         due = has_poses.copy()
         is_sampled = loop.axes_sink is not None or loop.dss.sample_sink is not None or loop.sensors is not None
         if is_sampled or loop.vision.frame_sink is not None or not isinstance(loop.telemetry, NoTelemetry):

@@ -22,8 +22,8 @@ from hil.maths.arrays import fill
 from hil.maths.record_view import copy_record
 from hil.models.axis_faults import set_axis_faults
 from hil.models.camera_timing import TIME_SLACK_S, first_exposure
-from hil.models.frame_transit import forget_frames
 from hil.sensors.measurement import log_arrivals
+from hil.sensors.vision_unit.transit import forget_frames
 
 COMPLETED, FOLLOWING, TRAVEL_LEFT, VISION_SILENT, NOT_FINITE, GNC_FAILED, GNC_HOLDS, EVENT = range(8)
 """Reasons for a return of ``run_cycles``; the second and third have their numbers in ``hil.bench.guard``, and those of
@@ -42,7 +42,7 @@ def _open(params, state):
     transit.next_exposure = transit.first_exposure = first_exposure(0.0, params.mock.vmu_rate_hz)
     transit.last_rx_s = params.mock.travel.latency_s + params.mock.travel.jitter_s
     state.mock.lines_changed_s = np.nan
-    state.not_before_s = -np.inf
+    state.vmu.not_before_s = -np.inf
     state.opened = 1
 
 
@@ -128,7 +128,7 @@ def run_cycles(
     instance of a library. samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of
     ``fusion.new_memory``. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and
     SPARE_FRAMES more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles
-    from here. arrivals: of ARRIVAL, filled from ``state.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of
+    from here. arrivals: of ARRIVAL, filled from ``state.vmu.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of
     IMU_SAMPLE, sensor_log: of SENSOR_ARRIVAL, likewise; (0,) for none.
     """
     now, mock, transit = state.now, state.mock, state.mock.transit
@@ -156,7 +156,7 @@ def run_cycles(
             if n < 0:
                 return VISION_SILENT
             arrived = now.pose.fresh = 0
-            if n > 0 or state.delayed > 0:
+            if n > 0 or state.vmu.delayed > 0:
                 arrived = core.receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals)
                 forget_frames(transit, n, frames)
             if params.sensors.n != 0:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hil.core.jit import kernel
 from hil.maths import quat
 from hil.models import docking_view
-from hil.models.mounting import camera_pose
 from hil.monitor.results import QUANTITIES
+from hil.sensors.mounting import camera_pose
 
 Floats = NDArray[np.float64]
 

@@ -4,7 +4,7 @@
     p_v = exp([e_c]x) A0 (A(gimbals) (p_L - rails) - lever_arm - camera_position)
     p_r = exp([r]x).T (p_v - baseline)
 
-Equivalent to ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.models.mounting.camera_pose``.
+Equivalent to ``hil.bench.kinematics.pose_of_axes`` followed by ``hil.sensors.mounting.camera_pose``.
 """
 
 from __future__ import annotations

@@ -31,14 +31,12 @@ from hil.core.camera_images import (
     overlay_json,
     overlay_shapes,
 )
-from hil.core.messages import CYCLE, PoseFrame
+from hil.core.messages import CYCLE
 from hil.frmn.image_memory import ImageMemory, RunTime
 from hil.frmn.ring import Ring
-from hil.loop.stages import VisionStage
+from hil.loop.stages import RunZero
 from hil.recording.read import contents
 from hil.recording.writer import RecordingHeader, RunFile
-from hil.setup.assembly import core_memory
-from tests.support.run_settings import make_job
 
 CROSS = {"kind": "cross", "at": [1.5, 2.25], "good": True, "part": "led"}
 PNG = ImagePolicy("png")
@@ -217,22 +215,11 @@ def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
     here.close()
 
 
-def test_vision_tells_the_run_s_time_when_it_begins_changes_and_stands() -> None:
-    class Silent:
-        def poll(self, now_s: float) -> list[PoseFrame]:
-            return []
-
-    job = make_job(1.0)
-    vision = VisionStage(Silent(), core_memory(job, job.rig.value))  # type: ignore[arg-type]
-    told: list[float] = []
-    vision.on_run_zero = told.append
-    vision.discard_pending(0.5)
-    assert told == []
-    for bench_s, zero_s in ((1.0, 1.0), (1.02, 1.0), (1.06, 1.02)):  # a period was lost
-        vision.receive(bench_s, zero_s)
-    vision.discard_pending(1.08)
-    vision.discard_pending(1.1)
-    vision.receive(1.12, 1.06)
+def test_the_run_s_time_is_told_when_it_begins_changes_and_stands() -> None:
+    run_zero, told = RunZero(), list[float]()
+    run_zero.on_change = told.append
+    for zero_s in (math.nan, 1.0, 1.0, 1.02, math.nan, math.nan, 1.06):  # a period was lost
+        run_zero.set(zero_s)
     np.testing.assert_array_equal(told, [1.0, 1.02, math.nan, 1.06])
 
 

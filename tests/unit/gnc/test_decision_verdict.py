@@ -125,7 +125,7 @@ def test_accusations_before_the_first_fault_are_false() -> None:
     counted = {}
     for settings in ((), ('faults=[{device = "vmu", kind = "no_pose", at_s = 15}]',)):
         found, _ = judged(history, *settings)
-        counted[settings] = (int(found.false_vision), int(found.false_imu), int(found.false_thruster))
+        counted[settings] = tuple(int(n) for n in found.false[:3])
     assert list(counted.values()) == [(3, 2, 2), (2, 1, 1)]
 
 

@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 from hil.checks.compatibility import check_budget
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import IMU, POSE, Array, new
-from hil.dynamics.vision_errors import VISION_ERRORS, distort
 from hil.errors import BadInput
 from hil.gnc import fusion
 from hil.gnc.error_state import FILTER_ERRORS
 from hil.gnc.step_memory import STEP, memory_steps
 from hil.gnc.thrust_model import MEASURED, QUIET
 from hil.maths import quat
-from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
-from hil.params import vision as vision_params
+from hil.sensors.mounting import camera_pose, chaser_pose
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.errors import VISION_ERRORS, distort
 from tests.support.plain_filters import PLAIN, THRUST_OFF, WITHOUT_BUDGET
 from tests.support.run_settings import make_job
 
@@ -79,7 +79,7 @@ class Reference:
 
     def __init__(self, params: np.record, sigmas: dict[str, Array], times_s: dict[str, float]) -> None:
         self.params, self.budget, self.dt = params, params.errors, float(params.pkf.dt_s)
-        self.mounting = vision_params.mounting(load_rig("mock").value)
+        self.mounting = vmu_params.mounting(load_rig("mock").value)
         self.sigma = np.concatenate([sigmas[name] for name in PARAMETERS])
         self.kept = np.ones(N)
         for name in MOVING:

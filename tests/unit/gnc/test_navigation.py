@@ -13,15 +13,15 @@ from hil.config.load import load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-from hil.dynamics.vision import add_noise
 from hil.gnc import fusion, navigation
 from hil.gnc.error_state import FILTERS
 from hil.gnc.navigation import VISION_ALONE
 from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat
-from hil.models.mounting import camera_pose, chaser_pose
 from hil.params import gnc as gnc_params
-from hil.params import vision as vision_params
+from hil.sensors.mounting import camera_pose, chaser_pose
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.model import add_noise
 from tests.support.plain_filters import WITHOUT_BUDGET
 
 SIGMA_M, SIGMA_RAD = 0.005, math.radians(0.033)
@@ -155,8 +155,8 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
 ) -> None:
     """The attitude is estimated: its error, which lasts from frame to frame, is 10 m long."""
     runs, marks = 40, (0, 80, 400)
-    params, mounting = gnc_params.navigation(plain_filters_2), vision_params.mounting(mock_rig)
-    vision, akf, pkf = vision_params.vision(plain_filters_2), params.fusion.akf, params.fusion.pkf
+    params, mounting = gnc_params.navigation(plain_filters_2), vmu_params.mounting(mock_rig)
+    vision, akf, pkf = vmu_params.model(plain_filters_2), params.fusion.akf, params.fusion.pkf
     vision.reference_range = 1e3  # noise as in Table I at every range
     hill_rate, samples = np.array([0.0, -params.fusion.orbit.mean_motion, 0.0]), np.zeros(1, IMU).view(np.recarray)
     truth, out, two = new(TRUTH), new(NAVIGATION), np.empty(2)

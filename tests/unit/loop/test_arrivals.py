@@ -57,7 +57,7 @@ def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
     def cycle(*frames: PoseFrame) -> list[tuple[int, int]]:
         source.frames, told.rows = list(frames), []
         memory.state.cycle += 1
-        vision.receive(20.0, 10.0)
+        vision.receive(20.0)
         return [(int(r["frame"]["counter"]), int(r["cycle"])) for r in told.rows]
 
     source.frames = [frame(1, 9.0)]

@@ -10,7 +10,7 @@ import pytest
 from hil.bench.kinematics import BENCH_PARAMS, pose_of_axes
 from hil.config.rig import Rig
 from hil.maths import quat
-from hil.models.mounting import MOUNTING, camera_pose
+from hil.sensors.mounting import MOUNTING, camera_pose
 from hil.vmu.calibration.model import Setup, TurntableModel, project_view
 from hil.vmu.geometry import camera_pair
 from hil.vmu.kernels import chain

@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import VMU_FRAME, PoseFrame, new
-from hil.dynamics.vision import measure_frame
-from hil.dynamics.vision_errors import VISION_MEMORY
 from hil.maths import quat
-from hil.models.mounting import camera_pose
-from hil.params import vision as vision_params
+from hil.sensors.mounting import camera_pose
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.errors import VISION_MEMORY
+from hil.sensors.vision_unit.model import measure_frame
 
 RATE_HZ = 6.25
 AT = np.array([2.0, 0.1, -0.2])
@@ -30,13 +30,13 @@ def frames(*settings: str, exposures: int = 1, at: np.ndarray = AT, seed: int = 
 def noisy_frames(*settings: str, exposures: int, at: np.ndarray = AT, seed: int = 5) -> list[PoseFrame]:
     """Return the frames of a unit at ``at``."""
     scenario, rig = load_scenario("scheme-1", settings).value, load_rig("mock").value
-    params, memory, frame = vision_params.vision(scenario, seed), new(VISION_MEMORY), new(VMU_FRAME)
-    camera, leds = vision_params.camera(rig)
+    params, memory, frame = vmu_params.model(scenario, seed), new(VISION_MEMORY), new(VMU_FRAME)
+    camera, leds = vmu_params.camera(rig)
     noise = np.random.default_rng(seed).standard_normal((exposures, 6))
     found = []
     for k in range(exposures):
         measure_frame(
-            params, camera, leds, vision_params.mounting(rig), at, LEVEL, noise[k], k / RATE_HZ, memory, frame
+            params, camera, leds, vmu_params.mounting(rig), at, LEVEL, noise[k], k / RATE_HZ, memory, frame
         )  # fmt: skip
         found.append(PoseFrame.from_record(frame))
     return found
@@ -45,7 +45,7 @@ def noisy_frames(*settings: str, exposures: int, at: np.ndarray = AT, seed: int 
 def true_pose(at: np.ndarray = AT) -> tuple[np.ndarray, np.ndarray]:
     """Return the true pose t -> v as vector and rotation matrix."""
     t_v, q_vt = np.empty(3), np.empty(4)
-    camera_pose(vision_params.mounting(load_rig("mock").value), at, LEVEL, t_v, q_vt)
+    camera_pose(vmu_params.mounting(load_rig("mock").value), at, LEVEL, t_v, q_vt)
     return t_v, quat.to_matrix(q_vt)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into
-from hil.models.camera import edge_distance
 from hil.models.faults import displace_at_random, normal, uniform
+from hil.sensors.vision_unit.camera import edge_distance
 
 VISION_ERRORS = np.dtype(
     [

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from hil.config.rig import Rig
 from hil.core.messages import POSE, new
 from hil.maths import quat
-from hil.models.mounting import MOUNTING, camera_pose, chaser_pose
-from hil.params import vision as vision_params
+from hil.sensors.mounting import MOUNTING, camera_pose, chaser_pose
+from hil.sensors.vision_unit import parameters as vmu_params
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -55,14 +55,14 @@ def rotation_between(q: np.ndarray, q_new: np.ndarray) -> np.ndarray:
 
 
 def test_head_on_chaser_sees_the_ring_straight_ahead_and_aligned(mock_rig: Rig) -> None:
-    mounting = vision_params.mounting(mock_rig)
+    mounting = vmu_params.mounting(mock_rig)
     t_v, q_vt = see(mounting, np.array([5.0, 0.0, 0.0]), IDENTITY)
     np.testing.assert_allclose(t_v, [0.0, 0.0, 5.0 + 0.6], atol=1e-12)
     np.testing.assert_allclose(quat.to_matrix(q_vt), np.eye(3), atol=1e-12)
 
 
 def test_target_below_and_to_the_left_shows_below_and_to_the_left(mock_rig: Rig) -> None:
-    mounting = vision_params.mounting(mock_rig)
+    mounting = vmu_params.mounting(mock_rig)
     # the camera looks along -x_c: x_v = -y_c is to its right, y_v = z_c is down
     t_v, _ = see(mounting, np.array([5.0, -0.3, -0.2]), IDENTITY)
     np.testing.assert_allclose(t_v, [-0.3, 0.2, 5.6], atol=1e-12)

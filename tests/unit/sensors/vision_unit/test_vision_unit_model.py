@@ -11,10 +11,10 @@ from scipy.stats import chi2
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.dynamics.vision import add_noise, range_factor
 from hil.maths import quat
-from hil.models.mounting import camera_pose
-from hil.params import vision as vision_params
+from hil.sensors.mounting import camera_pose
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.model import add_noise, range_factor
 
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -29,7 +29,7 @@ def measure(params, mounting, r, q, noise, t_v, q_vt, covariance) -> None:  # ty
 def test_noise_is_table_i_up_to_the_reference_range_and_grows_in_proportion(
     scheme_1: Scenario, mock_rig: Rig, distance: float, factor: float
 ) -> None:
-    params, mounting = vision_params.vision(scheme_1), vision_params.mounting(mock_rig)
+    params, mounting = vmu_params.model(scheme_1), vmu_params.mounting(mock_rig)
     r = distance * np.array([2.0, -1.0, 2.0]) / 3.0
     assert range_factor(params, r) == pytest.approx(factor)
     t_v, q_vt, covariance = np.empty(3), np.empty(4), np.full((6, 6), np.nan)
@@ -39,7 +39,7 @@ def test_noise_is_table_i_up_to_the_reference_range_and_grows_in_proportion(
 
 
 def test_without_noise_the_unit_reports_the_true_camera_pose(scheme_1: Scenario, mock_rig: Rig) -> None:
-    params, mounting = vision_params.vision(scheme_1), vision_params.mounting(mock_rig)
+    params, mounting = vmu_params.model(scheme_1), vmu_params.mounting(mock_rig)
     r, q = np.array([4.0, 0.2, -0.3]), Rotation.from_rotvec([0.1, -0.2, 0.3]).as_quat()
     seen, true = (np.empty(3), np.empty(4)), (np.empty(3), np.empty(4))
     measure(params, mounting, r, q, np.zeros(6), *seen, np.empty((6, 6)))
@@ -49,7 +49,7 @@ def test_without_noise_the_unit_reports_the_true_camera_pose(scheme_1: Scenario,
 
 
 def test_rotation_error_turns_vectors_by_exp_of_e_about_the_cameras_axes(scheme_1: Scenario, mock_rig: Rig) -> None:
-    params, mounting = vision_params.vision(scheme_1), vision_params.mounting(mock_rig)
+    params, mounting = vmu_params.model(scheme_1), vmu_params.mounting(mock_rig)
     params.sigma_angle = 0.1
     r, q = np.array([1.0, 0.0, 0.0]), Rotation.from_rotvec([0.1, -0.2, 0.3]).as_quat()
     noise = np.array([0.0, 0.0, 0.0, 1.0, -2.0, 3.0])
@@ -63,7 +63,7 @@ def test_rotation_error_turns_vectors_by_exp_of_e_about_the_cameras_axes(scheme_
 def test_scatter_of_reports_agrees_with_the_reported_covariance(
     scheme_1: Scenario, mock_rig: Rig, rng: np.random.Generator
 ) -> None:
-    params, mounting = vision_params.vision(scheme_1), vision_params.mounting(mock_rig)
+    params, mounting = vmu_params.model(scheme_1), vmu_params.mounting(mock_rig)
     r, q = np.array([10.0, -0.5, 0.5]), Rotation.from_rotvec([0.05, -0.05, 0.1]).as_quat()
     true_t, true_q = np.empty(3), np.empty(4)
     camera_pose(mounting, r, q, true_t, true_q)

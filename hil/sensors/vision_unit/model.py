@@ -10,12 +10,12 @@ import math
 import numpy as np
 
 from hil.core.jit import entry, kernel
-from hil.dynamics import vision_errors
-from hil.dynamics.vision_errors import LEAST_LEDS, PLACES, VISION_ERRORS
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
-from hil.models.camera import view_margin
-from hil.models.mounting import camera_pose
+from hil.sensors.mounting import camera_pose
+from hil.sensors.vision_unit import errors as vmu_errors
+from hil.sensors.vision_unit.camera import view_margin
+from hil.sensors.vision_unit.errors import LEAST_LEDS, PLACES, VISION_ERRORS
 
 VISION_NOISE = 6  # standard normals per frame: position in v, small rotation about v's axes
 ALL_LEDS = 0x3F  # mask of the six LEDs of the ring
@@ -63,11 +63,11 @@ def add_noise(params, r_CT_H, noise, t_v, q_vt, covariance):
 @kernel
 def _look(camera, leds, t_v, q_vt, frame):
     """Write the LEDs in view of a camera at the true pose; return whether they are enough for a pose in both images."""
-    left = vision_errors.leds_in_view(camera, leds, 0.0, t_v, q_vt)
-    right = vision_errors.leds_in_view(camera, leds, camera.baseline, t_v, q_vt)
+    left = vmu_errors.leds_in_view(camera, leds, 0.0, t_v, q_vt)
+    right = vmu_errors.leds_in_view(camera, leds, camera.baseline, t_v, q_vt)
     if leds.shape[0] <= 62:
         frame.leds_left, frame.leds_right = left, right
-    return vision_errors.count_leds(left & right) >= min(LEAST_LEDS, leds.shape[0])
+    return vmu_errors.count_leds(left & right) >= min(LEAST_LEDS, leds.shape[0])
 
 
 @entry
@@ -83,7 +83,7 @@ def measure_frame(params, camera, leds, mounting, r_CT_H, q_CH, noise, t_s, memo
     frame.leds_left = frame.leds_right = ALL_LEDS
     copy_into(mixed, noise)
     if errors.correlated_fraction > 0.0:
-        vision_errors.correlate(errors, memory, t_s, noise, mixed)
+        vmu_errors.correlate(errors, memory, t_s, noise, mixed)
     camera_pose(mounting, r_CT_H, q_CH, frame.t_v, frame.q_vt)
     memory.view_margin = view_margin(camera, leds, frame.t_v, frame.q_vt)
     has_pose = True
@@ -91,7 +91,7 @@ def measure_frame(params, camera, leds, mounting, r_CT_H, q_CH, noise, t_s, memo
         has_pose = _look(camera, leds, frame.t_v, frame.q_vt, frame)
     add_noise(params, r_CT_H, mixed, frame.t_v, frame.q_vt, frame.covariance)
     if errors.enabled != 0:
-        vision_errors.distort(errors, memory.exposures, frame.t_v, frame.q_vt)
+        vmu_errors.distort(errors, memory.exposures, frame.t_v, frame.q_vt)
     if not has_pose:
         fill(frame.t_v, math.nan)
     memory.exposures += 1

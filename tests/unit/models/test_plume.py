@@ -10,12 +10,12 @@ import pytest
 from hil.config.load import load_scenario
 from hil.core.messages import MAX_THRUSTERS, VMU_FRAME, new
 from hil.dynamics import truth as kernels
-from hil.dynamics.plume import PLUME_MEMORY, keep_share, met_fraction, push_of_plumes, share_at
 from hil.dynamics.truth import TRUTH_MEMORY
-from hil.dynamics.vision_faults import dim, see_through_plume
 from hil.maths import quat
+from hil.models.plume import PLUME_MEMORY, keep_share, met_fraction, push_of_plumes, share_at
 from hil.params import dynamics as dynamics_params
-from hil.params.errors import LEAST_SNR, least_light
+from hil.sensors.vision_unit.faults import dim, see_through_plume
+from hil.sensors.vision_unit.parameters import LEAST_SNR, least_light
 from hil.vmu.detect import DetectorSettings
 from tests.conftest import PLAIN
 

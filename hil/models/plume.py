@@ -28,7 +28,7 @@ PLUME_PARAMS = np.dtype(
         ("exponent", "f8"),  # n
         ("thrust", "f8"),  # N, nominal, of one thruster
         ("dimming", "f8"),  # fraction of the LEDs' light that is lost while the target meets all of that thrust
-        ("least_light", "f8"),  # 1/m^2, see ``vision_faults.dim``
+        ("least_light", "f8"),  # 1/m^2, see ``hil.sensors.vision_unit.faults.dim``
         ("span_s", "f8"),  # of one number in PLUME_MEMORY
     ],
     align=True,

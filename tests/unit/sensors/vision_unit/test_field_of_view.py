@@ -8,16 +8,16 @@ import pytest
 from hil.bench.field_of_view import view_margins
 from hil.config.rig import Rig
 from hil.maths.quat import from_rotation_vector
-from hil.models.camera import edge_distance, view_margin
 from hil.params import bench as bench_params
-from hil.params import vision as vision_params
+from hil.sensors.vision_unit import parameters as vmu_params
+from hil.sensors.vision_unit.camera import edge_distance, view_margin
 
 ALIGNED = np.array([0.0, 0.0, 0.0, 1.0])
 HALF_PX, FOCAL_PX, BASELINE_M = 512.0, 1200.0, 0.20
 
 
 def margin(rig: Rig, t_v: tuple[float, float, float], q_vt: np.ndarray = ALIGNED) -> float:
-    camera, leds = vision_params.camera(rig)
+    camera, leds = vmu_params.camera(rig)
     return float(view_margin(camera, leds, np.array(t_v), q_vt))
 
 
@@ -28,7 +28,7 @@ def test_shipped_ring_has_six_leds_and_one_of_them_is_raised(mock_rig: Rig) -> N
 
 
 def test_edge_distance_is_that_of_the_pinhole_projection(mock_rig: Rig) -> None:
-    camera, _ = vision_params.camera(mock_rig)
+    camera, _ = vmu_params.camera(mock_rig)
     assert edge_distance(camera, 0.1, -0.3, 1.0) == pytest.approx(HALF_PX - FOCAL_PX * 0.3)
     assert edge_distance(camera, -0.4, 0.1, 1.0) == pytest.approx(HALF_PX - FOCAL_PX * 0.4)
     assert edge_distance(camera, 0.5, 0.0, 1.0) < 0.0
@@ -61,9 +61,9 @@ def test_rotated_camera_loses_the_ring(mock_rig: Rig) -> None:
 
 def test_margins_of_a_bench_use_its_stations(mock_rig: Rig) -> None:
     # at the ready point the camera, 0.6 m behind the reference point, is 1.0 m from the ring
-    camera, leds = vision_params.camera(mock_rig)
+    camera, leds = vmu_params.camera(mock_rig)
     bench, out = bench_params.bench(mock_rig, 0.02), np.empty(2)
     rail = np.array([[0.4, 0.0, -0.35], [0.1, 0.0, -0.35]])
-    view_margins(bench, vision_params.mounting(mock_rig), camera, leds, rail, np.zeros((2, 3)), out)
+    view_margins(bench, vmu_params.mounting(mock_rig), camera, leds, rail, np.zeros((2, 3)), out)
     assert out[0] == pytest.approx(HALF_PX - FOCAL_PX * 0.32)
     assert out[1] < 0.0

@@ -11,11 +11,11 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import VMU_FRAME
-from hil.dynamics.plume import share_at
-from hil.dynamics.vision_errors import misidentify
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, copy_matrix
 from hil.models.faults import AT, AT_ARRIVAL, KIND, OPTION, SIZE, VALUE, displace_at_random, is_active, normal
+from hil.models.plume import share_at
+from hil.sensors.vision_unit.errors import misidentify
 
 NO_POSE, FROZEN, OFFSET, DRIFT, OUTLIER, NOISE_SCALE, SIGMA_SCALE, LATENCY, MISIDENTIFIED, DIMMED = range(10)
 """Option of LATENCY: frames are stamped when they arrive."""
