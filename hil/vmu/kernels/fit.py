@@ -36,16 +36,16 @@ def _fill_plane(box, p, model, light, slopes):
             x, at = j - 0.5 * (across - 1), i * across + j
             model[at] = p[0] + x * p[1] + y * p[2]
             light[at] = 0.0
-            slopes[at, 0] = 1.0
-            slopes[at, 1] = x
-            slopes[at, 2] = y
+            slopes[0, at] = 1.0
+            slopes[1, at] = x
+            slopes[2, at] = y
 
 
 @kernel
 def fill_points(box, p, model, light, slopes):
     """Write the image of points of light in a box: ``model`` and ``light`` (without background), (pixels,).
 
-    slopes: (pixels, n), the derivatives. box: u and v of the first pixel, and of the one after the last.
+    slopes: (n, pixels), the derivatives. box: u and v of the first pixel, and of the one after the last.
     """
     across, down = box[2] - box[0], box[3] - box[1]
     _fill_plane(box, p, model, light, slopes)
@@ -62,14 +62,14 @@ def fill_points(box, p, model, light, slopes):
                 share = by_v[0, i] * by_u[0, j]
                 if share < _DARK:
                     for m in range(POINT):
-                        slopes[at, a + m] = 0.0
+                        slopes[a + m, at] = 0.0
                     continue
                 model[at] += flux * share
                 light[at] += flux * share
-                slopes[at, a] = share
-                slopes[at, a + U] = flux * by_v[0, i] * by_u[1, j]
-                slopes[at, a + V] = flux * by_v[1, i] * by_u[0, j]
-                slopes[at, a + SIGMA] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
+                slopes[a, at] = share
+                slopes[a + U, at] = flux * by_v[0, i] * by_u[1, j]
+                slopes[a + V, at] = flux * by_v[1, i] * by_u[0, j]
+                slopes[a + SIGMA, at] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
 
 
 @kernel
@@ -125,9 +125,10 @@ def fill_disc(box, p, model, light, slopes):
             at = i * across + j
             light[at] = flux * row[0, j]
             model[at] += light[at]
-            slopes[at, PLANE] = row[0, j]
-            for m in range(1, DISC):
-                slopes[at, PLANE + m] = flux * row[m, j]
+            slopes[PLANE, at] = row[0, j]
+        for m in range(1, DISC):
+            for j in range(across):
+                slopes[PLANE + m, i * across + j] = flux * row[m, j]
 
 
 @kernel
@@ -164,33 +165,42 @@ def invert(a, out):
 
 
 @kernel
+def dot(a, b):
+    """Return the product of two vectors, in four partial sums that the processor adds at once."""
+    n = a.shape[0]
+    whole = n - n % 4
+    first = second = third = fourth = 0.0
+    for k in range(0, whole, 4):
+        first += a[k] * b[k]
+        second += a[k + 1] * b[k + 1]
+        third += a[k + 2] * b[k + 2]
+        fourth += a[k + 3] * b[k + 3]
+    for k in range(whole, n):
+        first += a[k] * b[k]
+    return (first + second) + (third + fourth)
+
+
+@kernel
 def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right):
     """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance.
 
-    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light. A pixel whose
-    light is zero has derivatives by the background only.
+    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light.
     """
-    n = normal.shape[0]
-    for i in range(n):
-        right[i] = 0.0
-        for j in range(n):
-            normal[i, j] = 0.0
+    n, count = normal.shape[0], pixels.shape[0]
+    weight, gap, scaled = np.empty(count), np.empty(count), np.empty(count)
     total = 0.0
-    for at in range(pixels.shape[0]):
-        if weighed[at] == 0.0:
-            continue
-        gap = residual(pixels[at], model[at])
-        weight = 1.0 / (dark + per_level * max(light[at], 0.0))
-        total += weight * gap * gap
-        if pixels[at] >= FULL_SCALE and gap == 0.0:
-            continue
-        for i in range(n if light[at] != 0.0 else PLANE):
-            wi = weight * slopes[at, i]
-            right[i] += wi * gap
-            for j in range(i + 1):
-                normal[i, j] += wi * slopes[at, j]
+    for at in range(count):
+        gap[at] = residual(pixels[at], model[at])
+        weight[at] = weighed[at] / (dark + per_level * max(light[at], 0.0))
+        total += weight[at] * gap[at] * gap[at]
+        if pixels[at] >= FULL_SCALE and gap[at] == 0.0:
+            weight[at] = 0.0
     for i in range(n):
-        for j in range(i):
+        for at in range(count):
+            scaled[at] = weight[at] * slopes[i, at]
+        right[i] = dot(scaled, gap)
+        for j in range(i + 1):
+            normal[i, j] = dot(scaled, slopes[j])
             normal[j, i] = normal[i, j]
     return total
 
