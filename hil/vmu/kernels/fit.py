@@ -8,8 +8,6 @@ pixel at full scale gives only a lower bound of the light.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hil.core.jit import kernel
@@ -24,7 +22,6 @@ FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
 _LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
 _DARK = 1e-10  # of a light's flux: pixels with less have none
-_REACH = 6.0  # sigmas of the blur, beyond which there is no light
 
 
 @kernel
@@ -73,20 +70,15 @@ def fill_points(box, p, model, light, slopes):
 
 
 @kernel
-def _add_strip(by_u, here, moved, blurred, eta, half, first, end, row):
-    """Add a strip's light in one row of pixels, and its derivatives, to ``row`` (DISC, pixels) from first to end."""
-    value, by_centre, by_blur, by_half = by_u[0], by_u[1], by_u[2], by_u[3]
-    to_value, to_u, to_v, to_blur = row[0], row[1], row[2], row[3]
-    to_width, to_shear, to_height = row[4], row[5], row[6]
-    for j in range(first, end):
-        along, down = here * by_centre[j], moved * value[j]
-        to_value[j] += here * value[j]
-        to_u[j] += along
-        to_v[j] += down
-        to_blur[j] += blurred * value[j] + here * by_blur[j]
-        to_width[j] += half * here * by_half[j]
-        to_shear[j] += eta * along
-        to_height[j] += eta * down
+def _add(to, factor, down, across):
+    """Add ``factor`` times the product of ``down`` (n,) and ``across`` (m,) to ``to`` (n, m).
+
+    One sum at a time, which is vectorised.
+    """
+    for i in range(to.shape[0]):
+        here = factor * down[i]
+        for j in range(to.shape[1]):
+            to[i, j] += here * across[j]
 
 
 @kernel
@@ -97,38 +89,31 @@ def fill_disc(box, p, model, light, slopes):
     flux, blur = p[PLANE], p[PLANE + SIGMA]
     width, shear, height = p[PLANE + WIDTH], p[PLANE + SHEAR], p[PLANE + HEIGHT]
     n = strips(height, blur)
-    by_u, by_v = np.empty((n, 4, across)), np.empty((n, 3, down))
+    by_u, by_v = np.empty((4, across)), np.empty((3, down))
+    value, by_centre, by_blur, by_half = by_u[0], by_u[1], by_u[2], by_u[3]
+    here, moved, blurred = by_v[0], by_v[1], by_v[2]
     edges_u, edges_v = np.empty((6, across + 1)), np.empty((6, down + 1))
-    nodes, spans = np.empty((n, 3)), np.empty((n, 2), dtype=np.int64)
+    slopes[PLANE:] = 0.0
+    to = slopes[PLANE:].reshape((DISC, down, across))
+    to_flux, to_u, to_v, to_blur = to[FLUX], to[U], to[V], to[SIGMA]
+    to_width, to_shear, to_height = to[WIDTH], to[SHEAR], to[HEIGHT]
     for k in range(n):
         eta, half, share = (0.0, 1.0, 1.0) if n == 1 else node(k, n)
-        nodes[k, 0], nodes[k, 1], nodes[k, 2] = eta, half, share
         centre, long = p[PLANE + U] + shear * eta, abs(width) * half
-        reach = long + _REACH * blur
-        spans[k, 0] = min(max(math.floor(centre - reach - box[0]), 0.0), across)
-        spans[k, 1] = min(max(math.ceil(centre + reach - box[0]) + 1.0, 0.0), across)
-        strip_sums(box[0], across, centre, long, blur, edges_u, by_u[k, 0], by_u[k, 1], by_u[k, 2], by_u[k, 3])
-        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, edges_v, by_v[k, 0], by_v[k, 1], by_v[k, 2])
-    row = np.empty((DISC, across))
-    for i in range(down):
-        for m in range(DISC):
-            for j in range(across):
-                row[m, j] = 0.0
-        for k in range(n):
-            eta, half, share = nodes[k, 0], nodes[k, 1], nodes[k, 2]
-            here, moved, blurred = share * by_v[k, 0, i], share * by_v[k, 1, i], share * by_v[k, 2, i]
-            if abs(here) + abs(moved) + abs(blurred) < 1e-9 * share:
-                continue
-            signed = half if width >= 0.0 else -half
-            _add_strip(by_u[k], here, moved, blurred, eta, signed, spans[k, 0], spans[k, 1], row)
-        for j in range(across):
-            at = i * across + j
-            light[at] = flux * row[0, j]
-            model[at] += light[at]
-            slopes[PLANE, at] = row[0, j]
-        for m in range(1, DISC):
-            for j in range(across):
-                slopes[PLANE + m, i * across + j] = flux * row[m, j]
+        strip_sums(box[0], across, centre, long, blur, edges_u, value, by_centre, by_blur, by_half)
+        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, edges_v, here, moved, blurred)
+        part = flux * share
+        _add(to_flux, share, here, value)
+        _add(to_u, part, here, by_centre)
+        _add(to_v, part, moved, value)
+        _add(to_blur, part, blurred, value)
+        _add(to_blur, part, here, by_blur)
+        _add(to_width, part * (half if width >= 0.0 else -half), here, by_half)
+        _add(to_shear, part * eta, here, by_centre)
+        _add(to_height, part * eta, moved, value)
+    for at in range(down * across):
+        light[at] = flux * slopes[PLANE, at]
+        model[at] += light[at]
 
 
 @kernel

@@ -77,9 +77,9 @@ def shape_chi_square(
     for i in range(n + more):
         for j in range(n + more):
             step[i] += wide_inverse[i, j] * right[j]
-    for at in range(pixels.shape[0]):
-        wide_model[at] = model[at]
-        for i in range(n + more):
+    wide_model[:] = model
+    for i in range(n + more):
+        for at in range(pixels.shape[0]):
             wide_model[at] += wide[i, at] * step[i]
     elongation[0], elongation[1] = 2.0 * square * step[n + 1], 2.0 * square * step[n + 2]
     elongation[2] = 2.0 * square * math.sqrt(0.5 * (wide_inverse[n + 1, n + 1] + wide_inverse[n + 2, n + 2]))
@@ -104,17 +104,17 @@ def light_noise(pixels, weighed, dark, per_level, light, model, slopes, covarian
     """
     n = covariance.shape[0]
     above = below = 0.0
+    leverage = np.zeros(pixels.shape[0])
+    for i in range(n):
+        for j in range(i + 1):
+            part = covariance[i, j] * (1.0 if i == j else 2.0)
+            for at in range(pixels.shape[0]):
+                leverage[at] += part * slopes[i, at] * slopes[j, at]
     for at in range(pixels.shape[0]):
         if weighed[at] == 0.0 or pixels[at] >= FULL_SCALE or not light[at] > dark:
             continue
         variance = dark + per_level * light[at]
-        leverage = 0.0
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += covariance[i, j] * slopes[j, at]
-            leverage += s * slopes[i, at]
-        kept = 1.0 - leverage / variance
+        kept = 1.0 - leverage[at] / variance
         if kept < 0.1:
             continue
         gap = pixels[at] - model[at]
