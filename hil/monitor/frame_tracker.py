@@ -185,7 +185,7 @@ class FrameTracker:
     def _measure_with(
         self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, rolled: TargetFeatures | None = None
     ) -> FrameResult:
-        """Measure with the features of a mode. rolled: with those of the target rolled by a turn, whose roll is open.
+        """Measure with the features of a mode. rolled: with those of the target rolled by 90, 180 or 270 deg, so roll is open.
 
         A ship may be rolled beyond the limits of the pose, or beyond what the scene states.
         """
