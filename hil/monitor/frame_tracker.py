@@ -185,9 +185,9 @@ class FrameTracker:
     def _measure_with(
         self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, rolled: TargetFeatures | None = None
     ) -> FrameResult:
-        """Measure with the features of a mode. rolled: with those of the target rolled by 90, 180 or 270 deg, so roll is open.
+        """Measure with the features of a mode. rolled: with those of the target rolled by 90, 180 or 270 deg.
 
-        A ship may be rolled beyond the limits of the pose, or beyond what the scene states.
+        The roll is open then: a ship may be rolled beyond the limits of the pose, or beyond what the scene states.
         """
         model, state = rolled or self._features, self._state.copy()
         status, count = measure.measure(
