@@ -31,7 +31,9 @@ async function look() {
       showSide("right", state.right, last);
       const pose = state.status ? `, ${state.status}, epipolar ${shown(state.epipolar_px, 3, " px")}, range ${shown(state.range_m, 3, " m")}` : "";
       const skew = state.skew_s === null ? "no time stamps" : `skew ${(1e6 * state.skew_s).toFixed(0)} us`;
-      element("pair").textContent = `pair ${last}${pose}, ${skew}, lost ${state.lost[0]} and ${state.lost[1]}`;
+      const mtu = Math.max(...state.packet_bytes);
+      const network = mtu ? `, needs an MTU of ${mtu} bytes` : "";
+      element("pair").textContent = `pair ${last}${pose}, ${skew}, lost ${state.lost[0]} and ${state.lost[1]}${network}`;
       element("saved").textContent = state.saved === null ? "" : `${state.saved} pairs saved`;
     }
   } catch {

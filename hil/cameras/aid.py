@@ -62,7 +62,8 @@ class PairNumbers:
     """One pair of images. left, right: None for an image with lost packets. status: of the vision unit, "" without one.
 
     epipolar_px: NaN without a pose. range_m, reprojection_px: of a pose, else NaN. skew_s: time between the stamps of
-    both cameras, less its usual value: their clocks need not agree; NaN without stamps.
+    both cameras, less its usual value: their clocks need not agree; NaN without stamps. packet_bytes: of each camera's
+    network packets, the MTU that they need; 0 without a network.
     """
 
     number: int
@@ -73,6 +74,7 @@ class PairNumbers:
     range_m: float
     skew_s: float
     lost: tuple[int, int]
+    packet_bytes: tuple[int, int] = (0, 0)
 
     def as_json(self) -> dict[str, Any]:
         """Return the numbers for a page: null for what is not known."""
@@ -90,9 +92,13 @@ class PairNumbers:
 
 
 class SetUpAid:
-    """Measures pairs of two cameras. sizes: (width, height) of each. unit: solves the pairs, None: none does."""
+    """Measures pairs of two cameras. sizes: (width, height) of each. unit: solves the pairs, None: none does.
+
+    packet_bytes: of each camera's network packets, once they are open.
+    """
 
     def __init__(self, sizes: tuple[tuple[int, int], tuple[int, int]], unit: VisionUnit | None) -> None:
+        self.packet_bytes = (0, 0)
         self._detectors = [SpotDetector((height, width)) for width, height in sizes]
         self._unit = unit
         self._apart_s: list[float] = []
@@ -128,6 +134,7 @@ class SetUpAid:
             range_m,
             self._skew(frames),
             (self._lost[0], self._lost[1]),
+            self.packet_bytes,
         )
         return numbers, pictures
 

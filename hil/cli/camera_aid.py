@@ -80,6 +80,7 @@ def aid(
         cameras = [open_camera_of(camera, options) for camera in (left, right)]
         for camera in cameras:
             stack.callback(camera.close)
+        measured.packet_bytes = (cameras[0].packet_bytes, cameras[1].packet_bytes)
         say(f"camera aid: {server.address}", console)
         stack.enter_context(suppress(KeyboardInterrupt))
         while pairs is None or count < pairs:

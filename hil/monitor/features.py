@@ -98,6 +98,27 @@ def target_features(camera: SceneCamera, target: Target) -> TargetFeatures:
     return TargetFeatures(lens, *tables, features, cross, target, _partners(*tables[:2]))
 
 
+def quarter_rolled(target: Target) -> Target:
+    """Return ``target`` rolled by 90 deg about y3: the same cross, and its other parts elsewhere."""
+
+    def turned(places: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        return tuple((-y2, y1) for y1, y2 in places)
+
+    parts: dict[str, object] = {}
+    if (plate := target.plate) is not None:
+        parts["plate"] = plate.model_copy(update={"width_m": plate.height_m, "height_m": plate.width_m})
+    if (labels := target.labels) is not None:
+        parts["labels"] = labels.model_copy(update={"centers_m": turned(labels.centers_m)})
+    if (outline := target.outline) is not None:
+        corners = turned(outline.corners_m) if outline.corners_m else outline.corners_m
+        parts["outline"] = outline.model_copy(update={"center_m": turned((outline.center_m,))[0], "corners_m": corners})
+    parts["boxes"] = tuple(
+        box.model_copy(update={"x_m": -box.y_m, "y_m": box.x_m, "width_m": box.height_m, "height_m": box.width_m})
+        for box in target.boxes
+    )
+    return target.model_copy(update=parts)
+
+
 def _partners(circles: NDArray[np.void], lines: NDArray[np.void]) -> Floats:
     """Return ``partner_m`` of TargetFeatures."""
     ends = np.array([[row["a1"] + 1j * row["a2"], row["b1"] + 1j * row["b2"]] for row in lines]).reshape(-1, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from hil.config.scene import Scene
 from hil.models import docking_view
 from hil.monitor import validation
 from hil.monitor.detector import TargetDetector
-from hil.monitor.features import ACROSS, LABEL, UPRIGHT, target_features
+from hil.monitor.features import ACROSS, LABEL, UPRIGHT, TargetFeatures, quarter_rolled, target_features
 from hil.monitor.field_check import FieldDifference
 from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
@@ -57,6 +58,12 @@ class FrameTracker:
         self._shown: list[Image | None] = [None, None, None]  # the last image of each field
         self._roll_max = math.radians(scene.roll_max_deg)
         self._excluded = np.zeros(len(_TURNS), bool)  # turns that the parts seen so far exclude
+        self._rolled: list[TargetFeatures] = []  # the target rolled by those turns, if its boxes show them
+        if self._features.target.boxes and self._features.target.cross is not None:
+            rolled = self._features.target
+            for _ in _TURNS:
+                rolled = quarter_rolled(rolled)
+                self._rolled.append(target_features(scene.camera, rolled))
 
     def expect(self, motion: Motion | None) -> None:
         """Predict the pose of the next frames by ``motion``, None: as that of the last one."""
@@ -167,11 +174,22 @@ class FrameTracker:
             first = self._measure_with(frame, x.copy(), NEAR, tracked)
             if first.used:
                 return first
+            if first.status == "rejected_boxes":
+                for rolled in self._rolled:
+                    other = self._measure_with(frame, x.copy(), NEAR, tracked, rolled)
+                    if other.used:
+                        return other
         second = self._measure_with(frame, x.copy(), FAR, tracked)
         return second if second.used or first is None else first
 
-    def _measure_with(self, frame: VideoFrame, x: Floats, mode: str, tracked: bool) -> FrameResult:
-        model, state = self._features, self._state.copy()
+    def _measure_with(
+        self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, rolled: TargetFeatures | None = None
+    ) -> FrameResult:
+        """Measure with the features of a mode. rolled: with those of the target rolled by 90, 180 or 270 deg.
+
+        The roll is open then: a ship may be rolled beyond the limits of the pose, or beyond what the scene states.
+        """
+        model, state = rolled or self._features, self._state.copy()
         status, count = measure.measure(
             frame.image, float(frame.first_line), float(frame.line_step), model.lens, model.circles, model.lines,
             model.borders, x, state, self._tuning, self._near if mode == NEAR else self._far, self._samples, self._left,
@@ -198,9 +216,10 @@ class FrameTracker:
         self._last = (frame.t_s, x.copy())
         if not tracked:
             self._excluded[:] = False
-        if self._is_roll_open(x):
+        if rolled is None and self._is_roll_open(x):
             self._excluded |= validation.excluded_turns(model, verdict, labels, noise, float(x[2] / model.lens[0]))
-        return self._measured(frame, x, mode, tracked, samples, noise)
+        found = self._measured(frame, x, mode, tracked, samples, noise)
+        return found if rolled is None else replace(found, roll_open=True)
 
     def _is_roll_open(self, x: Floats) -> bool:
         """Return whether another roll within that of the scene shows the same cross, and no part excludes it."""

@@ -14,7 +14,7 @@ from hil.vmu.kernels.reflections import mirrored
 REFLECTION: Final = "reflection"
 DOUBLED: Final = "doubled_lights"
 
-_RATIO: Final = 1.6  # of variances with 18 or more degrees of freedom: real lenses stay below 1.5
+_RATIO: Final = 1.5  # of variances with 15 or more degrees of freedom: lenses with coma, halo, tails stay below 1.4
 _ALLOWED: Final = 0.5  # sigma of a component of the pose, by which the lights may displace it
 
 

@@ -68,6 +68,7 @@ def test_sixteen_bits_are_reduced_to_eight(emulator: CameraEmulator) -> None:
 
 def test_an_image_with_missing_packets_is_not_used(emulator: CameraEmulator) -> None:
     camera = opened(packet_bytes=1400)
+    assert camera.packet_bytes == 1400
     camera.start()
     emulator.faults.on("drop", value=0.3)
     end = time.monotonic() + 30.0  # the emulator takes faults up a little later

@@ -48,6 +48,10 @@ class Camera(Protocol):
     def shutter(self) -> str:
         """The camera's ``SensorShutterMode`` (SFNC): Global, Rolling, GlobalReset; empty without one."""
 
+    @property
+    def packet_bytes(self) -> int:
+        """Size of its network packets with all headers, the MTU that the network needs; 0 without a network."""
+
     def start(self) -> None:
         """Start the acquisition."""
 

@@ -111,6 +111,14 @@ class GenicamCamera:
             return ""
         return (found or b"").decode(errors="replace")
 
+    @property
+    def packet_bytes(self) -> int:
+        """See ``Camera``."""
+        library = self._library
+        if not library.camera_is_gv_device(self._camera):
+            return 0
+        return int(self._do("packet size", library.camera_gv_get_packet_size, self._camera))
+
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""
         self._do("acquisition", self._library.camera_start_acquisition, self._camera)

@@ -59,6 +59,11 @@ class GentlCamera:
         """See ``Camera``."""
         return self._nodes.shutter
 
+    @property
+    def packet_bytes(self) -> int:
+        """See ``Camera``."""
+        return self._nodes.packet_bytes
+
     def start(self) -> None:
         """Start the acquisition. Raises DeviceError."""
         with link_lost(self._name, self._errors, "acquisition"):

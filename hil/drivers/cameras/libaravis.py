@@ -56,6 +56,7 @@ _FUNCTIONS: Final[dict[str, tuple[Any, list[Any]]]] = {
     "arv_camera_clear_triggers": (None, [c_void_p, "error"]),
     "arv_camera_software_trigger": (None, [c_void_p, "error"]),
     "arv_camera_gv_set_packet_size": (None, [c_void_p, c_int, "error"]),
+    "arv_camera_gv_get_packet_size": (c_uint, [c_void_p, "error"]),
     "arv_camera_get_payload": (c_uint, [c_void_p, "error"]),
     "arv_camera_create_stream": (c_void_p, [c_void_p, c_void_p, c_void_p, "error"]),
     "arv_camera_start_acquisition": (None, [c_void_p, "error"]),

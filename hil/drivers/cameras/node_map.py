@@ -13,6 +13,7 @@ from hil.config.cameras import CameraSettings
 from hil.drivers.cameras.base import SHUTTER, check_size
 from hil.errors import DeviceError, LinkLost
 
+_PACKET_SIZE: Final = "GevSCPSPacketSize"
 _OFFSETS: Final = ("OffsetX", "OffsetY")
 _SIZES: Final = ("Width", "Height")
 _PLACE = re.compile(r"[\s:]*\w*Exception thrown.*", re.DOTALL)  # in the library's sources
@@ -35,8 +36,8 @@ class NodeMap:
             self.set(feature, value)
         self._choose("pixel format", "PixelFormat", settings.pixel_format)
         self._set_region(size)
-        if settings.packet_bytes is not None and self.has("GevSCPSPacketSize"):
-            self.set("GevSCPSPacketSize", settings.packet_bytes)
+        if settings.packet_bytes is not None and self.has(_PACKET_SIZE):
+            self.set(_PACKET_SIZE, settings.packet_bytes)
         if settings.exposure_s is not None:
             self.set_exposure(settings.exposure_s)
         if settings.gain_db is not None:
@@ -64,6 +65,11 @@ class NodeMap:
     def shutter(self) -> str:
         """The camera's shutter, empty without one."""
         return str(self._attribute(SHUTTER, "value")) if self.has(SHUTTER) else ""
+
+    @property
+    def packet_bytes(self) -> int:
+        """See ``Camera``."""
+        return self.whole(_PACKET_SIZE) if self.has(_PACKET_SIZE) else 0
 
     def set_exposure(self, exposure_s: float) -> None:
         """Set the exposure time."""

@@ -45,6 +45,11 @@ class V4l2Camera:
         """See ``Camera``: V4L2 reports none."""
         return ""
 
+    @property
+    def packet_bytes(self) -> int:
+        """See ``Camera``: no network."""
+        return 0
+
     def start(self) -> None:
         """Do nothing: the device runs when it is read."""
 

@@ -8,8 +8,6 @@ pixel at full scale gives only a lower bound of the light.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hil.core.jit import kernel
@@ -24,7 +22,6 @@ FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
 _LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
 _DARK = 1e-10  # of a light's flux: pixels with less have none
-_REACH = 6.0  # sigmas of the blur, beyond which there is no light
 
 
 @kernel
@@ -36,16 +33,16 @@ def _fill_plane(box, p, model, light, slopes):
             x, at = j - 0.5 * (across - 1), i * across + j
             model[at] = p[0] + x * p[1] + y * p[2]
             light[at] = 0.0
-            slopes[at, 0] = 1.0
-            slopes[at, 1] = x
-            slopes[at, 2] = y
+            slopes[0, at] = 1.0
+            slopes[1, at] = x
+            slopes[2, at] = y
 
 
 @kernel
 def fill_points(box, p, model, light, slopes):
     """Write the image of points of light in a box: ``model`` and ``light`` (without background), (pixels,).
 
-    slopes: (pixels, n), the derivatives. box: u and v of the first pixel, and of the one after the last.
+    slopes: (n, pixels), the derivatives. box: u and v of the first pixel, and of the one after the last.
     """
     across, down = box[2] - box[0], box[3] - box[1]
     _fill_plane(box, p, model, light, slopes)
@@ -62,31 +59,26 @@ def fill_points(box, p, model, light, slopes):
                 share = by_v[0, i] * by_u[0, j]
                 if share < _DARK:
                     for m in range(POINT):
-                        slopes[at, a + m] = 0.0
+                        slopes[a + m, at] = 0.0
                     continue
                 model[at] += flux * share
                 light[at] += flux * share
-                slopes[at, a] = share
-                slopes[at, a + U] = flux * by_v[0, i] * by_u[1, j]
-                slopes[at, a + V] = flux * by_v[1, i] * by_u[0, j]
-                slopes[at, a + SIGMA] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
+                slopes[a, at] = share
+                slopes[a + U, at] = flux * by_v[0, i] * by_u[1, j]
+                slopes[a + V, at] = flux * by_v[1, i] * by_u[0, j]
+                slopes[a + SIGMA, at] = flux * (by_v[2, i] * by_u[0, j] + by_v[0, i] * by_u[2, j])
 
 
 @kernel
-def _add_strip(by_u, here, moved, blurred, eta, half, first, end, row):
-    """Add a strip's light in one row of pixels, and its derivatives, to ``row`` (DISC, pixels) from first to end."""
-    value, by_centre, by_blur, by_half = by_u[0], by_u[1], by_u[2], by_u[3]
-    to_value, to_u, to_v, to_blur = row[0], row[1], row[2], row[3]
-    to_width, to_shear, to_height = row[4], row[5], row[6]
-    for j in range(first, end):
-        along, down = here * by_centre[j], moved * value[j]
-        to_value[j] += here * value[j]
-        to_u[j] += along
-        to_v[j] += down
-        to_blur[j] += blurred * value[j] + here * by_blur[j]
-        to_width[j] += half * here * by_half[j]
-        to_shear[j] += eta * along
-        to_height[j] += eta * down
+def _add(to, factor, down, across):
+    """Add ``factor`` times the product of ``down`` (n,) and ``across`` (m,) to ``to`` (n, m).
+
+    One sum at a time, which is vectorised.
+    """
+    for i in range(to.shape[0]):
+        here = factor * down[i]
+        for j in range(to.shape[1]):
+            to[i, j] += here * across[j]
 
 
 @kernel
@@ -97,37 +89,31 @@ def fill_disc(box, p, model, light, slopes):
     flux, blur = p[PLANE], p[PLANE + SIGMA]
     width, shear, height = p[PLANE + WIDTH], p[PLANE + SHEAR], p[PLANE + HEIGHT]
     n = strips(height, blur)
-    by_u, by_v = np.empty((n, 4, across)), np.empty((n, 3, down))
+    by_u, by_v = np.empty((4, across)), np.empty((3, down))
+    value, by_centre, by_blur, by_half = by_u[0], by_u[1], by_u[2], by_u[3]
+    here, moved, blurred = by_v[0], by_v[1], by_v[2]
     edges_u, edges_v = np.empty((6, across + 1)), np.empty((6, down + 1))
-    nodes, spans = np.empty((n, 3)), np.empty((n, 2), dtype=np.int64)
+    slopes[PLANE:] = 0.0
+    to = slopes[PLANE:].reshape((DISC, down, across))
+    to_flux, to_u, to_v, to_blur = to[FLUX], to[U], to[V], to[SIGMA]
+    to_width, to_shear, to_height = to[WIDTH], to[SHEAR], to[HEIGHT]
     for k in range(n):
         eta, half, share = (0.0, 1.0, 1.0) if n == 1 else node(k, n)
-        nodes[k, 0], nodes[k, 1], nodes[k, 2] = eta, half, share
         centre, long = p[PLANE + U] + shear * eta, abs(width) * half
-        reach = long + _REACH * blur
-        spans[k, 0] = min(max(math.floor(centre - reach - box[0]), 0.0), across)
-        spans[k, 1] = min(max(math.ceil(centre + reach - box[0]) + 1.0, 0.0), across)
-        strip_sums(box[0], across, centre, long, blur, edges_u, by_u[k, 0], by_u[k, 1], by_u[k, 2], by_u[k, 3])
-        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, edges_v, by_v[k, 0], by_v[k, 1], by_v[k, 2])
-    row = np.empty((DISC, across))
-    for i in range(down):
-        for m in range(DISC):
-            for j in range(across):
-                row[m, j] = 0.0
-        for k in range(n):
-            eta, half, share = nodes[k, 0], nodes[k, 1], nodes[k, 2]
-            here, moved, blurred = share * by_v[k, 0, i], share * by_v[k, 1, i], share * by_v[k, 2, i]
-            if abs(here) + abs(moved) + abs(blurred) < 1e-9 * share:
-                continue
-            signed = half if width >= 0.0 else -half
-            _add_strip(by_u[k], here, moved, blurred, eta, signed, spans[k, 0], spans[k, 1], row)
-        for j in range(across):
-            at = i * across + j
-            light[at] = flux * row[0, j]
-            model[at] += light[at]
-            slopes[at, PLANE] = row[0, j]
-            for m in range(1, DISC):
-                slopes[at, PLANE + m] = flux * row[m, j]
+        strip_sums(box[0], across, centre, long, blur, edges_u, value, by_centre, by_blur, by_half)
+        point_sums(box[1], down, p[PLANE + V] + height * eta, blur, edges_v, here, moved, blurred)
+        part = flux * share
+        _add(to_flux, share, here, value)
+        _add(to_u, part, here, by_centre)
+        _add(to_v, part, moved, value)
+        _add(to_blur, part, blurred, value)
+        _add(to_blur, part, here, by_blur)
+        _add(to_width, part * (half if width >= 0.0 else -half), here, by_half)
+        _add(to_shear, part * eta, here, by_centre)
+        _add(to_height, part * eta, moved, value)
+    for at in range(down * across):
+        light[at] = flux * slopes[PLANE, at]
+        model[at] += light[at]
 
 
 @kernel
@@ -164,33 +150,42 @@ def invert(a, out):
 
 
 @kernel
+def dot(a, b):
+    """Return the product of two vectors, in four partial sums that the processor adds at once."""
+    n = a.shape[0]
+    whole = n - n % 4
+    first = second = third = fourth = 0.0
+    for k in range(0, whole, 4):
+        first += a[k] * b[k]
+        second += a[k + 1] * b[k + 1]
+        third += a[k + 2] * b[k + 2]
+        fourth += a[k + 3] * b[k + 3]
+    for k in range(whole, n):
+        first += a[k] * b[k]
+    return (first + second) + (third + fourth)
+
+
+@kernel
 def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right):
     """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance.
 
-    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light. A pixel whose
-    light is zero has derivatives by the background only.
+    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light.
     """
-    n = normal.shape[0]
-    for i in range(n):
-        right[i] = 0.0
-        for j in range(n):
-            normal[i, j] = 0.0
+    n, count = normal.shape[0], pixels.shape[0]
+    weight, gap, scaled = np.empty(count), np.empty(count), np.empty(count)
     total = 0.0
-    for at in range(pixels.shape[0]):
-        if weighed[at] == 0.0:
-            continue
-        gap = residual(pixels[at], model[at])
-        weight = 1.0 / (dark + per_level * max(light[at], 0.0))
-        total += weight * gap * gap
-        if pixels[at] >= FULL_SCALE and gap == 0.0:
-            continue
-        for i in range(n if light[at] != 0.0 else PLANE):
-            wi = weight * slopes[at, i]
-            right[i] += wi * gap
-            for j in range(i + 1):
-                normal[i, j] += wi * slopes[at, j]
+    for at in range(count):
+        gap[at] = residual(pixels[at], model[at])
+        weight[at] = weighed[at] / (dark + per_level * max(light[at], 0.0))
+        total += weight[at] * gap[at] * gap[at]
+        if pixels[at] >= FULL_SCALE and gap[at] == 0.0:
+            weight[at] = 0.0
     for i in range(n):
-        for j in range(i):
+        for at in range(count):
+            scaled[at] = weight[at] * slopes[i, at]
+        right[i] = dot(scaled, gap)
+        for j in range(i + 1):
+            normal[i, j] = dot(scaled, slopes[j])
             normal[j, i] = normal[i, j]
     return total
 

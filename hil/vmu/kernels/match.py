@@ -30,7 +30,9 @@ def fill_spot_ray(lens, slack, spot, measured):
     det = var_u * var_v - spot.cov_uv * spot.cov_uv
     measured.w_uu, measured.w_vv, measured.w_uv = var_v / det, var_u / det, -spot.cov_uv / det
     measured.flux = spot.flux
-    measured.elongation[0], measured.elongation[1] = spot.elongation[0], spot.elongation[1]
+    measured.shape[0], measured.shape[1] = spot.elongation[0], spot.elongation[1]
+    measured.shape[2] = spot.size * spot.size
+    measured.shape_sigma[0], measured.shape_sigma[1] = spot.shape_sigma[0], spot.shape_sigma[1]
     x, y = undistort(lens, spot.u, spot.v)
     size = 1.0 / math.sqrt(x * x + y * y + 1.0)
     measured.ray[0], measured.ray[1], measured.ray[2] = x * size, y * size, size

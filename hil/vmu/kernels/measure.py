@@ -132,6 +132,37 @@ def size_of(p, a, is_disc):
 
 
 @kernel
+def size_variance(p, covariance, a, is_disc):
+    """Return the variance, px^4, of the square of ``size_of``."""
+    slope = np.zeros(DISC)
+    slope[SIGMA] = 2.0 * p[a + SIGMA]
+    if is_disc:
+        for i in (WIDTH, SHEAR, HEIGHT):
+            slope[i] = 0.25 * p[a + i]
+    return _variance(slope, covariance, a, DISC if is_disc else POINT)
+
+
+@kernel
+def disc_elongation(disc, covariance, elongation):
+    """Write the elongation of a disc (10,), as ``shape_chi_square`` does."""
+    width, shear, height = disc[PLANE + WIDTH], disc[PLANE + SHEAR], disc[PLANE + HEIGHT]
+    elongation[0] = 0.125 * (width * width + shear * shear - height * height)
+    elongation[1] = 0.25 * shear * height
+    slope = np.zeros(DISC)
+    slope[WIDTH], slope[SHEAR], slope[HEIGHT] = 0.25 * width, 0.25 * shear, -0.25 * height
+    elongation[2] = math.sqrt(_variance(slope, covariance, PLANE, DISC))
+
+
+@kernel
+def _variance(slope, covariance, a, n):
+    total = 0.0
+    for i in range(n):
+        for j in range(n):
+            total += slope[i] * covariance[a + i, a + j] * slope[j]
+    return max(total, 0.0)
+
+
+@kernel
 def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, split, pixels, weighed, limits, spot):
     """Write a light as SPOT; return False if it is too weak, too narrow, too large or outside the image.
 
@@ -220,7 +251,7 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
         if size > 4.0 * limits.largest**2:
             return count
         pixels, weighed, model, light = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-        slopes = np.empty((size, n))
+        slopes = np.empty((n, size))
         if read_window(image, label, name, box, pixels, weighed) <= n + 2:
             return count
         sigma = p[PLANE + SIGMA]
@@ -233,10 +264,10 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
     strong = found == 1 and snr > _STRONG
     wide_model, wide, wide_inverse = (
         np.empty(size),
-        np.empty((size, n + SHAPE_TERMS)),
+        np.empty((n + SHAPE_TERMS, size)),
         np.zeros((n + SHAPE_TERMS, n + SHAPE_TERMS)),
     )
-    shape_chi2, elongation = 0.0, np.full(2, np.nan)
+    shape_chi2, elongation = 0.0, np.full(3, np.nan)
     if strong:
         shape_chi2 = shape_chi_square(
             box,
@@ -278,7 +309,7 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
     is_disc = False
     if found == 1 and (chi2 > allowed or shape_chi2 > _NOT_GAUSSIAN):
         disc, disc_covariance = np.empty(PLANE + DISC), np.empty((PLANE + DISC, PLANE + DISC))
-        disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + DISC))
+        disc_model, disc_light, disc_slopes = np.empty(size), np.empty(size), np.empty((PLANE + DISC, size))
         disc_weighed = np.empty(size)
         disc_start(p, disc)
         read_window(image, label, name, box, pixels, disc_weighed)
@@ -310,14 +341,13 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
                 elongation,
             )
         if disc_chi2 < chi2:
-            elongation[0] = 0.125 * (disc[PLANE + WIDTH] ** 2 + disc[PLANE + SHEAR] ** 2 - disc[PLANE + HEIGHT] ** 2)
-            elongation[1] = 0.25 * disc[PLANE + SHEAR] * disc[PLANE + HEIGHT]
+            disc_elongation(disc, disc_covariance, elongation)
             is_disc, p, covariance, chi2, allowed = True, disc, disc_covariance, disc_chi2, disc_allowed
             model, light, slopes, weighed = disc_model, disc_light, disc_slopes, disc_weighed
     if strong and chi2 > allowed:
         pair, pair_covariance = np.empty(PLANE + 2 * POINT), np.empty((PLANE + 2 * POINT, PLANE + 2 * POINT))
         if pair_start(box, p, pixels, weighed, dark, per_level, model, light, pair):
-            pair_model, pair_light, pair_slopes = np.empty(size), np.empty(size), np.empty((size, PLANE + 2 * POINT))
+            pair_model, pair_light, pair_slopes = np.empty(size), np.empty(size), np.empty((PLANE + 2 * POINT, size))
             pair_weighed = np.empty(size)
             read_window(image, label, name, box, pixels, pair_weighed)
             pair_total = fit(
@@ -344,6 +374,8 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, ba
             limits, spots[count],
         ):  # fmt: skip
             spots[count].elongation[0], spots[count].elongation[1] = elongation[0], elongation[1]
+            spots[count].shape_sigma[0] = math.sqrt(stretch) * elongation[2]
+            spots[count].shape_sigma[1] = math.sqrt(stretch * size_variance(p, covariance, PLANE + POINT * k, is_disc))
             count += 1
     if count > before and chi2 < 4.0 * allowed:
         if is_disc:

@@ -28,6 +28,7 @@ SPOT = np.dtype(
         ("pixels", "i8"),  # above the threshold
         ("flags", "i8"),
         ("elongation", "f8", 2),  # px^2, half of the variance along u minus that along v, and their covariance; NaN
+        ("shape_sigma", "f8", 2),  # px^2, standard deviation of each elongation, and of the square of the size
     ],
     align=True,
 )
@@ -52,7 +53,8 @@ SPOT_RAY = np.dtype(
         ("w_vv", "f8"),
         ("ray", "f8", 3),  # unit vector to the light in the camera's axes; NaN if the distortion cannot be inverted
         ("flux", "f8"),  # grey levels
-        ("elongation", "f8", 2),  # px^2
+        ("shape", "f8", 3),  # px^2, elongation and square of the size
+        ("shape_sigma", "f8", 2),
     ],
     align=True,
 )

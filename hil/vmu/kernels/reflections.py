@@ -1,4 +1,4 @@
-"""Reflections of the LEDs in a plate behind them, as spots of their own or as the elongation of the LEDs' spots.
+"""Reflections of the LEDs in a plate behind them, as spots of their own or in length and size of the LEDs' spots.
 
 Where LED and reflection merge into one spot, all spots are displaced alike and no residual shows it.
 """
@@ -20,7 +20,10 @@ _LEAST_PX2 = 0.004  # 1 sigma of an elongation: sums of pixels, texture, a lens 
 _PLATES_M = (0.01, 0.02, 0.03, 0.045, 0.07)  # behind the rearmost LED
 _LEANS = 11  # directions of the axis that are tried along u and v
 _LEAN = 0.03  # rad: their distance. The axis of a pose by doubled lights is wrong by as much and more
-_UNLIKE = 4.0  # chi-square per degree of freedom of elongations that are not alike
+_SIZE = 0.01  # 1 sigma of the square of a size: the lens is not equally sharp everywhere
+_BLUR_PX2 = 0.6  # of a lens; the rest of the square of a size is the LED's, which is larger the nearer it is
+_LEAST_SCALE = 0.3  # of the variances of elongations and sizes: they may be half as uncertain as stated
+_AS_GOOD = 2.0  # of chi-square: plates that explain the spots as well as the best one
 _RELATIVE = 0.1  # 1 sigma of an elongation that is not small against the spot
 _PLATES, _NEAREST_M, _FARTHEST_M = 24, 0.005, 0.15
 _ACROSS_PX = 2.0  # distance of a light from the reflection
@@ -38,21 +41,22 @@ def doubled_lights(scene, view, fit, shift):
     Two lights of the fractions ``w1`` and ``w2`` with images ``a`` apart are a spot whose covariance has
     ``w1 w2 a a.T`` more. A plate that is ``d`` behind an LED puts its reflection 2 d behind it, with ``a`` the image of
     that length along z_t, away from the cameras: another one for each LED. Motion, tilted LEDs and the lens elongate
-    all spots alike: F compares what that leaves with what a plate leaves. 0, 0 without six spots or if no plate
-    explains the elongations.
+    and enlarge all spots alike: F compares what that leaves with what a plate leaves. Weak reflections far away and
+    strong ones nearby are the same elongation: of all plates that explain it as well as the best one, the shift is that
+    of the plate that displaces the LEDs most against each other. 0, 0 without six spots or if no plate explains them.
     """
     arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
     most = 2 * scene.leds.shape[0]
-    e, apart, turned = np.empty((most, 2)), np.empty((most, 2)), np.empty((most, 2, 2))
-    along, weight = np.empty(most), np.empty(most)
-    mean, weights = np.zeros(2), 0.0
+    e, apart, turned = np.empty((most, 3)), np.empty((most, 2)), np.empty((most, 2, 2))
+    along, weight = np.empty(most), np.empty((most, 3))
+    mean, weights = np.zeros(3), np.zeros(3)
     m, rear = 0, -np.inf
     for n in range(scene.leds.shape[0]):
         rear = max(rear, scene.leds[n, 2])
     for c in range(2):
         for n in range(scene.leds.shape[0]):
             k = fit.spot[c, n]
-            if k < 0 or not math.isfinite(view.spots[c, k].elongation[0]):
+            if k < 0 or not math.isfinite(view.spots[c, k].shape[0]):
                 continue
             place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
             if scene.lens[c].row_s != 0.0:
@@ -61,53 +65,80 @@ def doubled_lights(scene, view, fit, shift):
             for i in range(2):
                 apart[m, i] = j[i, 0] * fit.r[0, 2] + j[i, 1] * fit.r[1, 2] + j[i, 2] * fit.r[2, 2]
                 turned[m, i, 0], turned[m, i, 1] = j[i, 0], j[i, 1]
-                e[m, i] = view.spots[c, k].elongation[i]
-            weight[m] = 1.0 / (_LEAST_PX2**2 + _RELATIVE**2 * (e[m, 0] ** 2 + e[m, 1] ** 2))
-            weights += weight[m]
-            for i in range(2):
-                mean[i] += weight[m] * e[m, i]
             along[m] = scene.leds[n, 2]
+            shape, sigma = view.spots[c, k].shape, view.spots[c, k].shape_sigma
+            nearer = abs(point[2] - scene.rotation[c, 2] @ fit.t - scene.translation[c, 2]) / point[2]
+            least = _LEAST_PX2**2 + _RELATIVE**2 * (shape[0] ** 2 + shape[1] ** 2)
+            enlarged = (_SIZE * shape[2]) ** 2 + (2.0 * nearer * max(shape[2] - _BLUR_PX2, 0.0)) ** 2
+            for i in range(3):
+                e[m, i] = shape[i]
+                weight[m, i] = 1.0 / (sigma[i // 2] ** 2 + (enlarged if i == 2 else least))
+                weights[i] += weight[m, i]
+                mean[i] += weight[m, i] * e[m, i]
             m += 1
     if m < _FEWEST:
         return 0.0, 0.0
     alike, power = 0.0, 0.0
+    for i in range(3):
+        mean[i] /= weights[i]
+        for k in range(m):
+            alike += weight[k, i] * (e[k, i] - mean[i]) ** 2 / (3 * m - 3)
     for k in range(m):
-        for i in range(2):
-            alike += weight[k] * (e[k, i] - mean[i] / weights) ** 2 / (2 * m - 2)
-            power += weight[k] * e[k, i] ** 2
-    if alike < _UNLIKE:
+        e[k, 2] -= mean[2]  # of the lens and the LED
+        for i in range(3):
+            power += weight[k, i] * e[k, i] ** 2
+    count = len(_PLATES_M) * _LEANS * _LEANS
+    parts, left, moved = np.empty(count), np.empty(count), np.empty(count)
+    added, best = np.empty((m, 3)), np.inf
+    for h in range(count):
+        behind, lean_u, lean_v = _plate(h)
+        square, product, middle, at_u, at_v, all_u, all_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(m):
+            far = 2.0 * (rear + behind - along[k])
+            u = far * (apart[k, 0] + lean_u * turned[k, 0, 0] + lean_v * turned[k, 0, 1])
+            v = far * (apart[k, 1] + lean_u * turned[k, 1, 0] + lean_v * turned[k, 1, 1])
+            added[k, 0], added[k, 1], added[k, 2] = 0.5 * (u * u - v * v), u * v, 0.5 * (u * u + v * v)
+            middle += weight[k, 2] * added[k, 2] / weights[2]
+            at_u, at_v, all_u, all_v = at_u + u / m, at_v + v / m, all_u + u * u / m, all_v + v * v / m
+        for k in range(m):
+            added[k, 2] -= middle
+            for i in range(3):
+                square += weight[k, i] * added[k, i] ** 2
+                product += weight[k, i] * added[k, i] * e[k, i]
+        part = product / square
+        parts[h], left[h], moved[h] = 0.0, np.inf, 0.0
+        if 0.0 < part < _MOST:
+            parts[h] = 0.5 - math.sqrt(max(0.25 - part, 0.0))
+            left[h] = power - part * product
+            moved[h] = parts[h] ** 2 * (all_u + all_v - at_u * at_u - at_v * at_v)
+            best = min(best, left[h])
+    if not math.isfinite(best):
         return 0.0, 0.0
-    least, depth, at_u, at_v, behind, portion = np.inf, 0.0, 0.0, 0.0, 0.0, 0.0
-    for plate in _PLATES_M:
-        for x in range(_LEANS):
-            for y in range(_LEANS):
-                lean_u, lean_v = _LEAN * (x - _LEANS // 2), _LEAN * (y - _LEANS // 2)
-                square, product, farthest = 0.0, 0.0, 0.0
-                for k in range(m):
-                    far = 2.0 * (rear + plate - along[k])
-                    u = far * (apart[k, 0] + lean_u * turned[k, 0, 0] + lean_v * turned[k, 0, 1])
-                    v = far * (apart[k, 1] + lean_u * turned[k, 1, 0] + lean_v * turned[k, 1, 1])
-                    first, second = 0.5 * (u * u - v * v), u * v
-                    square += weight[k] * (first**2 + second**2)
-                    product += weight[k] * (first * e[k, 0] + second * e[k, 1])
-                    farthest = max(farthest, far)
-                part = product / square
-                left = power - part * product
-                if 0.0 < part < _MOST and left < least:
-                    least = left
-                    portion = 0.5 - math.sqrt(max(0.25 - part, 0.0))
-                    depth, at_u, at_v, behind = farthest * portion, lean_u, lean_v, plate
-    m = 0
+    scale = max(best / (3 * m - 5), _LEAST_SCALE)
+    worst = -1
+    for h in range(count):
+        if left[h] <= best + _AS_GOOD * scale and (worst < 0 or moved[h] > moved[worst]):
+            worst = h
+    behind, lean_u, lean_v = _plate(worst)
+    m, depth = 0, 0.0
     for c in range(2):
         for n in range(scene.leds.shape[0]):
             shift[c, n, 0] = shift[c, n, 1] = 0.0
-            if fit.spot[c, n] < 0 or not math.isfinite(view.spots[c, fit.spot[c, n]].elongation[0]):
+            if fit.spot[c, n] < 0 or not math.isfinite(view.spots[c, fit.spot[c, n]].shape[0]):
                 continue
-            far = 2.0 * portion * (rear + behind - scene.leds[n, 2])
+            far = 2.0 * parts[worst] * (rear + behind - scene.leds[n, 2])
+            depth = max(depth, far)
             for i in range(2):
-                shift[c, n, i] = far * (apart[m, i] + at_u * turned[m, i, 0] + at_v * turned[m, i, 1])
+                shift[c, n, i] = far * (apart[m, i] + lean_u * turned[m, i, 0] + lean_v * turned[m, i, 1])
             m += 1
-    return depth, alike / max(least / (2 * m - 4), 1.0)
+    return depth, alike / scale
+
+
+@kernel
+def _plate(h):
+    """Return distance behind the rearmost LED, m, and lean of the axis along u and v, rad, of hypothesis ``h``."""
+    x, y = h // _LEANS % _LEANS, h % _LEANS
+    return _PLATES_M[h // (_LEANS * _LEANS)], _LEAN * (x - _LEANS // 2), _LEAN * (y - _LEANS // 2)
 
 
 @kernel

@@ -54,9 +54,10 @@ def shape_chi_square(
 
     A tilted disc is elongated (x^2 - y^2 and 2 x y times the Gaussian, two parameters), and flatter than the Gaussian
     of its width, by -a^4/384 of the Gaussian's squared Laplacian for a radius of a (r^4/s^4 - 8 r^2/s^2 + 8 times it,
-    one parameter). One more step of the fit with these three gives wide_model, wide (pixels, 10), its derivatives, and
+    one parameter). One more step of the fit with these three gives wide_model, wide (10, pixels), its derivatives, and
     wide_inverse (10, 10), its covariance: residuals in which the light's shape is not mistaken for shot noise.
-    elongation: (2,), px^2, half of the variance along u minus that along v, and their covariance.
+    elongation: (3,), px^2, half of the variance along u minus that along v, their covariance, and
+    the standard deviation of both.
     """
     n, more = p.shape[0], SHAPE_TERMS
     square = p[PLANE + SIGMA] * p[PLANE + SIGMA] + 1.0 / 12.0
@@ -65,10 +66,10 @@ def shape_chi_square(
         du, dv = box[0] + at % across - p[PLANE + U], box[1] + at // across - p[PLANE + V]
         rho = (du * du + dv * dv) / square
         for i in range(n):
-            wide[at, i] = slopes[at, i]
-        wide[at, n] = -(rho * rho - 8.0 * rho + 8.0) * light[at]
-        wide[at, n + 1] = (du * du - dv * dv) / square * light[at]
-        wide[at, n + 2] = 2.0 * du * dv / square * light[at]
+            wide[i, at] = slopes[i, at]
+        wide[n, at] = -(rho * rho - 8.0 * rho + 8.0) * light[at]
+        wide[n + 1, at] = (du * du - dv * dv) / square * light[at]
+        wide[n + 2, at] = 2.0 * du * dv / square * light[at]
     normal, right, step = np.empty((n + more, n + more)), np.empty(n + more), np.zeros(n + more)
     gather(pixels, weighed, dark, per_level, model, light, wide, normal, right)
     if not invert(normal, wide_inverse):
@@ -76,11 +77,12 @@ def shape_chi_square(
     for i in range(n + more):
         for j in range(n + more):
             step[i] += wide_inverse[i, j] * right[j]
-    for at in range(pixels.shape[0]):
-        wide_model[at] = model[at]
-        for i in range(n + more):
-            wide_model[at] += wide[at, i] * step[i]
+    wide_model[:] = model
+    for i in range(n + more):
+        for at in range(pixels.shape[0]):
+            wide_model[at] += wide[i, at] * step[i]
     elongation[0], elongation[1] = 2.0 * square * step[n + 1], 2.0 * square * step[n + 2]
+    elongation[2] = 2.0 * square * math.sqrt(0.5 * (wide_inverse[n + 1, n + 1] + wide_inverse[n + 2, n + 2]))
     return normalised_square(step[n:], wide_inverse[n:, n:])
 
 
@@ -102,17 +104,17 @@ def light_noise(pixels, weighed, dark, per_level, light, model, slopes, covarian
     """
     n = covariance.shape[0]
     above = below = 0.0
+    leverage = np.zeros(pixels.shape[0])
+    for i in range(n):
+        for j in range(i + 1):
+            part = covariance[i, j] * (1.0 if i == j else 2.0)
+            for at in range(pixels.shape[0]):
+                leverage[at] += part * slopes[i, at] * slopes[j, at]
     for at in range(pixels.shape[0]):
         if weighed[at] == 0.0 or pixels[at] >= FULL_SCALE or not light[at] > dark:
             continue
         variance = dark + per_level * light[at]
-        leverage = 0.0
-        for i in range(n):
-            s = 0.0
-            for j in range(n):
-                s += covariance[i, j] * slopes[at, j]
-            leverage += s * slopes[at, i]
-        kept = 1.0 - leverage / variance
+        kept = 1.0 - leverage[at] / variance
         if kept < 0.1:
             continue
         gap = pixels[at] - model[at]

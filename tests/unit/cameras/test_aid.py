@@ -77,6 +77,7 @@ def test_exposure_follows_the_leds_and_not_the_background() -> None:
 
 def test_pair_has_lost_images_and_the_skew_of_its_stamps() -> None:
     aid = SetUpAid(((320, 240), (320, 240)), None)
+    aid.packet_bytes = (1500, 8192)
     image = picture(180.0)
     for k in range(9):
         numbers, pictures = aid.add(
@@ -92,6 +93,7 @@ def test_pair_has_lost_images_and_the_skew_of_its_stamps() -> None:
     assert math.isnan(numbers.skew_s)
     shown = json.loads(json.dumps(numbers.as_json(), allow_nan=False))
     assert (shown["left"], shown["skew_s"], shown["right"]["advice"]) == (None, None, "ok")
+    assert shown["packet_bytes"] == [1500, 8192]
 
 
 @pytest.fixture

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import Box, Labels, Scene, Target
-from hil.monitor.features import target_features
+from hil.monitor.features import quarter_rolled, target_features
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.results import ANY_ROLL_QUANTITIES, QUANTITIES, Result
 from hil.monitor.sources import VideoFrame
@@ -27,11 +29,27 @@ def portion(monitor: DockingMonitor, real: Scene, d3: float, first: int) -> Resu
     return monitor.finish()[0]
 
 
+@pytest.mark.parametrize("roll_max_deg", [40.0, 180.0])
 @pytest.mark.parametrize("name", ["ship rolled by 60 deg", "ship rolled by 90 deg"])
-def test_ship_whose_boxes_are_not_where_the_cross_has_them_is_refused(name: str) -> None:
-    tally = BY_NAME[name].run(1, 3)
-    assert tally.measured == 0, tally.line()
-    assert tally.statuses["rejected_boxes"] == 1, tally.line()
+def test_ship_rolled_to_where_its_boxes_show_it_keeps_range_and_line_of_sight(name: str, roll_max_deg: float) -> None:
+    """Its cross is found a quarter of a turn off: its boxes are where those of a ship rolled by that much would be."""
+    tally = replace(BY_NAME[name], roll_max_deg=roll_max_deg).run(1, 3)
+    assert tally.statuses == {"ambiguous": 1}, tally.line()
+    assert [len(ratios) for ratios in tally.ratios] == [len(ANY_ROLL_QUANTITIES)]
+    assert np.abs(np.concatenate(tally.ratios)).max() < 4.5
+
+
+def test_ship_whose_boxes_are_nowhere_is_refused() -> None:
+    scene = load_scene("atv").value
+    real = scene.model_copy(update={"target": scene.target.model_copy(update={"boxes": ()})})
+    assert portion(DockingMonitor(scene), real, 4.0, 0).status == "rejected_boxes"
+
+
+def test_four_quarter_turns_are_the_target_itself() -> None:
+    target = load_scene("atv").value.target
+    once = quarter_rolled(target)
+    assert (once.boxes, once.disc, once.cross) != (target.boxes, target.disc, target.cross)
+    assert quarter_rolled(quarter_rolled(quarter_rolled(once))) == target
 
 
 @pytest.mark.parametrize("name", ["ship rolled by 180 deg", "ship without boxes, rolled by 90 deg"])

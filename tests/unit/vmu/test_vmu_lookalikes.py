@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from hil.vmu.detect import SpotDetector
+from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.render import projections
 from hil.vmu.unit import Solution, VisionUnit
 from tests.support.vmu_disturbances import (
     USUAL,
@@ -19,6 +21,8 @@ from tests.support.vmu_disturbances import (
 )
 from tests.support.vmu_lookalikes import LOOKALIKE_ROWS, mirror_behind, other_scale
 from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene
+from tests.support.vmu_scene import Truth, ring, spots_of
+from tests.support.vmu_scene import somewhere as seen_from
 
 BY_NAME = {row.name: row for row in LOOKALIKE_ROWS}
 
@@ -93,6 +97,51 @@ def test_ring_before_a_mirroring_plate_is_suspect_with_what_shows_it() -> None:
     assert {"reflection", "doubled_lights"} <= doubts
     unit.track.drop()
     assert unit.solve(*replace(scene, lights_v=np.zeros((0, 4))).pair(truth.turn, truth.t_v, rng), 0.0).status == "ok"
+
+
+def mirrored_spots(part: float, rng: np.random.Generator) -> tuple[Truth, tuple[np.ndarray, np.ndarray]]:
+    """Return a pose at 8 to 12 m and the spots of LEDs whose reflections, ``part`` of the light, merge with theirs.
+
+    Two lights of 1 - w and w whose images are a apart are at w a, with w (1 - w) a a.T more of a covariance.
+    """
+    geometry = ring()
+    pair, leds = camera_pair(geometry), led_positions(geometry)
+    image = leds * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.06]
+    while True:
+        truth = seen_from(rng, 8.0, 12.0, 3.0)
+        a = projections(pair, image, truth.t, truth.q) - projections(pair, leds, truth.t, truth.q)
+        if np.linalg.norm(a, axis=2).max() < 1.0:  # none is a light of its own
+            break
+    found = spots_of(geometry, truth, np.random.default_rng(0))
+    places = projections(pair, leds, truth.t, truth.q)
+    for c in range(2):
+        for n in range(6):
+            spot, (u, v) = found[c][n], a[c, n]
+            spot["u"], spot["v"] = places[c, n] + part * a[c, n] + 0.015 * rng.standard_normal(2)
+            spot["var_u"] = spot["var_v"] = 0.015**2
+            share = part * (1.0 - part)
+            spot["elongation"] = share * np.array([0.5 * (u * u - v * v), u * v]) + 0.01 * rng.standard_normal(2)
+            spot["size"] = np.sqrt(1.1 + 0.5 * share * (u * u + v * v) + 0.01 * rng.standard_normal())
+            spot["shape_sigma"] = 0.01
+    return truth, found
+
+
+def test_reflections_that_merge_with_their_leds_are_known_by_length_and_size_of_the_spots() -> None:
+    rng, unit = np.random.default_rng(8), VisionUnit(known_geometry(VERY_GOOD))
+    beyond = 0
+    for _ in range(40):
+        truth, found = mirrored_spots(0.25, rng)
+        unit.track.drop()
+        solution = unit.solve_spots(*found, 0.0)
+        if solution.pose is None:
+            continue
+        large = np.abs(truth.error(solution.pose) / sigmas(solution)).max() > 6.0
+        beyond += large
+        assert not (large and solution.status == "ok"), solution.doubt
+    assert beyond >= 5
+    for _ in range(40):
+        unit.track.drop()
+        assert unit.solve_spots(*mirrored_spots(0.0, rng)[1], 0.0).status == "ok"
 
 
 @pytest.mark.parametrize("scale", [{"focal": 0.005}, {"focal": -0.005}, {"ring": 0.01}, {"ring": -0.01}])
