@@ -16,6 +16,7 @@ from hil.core.jit import prepare_kernel_cache
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
 from hil.loop.bench_stage import Move
+from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.params import bench as bench_params
@@ -95,20 +96,20 @@ def _compiler_of_the_gnc() -> Iterator[ChildProcess]:
 
 
 def warm_up(job: Job) -> None:
-    """Call every kernel of the loop once, in memory."""
+    """Call every kernel of the loop once, in memory: those of a run, and those that move the axes outside of one."""
     scenario, rig = job.scenario.value, job.rig.value
-    Move(bench_params.bench(rig, scenario.step_s, scenario.bench), new(AXES), start_axes(scenario, rig)).at(
-        0.1, new(AXES)
-    )
-    brake_step(bench_params.bench(rig, scenario.step_s, scenario.bench), new(MOTION), new(AXES))
+    limits, start = bench_params.bench(rig, scenario.step_s, scenario.bench), start_axes(scenario, rig)
+    Move(limits, new(AXES), start).at(0.1, new(AXES))
+    brake_step(limits, new(MOTION), new(AXES))
+    bench = _open_loop(job).bench
+    bench.command(start, 0.0)
+    bench.safety.jog_guard.check_position(start)
     _short_run(job).run()
 
 
 def warm_up_all_but_gnc(job: Job) -> None:
     """Call the kernels of every stage but the GNC's once."""
-    loop = _short_run(job).loop
-    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.tick_s))
-    loop.bench.open(0.0)
+    loop = _open_loop(job)
     loop.target.open(0.0)
     loop.vision.source.open(0.0)
     loop.bench.read(0.0)
@@ -120,6 +121,14 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.vision.receive(0.0)
     loop.dss.step(0)
     loop.bench.follow(0.0)
+
+
+def _open_loop(job: Job) -> Loop:
+    """Return the loop of ``_short_run`` with its bench open."""
+    loop = _short_run(job).loop
+    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.tick_s))
+    loop.bench.open(0.0)
+    return loop
 
 
 def _short_run(job: Job) -> Runner:

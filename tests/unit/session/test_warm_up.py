@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -61,3 +63,28 @@ def test_run_in_real_time_calls_all_kernels_beforehand(cache_with: CacheWith, jo
     done = cache_with("cycle")
     compile_kernels(replace(job, paced=True), lambda _: None)
     assert done == ["call all kernels"]
+
+
+MOVES = """
+import hil
+from hil.core.jit import KernelCache
+from hil.session.warm_up import warm_up
+from tests.support.run_settings import make_job
+
+near = {"initial.position_m": [0.5, 0.01, -0.01], "duration_s": 2.0}
+near |= {f"rig.rails.{axis}.park_m": place for axis, place in zip("xyz", near["initial.position_m"])}
+bench, loaded, load = hil.Bench("mock", "scheme-1", overrides=near), [], KernelCache.load_overload
+warm_up(make_job(1.0))
+with bench:
+    KernelCache.load_overload = lambda self, *rest: loaded.append(self._function.__qualname__) or load(self, *rest)
+    bench.home()
+    bench.jog("rails.x", 1, 0.2)
+    bench.arm()
+    print("loaded:", loaded)
+"""
+
+
+def test_axes_move_outside_of_a_run_without_another_kernel() -> None:
+    """A kernel that is compiled while the bench is powered keeps the loop silent for longer than its drives wait."""
+    done = subprocess.run([sys.executable, "-c", MOVES], capture_output=True, text=True, check=False)
+    assert done.stdout.endswith("loaded: []\n"), done.stdout + done.stderr
