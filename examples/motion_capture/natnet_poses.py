@@ -64,12 +64,13 @@ def server_of(message: bytes) -> Server:
 
 def bodies_of(message: bytes, version: tuple[int, int]) -> dict[int, Body]:
     """Return the rigid bodies of a frame that are tracked, by their streaming IDs."""
-    at, has_sizes = 8, version >= (4, 1)
+    at, head = 8, 8 if version >= (4, 1) else 4  # from 4.1 on the section's size follows its count
 
     def count() -> int:
         nonlocal at
-        at += 8 if has_sizes else 4
-        return int(struct.unpack_from("<i", message, at - (8 if has_sizes else 4))[0])
+        n = int(struct.unpack_from("<i", message, at)[0])
+        at += head
+        return n
 
     for _ in range(count()):  # sets of markers: a name and positions
         at = message.index(b"\0", at) + 1

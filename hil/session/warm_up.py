@@ -15,8 +15,8 @@ from hil.core.clock import SimulatedClock
 from hil.core.jit import prepare_kernel_cache
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
+from hil.loop import core
 from hil.loop.bench_stage import Move
-from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.params import bench as bench_params
@@ -101,15 +101,17 @@ def warm_up(job: Job) -> None:
     limits, start = bench_params.bench(rig, scenario.step_s, scenario.bench), start_axes(scenario, rig)
     Move(limits, new(AXES), start).at(0.1, new(AXES))
     brake_step(limits, new(MOTION), new(AXES))
-    bench = _open_loop(job).bench
-    bench.command(start, 0.0)
-    bench.safety.jog_guard.check_position(start)
-    _short_run(job).run()
+    runner = _short_run(job)
+    core.limit_setpoint(limits, runner.loop.memory.state, start)
+    runner.loop.bench.safety.jog_guard.check_position(start)
+    runner.run()
 
 
 def warm_up_all_but_gnc(job: Job) -> None:
     """Call the kernels of every stage but the GNC's once."""
-    loop = _open_loop(job)
+    loop = _short_run(job).loop
+    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.tick_s))
+    loop.bench.open(0.0)
     loop.target.open(0.0)
     loop.vision.source.open(0.0)
     loop.bench.read(0.0)
@@ -121,14 +123,6 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.vision.receive(0.0)
     loop.dss.step(0)
     loop.bench.follow(0.0)
-
-
-def _open_loop(job: Job) -> Loop:
-    """Return the loop of ``_short_run`` with its bench open."""
-    loop = _short_run(job).loop
-    loop.safety_io.open(SimulatedRate(SimulatedClock(), job.tick_s))
-    loop.bench.open(0.0)
-    return loop
 
 
 def _short_run(job: Job) -> Runner:

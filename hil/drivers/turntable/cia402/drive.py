@@ -1,6 +1,6 @@
 """Emulated CiA 402 drive: NMT, PDOs and power state machine over its object dictionary.
 
-Frames in, frames out; no wire, no clock. The axis is an ``DriveAxis``.
+Frames in, frames out; no wire, no clock. The axis is a ``DriveAxis``.
 """
 
 from __future__ import annotations
