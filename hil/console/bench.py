@@ -27,7 +27,7 @@ RINGS: Final = {name: dtype for name, dtype in RING_DTYPES.items() if name != "c
 
 @dataclass
 class ConsoleBench:
-    """Runner and its outputs. The mock rig runs in real time here, so that it can be watched.
+    """Runner and its outputs.
 
     event_recorder: recorder of operator actions. watched: returns the results of the docking monitor after the run.
     """

@@ -34,7 +34,7 @@ def _compile_stages() -> None:
     from hil.drivers.axes import axes_of
     from hil.session.warm_up import warm_up_all_but_gnc
 
-    warm_up_all_but_gnc(_job())
+    warm_up_all_but_gnc(_job("monitor.source=model"))
     axes_of(load_rig("emulated-machine").value.rails).step(0.001)
 
 

@@ -93,12 +93,9 @@ class RunRecorder:
 
 
 @contextmanager
-def recording(
-    job: Job, rig_name: str, folder: Path, announce: Callable[[str], None], paced: bool = False
-) -> Iterator[RunRecorder]:
+def recording(job: Job, rig_name: str, folder: Path, announce: Callable[[str], None]) -> Iterator[RunRecorder]:
     """Yield a recording of ``job`` in ``folder``, which is created if necessary.
 
-    paced: the run follows the wall clock although its rig is a mock: a process of its own records it, too.
     A run that ends without ``finish`` is entered as broken off. Raises BadInput if the folder cannot be written.
     """
     started_ns = utc_ns()
@@ -110,9 +107,7 @@ def recording(
     header = header_of(job, rig_name, run, started_ns)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        made: _Recorder = (
-            _InMemory(path, header) if job.waits_for_all and not paced else _RecorderProcess(job, path, run, header)
-        )
+        made: _Recorder = _InMemory(path, header) if job.waits_for_all else _RecorderProcess(job, path, run, header)
     except OSError as error:
         text = f"{folder}: cannot record there: {error.strerror or error}"
         raise BadInput.single("--record", "", text) from error

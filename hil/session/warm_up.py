@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Self
+
+import numpy as np
 
 from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
@@ -15,6 +19,8 @@ from hil.core.clock import SimulatedClock
 from hil.core.jit import prepare_kernel_cache
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
+from hil.core.sensor_records import SENSOR_SAMPLE
+from hil.frmn.ring import NoTelemetry
 from hil.loop import core
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate
@@ -107,6 +113,20 @@ def warm_up(job: Job) -> None:
     runner.run()
 
 
+class _OneSample:
+    """A ``SampleSource`` of one sample in each cycle."""
+
+    def __init__(self) -> None:
+        self.refused: Counter[str] = Counter()
+        self.name, self.failure, self.last_s = "warm-up", "", math.inf
+
+    def poll(self, now_s: float, run_zero_s: float) -> np.ndarray:
+        return np.zeros(1, SENSOR_SAMPLE)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 def warm_up_all_but_gnc(job: Job) -> None:
     """Call the kernels of every stage but the GNC's once."""
     loop = _short_run(job).loop
@@ -121,13 +141,23 @@ def warm_up_all_but_gnc(job: Job) -> None:
     loop.bench.brake(0.0)
     loop.bench.guard(0.0, 0.0)
     loop.vision.receive(0.0)
+    if loop.sensors is not None:
+        loop.sensors.receive(0.0, 0.0, 0.0, loop.gnc)
+        loop.sensors.record(0)
     loop.dss.step(0)
     loop.bench.follow(0.0)
 
 
 def _short_run(job: Job) -> Runner:
-    """Return a short run of the cycle in Python on mocks, for any rig and any GNC of ``job``."""
-    return in_memory(_short_job(job, compiled=False), SimulatedRate(SimulatedClock(), job.tick_s))
+    """Return a short run of the cycle in Python on mocks, for any rig and any GNC of ``job``.
+
+    Further sensors have a source of their own, as if they were on a wire.
+    """
+    runner = in_memory(_short_job(job, compiled=False), SimulatedRate(SimulatedClock(), job.tick_s))
+    if (sensors := runner.loop.sensors) is not None:
+        sensors.sources.append(_OneSample())
+        sensors.sink = NoTelemetry()
+    return runner
 
 
 def _short_job(job: Job, compiled: bool) -> Job:

@@ -204,6 +204,7 @@ class VisionUnit:
         fits, _ = self.solver.hypotheses(view)
         for fit in fits[:1]:
             self.solver.is_linear(view, fit)
+            self.solver.expected(view, fit["r"], fit["t"], fit["covariance"], 1.0)
         track, self.track = self.track, Track(self.track.settings)
         consistency, self._consistency = self._consistency, Consistency(self.solver.scene, 0.0)
         for t_s in (0.0, 0.1, 0.2):

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 
+from hil.console.session import Choice
 from hil.session import warm_up
 from hil.session.warm_up import FIRST_START, compile_kernels
 from hil.setup.assembly import Job
@@ -88,3 +89,53 @@ def test_axes_move_outside_of_a_run_without_another_kernel() -> None:
     """A kernel that is compiled while the bench is powered keeps the loop silent for longer than its drives wait."""
     done = subprocess.run([sys.executable, "-c", MOVES], capture_output=True, text=True, check=False)
     assert done.stdout.endswith("loaded: []\n"), done.stdout + done.stderr
+
+
+RUN = """
+import collections, math, sys
+from dataclasses import replace
+import numpy as np
+from hil.core.jit import KernelCache
+from hil.core.operator_commands import Operator, OperatorCommand
+from hil.core.sensor_records import SENSOR_SAMPLE
+from hil.frmn.ring import NoTelemetry
+from hil.session.build import runner
+from hil.session.warm_up import compile_kernels
+from tests.support.run_settings import make_job
+
+class Wire:
+    name, failure, last_s, refused = "wire", "", math.inf, collections.Counter()
+    def poll(self, *_):
+        return np.zeros(1, SENSOR_SAMPLE)
+    def close(self):
+        pass
+
+class Holding(Operator):
+    count = 0
+    def poll(self, now_s):
+        self.count += 1
+        if self.count in (20, 40):
+            self.submit(OperatorCommand.HOLD if self.count == 20 else OperatorCommand.RESUME)
+
+job = replace(make_job(1.0, sys.argv[2:], scenario=sys.argv[1]), paced=True)
+compile_kernels(job, print)
+with runner(job, operator=Holding(attended=True)) as bench:
+    if bench.loop.sensors:
+        bench.loop.sensors.sources.append(Wire())
+        bench.loop.sensors.sink = NoTelemetry()
+    loaded, load = [], KernelCache.load_overload
+    KernelCache.load_overload = lambda self, *rest: loaded.append(self._function.__qualname__) or load(self, *rest)
+    print(bench.run().stop, "loaded:", loaded)
+"""
+
+
+@pytest.mark.parametrize("settings", [("scheme-1",), ("far-approach",), ("scheme-1", "monitor.source=model")])
+def test_run_in_real_time_loads_no_kernel_while_it_runs(settings: tuple[str, ...]) -> None:
+    done = subprocess.run([sys.executable, "-c", RUN, *settings], capture_output=True, text=True, check=False)
+    assert done.stdout.endswith("loaded: []\n"), done.stdout + done.stderr
+
+
+def test_session_of_the_console_on_a_mock_rig_is_one_in_real_time() -> None:
+    """Its kernels are those of the cycle, and all of them are called before anything is powered."""
+    assert Choice(scenario="scheme-1", rig="mock").job().paced
+    assert not Choice(scenario="scheme-1", rig="emulated").job().paced
