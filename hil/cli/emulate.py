@@ -19,6 +19,7 @@ def emulate(
     *,
     scenario: str = "scheme-1",
     folder: str | None = None,
+    geometry_out: str | None = None,
     settings: Settings = (),
     speed: float = 1.0,
 ) -> int:
@@ -32,19 +33,24 @@ def emulate(
         Gives the noise of the emulated vision unit.
     folder
         Images of emulated cameras, left/NNNN.png and right/NNNN.png; default: the ring at the start of the scenario.
+    geometry_out
+        Write the geometry of emulated cameras and ring, for hil vmu and hil cameras aid.
     speed
         Simulation speed relative to real time.
     """
     if rig == _CAMERAS:
-        return _emulate_cameras(scenario, folder, settings)
-    if folder is not None:
-        raise BadInput.single("--folder", "", "goes with hil emulate cameras")
+        return _emulate_cameras(scenario, folder, settings, geometry_out)
+    for option, value in (("--folder", folder), ("--geometry-out", geometry_out)):
+        if value is not None:
+            raise BadInput.single(option, "", "goes with hil emulate cameras")
     return _emulate_rig(rig, scenario, settings, speed)
 
 
-def _emulate_cameras(scenario: str, folder: str | None, settings: Settings) -> int:
+def _emulate_cameras(scenario: str, folder: str | None, settings: Settings, geometry_out: str | None) -> int:
+    from hil.cameras.pose_sensor import calibrated_geometry
     from hil.config.load import load_rig, load_scenario
     from hil.core.clock import WallClock
+    from hil.core.text_files import write_text
     from hil.drivers.cameras.base import SIDES
     from hil.drivers.vmu.emulated_camera import emulated_camera
     from hil.setup.assembly import with_cameras
@@ -53,6 +59,8 @@ def _emulate_cameras(scenario: str, folder: str | None, settings: Settings) -> i
     loaded = load_scenario(scenario, settings)
     rig = with_cameras(loaded, load_rig("emulated", settings)).value
     images = images_of_folder(Path(folder), rig) if folder is not None else images_at_start(loaded.value, rig)
+    if geometry_out is not None:
+        write_text(calibrated_geometry(rig).model_dump_json(), geometry_out)
     clock, stop, console = WallClock(), threading.Event(), Console()
     cameras = [emulated_camera(rig.vmu, clock, image_at, side) for side, image_at in zip(SIDES, images, strict=True)]
     threads = [threading.Thread(target=camera.run, args=(stop,), daemon=True) for camera in cameras]

@@ -7,6 +7,8 @@ import json
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 from contextlib import ExitStack
 from pathlib import Path
@@ -149,6 +151,26 @@ def test_a_run_begins_with_the_drift_check_and_a_camera_that_moved_refuses_it(
     assert "stereo" in found["drift_check"]["moved"]
     assert found["stop"].startswith("vmu: drift check against calibration vmu-")
     assert f"safe stop: {found['stop']}" in capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.slow
+def test_desk_without_cameras_comes_to_its_first_pose_in_two_commands(tmp_path: Path) -> None:
+    """The last section of docs/how-to/use-cameras.md."""
+    require_libaravis()
+    geometry, poses = tmp_path / "vmu.json", tmp_path / "poses.csv"
+    command = [sys.executable, "-m", "hil", "emulate", "cameras", "--geometry-out", str(geometry)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as desk:
+        try:
+            assert desk.stdout is not None
+            assert [desk.stdout.readline().split()[0] for _ in range(3)] == ["vmu.left", "vmu.right", "Ctrl-C"]
+            options = ("--geometry", str(geometry), "--out", str(poses), "--frames", "5")
+            assert execute(["vmu", f"camera:{LEFT},{RIGHT}", *options]) == PASSED
+            desk.send_signal(signal.SIGINT)
+            desk.communicate(timeout=20)
+        finally:
+            desk.kill()
+    with poses.open() as file:
+        assert [row["status"] for row in csv.DictReader(file)] == ["ok"] * 5
 
 
 def test_cameras_need_a_rig_on_wires(capsys: pytest.CaptureFixture[str]) -> None:
