@@ -21,7 +21,7 @@ from hil.console.rows import Cursor, RowStore
 from hil.console.session_process import SessionProcess
 from hil.console.status import status_of
 from hil.core.camera_images import CAMERAS, image_data, overlay_shapes
-from hil.core.messages import Array
+from hil.core.messages import CYCLE, Array
 from hil.monitor.results import Portion, portion_of
 from hil.params import bench as bench_params
 from hil.params.monitor import mounting
@@ -93,6 +93,14 @@ class LiveView:
         self.rows.begin()
         self.portions = []
         self._pictures.clear()
+
+    def warm_up(self, job: Job) -> None:
+        """Call the kernels of ``update`` once: compiled while a bench moves, they would delay the presence reports."""
+        self.begin(job)
+        assert self._bench is not None
+        assert self._places is not None
+        console_rows(self._bench, np.zeros(2, CYCLE))
+        chaser_position(self._places, np.ones(3), np.zeros(3))
 
     def update(self, session: SessionProcess, status: np.ndarray, now_s: float) -> None:
         """Read the new data of ``session``. status: newest STATUS (1,); now_s: wall-clock time."""

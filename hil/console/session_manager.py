@@ -10,11 +10,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
-import numpy as np
-
 from hil.config.load import load_rig, load_scene
 from hil.config.scene import SceneCamera
-from hil.console.columns import console_rows
 from hil.console.fault_injection_panel import FaultInjectionPanel
 from hil.console.lease import Lease, RequestRejected
 from hil.console.live_view import Client, LiveView
@@ -22,11 +19,9 @@ from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
 from hil.console.session_state import RecordingStatus, SessionState, bench_description
 from hil.console.tuner import Tuner
-from hil.core.messages import CYCLE
 from hil.core.modes import Mode
 from hil.errors import one_line
 from hil.loop.runner import COMPLETED
-from hil.params import bench as bench_params
 
 PRESENCE_PERIOD_S: Final = 0.2
 CLIENTS_MAX: Final = 32
@@ -213,11 +208,8 @@ class SessionManager:
         self.page_version += 1
 
     def warm_up(self) -> None:
-        """Compile the kernels used while a bench moves, so that compilation never delays the presence reports."""
-        job = self.choice.job()
-        console_rows(
-            bench_params.bench(job.rig.value, job.scenario.value.step_s, job.scenario.value.bench), np.zeros(2, CYCLE)
-        )
+        """Compile the kernels used while a bench moves."""
+        self.view.warm_up(self.choice.job())
 
     async def close(self) -> None:
         """End the session, with the bench stopped first."""
