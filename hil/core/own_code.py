@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib.util
+import inspect
 import re
 import sys
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
 
 from hil.errors import BadInput, one_line
+
+_REASONS: Final = r"Unknown attribute|Invalid use|No implementation|Cannot|Use of"
 
 
 def module_of_file(path: str, refuse: Callable[[str], BadInput]) -> ModuleType:
@@ -47,12 +54,31 @@ def import_error(error: Exception) -> str:
     return one_line(f"{type(error).__name__}: {error}", 200) + line
 
 
-def compile_error(error: Exception) -> str:
-    """Return the reason of a failed compilation as one line: numba's own has dozens."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    reasons = [
-        line for line in lines if re.match(r"Unknown attribute|Invalid use|No implementation|Cannot|Use of", line)
-    ]
-    reason = re.sub(r"(of type )?Record\(.*", "of a record", (reasons or lines[-1:])[-1])
-    places = re.findall(r'File "[^"]*", line (\d+)', str(error)) or re.findall(r"\((\d+)\)", str(error))
-    return one_line(reason, 200) + (f" (line {places[-1]})" if places else "")
+def compile_error(error: Exception, function: Callable[..., Any], *records: np.dtype) -> str:
+    """Return the reason of a failed compilation of ``function`` as one line: numba's own has dozens.
+
+    records: its arguments that are records, whose fields a wrong name is compared with.
+    """
+    if isinstance(error, KeyError):  # numba's for a field that a record does not have
+        known = [name for record in records for name in record.names or ()]
+        close = difflib.get_close_matches(str(error.args[0]), known, 1, 0.75)
+        hint = f", did you mean {close[0]}?" if close else ""
+        return f"a record has no field {error}{hint}{_line_with(function, f'.{error.args[0]}')}"
+    text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    reasons = [k for k, line in enumerate(lines) if re.match(_REASONS, line)]
+    reason = lines[reasons[-1]] if reasons else next((line for line in lines if not line.startswith("Failed")), "")
+    if reasons and reason.endswith("signature:"):  # it follows
+        reason = f"numba has no {lines[reasons[-1] + 1].removeprefix('>>> ')}"
+    reason = re.sub(r"(of type )?Record\(.*", "of a record", reason)
+    places = re.findall(r'File "[^"]*", line (\d+)', text) or re.findall(r"\((\d+)\)", text)
+    return one_line(reason, 200) + (f" (line {places[0]})" if places else "")
+
+
+def _line_with(function: Callable[..., Any], text: str) -> str:
+    """Return the number of the first line of ``function`` with ``text`` as an addition to a message."""
+    try:
+        lines, first = inspect.getsourcelines(function)
+    except (OSError, TypeError):
+        return ""
+    return next((f" (line {first + i})" for i, line in enumerate(lines) if text in line), "")

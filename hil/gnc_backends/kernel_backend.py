@@ -73,11 +73,9 @@ class CompiledKernel:
         self._instance = np.dtype([("settings", values), ("memory", memory)], align=True)
         try:
             self._step = _step_address(backend.function, part, self._instance)
-        except NumbaError as error:
-            raise refuse(f"{backend.name} does not compile: {compile_error(error)}") from error
-        except KeyError as error:  # numba's for a field that a record does not have
-            place = _line_with(backend.function, f".{error.args[0]}")
-            raise refuse(f"{backend.name} does not compile: a record has no field {error}{place}") from error
+        except (NumbaError, KeyError) as error:
+            reason = compile_error(error, backend.function, values, memory, INPUTS[part], OUTPUTS[part])
+            raise refuse(f"{backend.name} does not compile: {reason}") from error
 
     def check(self, setup: np.record) -> None:
         """Accept any setup: it is compiled."""
@@ -109,12 +107,3 @@ def _step_address(function: Callable[..., None], part: str, layout: np.dtype) ->
         return 0
 
     return c_function(step, types.int32(types.voidptr, types.voidptr, types.voidptr))
-
-
-def _line_with(function: Callable[..., None], text: str) -> str:
-    """Return the number of the first line of ``function`` with ``text`` as an addition to a message."""
-    try:
-        lines, first = inspect.getsourcelines(function)
-    except (OSError, TypeError):
-        return ""
-    return next((f" (line {first + i})" for i, line in enumerate(lines) if text in line), "")

@@ -16,7 +16,7 @@ from numba.np.numpy_support import carray
 
 from hil.core.jit import c_function, kernel
 from hil.core.own_code import compile_error
-from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_TRUTH
+from hil.core.sensor_records import SENSOR_ESTIMATE, SENSOR_INNOVATION, SENSOR_OUTPUT, SENSOR_SAMPLE, SENSOR_TRUTH
 from hil.errors import BadInput
 from hil.sensors.module import SensorKind, SensorModule
 
@@ -51,9 +51,7 @@ def _address(module: type[SensorModule], name: str, settings: np.dtype) -> int:
 
     try:
         return c_function(call, types.int32(types.voidptr, types.voidptr, types.voidptr))
-    except NumbaError as error:
-        text = f"{module.__name__}.{name} does not compile: {compile_error(error)}"
-        raise BadInput.single("hil sensors", module.kind, text) from error
-    except KeyError as error:  # numba's for a field that a record does not have
-        text = f"{module.__name__}.{name} does not compile: a record has no field {error}"
+    except (NumbaError, KeyError) as error:
+        reason = compile_error(error, getattr(module, name), settings, first_layout, second_layout, SENSOR_SAMPLE)
+        text = f"{module.__name__}.{name} does not compile: {reason}"
         raise BadInput.single("hil sensors", module.kind, text) from error
