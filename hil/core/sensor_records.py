@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-
 from hil.core.fields import Field, record_dtype
 
 ADDED_SENSORS_MAX: Final = 8
@@ -58,59 +56,60 @@ SENSOR_ARRIVAL_FIELDS: Final = (
 SENSOR_ARRIVAL = record_dtype(SENSOR_ARRIVAL_FIELDS)
 """A sample as the loop received it, and what the navigation made of it: the row that is recorded."""
 
-SENSOR_TRUTH = np.dtype(
-    [
-        ("t_s", "f8"),  # moment of the measurement, time of the run
-        ("r_CT_H", "f8", 3),  # m, chaser's reference point from the target's
-        ("v_CT_H", "f8", 3),  # m/s, as seen in H
-        ("q_CH", "f8", 4),
-        ("w_CH_C", "f8", 3),  # rad/s, chaser against H
-        ("r_T_I", "f8", 3),  # m, target from the centre of the central body
-        ("v_T_I", "f8", 3),  # m/s
-        ("q_HI", "f8", 4),
-        ("dt_s", "f8"),  # since the measurement before, 0 for the first
-        ("normal", "f8", NORMALS),  # independent standard normals
-        ("memory", "f8", MEMORY),  # of the module's own, zeroed before the run
-    ],
-    align=True,
+SENSOR_TRUTH_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
+    Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point from the target's"),
+    Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity, as seen in H"),
+    Field("q_CH", "f8", 4, "1", "", "attitude of the chaser"),
+    Field("w_CH_C", "f8", 3, "rad/s", "c", "rate of the chaser against H"),
+    Field("r_T_I", "f8", 3, "m", "I", "target from the centre of the central body"),
+    Field("v_T_I", "f8", 3, "m/s", "I", "its velocity"),
+    Field("q_HI", "f8", 4, "1", "", "attitude of H"),
+    Field("sun_I", "f8", 3, "1", "I", "unit vector to the Sun"),
+    Field("sunlight", "f8", (), "1", "", "visible fraction of the Sun's disc; 1 without eclipses"),
+    Field("dt_s", "f8", (), "s", "", "since the measurement before, 0 for the first"),
+    Field("normal", "f8", NORMALS, "1", "", "independent standard normals: the only random numbers of a measurement"),
+    Field("memory", "f8", MEMORY, "", "", "of the module's own: zero before the run, kept between measurements"),
 )
+SENSOR_TRUTH = record_dtype(SENSOR_TRUTH_FIELDS)
 """What ``measure`` reads: the truth, or the bench in its place, with random numbers; ``memory`` is the module's."""
 
-SENSOR_ESTIMATE = np.dtype(
-    [
-        ("t_s", "f8"),
-        ("r_CT_H", "f8", 3),  # m
-        ("v_CT_H", "f8", 3),  # m/s
-        ("q_CH", "f8", 4),
-        ("w_CH_C", "f8", 3),  # rad/s
-        ("q_HI", "f8", 4),  # by the orbit as the GNC has it; nan for a target that tumbles
-    ],
-    align=True,
+SENSOR_ESTIMATE_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
+    Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point from the target's"),
+    Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity, as seen in H"),
+    Field("q_CH", "f8", 4, "1", "", "attitude of the chaser"),
+    Field("w_CH_C", "f8", 3, "rad/s", "c", "rate of the chaser against H"),
+    Field("q_HI", "f8", 4, "1", "", "attitude of H by the orbit as the GNC has it; nan for a target that tumbles"),
+    Field("sun_I", "f8", 3, "1", "I", "unit vector to the Sun"),
 )
+SENSOR_ESTIMATE = record_dtype(SENSOR_ESTIMATE_FIELDS)
 """What ``innovate`` reads: the estimate at the moment of the measurement."""
 
 STATES: Final = 9
 """Errors to which an innovation may be sensitive: of r_CT_H, of v_CT_H, and the rotation theta of c, in c, with which
 ``u_true = u_estimated - theta x u`` for the components in c of a vector."""
 
-SENSOR_OUTPUT = np.dtype(
-    [
-        ("valid", "i8"),  # 1; a module sets 0 if there is no measurement
-        ("sample", SENSOR_SAMPLE),
-    ],
-    align=True,
+SENSOR_OUTPUT_FIELDS: Final = (
+    Field("valid", "i8", (), "1", "", "1; a module sets 0 if there is no measurement"),
+    Field("sample", SENSOR_SAMPLE_FIELDS),
 )
+SENSOR_OUTPUT = record_dtype(SENSOR_OUTPUT_FIELDS)
 """What ``measure`` writes."""
 
-SENSOR_INNOVATION = np.dtype(
-    [
-        ("sample", SENSOR_SAMPLE),  # measured
-        ("value", "f8", COMPONENTS_MAX),  # measured minus expected
-        ("h", "f8", (COMPONENTS_MAX, STATES)),  # its sensitivity to the errors of the estimate
-        ("h_errors", "f8", (COMPONENTS_MAX, SENSOR_ERRORS_MAX)),  # and to the sensor's own; preset: 1 on its component
-        ("noise", "f8", (COMPONENTS_MAX, COMPONENTS_MAX)),  # covariance of the white noise
-        ("tolerance", "f8", COMPONENTS_MAX),  # largest constant error of a sound witness; preset: 3 sigma of its errors
-    ],
-    align=True,
-)
+SENSOR_INNOVATION_FIELDS: Final = (
+    Field("sample", SENSOR_SAMPLE_FIELDS),
+    Field("value", "f8", COMPONENTS_MAX, "SI", "", "measured minus expected"),
+    Field("h", "f8", (COMPONENTS_MAX, STATES), "SI", "", "its sensitivity to position, velocity and theta"),
+    Field(
+        "h_errors", "f8", (COMPONENTS_MAX, SENSOR_ERRORS_MAX), "SI", "",
+        "its sensitivity to the errors of the sensor; preset: 1 on the component of each",
+    ),
+    Field("noise", "f8", (COMPONENTS_MAX, COMPONENTS_MAX), "SI", "", "covariance of the noise; preset: the sample's"),
+    Field(
+        "tolerance", "f8", COMPONENTS_MAX, "SI", "",
+        "largest constant error of a sound witness; preset: 3 sigma of its errors",
+    ),
+)  # fmt: skip
+SENSOR_INNOVATION = record_dtype(SENSOR_INNOVATION_FIELDS)
 """What ``innovate`` writes."""

@@ -75,6 +75,7 @@ SENSOR_FUSION_PARAMS = np.dtype(
         ("gate", "f8"),  # standard deviations of one component that the gate passes
         ("orbit", TARGET_ORBIT),
         ("q_HI", "f8", 4),  # at the start of the run
+        ("sun_I", "f8", 3),
     ],
     align=True,
 )

@@ -27,6 +27,7 @@ def innovate(params, slot, state, sample, r_CT_H, v_CT_H, q_CH, w_CH_C, delta_s)
         estimate.r_CT_H[i] = r_CT_H[i] + delta_s * v_CT_H[i]
         estimate.v_CT_H[i] = v_CT_H[i]
         estimate.w_CH_C[i] = w_CH_C[i]
+        estimate.sun_I[i] = params.sun_I[i]
         turn[i] = delta_s * w_CH_C[i]
     quat.from_rotation_vector_into(turn, rotation)
     quat.multiply_into(rotation, q_CH, estimate.q_CH)

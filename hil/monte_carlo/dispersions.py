@@ -84,8 +84,9 @@ class Design:
         if problems:
             raise BadInput(problems)
         of_orbit = {component.path[1] for component in self.components if component.path[0] == "orbit"}
-        is_elliptic = self._nominal.gnc_orbit.eccentricity != 0.0
-        self._orbit_is_dispersed = bool(of_orbit & {"altitude_m", "eccentricity"}) or (is_elliptic and bool(of_orbit))
+        # where the target is on a circle matters to inertial sensors alone
+        uses_place = self._nominal.gnc_orbit.eccentricity != 0.0 or bool(self._nominal.sensors)
+        self._orbit_is_dispersed = bool(of_orbit & {"altitude_m", "eccentricity"}) or (uses_place and bool(of_orbit))
         self.touches_gnc = self._orbit_is_dispersed or any(component.path[0] == "gnc" for component in self.components)
 
     def _add(self, path: tuple[str, ...], raw: Any, scenario: Loaded[Scenario], problems: list[Problem]) -> None:

@@ -154,9 +154,15 @@ def _set_gravity(params: np.record, scenario: Scenario) -> None:
     params.gravity.rate = central_body(scenario.orbit).spin_radps
 
 
+def sun_direction(scenario: Scenario) -> Array:
+    """Return the inertial unit vector to the Sun, (3,)."""
+    sun: Array = np.array(scenario.truth.sun_direction)
+    return sun / np.linalg.norm(sun)
+
+
 def _set_sun(params: np.record, scenario: Scenario) -> None:
-    body, sun = central_body(scenario.orbit), np.array(scenario.truth.sun_direction)
-    params.sun_I = sun / np.linalg.norm(sun)
+    body = central_body(scenario.orbit)
+    params.sun_I = sun_direction(scenario)
     params.sun_angle = math.asin(SUN_RADIUS_M / (body.sun_distance_au * ASTRONOMICAL_UNIT_M))
     params.shadow_radius = body.radius_m
 

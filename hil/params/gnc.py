@@ -34,7 +34,7 @@ from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bodies import bodies as bodies_on
 from hil.params.control_rule import control_rule
-from hil.params.dynamics import initial_truth, mean_motion, semi_major_axis_m
+from hil.params.dynamics import initial_truth, mean_motion, semi_major_axis_m, sun_direction
 from hil.params.error_state import error_state
 from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
@@ -133,7 +133,7 @@ def navigation(scenario: Scenario) -> np.record:
     fusion.sensors = sensor_fusion(scenario, int(fusion.errors.sensor_errors), _gate_tail(scenario))
     fusion.sensors.orbit = fusion.orbit
     if fusion.sensors.n:
-        fusion.sensors.q_HI = initial_truth(scenario).q_HI
+        fusion.sensors.q_HI, fusion.sensors.sun_I = initial_truth(scenario).q_HI, sun_direction(scenario)
     witness = fusion.sensors.witness
     witness.acceleration, witness.angular_acceleration = largest_accelerations(scenario.chaser)
     witness.age_max_s, witness.step_s = _WITNESS_AGE_MAX_S, scenario.step_s

@@ -14,6 +14,7 @@ from hil.core.sensor_records import MAX_SENSORS, SENSOR_ERRORS_MAX
 from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.maths import chi_square, quat
 from hil.models.faults import NUMBER, SEED_BITS, VALUE
+from hil.params.dynamics import sun_direction
 from hil.params.faults import fault_rows
 from hil.params.monitor import MONITOR, monitor_sensor, mounting
 from hil.sensors.compiled import addresses
@@ -95,7 +96,7 @@ def sensor_sources(scenario: Scenario, seed: int) -> np.record:
     params, sensors = new(SENSOR_PARAMS), sensors_of(scenario)
     if not sensors:
         return params
-    params.n, params.seed = len(sensors), seed & SEED_BITS
+    params.n, params.seed, params.sun_I = len(sensors), seed & SEED_BITS, sun_direction(scenario)
     params.faults = fault_rows(scenario, "sensor", seed, MONITOR)
     names = list(sensors)
     faults = [fault for fault in scenario.faults if fault.family in ("sensor", MONITOR)]

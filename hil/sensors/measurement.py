@@ -65,7 +65,8 @@ SENSOR_SOURCE = np.dtype(
     align=True,
 )
 SENSOR_PARAMS = np.dtype(
-    [("n", "i8"), ("source", SENSOR_SOURCE, MAX_SENSORS), ("seed", "i8"), ("faults", FAULTS)], align=True
+    [("n", "i8"), ("source", SENSOR_SOURCE, MAX_SENSORS), ("seed", "i8"), ("faults", FAULTS), ("sun_I", "f8", 3)],
+    align=True,
 )
 
 SENSOR_TRACK = np.dtype(
@@ -141,6 +142,8 @@ def _measure_one(params, state, k, number, t_s, true, w_CH_C, r_CT_H, q_CH):
     copy_into(truth.r_T_I, true.r_T_I)
     copy_into(truth.v_T_I, true.v_T_I)
     copy_into(truth.q_HI, true.q_HI)
+    copy_into(truth.sun_I, params.sun_I)
+    truth.sunlight = true.sunlight
     copy_into(truth.memory, track.memory)
     first = _LANES * (k + 1)
     for i in range(NORMALS):
