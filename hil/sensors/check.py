@@ -84,12 +84,22 @@ def problems(found: SensorKind, values: Array | None = None, seed: int = 0) -> l
         if not trial.measure():
             continue
         seen += 1
+        if text := _unrepeatable(trial):
+            return [text]
         lines += _finite(found, trial) or _jacobian(found, trial) or _covariance(found, trial) or _wire(found, trial)
         if lines:
             return lines
     if seen == 0:
         return [f"measure: has no measurement at any of {_POSES} places from {_RANGES_M[0]:g} to {_RANGES_M[-1]:g} m"]
     return _noise(found, trial, random)
+
+
+def _unrepeatable(trial: Trial) -> str:
+    """Measure the same truth again; return what differs, "" if nothing does."""
+    before, trial.truth.memory = trial.output.copy(), 0.0
+    if trial.measure() and np.array_equal(trial.output.sample.value, before.sample.value):
+        return ""
+    return "measure: gives another value for the same truth: take random numbers from truth.normal, no others"
 
 
 def _place(trial: Trial, random: np.random.Generator) -> None:
@@ -102,6 +112,7 @@ def _place(trial: Trial, random: np.random.Generator) -> None:
     truth.q_CH = quat.from_rotation_vector(random.normal(0.0, 0.03, 3))
     truth.w_CH_C = random.normal(0.0, 1e-3, 3)
     truth.r_T_I, truth.v_T_I = (1.9e6, 1e5, 2e5), (0.0, 1.6e3, 10.0)
+    truth.sun_I, truth.sunlight = (1.0, 0.0, 0.0), 1.0
     truth.dt_s, truth.q_HI = 0.1, quat.from_rotation_vector(random.normal(0.0, 1.0, 3))
     for name in SENSOR_ESTIMATE.names or ():
         trial.estimate[name] = truth[name]

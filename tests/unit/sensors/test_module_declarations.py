@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 import hil
@@ -90,10 +91,30 @@ def test_covariance_that_is_none_is_found() -> None:
 
 def test_kernel_that_does_not_compile_names_the_reason() -> None:
     def measure(settings, truth, out):  # type: ignore[no-untyped-def]
-        out.sample.value[0] = truth.nothing
+        out.sample.value[0] = truth.normals[0]
 
-    with pytest.raises(hil.errors.BadInput, match=r"Height\.measure does not compile"):
+    text = r"Height\.measure does not compile: a record has no field 'normals', did you mean normal\? \(line \d+\)"
+    with pytest.raises(hil.errors.BadInput, match=text):
         check.problems(checked(module(measure=staticmethod(measure))))
+
+
+def test_kernel_with_a_wrong_type_names_the_operation_and_its_line() -> None:
+    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+        out.sample.value[0] = truth.normal
+
+    line = measure.__code__.co_firstlineno + 1
+    text = rf"does not compile: numba has no setitem\(nestedarray.* \(line {line}\)$"
+    with pytest.raises(hil.errors.BadInput, match=text):
+        check.problems(checked(module(measure=staticmethod(measure))))
+
+
+def test_random_numbers_of_its_own_are_found() -> None:
+    def measure(settings, truth, out):  # type: ignore[no-untyped-def]
+        out.sample.value[0] = truth.r_CT_H[2] + settings.sigma_m * np.random.randn()
+        out.sample.covariance[0, 0] = settings.sigma_m**2
+
+    (line,) = check.problems(checked(module(measure=staticmethod(measure))))
+    assert line.startswith("measure: gives another value for the same truth")
 
 
 def test_two_sensors_of_one_name_and_one_without_a_name_are_refused() -> None:
