@@ -233,6 +233,7 @@ def _title(summary: dict[str, Any]) -> str:
 
 
 def _render_summary(summary: dict[str, Any], console: Console) -> None:
+    from hil.cli.explain import false_alarms_text
     from hil.config.required_parts import PART_COLUMNS
     from hil.report.requirements_page import limit_text, result_text
 
@@ -270,6 +271,8 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
         say(f"why: {cause['text']}", console)
     if why["failed"] and why["nothing_found"]:
         say("no dispersed number predicts the failures better than chance", console)
+    if text := false_alarms_text(why):
+        say(text, console)
 
 
 def _render_comparison(found: dict[str, Any], console: Console) -> None:

@@ -74,9 +74,15 @@ def _print(found: dict[str, Any], is_one: bool) -> None:
     elif found["drivers"]:
         drivers = ", ".join(f"{row['name']} {row['importance']:.3f}" for row in found["drivers"])
         say(f"drivers of all failures, by loss of the score of {found['score']:.3f}: {drivers}")
-    if alarms := [each for each in found["false_alarms"] if each["alarms"]]:
-        texts = ", ".join(f"{each['bit']} {each['alarms']} ({each['per_1000']:.3g} per 1000)" for each in alarms)
-        say(f"false alarms: {texts}")
+    if text := false_alarms_text(found):
+        say(text)
+
+
+def false_alarms_text(why: dict[str, Any]) -> str:
+    """Return the false alarms of a campaign by what was accused; "" without any. why: as in its summary."""
+    alarms = [each for each in why["false_alarms"] if each["alarms"]]
+    texts = ", ".join(f"{each['bit']} {each['alarms']} ({each['per_1000']:.3g} per 1000)" for each in alarms)
+    return f"false alarms: {texts}" if alarms else ""
 
 
 def _margin_row(each: dict[str, Any]) -> tuple[str, ...]:

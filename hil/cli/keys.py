@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from hil.cli.options import File
 from hil.cli.output import print_columns, write_json
+
+if TYPE_CHECKING:
+    from hil.config.key_reference import KeyMatch
 
 
 def keys(pattern: str = "*", /, *, json: File = None) -> int:
@@ -18,7 +23,7 @@ def keys(pattern: str = "*", /, *, json: File = None) -> int:
     """
     from hil.config.key_reference import matching_keys
 
-    found = matching_keys(pattern)
+    found = matching_keys(pattern, _keys_of_sensors())
     if json is not None:
         content = [{"key": key.name, "file": key.file, **key.row._asdict()} for key in found]
         write_json({"keys": content}, json)
@@ -29,3 +34,23 @@ def keys(pattern: str = "*", /, *, json: File = None) -> int:
         plain = [[text.replace("`", "") for text in row] for row in rows]
         print_columns(("key", "type", "unit", "allowed", "default", "meaning"), plain, left=range(6))
     return 0
+
+
+def _keys_of_sensors() -> list[KeyMatch]:
+    """Return the keys that the sensor modules of this program and of installed packages declare."""
+    from hil.config.key_reference import KeyMatch, KeyRow
+    from hil.sensors.module import SensorKind
+    from hil.sensors.registry import kinds
+
+    return [
+        KeyMatch(
+            f"sensors.NAME.{setting.name}",
+            "scenario",
+            KeyRow(
+                setting.name, "number", setting.unit, setting.allowed, f"{setting.default:g}", f"{kind}: {setting.doc}"
+            ),
+        )
+        for kind, found in kinds().items()
+        if isinstance(found, SensorKind)
+        for setting in found.settings
+    ]

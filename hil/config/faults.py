@@ -115,10 +115,10 @@ TERMS: Final[dict[str, dict[str, ErrorTerm]]] = {
     "sensor": {
         "no_sample": ErrorTerm("measures nothing"),
         "frozen": ErrorTerm("repeats its last measurement, with fresh time stamps"),
-        "offset": ErrorTerm("components one to three are displaced; a single number: the first one", 3,
-                            "of the component", "", 0.0, 1e6),
-        "drift": ErrorTerm("the displacement grows from 0 at this rate per second", 3, "of the component per s", "",
-                           0.0, 1e6),
+        "offset": ErrorTerm("components one to three are displaced; fewer numbers: the first ones", 3,
+                            "the component's unit", "", 0.0, 1e6),
+        "drift": ErrorTerm("the displacement grows from 0 at this rate per second", 3, "the component's unit per s",
+                           "", 0.0, 1e6),
         "outlier": ErrorTerm("this fraction of the measurements is displaced by 30 reported standard deviations", 1,
                              "1", "", 1e-6, 1.0),
         "noise_scale": ErrorTerm("the noise is this multiple of the reported one, which does not change", 1, "1", "",
@@ -363,10 +363,10 @@ class TimedFault(ConfigModel):
         if self.value is None:
             default = TERMS[self.family][self.kind].default
             return () if default is None else (default,)
-        if isinstance(self.value, tuple):
-            return self.value
-        is_first = self.family == "sensor" and TERMS["sensor"][self.kind].values == 3
-        return (self.value, 0.0, 0.0) if is_first else (self.value,)
+        numbers = self.value if isinstance(self.value, tuple) else (self.value,)
+        if self.family == "sensor" and TERMS["sensor"][self.kind].values == 3:
+            return (*numbers, 0.0, 0.0)[:3]
+        return numbers
 
     @property
     def end_s(self) -> float:

@@ -12,7 +12,7 @@ import inspect
 import json
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any, Final, NamedTuple, get_args, get_origin
 
@@ -197,12 +197,12 @@ def _rows_of(table: KeyTable) -> list[KeyRow]:
     return own_keys(table.model) if table.inherits else table.keys
 
 
-def matching_keys(pattern: str) -> list[KeyMatch]:
+def matching_keys(pattern: str, added: Sequence[KeyMatch] = ()) -> list[KeyMatch]:
     """Return the keys whose name contains ``pattern``, or matches it if it has wildcards; case does not matter.
 
-    Raises BadInput if there are none.
+    added: keys of modules and packages. Raises BadInput if there are none.
     """
-    keys = all_keys()
+    keys = [*all_keys(), *added]
     wanted = pattern.lower() if set(pattern) & set("*?[") else f"*{pattern.lower()}*"
     if found := [key for key in keys if fnmatch.fnmatchcase(key.name.lower(), wanted)]:
         return found

@@ -45,6 +45,13 @@ def test_wrong_names_are_answered_with_near_ones(
     assert text in line
 
 
+def test_keys_of_sensor_modules_are_keys_as_well(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["keys", "sensors*bias_sigma*", "--json", "-"]) == 0
+    found = {row["meaning"]: row for row in json.loads(capsys.readouterr().out)["keys"]}
+    row = found["range_finder: its standard deviation, as the filters assume it"]
+    assert (row["key"], row["unit"], row["default"]) == ("sensors.NAME.bias_sigma_m", "m", "0.001")
+
+
 def test_keys_have_unit_range_default_and_meaning(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["keys", "rig.*.lead_s", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)["keys"]
