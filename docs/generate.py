@@ -29,6 +29,14 @@ from hil.config.scenario import Scenario
 from hil.config.scene import Scene
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.fields import markdown_table
+from hil.core.sensor_records import (
+    SENSOR_ESTIMATE_FIELDS,
+    SENSOR_INNOVATION_FIELDS,
+    SENSOR_OUTPUT_FIELDS,
+    SENSOR_SAMPLE_FIELDS,
+    SENSOR_TRUTH_FIELDS,
+)
 from hil.sensors.registry import SHIPPED, sensor
 
 FOLDER: Final = "reference/generated"
@@ -181,7 +189,18 @@ fused](../../explanation/sensors.md).
         parts.append(f"Errors that are states of the filters: {', '.join(f'`{c}`' for c in found.error_columns())}.\n")
         rows = [f"| `{fault}` | {text} |" for fault, text in found.module.faults.items()]
         parts.append("| fault | how it is seen |\n|---|---|\n" + "\n".join(rows) + "\n")
+    parts += [f"## {name}\n\n{text}:\n\n{markdown_table(fields)}\n" for name, (text, fields) in SENSOR_RECORDS.items()]
     return "\n".join(parts)
+
+
+SENSOR_RECORDS = {
+    "Truth": ("`truth`, what `measure` reads", SENSOR_TRUTH_FIELDS),
+    "Output": ("`out` of `measure`", SENSOR_OUTPUT_FIELDS),
+    "Sample": ("`out.sample`", SENSOR_SAMPLE_FIELDS),
+    "Estimate": ("`estimate`, what `innovate` reads", SENSOR_ESTIMATE_FIELDS),
+    "Innovation": ("`out` of `innovate`", SENSOR_INNOVATION_FIELDS),
+}
+"""Records of a sensor module -> what they are, and their fields."""
 
 
 def limit_table() -> str:

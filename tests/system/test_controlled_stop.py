@@ -18,7 +18,7 @@ from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
 from hil.loop.runner import Outcome, Runner
 from hil.session import build
 from hil.session.warm_up import warm_up
-from tests.support.run_settings import PATIENT_RELAY, make_job
+from tests.support.run_settings import UNHURRIED, make_job
 
 pytestmark = pytest.mark.wires
 
@@ -79,7 +79,7 @@ class Session:
 
 @contextmanager
 def session(attended: bool, *settings: str) -> Iterator[Session]:
-    job = make_job(60.0, (*START, *settings), rig="emulated")
+    job = make_job(60.0, (*START, *UNHURRIED, *settings), rig="emulated")
     warm_up(job)
     with build.wired_bench(job) as bench:
         operator = Operator(PLAN, attended)
@@ -183,7 +183,7 @@ BRAKES = ("rig.io.coils.brakes_released=26", "rig.io.inputs.brakes_closed=2")
 
 def brakes_are_watched() -> bool:
     """Stop with brakes that do not close; return False if an axis lost its ramp before: the computer paused."""
-    with session(True, *BRAKES, *PATIENT_RELAY) as made:
+    with session(True, *BRAKES) as made:
         made.fault("io", "on brakes_open")
         made.operator.submit(OperatorCommand.STOP)  # all drives follow their ramps
         latched = made.runner.safety.alarms.latched
