@@ -2,8 +2,9 @@
 
 The last steps are kept (``step_memory``): the IMU's sample of each, the commanded thrusters, the predicted estimates
 with their covariance, and the poses of that moment. A pose is assigned to the step nearest to its exposure; the
-filters return to that step and are propagated forward again over the same samples and poses. The result is that of a
-filter that had waited for the pose.
+filters return to that step and are propagated forward again over the same samples and poses. The estimate is that of a
+filter that had waited for the pose; a gate decides on a pose once, when it arrives, and the factor of the noise is
+adapted once.
 
 Of a pose whose attitude is a guess the position is fused alone; it neither starts the filters nor opens a closed gate.
 
@@ -37,7 +38,6 @@ from hil.gnc.step_memory import (
     sensor_step_at,
     step_at,
 )
-from hil.gnc.step_memory import new_memory as new_memory
 from hil.gnc.target_orbit import TARGET_ORBIT, move_hill_frame
 from hil.gnc.thrust_model import JUMP_NIS, JUMP_WINDOWS, QUIET, THRUST_PARAMS, THRUST_STATE
 from hil.maths import quat, stack
@@ -47,6 +47,7 @@ from hil.maths.record_view import copy_record
 from hil.sensors.vision_unit import pose as vmu_pose
 
 NOT_GATED, REJECTED, ATTITUDE_ONLY, ACCEPTED, REOPENED, RESTARTED = range(6)
+"""What the gate made of a pose. ATTITUDE_ONLY: its position was rejected; nothing is left of one without attitude."""
 
 FUSION_PARAMS = np.dtype(
     [
@@ -69,7 +70,7 @@ FUSION_STATE = np.dtype(
     [
         ("started", "i8"),
         ("unconfirmed", "i8"),  # 1: by a first pose with which no other agrees yet
-        ("cycle", "i8"),  # number of the present step
+        ("cycle", "i8"),  # number of the step under way, or of the next one between two; ``navigate`` counts
         ("commanded", "i8", MAX_THRUSTERS),  # thrusters, 0 or 1, since the last call
         ("thrust", THRUST_STATE),
         ("start_cycle", "i8"),
@@ -80,7 +81,7 @@ FUSION_STATE = np.dtype(
         ("rejected_attitude", "i8"),
         ("rejected_closed", "i8"),  # by the closed gate
         ("duplicates", "i8"),
-        ("too_late", "i8"),
+        ("too_late", "i8"),  # or from the future, or one too many for a step: not placed
         ("rejected_in_a_row", "i8"),  # consecutive rejections
         ("nis_position", "f8"),
         ("nis_attitude", "f8"),
@@ -103,20 +104,23 @@ FUSION_STATE = np.dtype(
         ("doubts", DOUBTS),  # for the next step
         ("noise", NOISE_FACTOR),
         ("found_attitude", INNOVATION),
-        ("found_position", INNOVATION),
+        ("found_position", INNOVATION),  # also of the accelerometer and of other sensors, one after the other
         ("axes", AXES_STEP),  # of a target that tumbles
         ("sensors", SENSOR_FUSION_STATE),
     ],
     align=True,
 )
 
-_SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: motion that two poses which agree may have between them
+_SPEED_MAX, _RATE_MAX = 0.2, 0.05  # m/s, rad/s: largest motion between two poses that agree
 _AGREEMENT = 5.0 * math.sqrt(2.0)  # standard deviations of a pose
 
 
 @kernel
 def _admit(doubts, errors, filters):
-    """Add what is estimated again to the covariance."""
+    """Widen the covariance by ``doubts`` (DOUBTS): the next measurements may correct the estimate by that much.
+
+    ``velocity`` is one error along a known direction, the others are independent of each other.
+    """
     for i in range(3):
         filters.p[R + i, R + i] += doubts.position[i] ** 2
         for j in range(3):
@@ -181,7 +185,7 @@ def _compare(state, pose):
 
 @kernel
 def _add_jump(state, z, delta_s):
-    """Take by how much the position ``z`` (3,), in c, is off the filter's as a possible error of it."""
+    """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much."""
     filters, place = state.filters, stack.vector(3)
     quat.transform_back_into(filters.akf.x[0:4], z, place)
     for i in range(3):
@@ -273,37 +277,37 @@ def _fuse_pose(params, state, pose, moment_s, gated):
         nis_a = pose_model.innovate_attitude(
             errors, filters, state.noise, q_measured, pose.covariance_attitude, attitude
         )
-    found = gated
+    result = gated
     if gated == NOT_GATED:
         # the first pose, by two that agree
         contradicted = is_whole and state.unconfirmed != 0 and state.mutual > 0 and state.rejected_in_a_row > 0
-        found = ATTITUDE_ONLY if not is_whole or 0.0 <= nis_a <= params.akf.gate else REJECTED
+        result = ATTITUDE_ONLY if not is_whole or 0.0 <= nis_a <= params.akf.gate else REJECTED
         if state.rejected_in_a_row >= params.close_after and not is_whole:
-            found = REJECTED
+            result = REJECTED
         elif state.rejected_in_a_row >= params.close_after or contradicted:
             nis_p = pose_model.innovate_position(
                 errors, filters, state.noise, z, pose.covariance_position, delta_s, position
             )
-            passes = found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate
+            passes = result == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate
             if not contradicted:
-                found = _closed_gate(params, state, passes)
+                result = _closed_gate(params, state, passes)
             elif nis_a >= 0.0 and nis_p >= 0.0 and not passes:
-                found = RESTARTED
-        if found == RESTARTED:
+                result = RESTARTED
+        if result == RESTARTED:
             pose_model.start(params, pose, state.noise, filters)
-            _count(params, state, pose, found, nis_a, nis_p)
-            return found
-    if found == REOPENED:
+            _count(params, state, pose, result, nis_a, nis_p)
+            return result
+    if result == REOPENED:
         _add_jump(state, z, delta_s)
-    if found >= ATTITUDE_ONLY:
+    if result >= ATTITUDE_ONLY:
         if is_whole:
             joint_filter.update(errors, filters, attitude)
         nis_p = pose_model.innovate_position(
             errors, filters, state.noise, z, pose.covariance_position, delta_s, position
         )
-        if gated == NOT_GATED and found == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate:
-            found = ACCEPTED
-        if found >= ACCEPTED:
+        if gated == NOT_GATED and result == ATTITUDE_ONLY and 0.0 <= nis_p <= params.pkf.gate:
+            result = ACCEPTED
+        if result >= ACCEPTED:
             joint_filter.update(errors, filters, position)
             if gated == NOT_GATED:
                 _remember_position(state)
@@ -312,20 +316,20 @@ def _fuse_pose(params, state, pose, moment_s, gated):
                     _remember_attitude(state)
                     pose_model.adapt(errors, state.noise, 1, attitude)
     if gated == NOT_GATED:
-        _count(params, state, pose, found, nis_a, nis_p)
-    return found
+        _count(params, state, pose, result, nis_a, nis_p)
+    return result
 
 
 @kernel
-def _count(params, state, pose, found, nis_attitude, nis_position):
+def _count(params, state, pose, result, nis_attitude, nis_position):
     """Count a pose that has just been gated."""
     state.nis_attitude = nis_attitude
     state.nis_position = nis_position
-    if found == REJECTED and state.rejected_in_a_row >= params.close_after:
+    if result == REJECTED and state.rejected_in_a_row >= params.close_after:
         state.rejected_closed += 1
-    elif found == REJECTED:
+    elif result == REJECTED:
         state.rejected_attitude += 1
-    elif found == ATTITUDE_ONLY:
+    elif result == ATTITUDE_ONLY:
         state.rejected_position += 1
     else:
         state.accepted += 1
@@ -333,7 +337,7 @@ def _count(params, state, pose, found, nis_attitude, nis_position):
         if pose.t_s > state.last_accepted_s:
             state.interval_s = mean_interval(state.interval_s, pose.t_s - state.last_accepted_s)
             state.last_accepted_s = pose.t_s
-    state.rejected_in_a_row = 0 if found >= ACCEPTED else state.rejected_in_a_row + 1
+    state.rejected_in_a_row = 0 if result >= ACCEPTED else state.rejected_in_a_row + 1
 
 
 @kernel
@@ -420,7 +424,7 @@ def _fuse_step(params, state, memory, step, cycle):
     """Fuse what step number ``cycle`` has measured: quiet readings of the accelerometer, poses, then other sensors."""
     _fuse_bias(params, state, memory, cycle)
     moment_s = cycle * params.pkf.dt_s
-    for k in range(step.is_start, step.n_poses):
+    for k in range(step.is_start, step.n_poses):  # the pose that started the filters is in them
         step.gated[k] = _fuse_pose(params, state, step.poses[k], moment_s, step.gated[k])
     if params.sensors.fused > 0:
         sensor_fusion.fuse_samples(params, state, memory, cycle)

@@ -70,7 +70,7 @@ def use_imu(params, state, memory, monitor, samples):
 def navigate(params, state, memory, samples, poses, n_poses, out):
     """Use the IMU's samples since the last call and the new poses; write ``out`` (NAVIGATION).
 
-    memory: of ``fusion.new_memory``. samples: (n,) of IMU, each of one step of the filters; the first call, at the
+    memory: of ``step_memory.new_memory``. samples: (n,) of IMU, each of one step of the filters; the first call, at the
     start of a run, uses none of them. poses: array of POSE, of which the first ``n_poses`` are
     new. ``out.valid`` is 0 until the first pose. Vision alone has the commands instead of the IMU.
     """

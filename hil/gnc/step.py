@@ -123,8 +123,8 @@ def gnc_step(params, state, memory, t_s, samples, poses, n_poses, estimate, refe
     Return False if a backend has failed; ``state.backends`` then has the reason, and the records are not complete.
 
     params: GNC_PARAMS. state: GNC_STATE, zeroed at the start of a run but for guidance (``guidance.start``) and the
-    addresses and setups of ``backends``. memory: of ``fusion.new_memory``. samples: (n,) of IMU since the last step.
-    poses: array of POSE, of which the first ``n_poses`` are new.
+    addresses and setups of ``backends``. memory: of ``step_memory.new_memory``. samples: (n,) of IMU
+    since the last step. poses: array of POSE, of which the first ``n_poses`` are new.
     """
     backends, approach = state.backends, state.approach
     backends.new_text = backends.asks_for_hold = 0

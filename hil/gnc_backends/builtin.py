@@ -15,8 +15,8 @@ from hil.core.messages import Array, Event, new
 from hil.core.observable import ObservableList
 from hil.gnc import navigation, step, thruster_monitor
 from hil.gnc.filter_monitor import FilterMonitor
-from hil.gnc.fusion import new_memory
 from hil.gnc.step import GNC_STATE
+from hil.gnc.step_memory import new_memory
 from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.backend import Backends
@@ -51,7 +51,7 @@ class BuiltinGnc(Approach):
         super().__init__(params.approach, self.state.approach, event_log)
         self.filter_monitor: FilterMonitor = filter_monitor
         self.memory = new_memory(params.navigation.fusion)
-        """Of the filters, of ``fusion.new_memory``."""
+        """Of the filters, of ``step_memory.new_memory``."""
         self._nees = np.empty(2)
         self.fuses = params.navigation.sensors == navigation.VISION_AND_IMU and "navigation" not in self._backends.kinds
         self.fused_now = False

@@ -14,7 +14,7 @@ from hil.core.gnc_records import PROTOCOL, REASON_BYTES, GncMode, GncState
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import new
 from hil.errors import BadInput, DeviceError, ProtocolError
-from hil.gnc.fusion import new_memory
+from hil.gnc.step_memory import new_memory
 from hil.gnc_backends import external_records
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc, fault_text, hold_reason, printable, reported_fault

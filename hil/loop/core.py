@@ -168,8 +168,8 @@ def compare_witnesses(params, state, t_s):
 
 
 @kernel
-def command(params, state):
-    """Command what the GNC has decided beyond COMMAND: isolation valves."""
+def isolate_thrusters(params, state):
+    """Close the isolation valves of the thrusters that the GNC has just given up."""
     gnc = state.gnc
     if gnc.isolated_cycles == 1:
         isolate(state.truth_memory.isolation, params.gnc.isolates[gnc.thrusters.thruster])

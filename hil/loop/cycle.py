@@ -1,6 +1,8 @@
-"""One control cycle: each line of ``run_cycle`` is a stage of bench paper Fig. 2. Start reading here.
+"""One control cycle: the numbered lines of ``run_cycle`` are the stages of bench paper Fig. 2. Start reading there.
 
-thrusters on/off -> truth (DSS) -> rails and turntable -> cameras (VMU) -> AKF, PKF -> control
+cameras (VMU) -> AKF, PKF -> control -> thrusters on/off -> truth (DSS) -> rails and turntable -> cameras (VMU)
+
+A cycle begins with what the bench measures; truth and setpoints of the next one come last.
 """
 
 from __future__ import annotations
@@ -51,6 +53,7 @@ class Loop:
     sensors: SensorStage | None = None
     """Sensors other than vision unit and IMU; None without any."""
     now: CycleData = field(init=False)
+    """Row of the cycle under way: until a stage writes a field, it has the value of the cycle before."""
     done: int = 0
     """Completed cycles of the run."""
     first: int = 0
@@ -85,7 +88,7 @@ class Loop:
         self.first = k
 
     def discard_frames(self, bench_s: float) -> int:
-        """Stop the run's time; discard the frames received since the last cycle, and return their number."""
+        """Stop the run's time, and discard the frames received since the last cycle; return their number."""
         self.run_zero.set(math.nan)
         return self.vision.discard_pending(bench_s)
 
@@ -104,7 +107,7 @@ class Loop:
 
 
 def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float, lateness_s: float) -> None:
-    """Run cycle ``k`` at ``t_s`` of the run, ``bench_s`` of bench time; raises BenchError.
+    """Run cycle ``k`` at ``t_s`` of the run, ``bench_s`` of bench time; raises BenchError: it is not recorded then.
 
     run_zero_s: bench time of the run's time zero. lateness_s: wake-up delay of this cycle.
     """
@@ -130,7 +133,7 @@ def run_cycle(loop: Loop, k: int, t_s: float, bench_s: float, run_zero_s: float,
     loop.safety_io.mirror_thrusters(bench_s)  #    thruster commands on digital lines
     now.commanded_s[0] = loop.bench_now_s() - run_zero_s
     now.on_wire_s[0] = loop.safety_io.thrusters_s - run_zero_s
-    core.command(params, state)  #    isolation valves
+    core.isolate_thrusters(params, state)
     now.nees_position[0], now.nees_attitude[0] = loop.gnc.consistency(now.truth, now.imu)
     now.t_s[0], now.lateness_s[0] = t_s, lateness_s
     loop.health_alarms.update(bench_s, int(now.navigation.health))

@@ -208,7 +208,7 @@ def run_study(
 
     study: STUDY_PARAMS. params: FUSION_PARAMS. imu_params: IMU_PARAMS. line: GUIDANCE_PARAMS. guidance_state, point,
     imu, pose, state: records of the run, zeroed; truth: with the target and H at the start. memory: of
-    ``fusion.new_memory``. sensors: SENSOR_PARAMS. waiting: SENSOR_STATE. errors: (n, n), SI, constant ones of each
+    ``step_memory.new_memory``. sensors: SENSOR_PARAMS. waiting: SENSOR_STATE. errors: (n, n), SI, constant ones of each
     sensor. rng: numpy Generator. noisy: 0 gives the linear covariance along the line, without any noise or error.
     trace: (n, 12), errors and sigmas of position, m, and small-angle rotation, rad, of the first n cycles.
     """

@@ -35,7 +35,7 @@ class CompiledGnc(Protocol):
     """Side of a GNC backend that the compiled shell needs; its state is that of the core."""
 
     memory: np.ndarray
-    """Of the filters, of ``fusion.new_memory``."""
+    """Of the filters, of ``step_memory.new_memory``."""
 
     def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
         """Check the NIS of ``cycle``, in which poses arrived."""

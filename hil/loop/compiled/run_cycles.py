@@ -126,7 +126,7 @@ def run_cycles(
     travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``,
     zeroed but for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and
     instance of a library. samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of
-    ``fusion.new_memory``. poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way at once and
+    ``new_memory`` (step_memory). poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way and
     SPARE_FRAMES more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles
     from here. arrivals: of ARRIVAL, filled from ``state.vmu.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of
     IMU_SAMPLE, sensor_log: of SENSOR_ARRIVAL, likewise; (0,) for none.
@@ -168,7 +168,7 @@ def run_cycles(
                 of_sensors = state.gnc.navigation.fusion.sensors
                 state.sensors_logged = log_arrivals(of_sensors, k, sensor_log, state.sensors_logged)
             mock_bench.mirror_thrusters(params, state, now_s)
-            core.command(params, state)
+            core.isolate_thrusters(params, state)
             core.check_consistency(params, state)
             now.t_s, now.commanded_s = t_s, now_s - state.zero_s
             if params.counts != 0:

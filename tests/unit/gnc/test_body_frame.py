@@ -11,6 +11,7 @@ from hil.gnc.akf import AKF_STATE
 from hil.gnc.body_frame import AXES_STEP
 from hil.gnc.error_state import FILTER_ERRORS, FILTERS
 from hil.gnc.fusion import FUSION_STATE
+from hil.gnc.step_memory import new_memory
 from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
 from hil.models.rotating_frame import frame_acceleration, tumble_rate
 from hil.params import gnc as gnc_params
@@ -39,7 +40,7 @@ def test_accelerations_of_rotating_axes_are_those_of_a_point_at_rest_in_inertial
 def test_filter_follows_a_free_point_without_poses() -> None:
     """The step of the filter, with its rotating axes, keeps a point that moves evenly in inertial space."""
     params = gnc_params.navigation(SCENARIO).fusion
-    state, memory, hill = new(FUSION_STATE), fusion.new_memory(params), new(HILL_STEP)
+    state, memory, hill = new(FUSION_STATE), new_memory(params), new(HILL_STEP)
     state.started = 1
     filters = state.filters
     filters.akf.x[:4], filters.akf.x[4:] = [0.0, 0.0, 0.0, 1.0], params.akf.initial_drift

@@ -16,7 +16,7 @@ from hil.core.messages import IMU, POSE, Array, new
 from hil.errors import BadInput
 from hil.gnc import fusion
 from hil.gnc.error_state import FILTER_ERRORS
-from hil.gnc.step_memory import STEP, memory_steps
+from hil.gnc.step_memory import STEP, memory_steps, new_memory
 from hil.gnc.thrust_model import MEASURED, QUIET
 from hil.maths import quat
 from hil.params import gnc as gnc_params
@@ -271,7 +271,7 @@ def test_filters_stay_equal_to_a_dense_filter_with_the_derivatives_of_the_error_
     params = fusion_params(*ALL)
     reference = Reference(params, *own_errors(params))
     assert params.errors.n == N
-    state, memory, imu = new(fusion.FUSION_STATE), fusion.new_memory(params), new(IMU)
+    state, memory, imu = new(fusion.FUSION_STATE), new_memory(params), new(IMU)
     q, r = quat.from_rotation_vector(np.array([0.1, -0.05, 0.08])), np.array([3.0, -0.2, 0.3])
     for cycle in range(41):
         imu.rate_C, imu.force_C = 0.05 * rng.standard_normal(3), 0.02 * rng.standard_normal(3)
@@ -305,7 +305,7 @@ class Flight:
     """Chaser at rest without force or rate: the same samples in each step, poses with noise of a given size."""
 
     def __init__(self, params: np.record) -> None:
-        self.params, self.state, self.memory = params, new(fusion.FUSION_STATE), fusion.new_memory(params)
+        self.params, self.state, self.memory = params, new(fusion.FUSION_STATE), new_memory(params)
         self.q, self.r = np.array([0.0, 0.0, 0.0, 1.0]), np.array([3.0, -0.2, 0.3])
         self.imu = new(IMU)
         self.imu.rate_C = self.params.akf.initial_drift - np.array([0.0, params.orbit.mean_motion, 0.0])
@@ -372,9 +372,7 @@ def test_gain_of_the_attitude_is_of_the_noise_about_each_axis(rng: np.random.Gen
 
 def test_memory_has_room_for_the_errors_that_are_used_and_no_more() -> None:
     """A triangle of blocks of eight columns: of 2 blocks for 15 errors, of 6 for 46."""
-    sizes = [
-        fusion.new_memory(params).nbytes // int(params.memory) for params in (fusion_params(), fusion_params(*ALL))
-    ]
+    sizes = [new_memory(params).nbytes // int(params.memory) for params in (fusion_params(), fusion_params(*ALL))]
     assert sizes == [STEP.itemsize + 8 * (16 + 64 * 3), STEP.itemsize + 8 * (48 + 64 * 21)]
 
 

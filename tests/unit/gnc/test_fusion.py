@@ -12,6 +12,7 @@ from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, new
 from hil.dynamics.hill import input_response, transition
 from hil.gnc import fusion
+from hil.gnc.step_memory import new_memory
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 
@@ -63,7 +64,7 @@ class Run:
 
     def __init__(self, params: np.record, flight: Flight) -> None:
         self._params, self._flight = params, flight
-        self.state, self._memory = new(fusion.FUSION_STATE), fusion.new_memory(params)
+        self.state, self._memory = new(fusion.FUSION_STATE), new_memory(params)
 
     def step(self, *poses: np.record) -> None:
         fusion.advance(self._params, self.state, self._memory, self._flight.imu[self.state.cycle])

@@ -13,9 +13,10 @@ from hil.config.load import load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-from hil.gnc import fusion, navigation
+from hil.gnc import navigation
 from hil.gnc.error_state import FILTERS
 from hil.gnc.navigation import VISION_ALONE
+from hil.gnc.step_memory import new_memory
 from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat
 from hil.params import gnc as gnc_params
@@ -32,7 +33,7 @@ class Navigator:
 
     def __init__(self, params: np.record, rng: np.random.Generator, scale: float = 1.0) -> None:
         self.params, self.out = params, new(NAVIGATION)
-        self.state, self._memory = new(navigation.NAVIGATION_STATE), fusion.new_memory(params.fusion)
+        self.state, self._memory = new(navigation.NAVIGATION_STATE), new_memory(params.fusion)
         self._poses = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self._rng, self._scale, self.wrong = rng, scale, 0.0
         self.r, self.q = np.array([10.0, -0.5, 0.5]), Rotation.from_euler("ZYX", [-5, 5, 5], degrees=True).as_quat()
@@ -165,7 +166,7 @@ def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
     t_v, q_vt, covariance = np.empty(3), np.empty(4), np.empty((6, 6))
     total = {mark: np.zeros(2) for mark in marks}
     for _ in range(runs):
-        state, memory = new(navigation.NAVIGATION_STATE), fusion.new_memory(params.fusion)
+        state, memory = new(navigation.NAVIGATION_STATE), new_memory(params.fusion)
         imu = samples[0]
         x = np.concatenate([[10.0, -0.5, 0.5], pkf.initial_velocity_sigma * rng.standard_normal(3)])
         imu.bias_C = pkf.initial_bias + pkf.initial_bias_sigma * rng.standard_normal(3)

@@ -11,6 +11,7 @@ from hil.errors import BadInput
 from hil.gnc import fusion, navigation, target_motion
 from hil.gnc.error_state import FILTERS, ROTATION, R, V
 from hil.gnc.fusion import FUSION_STATE
+from hil.gnc.step_memory import new_memory
 from hil.gnc.target_orbit import HILL_STEP
 from hil.maths import quat
 from hil.models.rotating_frame import tumble_rate
@@ -40,7 +41,7 @@ def begun(rate_error: np.ndarray, moments: np.ndarray) -> np.record:
 
 def carried(state: np.record, steps: int) -> np.ndarray:
     """Return position, velocity, attitude and rate of the target after ``steps`` steps without poses."""
-    memory, sample = fusion.new_memory(PARAMS), new(IMU)
+    memory, sample = new_memory(PARAMS), new(IMU)
     sample.rate_C, sample.force_C = (0.01, 0.02, 0.08), (0.002, -0.003, 0.001)
     for k in range(1, steps + 1):
         state.cycle = k

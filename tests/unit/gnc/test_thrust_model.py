@@ -12,7 +12,7 @@ from hil.config.load import load_scenario
 from hil.core.messages import IMU, POSE, Array, new
 from hil.gnc import fusion, thrust_model
 from hil.gnc.error_state import BIAS, DRIFT
-from hil.gnc.step_memory import step_at
+from hil.gnc.step_memory import new_memory, step_at
 from hil.gnc.thrust_model import COMMANDED, MEASURED, QUIET, REGAINED
 from hil.maths import quat
 from hil.params import gnc as gnc_params
@@ -46,7 +46,7 @@ class Flight:
 
     def __init__(self, params: np.record, rng: np.random.Generator, leak: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         self.params, self._rng, self._leak = params, rng, np.array(leak)
-        self.state, self.memory = new(fusion.FUSION_STATE), fusion.new_memory(params)
+        self.state, self.memory = new(fusion.FUSION_STATE), new_memory(params)
         self.x = np.array([10.0, -0.5, 0.5, 0.01, -0.004, 0.006])
         self.q = quat.from_rotation_vector(np.array([0.05, -0.04, 0.03]))
         self.w = quat.transform(self.q, np.array([0.0, -params.orbit.mean_motion, 0.0]))
