@@ -76,7 +76,7 @@ class OpenCv:
     def solve(self, left: np.ndarray, right: np.ndarray, places: Array, turn: Array, t: Array) -> Array | None:
         self._detector.detect(right)
         blobs = np.array([blob.pt for blob in self._detector.detect(left)]).reshape(-1, 2)
-        if len(blobs) < 6:
+        if len(blobs) < len(self._leds):
             return None
         away = np.hypot(*(blobs[None] - places[:, None]).transpose(2, 0, 1))
         if away.min(axis=1).max() > 3.0:
