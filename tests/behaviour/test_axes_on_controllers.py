@@ -35,6 +35,7 @@ servo = {{ gain_per_s = 30.0, lag_s = 0.006 }}
 place_m = [0.4]
 x = {{ travel_m = [0.0, 2.0], rate_max_mps = 1.0, acceleration_max_mps2 = 2.0, encoder = "incremental", home_m = 0.1 }}
 """
+X = "x = {{ travel_m = [0.0, 2.0], rate_max_mps = 1.0, acceleration_max_mps2 = 2.0 }}\n".format()
 SUN = """
 [rotary_axes.sun]
 driver = "mock"
@@ -62,12 +63,18 @@ def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
         ),
         (
             '[[turntable.controllers]]\naxes = ["yaw"]\ndriver = "ascii"\n',
-            r'controllers\.0\.driver "ascii": drives three axes only, here yaw',
+            r'controllers\.0\.driver "ascii": drives 3 axes, here 1: yaw; allowed: cia402',
         ),
         (CONTROLLER.replace("modbus_rtu", "mock"), r'rails\.controllers\.0\.driver = "mock" does not go with kind'),
         (LAMP.format(driver="modbus").replace("[0.4]", "[2.5]"), r"place_m: x 2\.5, allowed 0 to 2"),
         (LAMP.format(driver="modbus").replace("[0.4]", "[0.4, 0.5]"), r"place_m \[0\.4, 0\.5\]: one for each of x"),
         (LAMP.format(driver="modbus").replace(".lamp", ".io"), r"linear_axes\.io: the name of another device"),
+        (LAMP.format(driver="modbus") + X.replace("x =", "q ="), r"linear_axes\.lamp\.q: .*unknown key"),
+        (
+            LAMP.format(driver="modbus_rtu").replace("[0.4]", "[0.4, 0.1]") + X.replace("x =", "u ="),
+            r"rtu\.device_ids \[1, 2, 3\]: has none for u, allowed: one for each of x, y, z, u",
+        ),
+        ("[rails.modbus.u]\nport = 502\n", r"rails\.modbus\.u: .*unknown key"),
     ],
 )
 def test_what_cannot_be_driven_is_one_line(tmp_path: Path, text: str, line: str) -> None:

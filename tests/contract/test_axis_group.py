@@ -1,4 +1,4 @@
-"""One contract for every backend of rails and turntable: mocks, and drivers against their emulators."""
+"""One contract for every backend of axes, one to six: mocks, and drivers against their emulators."""
 
 from __future__ import annotations
 
@@ -14,7 +14,20 @@ import pytest
 
 from hil.config.faults import ErrorTerm
 from hil.config.load import load_rig
-from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbus, ModbusAxis, Rails, Turntable
+from hil.config.rig import (
+    LINEAR_NAMES,
+    RAIL_NAMES,
+    ROTARY_NAMES,
+    AsciiTurntableLine,
+    AxisGroupTable,
+    HeldAtPlace,
+    HeldLinearAxes,
+    HeldRotaryAxes,
+    Modbus,
+    ModbusAxis,
+    Rails,
+    Turntable,
+)
 from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
@@ -52,6 +65,11 @@ class Backend:
     faults: Faults | None = None
     """Of the emulator on the other end of a wire."""
 
+    @property
+    def rest(self) -> np.ndarray:
+        """Rates of axes at rest, (n,)."""
+        return np.zeros(len(self.low))
+
     def wait_until(self, reached: Callable[[], bool], limit_s: float = 5.0) -> bool:
         """Let bench time pass until ``reached`` or ``limit_s`` is over."""
         end_s = self.now_s() + limit_s
@@ -62,6 +80,11 @@ class Backend:
         return reached()
 
 
+def _name(config: AxisGroupTable) -> str:
+    """Return the name of the device: rails, turntable, or that of further axes."""
+    return "further" if isinstance(config, HeldAtPlace) else config.device
+
+
 def _travel(config: AxisGroupTable) -> tuple[np.ndarray, np.ndarray]:
     axes = ServoAxes(config)
     return axes.low, axes.high
@@ -70,7 +93,7 @@ def _travel(config: AxisGroupTable) -> tuple[np.ndarray, np.ndarray]:
 @contextmanager
 def _mock(config: AxisGroupTable) -> Iterator[Backend]:
     clock = SimulatedClock()
-    device = MockAxes(config.device, config)
+    device = MockAxes(_name(config), config)
 
     def pass_time(seconds: float) -> None:
         clock.t_s += seconds
@@ -82,13 +105,14 @@ def _mock(config: AxisGroupTable) -> Iterator[Backend]:
 def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
     """The selected drivers against their emulators, all from the registry of drivers; faults of the first."""
     with in_lock_step() as clock, closing(SharedAxisState.create()) as board, ExitStack() as served:
-        parts = config.parts(config.device)
+        group = _name(config)
+        parts = config.parts(group)
         emulators = [part.make_emulator(clock, board, name=name) for name, part in parts.items()]
         addresses = [address for emulator in emulators for address in emulator.start().items()]
-        wired = config.connected(config.device, dict(addresses))
+        wired = config.connected(group, dict(addresses))
         for emulator in emulators:
             served.enter_context(serving(clock, emulator))
-        with closing(make_axes(wired, clock, config.device)) as device:
+        with closing(make_axes(wired, clock, group)) as device:
             yield Backend(device, clock.now_s, clock.sleep, *_travel(config), emulators[0].faults)
 
 
@@ -96,17 +120,15 @@ def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
 def _behind_the_io_process(config: AxisGroupTable) -> Iterator[Backend]:
     """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
     here, there = socket.socketpair()
-    memory = IoSharedMemory.create()
-    axes: dict[str, AxisGroup] = {
-        "rails": MockAxes("rails", RIG.rails),
-        "turntable": MockAxes("turntable", RIG.turntable),
-    }
+    name = _name(config)
+    memory = IoSharedMemory.create((name,) if isinstance(config, HeldAtPlace) else ())
+    axes: dict[str, AxisGroup] = {name: MockAxes(name, config)}
     with in_lock_step() as clock, closing(memory):
         host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
         host.start()
         with serving(clock, host, Order.IO), closing(IoRequests(here, IO, clock)) as requests:
             link = IoLink(IO, memory, requests, clock, lambda: "")
-            with closing(RemoteAxes(config.device, config, link)) as device:
+            with closing(RemoteAxes(name, config, link)) as device:
                 yield Backend(device, clock.now_s, partial(_pass, device, clock), *_travel(config))
 
 
@@ -129,6 +151,22 @@ def _on_two_controllers(key: str, controller: dict[str, Any]) -> Any:
     return type(table).model_validate(table.model_dump(mode="json") | {"controllers": [controller]}, strict=False)
 
 
+def _further(key: str, n: int, driver: str, **keys: Any) -> AxisGroupTable:
+    """Return the table of ``n`` further axes, those of the emulated rig's x or roll over and over."""
+    names, axis, limit = (
+        (LINEAR_NAMES, RIG.rails.x, {"travel_m": (-1.0, 9.0), "park_m": 0.0})
+        if key == "linear_axes"
+        else (ROTARY_NAMES, RIG.turntable.roll, {})
+    )
+    table = {"driver": driver, "servo": {"gain_per_s": 30.0, "lag_s": 0.006}, **keys}
+    table |= dict.fromkeys(names[:n], axis.model_dump(mode="json") | limit)
+    table["place_m" if key == "linear_axes" else "place_deg"] = (0.0,) * n
+    model = HeldLinearAxes if key == "linear_axes" else HeldRotaryAxes
+    found: AxisGroupTable = model.model_validate(table, strict=False)
+    return found
+
+
+IDS = (11, 12, 13, 14, 15, 16)
 WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "rails-modbus": lambda: RIG.rails,
     "rails-modbus-gateway": lambda: GATEWAY,
@@ -141,12 +179,20 @@ WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "turntable-cia402": lambda: RIG.turntable,
     "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
     "turntable-acu": lambda: _ascii("acu"),
+    "one-modbus": lambda: _further("linear_axes", 1, "modbus"),
+    "six-modbus": lambda: _further("linear_axes", 6, "modbus"),
+    "six-modbus-rtu": lambda: _further("linear_axes", 6, "modbus_rtu", rtu={"device_ids": IDS, "baud": 460_800}),
+    "one-cia402": lambda: _further("rotary_axes", 1, "cia402", cia402={}),
+    "six-cia402": lambda: _further("rotary_axes", 6, "cia402", cia402={"node_ids": IDS}),
 }
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
     "turntable-mock": lambda: _mock(RIG.turntable),
     "rails-remote": lambda: _behind_the_io_process(RIG.rails),
     "turntable-remote": lambda: _behind_the_io_process(RIG.turntable),
+    "one-mock": lambda: _mock(_further("rotary_axes", 1, "mock")),
+    "six-mock": lambda: _mock(_further("linear_axes", 6, "mock")),
+    "six-remote": lambda: _behind_the_io_process(_further("rotary_axes", 6, "mock")),
 } | {name: lambda table=table: _on_wires(table()) for name, table in WIRED.items()}
 
 
@@ -237,11 +283,11 @@ def test_nothing_moves_when_a_device_is_opened(backend: Backend) -> None:
 def test_axes_go_where_they_are_sent_and_stand_there(backend: Backend) -> None:
     device = backend.device
     device.open(backend.now_s())
-    target = device.read(backend.now_s()).position + np.array([0.02, -0.03, 0.01])
-    rest = np.zeros(3)
+    start = device.read(backend.now_s()).position
+    target = start + np.resize([0.02, -0.03, 0.01], len(start))
 
     def there() -> bool:
-        device.send(target, rest, backend.now_s())
+        device.send(target, backend.rest, backend.now_s())
         feedback = device.read(backend.now_s())
         return bool(np.abs(feedback.position - target).max() < 1e-4 and np.abs(feedback.rate).max() < 1e-3)
 
@@ -250,17 +296,20 @@ def test_axes_go_where_they_are_sent_and_stand_there(backend: Backend) -> None:
 
 def test_send_returns_what_was_accepted_after_the_travel(backend: Backend) -> None:
     backend.device.open(backend.now_s())
-    beyond = np.array([backend.high[0] + 1.0, backend.low[1] - 1.0, backend.high[2] + 1.0])
-    accepted = backend.device.send(beyond, np.zeros(3), backend.now_s())
-    assert accepted == pytest.approx([backend.high[0], backend.low[1], backend.high[2]])
+    up = np.arange(len(backend.low)) % 2 == 0
+    beyond = np.where(up, backend.high + 1.0, backend.low - 1.0)
+    accepted = backend.device.send(beyond, backend.rest, backend.now_s())
+    assert accepted == pytest.approx(np.where(up, backend.high, backend.low))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_setpoint_that_is_not_finite_is_refused_by_the_axis_name(backend: Backend, bad: float) -> None:
     device = backend.device
     device.open(backend.now_s())
-    with pytest.raises(SafetyTrip, match=device.axis_names[1]):
-        device.send(np.array([0.0, bad, 0.0]), np.zeros(3), backend.now_s())
+    setpoint, last = backend.rest, len(backend.rest) - 1
+    setpoint[last] = bad
+    with pytest.raises(SafetyTrip, match=device.axis_names[last]):
+        device.send(setpoint, backend.rest, backend.now_s())
 
 
 def test_feedback_is_of_now(backend: Backend) -> None:
@@ -273,17 +322,17 @@ def test_stop_brings_moving_axes_to_a_stand_that_later_setpoints_do_not_break(ba
     device = backend.device
     device.open(backend.now_s())
     start = device.read(backend.now_s()).position
-    far = start + np.array([0.3, 0.3, 0.3])
+    far = start + 0.3
 
     def moving() -> bool:
-        device.send(far, np.zeros(3), backend.now_s())
+        device.send(far, backend.rest, backend.now_s())
         return bool(np.abs(device.read(backend.now_s()).rate).min() > 0.05)
 
     assert backend.wait_until(moving)
     device.stop(backend.now_s())
     assert backend.wait_until(lambda: bool(np.abs(device.read(backend.now_s()).rate).max() < 1e-3), 2.0)
     stood = device.read(backend.now_s()).position
-    device.send(far, np.zeros(3), backend.now_s())
+    device.send(far, backend.rest, backend.now_s())
     backend.pass_time(0.4)
     assert np.abs(device.read(backend.now_s()).position - stood).max() < 1e-3
     assert np.abs(far - stood).min() > 0.01
@@ -311,7 +360,7 @@ def test_closed_device_refuses_with_its_name(backend: Backend) -> None:
 
 @dataclass
 class Motion:
-    """What a loop sees of axes that are moved for a second: positions (n, 3), ages of the feedback (n,), s, error."""
+    """What a loop sees of axes that are moved for a second: rows of positions, ages of the feedback, s; error."""
 
     position: np.ndarray
     age_s: np.ndarray
@@ -330,7 +379,7 @@ def moved(backend: Backend, on: Callable[[], None] = lambda: None) -> Motion:
             on()
         try:
             feedback = device.read(now_s())
-            device.send(start + SPEED * k * PERIOD_S, np.full(3, SPEED), now_s())
+            device.send(start + SPEED * k * PERIOD_S, np.full(len(start), SPEED), now_s())
         except DeviceError as error:
             return Motion(np.array(rows), np.array(ages), error)
         rows.append(feedback.position - start)
@@ -371,7 +420,7 @@ def _acts(config: AxisGroupTable, kind: str, fault: ErrorTerm, healthy: Motion) 
         device, faults = backend.device, backend.faults
         assert faults is not None
         device.open(backend.now_s())
-        axis = faults.axes[1] if fault.of_axis else ""
+        axis = faults.axes[-1] if fault.of_axis else ""
         value = {"drop": 1.0, "corrupt": 1.0, "delay": 0.2, "scaled": 0.5}.get(kind)
         found = moved(backend, lambda: faults.on(kind, axis, value))
         if found.error is not None:

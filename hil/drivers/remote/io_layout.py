@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.messages import MAX_THRUSTERS, VMU_FRAME, AxisFeedback, Homing, IoInputs, IoOutputs
+from hil.core.messages import AXES_MAX, MAX_THRUSTERS, VMU_FRAME, AxisFeedback, Homing, IoInputs, IoOutputs
 from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Ring
@@ -23,13 +23,14 @@ LOOP, IO, WATCHDOG = "loop", "I/O", "watchdog"
 """The processes; mailboxes of their heartbeats."""
 
 SETPOINT: Final = np.dtype(
-    [("position", "f8", 3), ("rate", "f8", 3), ("rate_max", "f8", 3), ("acceleration_max", "f8", 3), ("kind", "i8")]
+    [(name, "f8", AXES_MAX) for name in ("position", "rate", "rate_max", "acceleration_max")] + [("kind", "i8")]
 )
 """rate_max, acceleration_max: limits within which the axes catch up after a gap."""
 CYCLIC, JOGGED, GOAL = 0, 1, 2
 """Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the position to park at."""
 FEEDBACK: Final = np.dtype(
-    [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
+    [("t_s", "f8")]
+    + [(name, kind, AXES_MAX) for name, kind in (("position", "f8"), ("rate", "f8"), ("homing", "i8"), ("limit", "i8"))]
 )
 HEARTBEAT: Final = np.dtype([("watched", "i8"), ("pause_s", "f8")])
 """pause_s: of the sender, by the host, within the last second, s of wall time; that of the loop is not sent."""
