@@ -31,7 +31,6 @@ LINEAR_NAMES = (*RAIL_NAMES, "u", "v", "w")  # of a group of up to six axes; fur
 ROTARY_NAMES = (*GIMBAL_NAMES, "a", "b", "c")
 FURTHER_AXES_MAX = 24  # of a rig
 BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
-TARGET_AXES = tuple(f"target.{name}" for name in GIMBAL_NAMES)  # of a rotary manipulator
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
@@ -493,7 +492,7 @@ class LinearAxes(AxisGroupTable):
     """Axes that move along lines, with the keys of rails."""
 
     device: ClassVar = "rails"
-    all_names: ClassVar = RAIL_NAMES
+    all_names: ClassVar[tuple[str, ...]] = RAIL_NAMES
     si_per_unit: ClassVar = 1.0
 
     following_error_max_m: Positive = 0.05
@@ -537,7 +536,7 @@ class RotaryAxes(AxisGroupTable):
     """Axes that rotate, with the keys of the turntable."""
 
     device: ClassVar = "turntable"
-    all_names: ClassVar = GIMBAL_NAMES
+    all_names: ClassVar[tuple[str, ...]] = GIMBAL_NAMES
     si_per_unit: ClassVar = math.pi / 180.0
 
     following_error_max_deg: Positive = 2.0

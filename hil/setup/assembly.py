@@ -51,7 +51,7 @@ from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
-from hil.loop.target_stage import AxesTogether, FixedTarget, HeldAxes, TargetStage
+from hil.loop.target_stage import AxesTogether, HeldAxes, TargetStage
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
@@ -208,7 +208,8 @@ def assemble(
     safety = SafetyMonitor(limits, axis_names, _links(rig, rails, turntable, source))
     stage = BenchStage(rails, turntable, memory, safety)
     moved = _target_stage(job, rig, target)
-    standing = {name: HeldAxes(held[name], table) for name, table in rig.held_axes.items()}
+    first = int(isinstance(moved, HeldAxes))
+    standing = {name: HeldAxes(held[name], table, n) for n, (name, table) in enumerate(rig.held_axes.items(), first)}
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
     sensors = _sensors(job, rig, devices, stage, memory, context.clock)
@@ -285,7 +286,7 @@ def _axis_faults(params: np.record, rails: np.record, turntable: np.record) -> C
 def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
     """Return what carries the target: nothing that moves, axes that place it, or axes that rotate it in the run."""
     if axes is None:
-        return FixedTarget()
+        return AxesTogether()
     if rig.moved_target is not None:
         return HeldAxes(axes, rig.moved_target)
     step_s, params = job.scenario.value.step_s, bench_params.manipulator(rig)

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hil
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rails, Rig
 from hil.core.messages import Homing
 from hil.drivers.factory import make_axes
 from hil.drivers.shared_state import SharedAxisState
-from hil.errors import BadInput, DeviceError, SafetyTrip
+from hil.errors import BadInput, DeviceError, LinkLost, SafetyTrip
 from hil.loop.target_stage import AxesTogether, HeldAxes
 from hil.session.build import runner as make_runner
 from tests.support.lock_step import in_lock_step, serving
@@ -149,6 +150,60 @@ def test_silence_of_one_controller_stops_the_axes_of_the_other(dead: int) -> Non
         others = emulators[1 - dead]._rails._axes
         assert np.abs(others.rate).max() < 1e-3
         assert all(others._braking)
+
+
+def bench_of(folder: Path, text: str, **overrides: Any) -> hil.Bench:
+    return hil.Bench(rig_of(folder, text, "mock").value, "scheme-1", overrides={"duration_s": 0.4, **overrides})
+
+
+def test_further_axes_are_jogged_by_name_within_their_travel_and_parked(tmp_path: Path) -> None:
+    with bench_of(tmp_path, LAMP.format(driver="mock") + SUN) as bench:
+        bench.home()
+        rails_m = bench.feedback().rail_m.copy()
+        bench.jog("lamp.x", 1, 1.0)  # at a tenth of 1 m/s, for 0.2 s more than the key
+        assert bench.axis_feedback("lamp.x") == pytest.approx((0.1 + 0.12, 0.0), abs=0.02)
+        bench.jog("lamp.x", -1, 4.0)
+        assert bench.axis_feedback("lamp.x")[0] == pytest.approx(0.0, abs=1e-3)
+        bench.jog("sun.roll", -1, 5.0)
+        assert bench.axis_feedback("sun.roll")[0] == pytest.approx(np.radians(-10.0), abs=1e-3)
+        assert bench.axis_feedback("sun.yaw") == (0.0, 0.0)
+        assert bench.feedback().rail_m == pytest.approx(rails_m, abs=1e-6)
+        with pytest.raises(BadInput, match=r"must be one of rails\.x, .*, lamp\.x, sun\.roll, sun\.yaw"):
+            bench.axis_feedback("sun.pitch")
+        bench.park()
+        at = [bench.axis_feedback(name)[0] for name in ("lamp.x", "sun.roll", "sun.yaw")]
+        assert at == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
+
+
+def test_further_axis_that_is_not_homed_is_jogged_slowly_and_parks_not(tmp_path: Path) -> None:
+    with bench_of(tmp_path, LAMP.format(driver="mock")) as bench:
+        bench.jog("lamp.x", 1, 1.0)
+        assert bench.axis_feedback("lamp.x")[0] == pytest.approx(0.02 * 1.2, abs=0.004)
+        rails_m = bench.feedback().rail_m.copy()
+        with pytest.raises(hil.errors.BenchError, match=r"lamp\.x: homing not done, allowed done before parking"):
+            bench.park()
+        assert bench.feedback().rail_m == pytest.approx(rails_m, abs=1e-6)
+
+
+def test_further_axis_that_does_not_follow_its_jog_stops_the_bench_by_its_name(tmp_path: Path) -> None:
+    with bench_of(tmp_path, LAMP.format(driver="mock")) as bench:
+        bench.home()
+        runner = bench._operator.runner
+        assert runner is not None
+        (group,) = runner.loop.target.groups
+        group.axes._axes.rate_max[:] = 1e-3  # type: ignore[attr-defined]
+        with pytest.raises(hil.errors.BenchError, match=r"lamp\.x: following error 0\.05\d m, allowed 0\.05"):
+            bench.jog("lamp.x", 1, 3.0)
+
+
+def test_loss_of_a_further_axis_stops_a_bench_that_stands_by(tmp_path: Path) -> None:
+    with bench_of(tmp_path, LAMP.format(driver="mock")) as bench:
+        runner = bench._operator.runner
+        assert runner is not None
+        (group,) = runner.loop.target.groups
+        group.axes.fail(LinkLost("lamp", "is gone"))  # type: ignore[attr-defined]
+        with pytest.raises(hil.errors.BenchError, match="lamp: is gone"):
+            bench.home()
 
 
 def test_further_axes_are_homed_placed_held_and_reported(tmp_path: Path) -> None:
