@@ -770,6 +770,11 @@ class Rig(ConfigModel):
         return {name: table for name, table in (self.linear_axes | self.rotary_axes).items() if table.driver != "none"}
 
     @property
+    def groups_at_places(self) -> dict[str, HeldAtPlace]:
+        """All axes that are held at their places during a run: those of the target, if it stands, and further ones."""
+        return ({} if self.moved_target is None else {"target": self.moved_target}) | self.held_axes
+
+    @property
     def axis_groups(self) -> dict[str, AxisGroupTable]:
         """All axes of the bench, by the names of their devices."""
         target = {} if self.target_axes is None else {"target": self.target_axes}

@@ -10,16 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 import hil
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rails, Rig
+from hil.console.session_state import SessionState, bench_description
+from hil.console.status import StatusWriter
 from hil.core.messages import Homing
 from hil.drivers.factory import make_axes
+from hil.drivers.mock_axes import MockAxes
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput, DeviceError, LinkLost, SafetyTrip
 from hil.loop.target_stage import AxesTogether, HeldAxes
+from hil.recording.export import export
+from hil.recording.read import load
+from hil.recording.session import recording
 from hil.session.build import runner as make_runner
 from tests.support.lock_step import in_lock_step, serving
 from tests.support.run_settings import make_job
@@ -196,6 +203,29 @@ def test_further_axis_that_does_not_follow_its_jog_stops_the_bench_by_its_name(t
             bench.jog("lamp.x", 1, 3.0)
 
 
+def test_console_lists_further_axes_with_their_units_ages_and_states(tmp_path: Path) -> None:
+    rig, scenario = rig_of(tmp_path, LAMP.format(driver="mock") + SUN, "mock"), make_job(0.4).scenario.value
+    with make_runner(replace(make_job(0.4), rig=rig)) as runner, runner.axes_only() as sequencer:
+        state, writer = SessionState(bench_description(rig.value, scenario), ""), StatusWriter(runner)
+        sun = runner.loop.target.groups[1].axes
+        assert isinstance(sun, MockAxes)
+        sun.set_limit_switch(1, -1)
+        sun.send(np.radians([2.0, -3.0]), np.zeros(2), runner.now_s())
+        for _ in range(100):
+            sequencer.tick()
+        state.set_status(1, writer.fill(runner.now_s() + 0.1), 0.0)
+        live = state.live(0.0)
+    assert list(state.bench["axes"])[6:] == ["lamp.x", "sun.roll", "sun.yaw"]
+    assert state.bench["axes"]["sun.yaw"] == [-90.0, 90.0]
+    assert state.bench["units"] == {"rails": "m", "turntable": "deg", "lamp": "m", "sun": "deg"}
+    assert live["homing"] == [2] * 6 + [0, 2, 2]
+    assert live["limit"] == [0] * 8 + [-1]
+    assert live["further_axes"]["lamp"] == {"m": [0.0], "mps": [0.0]}
+    assert live["further_axes"]["sun"]["deg"] == pytest.approx([2.0, -3.0], abs=1e-3)
+    assert live["ages_s"]["sun"] == pytest.approx(0.1)
+    assert "target_deg" not in live
+
+
 def test_loss_of_a_further_axis_stops_a_bench_that_stands_by(tmp_path: Path) -> None:
     with bench_of(tmp_path, LAMP.format(driver="mock")) as bench:
         runner = bench._operator.runner
@@ -219,6 +249,33 @@ def test_further_axes_are_homed_placed_held_and_reported(tmp_path: Path) -> None
     assert 0.0 <= found["lamp"]["x_m"] < 0.005
     assert 0.0 <= found["sun"]["yaw_deg"] < 0.5
     assert outcome.stop == "completed"
+
+
+def test_further_axes_are_recorded_in_each_cycle_and_exported_with_their_units(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, LAMP.format(driver="mock") + SUN, "mock")
+    job = replace(make_job(0.4), rig=rig)
+    with recording(job, "lamp", tmp_path, lambda _: None) as taken:
+        with make_runner(job, sinks=taken.sinks) as runner:
+            runner.run()
+            lamp = runner.loop.target.groups[0].feedback
+        taken.break_off("test")
+    recorded = load(taken.path)
+    rows = recorded.held_samples
+    of_lamp, of_sun = (rows[rows["group"] == number] for number in (0, 1))
+    np.testing.assert_array_equal(of_lamp["t_s"], recorded.cycles["t_s"])
+    np.testing.assert_array_equal(of_sun["t_s"], recorded.cycles["t_s"])
+    assert of_lamp["position"][-1, 0] == lamp.position[0]
+    assert not of_lamp["position"][:, 1:].any()
+    assert of_sun["position"][:, :2] == pytest.approx(np.tile(np.radians([3.0, 40.0]), (21, 1)), abs=1e-3)
+    written = dict(export(taken.path, "parquet", tmp_path / "out.parquet"))
+    assert written[tmp_path / "out-axes-lamp.parquet"] == 21
+    table = parquet.read_table(tmp_path / "out-axes-sun.parquet")
+    assert table.column_names[2:] == [
+        f"{axis}_{name}" for axis in ("roll", "yaw") for name in ("setpoint_rad", "rad", "radps")
+    ]
+    assert table.schema.field("yaw_radps").metadata == {b"unit": b"rad/s"}
+    assert table["yaw_setpoint_rad"].to_pylist() == [np.radians(40.0)] * 21
+    assert table["yaw_rad"].to_pylist() == of_sun["position"][:, 1].tolist()
 
 
 @pytest.mark.wires

@@ -156,6 +156,7 @@ def test_axes_of_a_target_that_is_rotated_are_shown_and_jogged() -> None:
         page.until(lambda: not page.now["open"], "the end")
 
 
+@pytest.mark.slow
 def test_further_axes_are_shown_and_jogged_by_name(tmp_path: Path) -> None:
     gimbal = "{ travel_deg = [-90.0, 90.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }"
     rail = "{ travel_m = [0.0, 2.0], rate_max_mps = 1.0, acceleration_max_mps2 = 2.0, encoder = 'incremental' }"
