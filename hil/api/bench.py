@@ -313,7 +313,7 @@ class Bench:
     def jog(self, axis: str, direction: int, duration_s: float) -> None:
         """Move one axis slowly, as long as an operator would press the key.
 
-        axis: ``rails.x`` to ``turntable.yaw``, ``target.roll`` to ``target.yaw`` of a rotary manipulator, ``lamp.x``
+        axis: ``rails.x`` to ``turntable.yaw``, ``target.roll`` to ``target.yaw`` of a rotary manipulator, ``light.x``
         of further axes; direction: 1 or -1; duration_s: of the key, s. Raises BadInput.
         """
         axes = self._job.rig.value.axis_names

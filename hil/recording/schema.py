@@ -56,8 +56,8 @@ HELD_FILE: Final = "held_axes.json"
 MANIPULATOR: Final = "/manipulator"
 HELD: Final = "/held_axes"
 SENSORS: Final = "/sensors"
-OPTIONAL: Final = (MANIPULATOR, HELD, SENSORS)
-"""Topics that runs without a rotary manipulator, axes that are held, or further sensors lack."""
+OPTIONAL: Final = {MANIPULATOR: "manipulator_samples", HELD: "held_samples", SENSORS: "sensor_samples"}
+"""Topics that runs without a rotary manipulator, held axes, or further sensors lack, with their sinks."""
 RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),
     "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),

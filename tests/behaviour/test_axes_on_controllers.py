@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from pyarrow import parquet
 
 import hil
@@ -26,6 +27,7 @@ from hil.errors import BadInput, DeviceError, LinkLost, SafetyTrip
 from hil.loop.target_stage import AxesTogether, HeldAxes
 from hil.recording.export import export
 from hil.recording.read import load
+from hil.recording.ros2 import export_ros2
 from hil.recording.session import recording
 from hil.session.build import runner as make_runner
 from tests.support.lock_step import in_lock_step, serving
@@ -276,6 +278,11 @@ def test_further_axes_are_recorded_in_each_cycle_and_exported_with_their_units(t
     assert table.schema.field("yaw_radps").metadata == {b"unit": b"rad/s"}
     assert table["yaw_setpoint_rad"].to_pylist() == [np.radians(40.0)] * 21
     assert table["yaw_rad"].to_pylist() == of_sun["position"][:, 1].tolist()
+    counts = export_ros2(taken.path, tmp_path / "bag")
+    assert (counts["/held_axes/lamp"], counts["/held_axes/sun"]) == (21, 21)
+    with next((tmp_path / "bag").glob("*.mcap")).open("rb") as file:
+        data = [m.data for _, _, m in make_reader(file).iter_messages(topics=["/held_axes/sun"])]
+    assert all(of_sun["position"][i, 1].tobytes() in message for i, message in enumerate(data))
 
 
 @pytest.mark.wires
