@@ -44,7 +44,7 @@ class RotatedTarget(TargetAxes):
         self.sink: Telemetry = NoTelemetry()
         """Receives the physical axes in each cycle, as a row of MANIPULATOR_SAMPLE."""
         self._sample = np.zeros(1, MANIPULATOR_SAMPLE)
-        self._bench = bench
+        self._bench, self._rest_radps = bench, config.si("speed_mismatch_max")
         self._largest = np.zeros((3, 3))  # angle, rate, following error
 
     def place(self, tick: Callable[[], Tick], step_s: float) -> None:
@@ -106,6 +106,10 @@ class RotatedTarget(TargetAxes):
         kinematics.limit_setpoint(self._limits, self._motion, wanted, out)
         self._send(now_s)
         return manipulator.shown_motion(self.params, self._expected, self._expected_rate, relative)
+
+    def at_rest(self, now_s: float) -> bool:
+        """Return whether the axes are at rest according to their encoders."""
+        return bool(np.abs(self.axes.read(now_s).rate).max() <= self._rest_radps)
 
     def _limits_of(self, step_s: float) -> np.record:
         return self._given

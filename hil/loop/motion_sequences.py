@@ -413,13 +413,14 @@ class MotionSequencer:
         """Seed the setpoints, and jog until the key is released and all axes are at rest."""
         bench, axis = self.loop.bench, group.axes.axis_names.index(request.axis)
         bench.seed(tick.now_s)
-        fraction = self.safety.limits.jog_rate_fraction
-        jog = group.begin_jog(axis, request.direction, fraction, tick.now_s, self._step_s)
+        limits = self.safety.limits
+        rest = limits.rest_radps if group.rotates else limits.rest_mps
+        jog = group.begin_jog(axis, request.direction, limits.jog_rate_fraction, tick.now_s, self._step_s)
         jog.key.refresh(tick.now_s)
         self.modes.go(Mode.JOGGING)
         moving = True
         try:
-            while moving or not (bench.at_rest(tick.now_s) and group.at_rest(tick.now_s)):
+            while moving or not bench.at_rest(tick.now_s) or np.abs(group.feedback.rate).max() > rest:
                 self._poll_command(Mode.JOGGING)
                 if self._operator.jog_request() == request:
                     jog.key.refresh(tick.now_s)

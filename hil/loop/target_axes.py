@@ -46,7 +46,6 @@ class TargetAxes:
         self.feedback = AxisFeedback(0.0, np.zeros(n), np.zeros(n), (Homing.NEEDED,) * n, (0,) * n)
         """From the last ``read``."""
         self._error_max, self._error_per_speed_s = config.si("following_error_max"), config.following_error_per_speed_s
-        self._rest = config.si("speed_mismatch_max")
         self._config, self._places, self._jogged = config, slice(first, first + n), False
         self._motion, self._wanted, self._next = (
             kernel_record(new(kinematics.MOTION)),
@@ -154,10 +153,6 @@ class TargetAxes:
         moving = stopping.brake_step(self._limits, self._motion, self._next)
         self._send(now_s)
         return bool(moving)
-
-    def at_rest(self, now_s: float) -> bool:
-        """Return whether the axes are at rest according to their encoders."""
-        return bool(np.abs(self.axes.read(now_s).rate).max() <= self._rest)
 
     def check_motion(self) -> None:
         """Raise SafetyTrip if an axis, by the last ``read``, is too far from its setpoint or on a limit switch.

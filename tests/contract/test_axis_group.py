@@ -365,6 +365,14 @@ class Motion:
     position: np.ndarray
     age_s: np.ndarray
     error: DeviceError | None = None
+    counted: float = 0.0
+    """Packets that the driver has counted as damaged, late, lost or received twice; nan if it counts none."""
+
+
+def counted(device: AxisGroup) -> float:
+    """Return ``Motion.counted`` since ``open``."""
+    count = getattr(device, "counters", None)
+    return np.nan if count is None else sum(n for name, n in count().items() if name != "exchanges")
 
 
 PERIOD_S, BEFORE, CYCLES, SPEED = 0.02, 10, 60, 0.03
@@ -385,15 +393,15 @@ def moved(backend: Backend, on: Callable[[], None] = lambda: None) -> Motion:
         rows.append(feedback.position - start)
         ages.append(now_s() - feedback.t_s)
         backend.pass_time(PERIOD_S)
-    return Motion(np.array(rows), np.array(ages))
+    return Motion(np.array(rows), np.array(ages), counted=counted(device))
 
 
 def _has_effect(fault: str, healthy: Motion, found: Motion) -> bool:
     """Whether a fault shows: as an error that names the device, in the positions, or as feedback that is late."""
     if found.error is not None:
         return True
-    if fault in ("duplicate", "corrupt"):  # a driver may see none: what comes twice is used once, what is damaged not
-        return True
+    if fault in ("duplicate", "corrupt"):  # what comes twice is used once, what is damaged not: both are counted
+        return not found.counted <= healthy.counted
     apart = np.abs(found.position - healthy.position).max(axis=1)
     return bool(apart[BEFORE:].max() > 1e-4 or (found.age_s - healthy.age_s)[BEFORE:].max() > 0.05)
 
