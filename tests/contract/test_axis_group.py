@@ -29,6 +29,7 @@ from hil.config.rig import (
     Turntable,
 )
 from hil.core.clock import BenchClock, Order, SimulatedClock
+from hil.core.messages import Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
 from hil.drivers.factory import make_axes
@@ -221,10 +222,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def _incremental(config: AxisGroupTable) -> Any:
-    """Return ``config`` with axes that do not know their places when their drives are switched on."""
-    return config.model_copy(
-        update={name: getattr(config, name).model_copy(update={"encoder": "incremental"}) for name in config.axis_names}
-    )
+    """Return ``config`` with axes that do not know their places, near home, when their drives are switched on."""
+    axes = {
+        name: axis.model_copy(update={"encoder": "incremental", axis.key_of("park"): 0.1})
+        for name, axis in zip(config.axis_names, config.axes, strict=True)
+    }
+    return config.model_copy(update=axes)
 
 
 LOST_RAILS: Rails = _incremental(RIG.rails)
@@ -235,7 +238,29 @@ LOST_BACKENDS: dict[str, Callable[[], Any]] = {
     "turntable-cia402": lambda: _on_wires(LOST_TURNTABLE),
     "turntable-hil-ascii": lambda: _on_wires(_ascii("hil-ascii", LOST_TURNTABLE)),
     "turntable-acu": lambda: _on_wires(_ascii("acu", LOST_TURNTABLE)),
+    "six-mock": lambda: _mock(_incremental(_further("linear_axes", 6, "mock"))),
+    "six-modbus": lambda: _on_wires(_incremental(_further("linear_axes", 6, "modbus"))),
+    "six-cia402": lambda: _on_wires(
+        _incremental(_further("rotary_axes", 6, "cia402", cia402={"node_ids": IDS, "homing_method": 24}))
+    ),
 }
+
+
+@pytest.mark.parametrize("name", sorted(LOST_BACKENDS))
+def test_all_axes_are_homed_together_and_then_follow_their_setpoints(name: str) -> None:
+    with LOST_BACKENDS[name]() as backend:
+        device, now_s = backend.device, backend.now_s
+        device.open(now_s())
+        assert set(device.read(now_s()).homing) == {Homing.NEEDED}
+        device.home(now_s())
+        assert backend.wait_until(lambda: set(device.read(now_s()).homing) == {Homing.DONE}, limit_s=60.0)
+        goal = device.read(now_s()).position + 0.02
+
+        def there() -> bool:
+            device.send(goal, backend.rest, now_s())
+            return bool(np.abs(device.read(now_s()).position - goal).max() < 1e-3)
+
+        assert backend.wait_until(there)
 
 
 @pytest.mark.parametrize("name", sorted(LOST_BACKENDS))
@@ -245,17 +270,19 @@ def test_axes_that_are_not_homed_move_only_while_they_are_jogged(name: str) -> N
         assert isinstance(device, Jogs)
         device.open(now_s())
         start = device.read(now_s()).position
+        ahead = backend.rest
+        ahead[-2] = 0.02
 
         def creep(backend: Backend) -> bool:
             with suppress(SafetyTrip):
-                device.send(start + np.array([0.0, 0.02, 0.0]), np.zeros(3), backend.now_s())
-            return abs(device.read(backend.now_s()).position[1] - start[1] - 0.02) < 2e-3
+                device.send(start + ahead, backend.rest, backend.now_s())
+            return bool(np.abs(device.read(backend.now_s()).position - start - ahead).max() < 2e-3)
 
         assert not backend.wait_until(lambda: creep(backend), limit_s=1.0)
         assert np.abs(device.read(now_s()).position - start).max() < 1e-4
         device.set_jogging(True)
         assert backend.wait_until(lambda: creep(backend))
-        beyond = device.send(backend.high + 1.0, np.zeros(3), now_s())
+        beyond = device.send(backend.high + 1.0, backend.rest, now_s())
         assert np.array_equal(beyond, backend.high + 1.0)  # it does not know where its ends are
         device.stop(now_s())
         device.set_jogging(False)
