@@ -68,6 +68,7 @@ class MotionSequencer:
         self.progress_ticks = PROGRESS_CYCLES * ticks_per_cycle
         """Ticks between two reports of progress."""
         self._newest: Tick
+        self._target_is_placed = False  # as are further axes, until the next standby
         self.warning_s = 0.0
         """Duration of the warning before the next motion; 0 after it."""
         self._link_check_ticks = max(1, round(_LINK_CHECK_PERIOD_S / step_s))
@@ -91,7 +92,9 @@ class MotionSequencer:
         self.loop.safety_io.check(now_s)
         self.loop.bench.read(now_s)
         self.loop.bench.check(now_s)
-        self.loop.target.read(now_s)
+        self._target_is_placed = self._target_is_placed and self.modes.mode is not Mode.STANDBY
+        target = self.loop.target
+        (target.check if self._target_is_placed else target.read)(now_s)
 
     def check_links(self, now_s: float) -> None:
         """Raise SafetyTrip if a device has lost too many packets recently."""
@@ -179,6 +182,7 @@ class MotionSequencer:
         tick = self.seed_for_run()
         self.modes.go(Mode.PLACING)
         self.loop.target.place(self._tick_without_hold, self._step_s)
+        self._target_is_placed = True
         tick = self._newest
         while not self._move_to(target, tick):
             tick = self.hold(self._newest)

@@ -19,6 +19,8 @@ from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_smooth_line, duration
 from hil.params import bench as bench_params
+from hil.safety.alarms import speed_text
+from hil.safety.speed_check import SpeedCheck
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
@@ -46,6 +48,7 @@ class TargetAxes:
         self.feedback = AxisFeedback(0.0, np.zeros(n), np.zeros(n), (Homing.NEEDED,) * n, (0,) * n)
         """From the last ``read``."""
         self._error_max, self._error_per_speed_s = config.si("following_error_max"), config.following_error_per_speed_s
+        self._speeds = SpeedCheck(config.si("speed_mismatch_max"))
         self._config, self._places, self._jogged = config, slice(first, first + n), False
         self._motion, self._wanted, self._next = (
             kernel_record(new(kinematics.MOTION)),
@@ -98,6 +101,7 @@ class TargetAxes:
             if homing is not Homing.DONE:
                 raise SafetyTrip(name, "homing", homing.name.lower().replace("_", " "), "done before a run")
         start, distance = feedback.position.copy(), goal - feedback.position
+        self._stand_at(start)
         speeds, accelerations = rate_fraction * self._rate_max, FRACTION_OF_LIMITS * self.acceleration_max
         if isinstance(self.axes, LimitsSetpoints):
             self.axes.set_limits(Move.RESERVE * speeds, Move.RESERVE * accelerations)
@@ -105,15 +109,17 @@ class TargetAxes:
         limits = list(zip(np.abs(distance), speeds, accelerations, self._smooth_s, strict=True))
         duration_s = max(duration(length, speed, up, up) + smooth_s for length, speed, up, smooth_s in limits)
         position, motion, along = start.copy(), np.zeros(len(start)), np.empty(2)
-        while moved_s <= duration_s or np.abs(self.axes.read(now_s).position - goal).max() > _SETTLED:
+        while moved_s <= duration_s or np.abs(self.feedback.position - goal).max() > _SETTLED:
             if moved_s > duration_s + _SETTLE_S:
                 raise SafetyTrip(self.axes.name, what, "not reached", f"{_SETTLE_S:g} s after the move")
             for i, (length, speed, up, smooth_s) in enumerate(limits):
                 along_smooth_line(length, speed, up, up, smooth_s, moved_s, along)
                 position[i] = start[i] + math.copysign(along[0], distance[i])
                 motion[i] = math.copysign(along[1], distance[i])
-            self.axes.send(position, motion, now_s)
+            self._expect(self.axes.send(position, motion, now_s), motion)
             now_s = tick().now_s
+            self.read(now_s)
+            self._check_following()
             moved_s += step_s  # a late cycle delays the move
         self.axes.send(goal, np.zeros(len(start)), now_s)
 
@@ -159,15 +165,27 @@ class TargetAxes:
 
         In a jog a switch is respected by the jog itself: it may move off one.
         """
+        self._check_following()
+        for name, switch in zip(self.axes.axis_names, self.feedback.limit, strict=True):
+            if switch and not self._jogged:
+                raise SafetyTrip(name, "limit switch", "low" if switch < 0 else "high", "none")
+
+    def _check_following(self) -> None:
+        """Raise SafetyTrip if an axis is too far from its setpoint, or moves otherwise than it reports."""
         error = np.abs(self.feedback.position - self._expected)
         allowed = self._error_max + self._error_per_speed_s * np.abs(self._expected_rate)
         worst = int(np.argmax(error - allowed))
         if not error[worst] <= allowed[worst]:
             value, limit = self.text(error[worst], 3), self.text(allowed[worst], 3)
             raise SafetyTrip(self.axes.axis_names[worst], "following error", value, limit)
-        for name, switch in zip(self.axes.axis_names, self.feedback.limit, strict=True):
-            if switch and not self._jogged:
-                raise SafetyTrip(name, "limit switch", "low" if switch < 0 else "high", "none")
+        self._check_speeds()
+
+    def _check_speeds(self) -> None:
+        """Raise SafetyTrip if the reported speed of an axis is not the change of its position."""
+        if (found := self._speeds.update(self.feedback)) is not None:
+            axis, reported, moved = found
+            value, limit = (speed_text(each, self.rotates) for each in (reported, moved))
+            raise SafetyTrip(self.axes.axis_names[axis], "speed", f"{value} reported", f"{limit} by its position")
 
     def text(self, value: float, places: int | None = None) -> str:
         """Return a length or an angle with its unit."""
@@ -195,13 +213,15 @@ class TargetAxes:
         whole = np.zeros(6)
         whole[self._places] = position
         kinematics.start_motion(whole[:3], whole[3:], self._motion)
-        self._accepted = self._expected = position
-        self._expected_rate = np.zeros(len(position))
+        self._speeds.restart()
+        self._expect(position, np.zeros(len(position)))
 
     def _send(self, now_s: float) -> None:
         out = self._next
         position, rate = np.concatenate((out.rail_m, out.gimbal_rad)), np.concatenate((out.rail_mps, out.gimbal_radps))
-        self._accepted = self.axes.send(position[self._places], rate[self._places], now_s)
-        self._expected_rate = rate[self._places]
-        # an axis that follows its setpoint ``lead`` late is there
-        self._expected = self._accepted - self._limits.lead[self._places] * self._expected_rate
+        self._expect(self.axes.send(position[self._places], rate[self._places], now_s), rate[self._places])
+
+    def _expect(self, accepted: Array, rate: Array) -> None:
+        """Expect the axes where they are that follow the setpoint (n,) of ``rate`` by their leads late."""
+        self._accepted, self._expected_rate = accepted, rate.copy()
+        self._expected = accepted - self._limits.lead[self._places] * rate

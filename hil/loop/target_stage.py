@@ -92,6 +92,7 @@ class HeldAxes(TargetAxes):
         if not error[worst] <= self._held_within:
             value, limit = self.text(error[worst], 4), self.text(self._held_within)
             raise SafetyTrip(self.axes.axis_names[worst], "distance from commanded place", value, limit)
+        self._check_speeds()
 
     def relate(self, axes: np.record) -> None:
         """Change nothing: the axes stand."""

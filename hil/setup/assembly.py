@@ -205,7 +205,7 @@ def assemble(
     rails, turntable, source, io, target, held = devices
     axis_names = (*rails.axis_names, *turntable.axis_names)
     limits = safety_limits(rig, memory.params.guard)
-    safety = SafetyMonitor(limits, axis_names, _links(rig, rails, turntable, source))
+    safety = SafetyMonitor(limits, axis_names, _links(rig, devices))
     stage = BenchStage(rails, turntable, memory, safety)
     moved = _target_stage(job, rig, target)
     first = int(isinstance(moved, HeldAxes))
@@ -393,10 +393,13 @@ def park_position(rig: Rig) -> np.record:
     return axes
 
 
-def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:
+def _links(rig: Rig, devices: Devices) -> list[LinkWatch]:
     """Return a leaky bucket for each device that counts lost packets."""
-    watches = []
-    for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
+    rails, turntable, source, _, target, held = devices
+    groups: dict[str, AxisGroup | None] = {"rails": rails, "turntable": turntable, "target": target, **held}
+    watches: list[LinkWatch] = []
+    for name, config in rig.axis_groups.items():
+        device = groups[name]
         if isinstance(device, CountsLosses):
             bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_window_s)
             watches.append(LinkWatch(device.name, bucket, device.lost_packets))

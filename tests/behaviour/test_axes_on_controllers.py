@@ -19,11 +19,14 @@ from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rails, Rig
 from hil.console.session_state import SessionState, bench_description
 from hil.console.status import StatusWriter
-from hil.core.messages import Homing
+from hil.core.clock import SimulatedClock
+from hil.core.messages import AxisFeedback, Homing
+from hil.core.modes import Mode
 from hil.drivers.factory import make_axes
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput, DeviceError, LinkLost, SafetyTrip
+from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.target_stage import AxesTogether, HeldAxes
 from hil.recording.export import export
 from hil.recording.read import load
@@ -226,6 +229,37 @@ def test_console_lists_further_axes_with_their_units_ages_and_states(tmp_path: P
     assert live["further_axes"]["sun"]["deg"] == pytest.approx([2.0, -3.0], abs=1e-3)
     assert live["ages_s"]["sun"] == pytest.approx(0.1)
     assert "target_deg" not in live
+
+
+def test_further_axis_that_is_pushed_while_the_run_is_held_stops_the_bench(tmp_path: Path) -> None:
+    with bench_of(tmp_path, LAMP.format(driver="mock"), duration_s=1.0) as bench:
+        bench.home()
+        bench.arm()
+        bench.start(until=0.2)
+        runner = bench._operator.runner
+        assert runner is not None
+        runner.loop.target.groups[0].axes._axes.record.encoder_offset[0] = 0.02  # type: ignore[attr-defined]
+        assert bench.resume().stop.startswith("lamp.x: distance from commanded place 0.0200 m")
+        assert list(runner.safety.modes.history).count(Mode.RUNNING) == 1  # it did not resume
+
+
+def test_further_axis_that_sticks_or_reports_another_speed_stops_its_move(tmp_path: Path) -> None:
+    class Reported(MockAxes):
+        def read(self, now_s: float) -> AxisFeedback:
+            found = super().read(now_s)
+            return replace(found, rate=found.rate + 0.2)
+
+    table = rig_of(tmp_path, LAMP.format(driver="mock").replace('encoder = "incremental", ', ""), "mock").value
+    for axes, what in (
+        (MockAxes("lamp", table.held_axes["lamp"]), r"lamp\.x: following error 0\.05\d m, allowed 0\.050 m"),
+        (Reported("lamp", table.held_axes["lamp"]), r"lamp\.x: speed 0\.\d+ m/s reported, allowed 0\.\d+ m/s by its"),
+    ):
+        group, rate = HeldAxes(axes, table.held_axes["lamp"]), SimulatedRate(SimulatedClock(), 0.02)
+        group.open(0.0)
+        if type(axes) is MockAxes:
+            axes._axes.rate_max[:] = 1e-3
+        with pytest.raises(SafetyTrip, match=what):
+            group.place(rate.wait, 0.02)
 
 
 def test_loss_of_a_further_axis_stops_a_bench_that_stands_by(tmp_path: Path) -> None:
