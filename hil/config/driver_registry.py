@@ -157,16 +157,18 @@ def driver_entry(device: str, name: str) -> DriverEntry:
     return loaded
 
 
-def check_number_of_axes(key: str, device: str, name: str, axes: Sequence[str]) -> None:
-    """Raise ValueError, one line that begins with ``key``, if the driver ``name`` cannot drive that many ``axes``."""
-    allowed = driver_entry(device, name).axes
-    if len(axes) in allowed:
-        return
+def check_axes(key: str, device: str, name: str, axes: Sequence[str], all_names: Sequence[str]) -> None:
+    """Raise ValueError, one line that begins with ``key``, if the driver ``name`` cannot drive ``axes``.
+
+    all_names: of the axes that the device may have; a driver of one number of axes drives the first ones.
+    """
     known = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
-    others = [other for other in known if len(axes) in driver_entry(device, other).axes]
-    number = f"{allowed[0]}" if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]}"
-    text = f'{key} "{name}": drives {number} axes, here {len(axes)}: {", ".join(axes)}'
-    raise ValueError(f"{text}; allowed: {', '.join(others)}")
+    allowed, n = driver_entry(device, name).axes, len(axes)
+    if n in allowed and (len(allowed) > 1 or [*axes] == [*all_names[:n]]):
+        return
+    others = [other for other in known if n in (found := driver_entry(device, other).axes) and len(found) > 1]
+    drives = ", ".join(all_names[: allowed[0]]) if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]} axes"
+    raise ValueError(f'{key} "{name}": drives {drives}, here {", ".join(axes)}; allowed: {", ".join(others)}')
 
 
 def registered_drivers() -> dict[str, str]:

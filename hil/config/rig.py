@@ -12,7 +12,7 @@ from hil.config.bodies import BenchBody, check_kinds
 from hil.config.cameras import DriftCheckViews, MonitorCamera
 from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
-from hil.config.driver_registry import DeviceTable, Wire, WireKey, check_number_of_axes
+from hil.config.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
 from hil.config.guard import GuardConfig
@@ -435,7 +435,7 @@ class AxisGroupTable(DeviceTable):
         for number, part in enumerate(self.parts("").values(), -1):
             if part.has_wires:
                 key = "driver" if number < 0 else f"controllers.{number}.driver"
-                check_number_of_axes(key, part.device, part.driver, part.axis_names)
+                check_axes(key, part.device, part.driver, part.axis_names, part.all_names)
                 part.entry.check(part)
 
     @property

@@ -76,7 +76,19 @@ def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
         ),
         (
             '[[turntable.controllers]]\naxes = ["yaw"]\ndriver = "ascii"\n',
-            r'controllers\.0\.driver "ascii": drives 3 axes, here 1: yaw; allowed: cia402',
+            r'controllers\.0\.driver "ascii": drives roll, pitch, yaw, here yaw; allowed: cia402$',
+        ),
+        (
+            SUN.replace('"mock"', '"ascii"').replace("40.0]", "40.0, 0.0]") + SUN.splitlines()[-1].replace("yaw", "a"),
+            r'rotary_axes\.sun: driver "ascii": drives roll, pitch, yaw, here roll, yaw, a; allowed: cia402$',
+        ),
+        (
+            "".join(
+                LAMP.format(driver="modbus").replace("lamp", f"lamp{i}").replace("[0.4]", "[0.4, 0.4, 0.4, 0.4, 0.4]")
+                + "".join(X.replace("x =", f"{name} =") for name in "yzuv")
+                for i in range(5)
+            ),
+            r"linear_axes, rotary_axes: 25 axes, at most 24 are allowed$",
         ),
         (CONTROLLER.replace("modbus_rtu", "mock"), r'rails\.controllers\.0\.driver = "mock" does not go with kind'),
         (LAMP.format(driver="modbus").replace("[0.4]", "[2.5]"), r"place_m: x 2\.5, allowed 0 to 2"),
