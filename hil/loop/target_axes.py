@@ -15,7 +15,7 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, Homing, new
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints
 from hil.errors import SafetyTrip
-from hil.loop.bench_stage import Move
+from hil.loop.bench_stage import BenchStage, Move
 from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_smooth_line, duration
 from hil.params import bench as bench_params
@@ -66,15 +66,15 @@ class TargetAxes:
         return (self,)
 
     def open(self, now_s: float) -> None:
-        """Open the axes; they hold their positions."""
+        """Open the axes; they hold their positions. Raises DeviceError."""
         self.axes.open(now_s)
 
     def home(self, now_s: float) -> None:
-        """Start homing of each axis that is not homed."""
+        """Start homing of each axis that is not homed. Raises DeviceError."""
         self.axes.home(now_s)
 
     def not_homed(self, now_s: float) -> str:
-        """Return the name of an axis that is not homed, "" if all are."""
+        """Return the name of an axis that is not homed, "" if all are. Raises SafetyTrip if homing has failed."""
         waiting = ""
         for name, state in zip(self.axes.axis_names, self.axes.read(now_s).homing, strict=True):
             if state is Homing.FAILED:
@@ -83,15 +83,18 @@ class TargetAxes:
         return waiting
 
     def read(self, now_s: float) -> None:
-        """Read the newest encoder values."""
+        """Read the newest encoder values. Raises BenchError."""
         self.feedback = self.axes.read(now_s)
 
     def place(self, tick: Callable[[], Tick], step_s: float) -> None:
-        """Move all axes slowly to the place and wait until they are at rest there."""
+        """Move all axes slowly to the place and wait until they are at rest there. Raises BenchError.
+
+        tick: waits for the next cycle, of period ``step_s``, s, and checks the bench.
+        """
         self._move_to(self.place_at, "place", tick, step_s, FRACTION_OF_LIMITS)
 
     def park(self, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
-        """Move all axes slowly to their park positions and wait until they are at rest there."""
+        """Move all axes to their park positions, at most at ``rate_fraction`` of the limits; otherwise as ``place``."""
         self._move_to(self._park_at, "park position", tick, step_s, rate_fraction)
 
     def _move_to(self, goal: Array, what: str, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
@@ -192,16 +195,30 @@ class TargetAxes:
         shown, unit = (math.degrees(value), "deg") if self.rotates else (value, "m")
         return f"{shown:g} {unit}" if places is None else f"{shown:.{places}f} {unit}"
 
+    def check(self, now_s: float) -> None:
+        """Raise SafetyTrip if an axis is not where it should be, DeviceError on failure."""
+        raise NotImplementedError
+
+    def relate(self, axes: np.record) -> None:
+        """Replace positions of rails and turntable, AXES, by those relative to the target, if it moves in a run."""
+
+    def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
+        """Record the axes at ``t_s`` of the run; of a target that moves in it with those of ``chaser``.
+
+        run_zero_s: bench time of the run's time zero.
+        """
+        raise NotImplementedError
+
     def stop(self, now_s: float) -> None:
-        """Stop the axes."""
+        """Stop the axes. Never raises."""
         self.axes.stop(now_s)
 
     def disable(self, now_s: float) -> None:
-        """Switch the torque of the axes off."""
+        """Switch the torque of the axes off. Never raises."""
         self.axes.disable(now_s)
 
     def close(self) -> None:
-        """Close the axes."""
+        """Close the axes. Never raises."""
         self.axes.close()
 
     def _limits_of(self, step_s: float) -> np.record:

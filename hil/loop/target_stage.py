@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -16,56 +15,6 @@ from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
 from hil.loop.target_axes import TargetAxes
-
-
-class TargetStage(Protocol):
-    """Carrier of the target, as used by cycle and runner."""
-
-    @property
-    def groups(self) -> tuple[TargetAxes, ...]:
-        """The axis groups that it drives."""
-
-    def open(self, now_s: float) -> None:
-        """Open the device; it holds its position. Raises DeviceError."""
-
-    def home(self, now_s: float) -> None:
-        """Start homing of each axis that is not homed. Raises DeviceError."""
-
-    def not_homed(self, now_s: float) -> str:
-        """Return the name of an axis that is not homed, "" if all are. Raises SafetyTrip if homing has failed."""
-
-    def place(self, tick: Callable[[], Tick], step_s: float) -> None:
-        """Move slowly to the place. Raises BenchError.
-
-        tick: waits for the next cycle, of period ``step_s``, s, and checks the bench.
-        """
-
-    def park(self, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
-        """Move slowly to the park position, at most at ``rate_fraction`` of the limits. As ``place``."""
-
-    def read(self, now_s: float) -> None:
-        """Read the newest encoder values. Raises BenchError."""
-
-    def check(self, now_s: float) -> None:
-        """Raise SafetyTrip if the target is not at its place, DeviceError on failure."""
-
-    def relate(self, axes: np.record) -> None:
-        """Replace positions of rails and turntable, AXES, by those relative to the target, if it moves in a run."""
-
-    def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
-        """Record the axes at ``t_s`` of the run; of a target that moves in it with those of ``chaser``.
-
-        run_zero_s: bench time of the run's time zero.
-        """
-
-    def stop(self, now_s: float) -> None:
-        """Stop the device. Never raises."""
-
-    def disable(self, now_s: float) -> None:
-        """Switch the torque off. Never raises."""
-
-    def close(self) -> None:
-        """Close the link. Never raises."""
 
 
 class HeldAxes(TargetAxes):
@@ -94,9 +43,6 @@ class HeldAxes(TargetAxes):
             raise SafetyTrip(self.axes.axis_names[worst], "distance from commanded place", value, limit)
         self._check_speeds()
 
-    def relate(self, axes: np.record) -> None:
-        """Change nothing: the axes stand."""
-
     def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
         """Send place and encoders, as this cycle has read them, to the sink."""
         row, feedback, n = self._sample, self.feedback, len(self.place_at)
@@ -114,70 +60,69 @@ class HeldAxes(TargetAxes):
 class AxesTogether:
     """Target and further axes as one stage, without any a fixed target: what is done is done to each in turn."""
 
-    def __init__(self, stages: Sequence[TargetStage] = ()) -> None:
-        self._stages = tuple(stages)
-        self._groups = tuple(group for stage in self._stages for group in stage.groups)
-
-    @property
-    def groups(self) -> tuple[TargetAxes, ...]:
-        """The axis groups of all stages."""
-        return self._groups
+    def __init__(self, groups: Sequence[TargetAxes] = ()) -> None:
+        self.groups = tuple(groups)
+        """The axis groups."""
 
     def open(self, now_s: float) -> None:
         """Open all devices."""
-        for stage in self._stages:
-            stage.open(now_s)
+        for group in self.groups:
+            group.open(now_s)
 
     def home(self, now_s: float) -> None:
         """Start homing of each axis that is not homed."""
-        for stage in self._stages:
-            stage.home(now_s)
+        for group in self.groups:
+            group.home(now_s)
 
     def not_homed(self, now_s: float) -> str:
         """Return the name of an axis that is not homed, "" if all are."""
-        return next(filter(None, [stage.not_homed(now_s) for stage in self._stages]), "")
+        return next(filter(None, [group.not_homed(now_s) for group in self.groups]), "")
 
     def place(self, tick: Callable[[], Tick], step_s: float) -> None:
         """Move one group after the other to its place."""
-        for stage in self._stages:
-            stage.place(tick, step_s)
+        for group in self.groups:
+            group.place(tick, step_s)
 
     def park(self, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
         """Move one group after the other to its park position, the last one first."""
-        for stage in reversed(self._stages):
-            stage.park(tick, step_s, rate_fraction)
+        for group in reversed(self.groups):
+            group.park(tick, step_s, rate_fraction)
 
     def read(self, now_s: float) -> None:
         """Read all groups."""
-        for stage in self._stages:
-            stage.read(now_s)
+        for group in self.groups:
+            group.read(now_s)
 
     def check(self, now_s: float) -> None:
         """Check all groups."""
-        for stage in self._stages:
-            stage.check(now_s)
+        for group in self.groups:
+            group.check(now_s)
 
     def relate(self, axes: np.record) -> None:
         """Relate the axes to the target."""
-        for stage in self._stages:
-            stage.relate(axes)
+        for group in self.groups:
+            group.relate(axes)
 
     def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:
         """Record all groups."""
-        for stage in self._stages:
-            stage.record(t_s, run_zero_s, chaser)
+        for group in self.groups:
+            group.record(t_s, run_zero_s, chaser)
 
     def stop(self, now_s: float) -> None:
         """Stop all groups."""
-        for stage in self._stages:
-            stage.stop(now_s)
+        for group in self.groups:
+            group.stop(now_s)
 
     def disable(self, now_s: float) -> None:
         """Switch the torque of all groups off."""
-        for stage in self._stages:
-            stage.disable(now_s)
+        for group in self.groups:
+            group.disable(now_s)
 
     def close(self) -> None:
         """Close all groups."""
-        for stage in self._stages:
-            stage.close()
+        for group in self.groups:
+            group.close()
+
+
+TargetStage = TargetAxes | AxesTogether
+"""Carrier of the target, and further axes, as used by cycle and runner."""
