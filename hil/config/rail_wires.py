@@ -25,7 +25,7 @@ class ModbusRtu(ConfigModel):
     """Parity."""
     stopbits: Literal[1, 2] = 1
     """Stop bits."""
-    device_ids: Annotated[tuple[DeviceId, ...], Field(min_length=3, max_length=6)] = (1, 2, 3)
+    device_ids: Annotated[tuple[DeviceId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
     """Modbus device ids of x, y, z; of further axes also of u, v, w."""
 
     @property

@@ -235,7 +235,7 @@ class Cia402(ConfigModel):
     """Bit rate of the bus, bit/s."""
     baud: Annotated[int, Field(gt=0)] = 1_000_000
     """Baud rate of a serial adapter."""
-    node_ids: Annotated[tuple[NodeId, ...], Field(min_length=3, max_length=6)] = (1, 2, 3)
+    node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
     """Node ids of roll, pitch, yaw; of further axes also of a, b, c."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
     """Encoder counts per revolution of the axis."""
@@ -456,12 +456,10 @@ def part_name(name: str, controller: AxisController) -> str:
 
 def check_ids(key: str, ids: tuple[int, ...], table: AxisGroupTable) -> None:
     """Raise ValueError if ``ids``, in the order of all axes that ``table`` may have, lack one of its axes."""
-    if missing := [
-        name for name, number in zip(table.axis_names, table.axis_numbers, strict=True) if number >= len(ids)
-    ]:
-        last = table.axis_numbers[-1]
-        wanted = ", ".join(table.all_names[: last + 1])
-        raise ValueError(f"{key} {list(ids)}: has none for {missing[0]}, allowed: one for each of {wanted}")
+    last = table.axis_numbers[-1]
+    if last >= len(ids):
+        missing, wanted = table.all_names[last], ", ".join(table.all_names[: last + 1])
+        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {wanted}")
 
 
 class HeldAtPlace(AxisGroupTable):

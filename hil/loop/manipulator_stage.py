@@ -57,6 +57,9 @@ class RotatedTarget(TargetAxes):
         """Names of the axes, roll, pitch and yaw."""
         return self.axes.axis_names
 
+    def park(self, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
+        """Stand: the target is left as it is."""
+
     def check(self, now_s: float) -> None:
         """Read the axes; raise SafetyTrip if one is too far from its setpoint, or, but in a jog, on a limit switch."""
         self.read(now_s)

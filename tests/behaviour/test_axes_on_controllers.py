@@ -99,6 +99,10 @@ def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
             LAMP.format(driver="modbus_rtu").replace("[0.4]", "[0.4, 0.1]") + X.replace("x =", "u ="),
             r"rtu\.device_ids \[1, 2, 3\]: has none for u, allowed: one for each of x, y, z, u",
         ),
+        (
+            "turntable.cia402.node_ids = [1, 2]\n",
+            r"node_ids \[1, 2\]: has none for yaw, allowed: one for each of roll, ",
+        ),
         ("[rails.modbus.u]\nport = 502\n", r"rails\.modbus\.u: .*unknown key"),
     ],
 )

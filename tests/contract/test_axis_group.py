@@ -198,27 +198,28 @@ BACKENDS: dict[str, Callable[[], Any]] = {
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run each test on all backends, or on rails and turntable of the rig file given by --driver-rig."""
+    """Run each test on all backends, or on all axes but the target's of the rig file given by --driver-rig."""
     rig_file = metafunc.config.getoption("--driver-rig", default=None)
     if "wired" in metafunc.fixturenames and rig_file is None:
         metafunc.parametrize("wired", [pytest.param(table, id=name) for name, table in WIRED.items()])
         return
     if "wired" in metafunc.fixturenames:
-        rig = load_rig(rig_file).value
-        found = {"rails": rig.rails, "turntable": rig.turntable}
-        metafunc.parametrize(
-            "wired", [pytest.param(lambda each=each: each, id=name) for name, each in found.items() if each.has_wires]
-        )
+        wired = [pytest.param(lambda each=each: each, id=name) for name, each in _wired_of(rig_file).items()]
+        metafunc.parametrize("wired", wired)
         return
     if "backend" not in metafunc.fixturenames:
         return
     if rig_file is None:
         metafunc.parametrize("backend", [pytest.param(make, id=name) for name, make in BACKENDS.items()], indirect=True)
         return
-    rig = load_rig(rig_file).value
-    tables = {"rails": rig.rails, "turntable": rig.turntable}
-    made = [pytest.param(partial(_on_wires, table), id=name) for name, table in tables.items() if table.has_wires]
+    made = [pytest.param(partial(_on_wires, table), id=name) for name, table in _wired_of(rig_file).items()]
     metafunc.parametrize("backend", made, indirect=True)
+
+
+def _wired_of(rig_file: str) -> dict[str, AxisGroupTable]:
+    """Return the tables of all axes on wires, by names, but the target's."""
+    groups = load_rig(rig_file).value.axis_groups
+    return {name: table for name, table in groups.items() if table.has_wires and name != "target"}
 
 
 def _incremental(config: AxisGroupTable) -> Any:
