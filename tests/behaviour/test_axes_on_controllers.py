@@ -33,6 +33,7 @@ from hil.recording.read import load
 from hil.recording.ros2 import export_ros2
 from hil.recording.session import recording
 from hil.session.build import runner as make_runner
+from hil.setup import assembly
 from tests.support.lock_step import in_lock_step, serving
 from tests.support.run_settings import make_job
 
@@ -276,6 +277,23 @@ def test_further_axis_that_sticks_or_reports_another_speed_stops_its_move(tmp_pa
             axes._axes.rate_max[:] = 1e-3
         with pytest.raises(SafetyTrip, match=what):
             group.place(rate.wait, 0.02)
+
+
+def test_further_axes_that_lose_packets_stop_the_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Counting(MockAxes):
+        lost = 0
+
+        def lost_packets(self) -> int:
+            return self.lost
+
+    monkeypatch.setattr(assembly, "MockAxes", Counting)
+    rig = rig_of(tmp_path, LAMP.format(driver="mock"), "mock")
+    with make_runner(replace(make_job(0.4), rig=rig)) as runner, runner.axes_only() as sequencer:
+        now_s = sequencer.tick().now_s
+        sequencer.check_links(now_s)
+        runner.loop.target.groups[0].axes.lost = 10  # type: ignore[attr-defined]
+        with pytest.raises(SafetyTrip, match="lamp: lost packets"):
+            sequencer.check_links(now_s)
 
 
 def test_loss_of_a_further_axis_stops_a_bench_that_stands_by(tmp_path: Path) -> None:
