@@ -768,6 +768,11 @@ class Rig(ConfigModel):
         return {name: table for name, table in (self.linear_axes | self.rotary_axes).items() if table.driver != "none"}
 
     @property
+    def held_numbers(self) -> dict[str, int]:
+        """Numbers of axes of the groups of further axes, by names."""
+        return {name: len(table.axes) for name, table in self.held_axes.items()}
+
+    @property
     def groups_at_places(self) -> dict[str, HeldAtPlace]:
         """All axes that are held at their places during a run: those of the target, if it stands, and further ones."""
         return ({} if self.moved_target is None else {"target": self.moved_target}) | self.held_axes
@@ -785,7 +790,7 @@ class Rig(ConfigModel):
 
     @model_validator(mode="after")
     def _further_axes_fit(self) -> Self:
-        if (n := sum(len(table.axes) for table in self.held_axes.values())) > FURTHER_AXES_MAX:
+        if (n := sum(self.held_numbers.values())) > FURTHER_AXES_MAX:
             raise ValueError(f"linear_axes, rotary_axes: {n} axes, at most {FURTHER_AXES_MAX} are allowed")
         return self
 

@@ -122,7 +122,7 @@ def _behind_the_io_process(config: AxisGroupTable) -> Iterator[Backend]:
     """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
     here, there = socket.socketpair()
     name = _name(config)
-    memory = IoSharedMemory.create((name,) if isinstance(config, HeldAtPlace) else ())
+    memory = IoSharedMemory.create({name: len(config.axes)} if isinstance(config, HeldAtPlace) else {})
     axes: dict[str, AxisGroup] = {name: MockAxes(name, config)}
     with in_lock_step() as clock, closing(memory):
         host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
