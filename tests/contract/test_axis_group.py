@@ -201,7 +201,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test on all backends, or on all axes but the target's of the rig file given by --driver-rig."""
     rig_file = metafunc.config.getoption("--driver-rig", default=None)
     if "wired" in metafunc.fixturenames and rig_file is None:
-        metafunc.parametrize("wired", [pytest.param(table, id=name) for name, table in WIRED.items()])
+        marks = {name: [pytest.mark.slow] for name in ("six-modbus-rtu", "six-cia402")}
+        wired = [pytest.param(table, id=name, marks=marks.get(name, [])) for name, table in WIRED.items()]
+        metafunc.parametrize("wired", wired)
         return
     if "wired" in metafunc.fixturenames:
         wired = [pytest.param(lambda each=each: each, id=name) for name, each in _wired_of(rig_file).items()]
