@@ -16,7 +16,7 @@ from pyarrow import parquet
 import hil
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
-from hil.config.rig import Rails, Rig
+from hil.config.rig import ROTARY_NAMES, Rails, Rig
 from hil.console.session_state import SessionState, bench_description
 from hil.console.status import StatusWriter
 from hil.core.clock import SimulatedClock
@@ -58,6 +58,17 @@ place_deg = [3.0, 40.0]
 roll = { travel_deg = [-10.0, 10.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }
 yaw = { travel_deg = [-90.0, 90.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }
 """
+
+
+ARM = """
+[rotary_axes.arm]
+driver = "mock"
+servo = { gain_per_s = 30.0, lag_s = 0.006 }
+place_deg = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+""" + "".join(
+    f"{name} = {{ travel_deg = [-90.0, 90.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }}\n"
+    for name in ROTARY_NAMES
+)
 
 
 def rig_of(folder: Path, text: str, base: str = "emulated") -> Any:
@@ -214,15 +225,25 @@ def test_further_axis_that_is_not_homed_is_jogged_slowly_and_parks_not(tmp_path:
         assert bench.feedback().rail_m == pytest.approx(rails_m, abs=1e-6)
 
 
-def test_further_axis_that_does_not_follow_its_jog_stops_the_bench_by_its_name(tmp_path: Path) -> None:
-    with bench_of(tmp_path, LAMP.format(driver="mock")) as bench:
+@pytest.mark.parametrize(
+    ("text", "axis", "words"),
+    [
+        (LAMP.format(driver="mock"), "lamp.x", r"lamp\.x: following error 0\.05\d m, allowed 0\.05"),
+        (ARM, "arm.c", r"arm\.c: following error 2\.0\d\d deg, allowed 2\.0"),
+    ],
+)
+def test_further_axis_that_does_not_follow_its_jog_stops_the_bench_by_its_name(
+    tmp_path: Path, text: str, axis: str, words: str
+) -> None:
+    with bench_of(tmp_path, text) as bench:
         bench.home()
         runner = bench._operator.runner
         assert runner is not None
         (group,) = runner.loop.target.groups
-        group.axes._axes.rate_max[:] = 1e-3  # type: ignore[attr-defined]
-        with pytest.raises(hil.errors.BenchError, match=r"lamp\.x: following error 0\.05\d m, allowed 0\.05"):
-            bench.jog("lamp.x", 1, 3.0)
+        group.axes._axes.rate_max[-1] = 1e-3  # type: ignore[attr-defined]
+        with pytest.raises(hil.errors.BenchError, match=words):
+            bench.jog(axis, 1, 3.0)
+        assert bench.mode is Mode.SAFE_STOP
 
 
 def test_console_lists_further_axes_with_their_units_ages_and_states(tmp_path: Path) -> None:
