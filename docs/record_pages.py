@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.core import manipulator_records, messages
+from hil.core import held_records, manipulator_records, messages
 from hil.core.fields import Fields, markdown_table
 from hil.gnc_backends.backend_header import BACKEND_STRUCTS
 from hil.gnc_backends.c_header import RECORDS
@@ -26,8 +26,8 @@ def records() -> str:
             """# Records
 
 Layout of the records that a recording holds and that the stages of a cycle exchange, from the field tables in
-`hil/core/messages.py`, `hil/core/manipulator_records.py` and `hil/monitor/results.py`. Offsets are in bytes from the
-start of the record; types are those of numpy, little-endian; nested records have a table of their own.
+`hil/core/messages.py`, its neighbours `*_records.py` and `hil/monitor/results.py`. Offsets are in bytes from the start
+of the record; types are those of numpy, little-endian; nested records have a table of their own.
 [Frames](../../explanation/frames.md). Records of an [external GNC](gnc-records.md).
 
 ## Cycle
@@ -66,6 +66,8 @@ like `setpoint` of the cycle:""",
             manipulator_records.MANIPULATOR_SAMPLE_FIELDS,
             "`setpoint` and `feedback` of it:",
             manipulator_records.GIMBALS_FIELDS,
+            "## Held axes\n\n`/held_axes`, one per cycle and group of axes held at their places (`HELD_SAMPLE`):",
+            held_records.HELD_SAMPLE_FIELDS,
             "## Frame of the vision unit\n\n`frame` (`VMU_FRAME`):",
             messages.VMU_FRAME_FIELDS,
             "## Portion\n\n`/monitor/portions`, one per batch of frames of the docking monitor (`PORTION`):",

@@ -25,7 +25,7 @@ from hil.api.jobs import (
 from hil.api.requirements import RunRequirement, write_run_evidence
 from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
-from hil.config.rig import BENCH_AXES, TARGET_AXES, Rig
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import record_dtype
 from hil.core.manipulator_records import GIMBALS_FIELDS
@@ -289,6 +289,23 @@ class Bench:
         found.angle_rad, found.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
         return found
 
+    def axis_feedback(self, axis: str) -> tuple[float, float]:
+        """Return the newest position and rate of one axis, by its encoder: m and m/s, or rad and rad/s.
+
+        axis: as of ``jog``. Raises BadInput.
+        """
+        runner = self._operator.runner
+        if runner is None:
+            raise self._ended_error("read the encoders")
+        groups = zip((runner.loop.bench.rails, runner.loop.bench.turntable), runner.loop.bench.feedback, strict=True)
+        others = ((group.axes, group.feedback) for group in runner.loop.target.groups)
+        for device, found in (*groups, *others):
+            if axis in device.axis_names:
+                number = device.axis_names.index(axis)
+                return float(found.position[number]), float(found.rate[number])
+        known = ", ".join(self._job.rig.value.axis_names)
+        raise BadInput.single("axis_feedback", "", f"{axis!r}: must be one of {known}")
+
     def home(self, timeout_s: float = 180.0) -> None:
         """Home the axes that need it."""
         self._command(OperatorCommand.HOME, Mode.STANDBY, timeout_s)
@@ -296,11 +313,10 @@ class Bench:
     def jog(self, axis: str, direction: int, duration_s: float) -> None:
         """Move one axis slowly, as long as an operator would press the key.
 
-        axis: ``rails.x`` to ``turntable.yaw``, and ``target.roll`` to ``target.yaw`` of a rotary manipulator;
-        direction: 1 or -1; duration_s: of the key, s. Raises BadInput.
+        axis: ``rails.x`` to ``turntable.yaw``, ``target.roll`` to ``target.yaw`` of a rotary manipulator, ``light.x``
+        of further axes; direction: 1 or -1; duration_s: of the key, s. Raises BadInput.
         """
-        rotated = self._job.rig.value.rotated_target is not None
-        axes = (*BENCH_AXES, *TARGET_AXES) if rotated else BENCH_AXES
+        axes = self._job.rig.value.axis_names
         if axis not in axes or direction not in (-1, 1) or not is_positive(duration_s):
             text = f"{axis!r}, {direction!r}, {duration_s!r}: must be one of {', '.join(axes)}; 1 or -1; above 0 s"
             raise BadInput.single("jog", "", text)

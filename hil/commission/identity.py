@@ -14,13 +14,14 @@ from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 
 _FIRST_FRAME_S: Final = 5.0
-_AXES: Final = {1: "one axis", 2: "two axes", 3: "three axes"}
+_NUMBERS: Final = ("one", "two", "three", "four", "five", "six")
 
 
 def expected_identity(rig: Rig) -> list[str]:
     """Return a line per controller of axes; all are open, and their drivers reject any other identity."""
     return [
-        f"{name}: {_AXES[len(part.axis_names)]}, {_as_required(part.entry.identity(part) if part.has_wires else {})}"
+        f"{name}: {_number_of_axes(len(part.axis_names))}, "
+        f"{_as_required(part.entry.identity(part) if part.has_wires else {})}"
         for group, table in rig.axis_groups.items()
         for name, part in table.parts(group).items()
     ]
@@ -43,6 +44,10 @@ def check_vision_unit(runner: Runner, sequencer: MotionSequencer, rig: Rig, prom
     required = rig.vmu.identity.model_dump(exclude_none=True)
     distance_m = float(np.linalg.norm(frames[-1].t_v))
     prompt.show(f"vmu: {_as_required(required)}, target measured at {distance_m:.3f} m")
+
+
+def _number_of_axes(n: int) -> str:
+    return f"{_NUMBERS[n - 1]} {'axis' if n == 1 else 'axes'}"
 
 
 def _as_required(required: Mapping[str, str]) -> str:

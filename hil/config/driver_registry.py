@@ -111,7 +111,7 @@ class DriverEntry:
     emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
     setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
     if its speed does not matter.
-    any_axes: whether driver and emulator of an axis group serve any of its axes, ``table.axis_names``, not only three.
+    axes: numbers of axes that driver and emulator of an axis group serve, those of ``table.axis_names``.
     keeps_bench_time: whether driver and emulator wait by the clock that they are given, and count the bytes of their
     wires by it: required in lock-step.
     """
@@ -128,7 +128,7 @@ class DriverEntry:
     has_processes: bool = False
     emulated_parts: Sequence[str] = ()
     setpoints_hz: Callable[[Any], float] = lambda table: math.inf
-    any_axes: bool = False
+    axes: range = range(3, 4)
     keeps_bench_time: Callable[[Any], bool] = lambda table: False
 
 
@@ -155,6 +155,20 @@ def driver_entry(device: str, name: str) -> DriverEntry:
     if (loaded.device, loaded.name) != (device, name):
         raise ValueError(f"{what} is the entry of {loaded.device}.{loaded.name}, expected {key}")
     return loaded
+
+
+def check_axes(key: str, device: str, name: str, axes: Sequence[str], all_names: Sequence[str]) -> None:
+    """Raise ValueError, one line that begins with ``key``, if the driver ``name`` cannot drive ``axes``.
+
+    all_names: of the axes that the device may have; a driver of one number of axes drives the first ones.
+    """
+    known = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
+    allowed, n = driver_entry(device, name).axes, len(axes)
+    if n in allowed and (len(allowed) > 1 or [*axes] == [*all_names[:n]]):
+        return
+    others = [other for other in known if n in (found := driver_entry(device, other).axes) and len(found) > 1]
+    drives = ", ".join(all_names[: allowed[0]]) if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]} axes"
+    raise ValueError(f'{key} "{name}": drives {drives}, here {", ".join(axes)}; allowed: {", ".join(others)}')
 
 
 def registered_drivers() -> dict[str, str]:

@@ -16,7 +16,7 @@ Frequency = Annotated[float, Field(ge=0.0, le=_HIGHEST_HZ)]
 
 
 class DriveMechanics(ConfigModel):
-    """Effects of the mechanics of three emulated axes, each switched off by 0."""
+    """Effects of the mechanics of emulated axes, each switched off by 0."""
 
     force: ClassVar[str]  # unit of the keys
     si_per_length: ClassVar[float]

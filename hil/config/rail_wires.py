@@ -15,7 +15,7 @@ _BYTES: Final = {3: 13, 6: 14, 16: 17, 23: 18}  # of a transaction on a serial l
 
 
 class ModbusRtu(ConfigModel):
-    """Three drives on one serial line, addressed one after the other."""
+    """Drives on one serial line, addressed one after the other."""
 
     port: str | None = None
     """Serial port."""
@@ -25,8 +25,8 @@ class ModbusRtu(ConfigModel):
     """Parity."""
     stopbits: Literal[1, 2] = 1
     """Stop bits."""
-    device_ids: tuple[DeviceId, DeviceId, DeviceId] = (1, 2, 3)
-    """Modbus device ids of x, y, z."""
+    device_ids: Annotated[tuple[DeviceId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
+    """Modbus device ids of x, y, z; of further axes also of u, v, w."""
 
     @property
     def bits_per_byte(self) -> int:

@@ -12,7 +12,7 @@ from hil.config.bodies import BenchBody, check_kinds
 from hil.config.cameras import DriftCheckViews, MonitorCamera
 from hil.config.clock import ClockConfig
 from hil.config.console import ConsoleTable
-from hil.config.driver_registry import DeviceTable, Wire, WireKey
+from hil.config.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.flight_computer import FlightComputer
 from hil.config.gnc_link import GncLink
 from hil.config.guard import GuardConfig
@@ -27,8 +27,10 @@ from hil.config.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
+LINEAR_NAMES = (*RAIL_NAMES, "u", "v", "w")  # of a group of up to six axes; further ones as in ISO 841
+ROTARY_NAMES = (*GIMBAL_NAMES, "a", "b", "c")
+FURTHER_AXES_MAX = 24  # of a rig
 BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
-TARGET_AXES = tuple(f"target.{name}" for name in GIMBAL_NAMES)  # of a rotary manipulator
 
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
@@ -214,8 +216,16 @@ class Modbus(ConfigModel):
     z: ModbusAxis = ModbusAxis()
 
 
+class FurtherModbus(Modbus):
+    """Drives of further axes on Modbus TCP."""
+
+    u: ModbusAxis = ModbusAxis()
+    v: ModbusAxis = ModbusAxis()
+    w: ModbusAxis = ModbusAxis()
+
+
 class Cia402(ConfigModel):
-    """Three CiA 402 drives on one CAN bus, roll, pitch, yaw."""
+    """CiA 402 drives on one CAN bus."""
 
     interface: str = "serial"
     """Interface of python-can."""
@@ -225,8 +235,8 @@ class Cia402(ConfigModel):
     """Bit rate of the bus, bit/s."""
     baud: Annotated[int, Field(gt=0)] = 1_000_000
     """Baud rate of a serial adapter."""
-    node_ids: tuple[NodeId, NodeId, NodeId] = (1, 2, 3)
-    """Node ids of roll, pitch, yaw."""
+    node_ids: Annotated[tuple[NodeId, ...], Field(min_length=1, max_length=6)] = (1, 2, 3)
+    """Node ids of roll, pitch, yaw; of further axes also of a, b, c."""
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
     """Encoder counts per revolution of the axis."""
     eds_file: str | None = None
@@ -285,23 +295,21 @@ class SensorLine(ConfigModel):
     """Unless set, that of the sensor's protocol."""
 
 
-def _wires_of(keys: Iterable[WireKey], names: tuple[str, str, str], axes: Iterable[str]) -> list[WireKey]:
-    """Return those of ``keys`` that are not of an axis other than ``axes``. names: of all axes."""
-    others = set(names) - set(axes)
+def _wires_of(keys: Iterable[WireKey], axes: Iterable[str]) -> list[WireKey]:
+    """Return those of ``keys`` that are not of an axis other than ``axes``."""
+    others = {*LINEAR_NAMES, *ROTARY_NAMES} - set(axes)
     return [key for key in keys if key.name not in others]
 
 
 class AxisController(DeviceTable):
     """Controller of some axes of a group, which drives them in place of the group's own driver."""
 
-    axis_names: ClassVar[tuple[str, str, str]]
-
     axes: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
     """Names of the axes that it drives."""
 
     @property
     def wire_keys(self) -> list[WireKey]:
-        return _wires_of(super().wire_keys, self.axis_names, self.axes)
+        return _wires_of(super().wire_keys, self.axes)
 
     def check_driver(self) -> None:
         """Check nothing: the group checks what the driver gets, which includes its axes."""
@@ -317,7 +325,6 @@ class RailController(AxisController):
     """`[[rails.controllers]]`: axes of the rails on a controller of their own; further keys as in `[rails]`."""
 
     device: ClassVar = "rails"
-    axis_names: ClassVar = RAIL_NAMES
 
     modbus: Modbus | None = None
     rtu: ModbusRtu | None = None
@@ -328,16 +335,15 @@ class GimbalController(AxisController):
     """`[[turntable.controllers]]`: axes of the turntable on a controller of their own; further keys as there."""
 
     device: ClassVar = "turntable"
-    axis_names: ClassVar = GIMBAL_NAMES
 
     cia402: Cia402 | None = None
     ascii: AsciiTurntableLine | None = None
 
 
 class AxisGroupTable(DeviceTable):
-    """Table of up to three axes, each in a table of its own name."""
+    """Table of one to six axes, each in a table of its own name."""
 
-    all_names: ClassVar[tuple[str, str, str]]
+    all_names: ClassVar[tuple[str, ...]]
     si_per_unit: ClassVar[float]  # of positions in the file: 1 for m, rad per degree
 
     _part: tuple[str, ...] = PrivateAttr(default=())
@@ -372,7 +378,7 @@ class AxisGroupTable(DeviceTable):
 
     @property
     def axis_numbers(self) -> tuple[int, ...]:
-        """Numbers, 0 to 2, of ``axis_names`` among all that the table may have."""
+        """Numbers, from 0, of ``axis_names`` among all that the table may have."""
         return tuple(self.all_names.index(name) for name in self.axis_names)
 
     @property
@@ -415,7 +421,7 @@ class AxisGroupTable(DeviceTable):
     @property
     def wire_keys(self) -> list[WireKey]:
         taken = [axis for controller in self.own_controllers for axis in controller.axes]
-        return _wires_of(super().wire_keys, self.all_names, set(self.axis_names) - set(taken))
+        return _wires_of(super().wire_keys, set(self.axis_names) - set(taken))
 
     def check_driver(self) -> None:
         """Raise ValueError for axes that are driven twice or by no driver, and if a driver cannot drive its axes."""
@@ -428,10 +434,8 @@ class AxisGroupTable(DeviceTable):
             raise ValueError("controllers: drive all axes, allowed: all but one, which driver drives")
         for number, part in enumerate(self.parts("").values(), -1):
             if part.has_wires:
-                if len(part.axis_names) < len(self.all_names) and not part.entry.any_axes:
-                    key = "driver" if number < 0 else f"controllers.{number}.driver"
-                    names = ", ".join(part.axis_names)
-                    raise ValueError(f'{key} "{part.driver}": drives three axes only, here {names}')
+                key = "driver" if number < 0 else f"controllers.{number}.driver"
+                check_axes(key, part.device, part.driver, part.axis_names, part.all_names)
                 part.entry.check(part)
 
     @property
@@ -448,6 +452,14 @@ class AxisGroupTable(DeviceTable):
 def part_name(name: str, controller: AxisController) -> str:
     """Return the name of the part of the group ``name`` that is on ``controller``."""
     return f"{name}.{'-'.join(controller.axes)}"
+
+
+def check_ids(key: str, ids: tuple[int, ...], table: AxisGroupTable) -> None:
+    """Raise ValueError if ``ids``, in the order of all axes that ``table`` may have, lack one of its axes."""
+    last = table.axis_numbers[-1]
+    if last >= len(ids):
+        missing, wanted = table.all_names[last], ", ".join(table.all_names[: last + 1])
+        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {wanted}")
 
 
 class HeldAtPlace(AxisGroupTable):
@@ -478,7 +490,7 @@ class LinearAxes(AxisGroupTable):
     """Axes that move along lines, with the keys of rails."""
 
     device: ClassVar = "rails"
-    all_names: ClassVar = RAIL_NAMES
+    all_names: ClassVar[tuple[str, ...]] = RAIL_NAMES
     si_per_unit: ClassVar = 1.0
 
     following_error_max_m: Positive = 0.05
@@ -522,7 +534,7 @@ class RotaryAxes(AxisGroupTable):
     """Axes that rotate, with the keys of the turntable."""
 
     device: ClassVar = "turntable"
-    all_names: ClassVar = GIMBAL_NAMES
+    all_names: ClassVar[tuple[str, ...]] = GIMBAL_NAMES
     si_per_unit: ClassVar = math.pi / 180.0
 
     following_error_max_deg: Positive = 2.0
@@ -553,25 +565,36 @@ class Turntable(RotaryAxes):
 
 
 class HeldLinearAxes(LinearAxes, HeldAtPlace):
-    """`[linear_axes.NAME]`: one to three axes, as of a light source, that stand at their place during a run."""
+    """`[linear_axes.NAME]`: one to six axes, as of a light source, that stand at their place during a run."""
+
+    all_names: ClassVar = LINEAR_NAMES
 
     x: RailAxis | None = None
     y: RailAxis | None = None
     z: RailAxis | None = None
+    u: RailAxis | None = None
+    v: RailAxis | None = None
+    w: RailAxis | None = None
+    modbus: FurtherModbus | None = None
     place_m: tuple[float, ...]
-    """Place of each axis that is given, in the order x, y, z, reached before the run is armed at half of the limits."""
+    """Place of each axis that is given, in the order above, reached before the run is armed at half of the limits."""
     held_within_m: Positive = 0.005
     """Allowed distance from it while armed and running."""
 
 
 class HeldRotaryAxes(RotaryAxes, HeldAtPlace):
-    """`[rotary_axes.NAME]`: one to three axes that rotate a light source to its place and hold it during a run."""
+    """`[rotary_axes.NAME]`: one to six axes that rotate a light source to its place and hold it during a run."""
+
+    all_names: ClassVar = ROTARY_NAMES
 
     roll: GimbalAxis | None = None
     pitch: GimbalAxis | None = None
     yaw: GimbalAxis | None = None
+    a: GimbalAxis | None = None
+    b: GimbalAxis | None = None
+    c: GimbalAxis | None = None
     place_deg: tuple[float, ...]
-    """Place of each axis that is given, in the order roll, pitch, yaw, reached before the run is armed."""
+    """Place of each axis that is given, in the order above, reached before the run is armed."""
     held_within_deg: Positive = 0.5
     """Allowed distance from it while armed and running."""
 
@@ -745,10 +768,31 @@ class Rig(ConfigModel):
         return {name: table for name, table in (self.linear_axes | self.rotary_axes).items() if table.driver != "none"}
 
     @property
+    def held_numbers(self) -> dict[str, int]:
+        """Numbers of axes of the groups of further axes, by names."""
+        return {name: len(table.axes) for name, table in self.held_axes.items()}
+
+    @property
+    def groups_at_places(self) -> dict[str, HeldAtPlace]:
+        """All axes that are held at their places during a run: those of the target, if it stands, and further ones."""
+        return ({} if self.moved_target is None else {"target": self.moved_target}) | self.held_axes
+
+    @property
     def axis_groups(self) -> dict[str, AxisGroupTable]:
         """All axes of the bench, by the names of their devices."""
         target = {} if self.target_axes is None else {"target": self.target_axes}
         return {"rails": self.rails, "turntable": self.turntable, **target, **self.held_axes}
+
+    @property
+    def axis_names(self) -> list[str]:
+        """Full names of all axes, as ``rails.x``: rails and turntable first, then those of the target, further ones."""
+        return [f"{group}.{axis}" for group, table in self.axis_groups.items() for axis in table.axis_names]
+
+    @model_validator(mode="after")
+    def _further_axes_fit(self) -> Self:
+        if (n := sum(self.held_numbers.values())) > FURTHER_AXES_MAX:
+            raise ValueError(f"linear_axes, rotary_axes: {n} axes, at most {FURTHER_AXES_MAX} are allowed")
+        return self
 
     @model_validator(mode="after")
     def _names_of_axes_differ(self) -> Self:

@@ -34,11 +34,11 @@ from hil.core.files import parse_json
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Reader, Ring
-from hil.recording import foxglove, foxglove_images
+from hil.recording import foxglove, foxglove_images, schema
 from hil.recording.foxglove import TEXT, number, table
 from hil.recording.foxglove_server import FoxgloveServer, json_service
 from hil.recording.recorder import RING_DTYPES
-from hil.recording.run_messages import MessageSchema, RunMessages, fixed_channels, json_schema
+from hil.recording.run_messages import MessageSchema, RunMessages, fixed_channels, json_schema, record_channel
 
 BENCH_TOPIC: Final = "/bench"
 _PACKET: Final = 1 << 18
@@ -151,6 +151,9 @@ class LiveSession:
         self._readers: dict[str, Reader] = {name: ring.reader(from_now=True) for name, ring in self._rings.items()}
         self._files = about["files"]
         self.messages = LiveMessages(server, WallClock(*about["clock"]), self._run_time)
+        for topic, sink in schema.OPTIONAL.items():
+            if sink in self._rings:
+                server.open_channel(*record_channel(topic))
 
     def poll(self) -> None:
         """Send the new rows."""

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.checks.waivers import waivers
-from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, RAIL_NAMES, TARGET_AXES, Rig
+from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.core.modes import Mode
@@ -23,7 +23,6 @@ _NIS_TAIL: Final = 0.0027  # probability beyond three sigma of a normal variable
 SILENT_S: Final = 2.0
 """The recorder reports ten times per second; after this time without a report it counts as dead."""
 _SHOWN_EVENTS: Final = 20
-_AXES_MAX: Final = len(BENCH_AXES) + len(TARGET_AXES)
 _SENSOR_PERIODS: Final = 3.0  # without a sample, after which a sensor is shown as silent
 SENSOR_STATES: Final = ("", "suspect", "disagrees")
 TARGET: Final = "target"
@@ -154,11 +153,14 @@ class SessionState:
         if not self._number:
             return {}
         status, since_s = status_of(self._status), now_s - self._received_s
-        axes = _AXES_MAX if self._is_rotated else len(BENCH_AXES)
+        axes = len(self.bench.get("axes", BENCH_AXES))
         ages_s = {name: finite_or_none(status.age_s[i] + since_s) for i, name in enumerate(DEVICES)}
+        further = self._further_axes(status)
+        rotated = further.pop(TARGET) if self._is_rotated else None
         return {
             "status_age_s": since_s,
-            "ages_s": ages_s | ({TARGET: finite_or_none(status.target_age_s + since_s)} if self._is_rotated else {}),
+            "ages_s": ages_s
+            | {name: finite_or_none(status.axis_age_s[places][0] + since_s) for name, places in self._groups().items()},
             "bench_s": finite_or_none(status.bench_s),
             "run_s": finite_or_none(status.run_s),
             "share": finite_or_none(status.fraction),
@@ -182,13 +184,35 @@ class SessionState:
                 }
                 for name, row in zip(self.bench.get("sensors", {}), status.sensors, strict=False)
             ],
-            **(_target(status) if self._is_rotated else {}),
+            **({"further_axes": further} if further else {}),
+            **(_target(status, rotated) if rotated else {}),
         }
 
     @property
     def _is_rotated(self) -> bool:
         """Whether the rig has a rotary manipulator."""
-        return len(self.bench.get("axes", ())) == _AXES_MAX
+        return bool(self.bench.get("units", {}).get(TARGET) == "deg")
+
+    def _groups(self) -> dict[str, slice]:
+        """Return the places of the axes after the first six in the status, by the names of their groups."""
+        found: dict[str, slice] = {}
+        for number, axis in enumerate(self.bench.get("axes", ())):
+            if number >= len(BENCH_AXES):
+                group = axis.partition(".")[0]
+                found[group] = slice(found[group].start if group in found else number, number + 1)
+        return found
+
+    def _further_axes(self, status: np.record) -> dict[str, dict[str, list[float | None]]]:
+        """Return positions and rates of the axes after the first six, by groups: ``m`` and ``mps``, or in degrees."""
+        found = {}
+        for name, places in self._groups().items():
+            unit = self.bench["units"][name]
+            scale = math.degrees(1.0) if unit == "deg" else 1.0
+            found[name] = {
+                unit: [finite_or_none(scale * v) for v in status.position[places]],
+                f"{unit}ps": [finite_or_none(scale * v) for v in status.rate[places]],
+            }
+        return found
 
     def page(self) -> dict[str, Any]:
         """Return the slow part of the state."""
@@ -204,11 +228,11 @@ class SessionState:
         }
 
 
-def _target(status: np.record) -> dict[str, Any]:
+def _target(status: np.record, rotated: dict[str, list[float | None]]) -> dict[str, Any]:
     """Return the axes of the rotary manipulator, and those of the chaser's rig relative to the target."""
     return {
-        "target_deg": [finite_or_none(math.degrees(v)) for v in status.target_rad],
-        "target_degps": [finite_or_none(math.degrees(v)) for v in status.target_radps],
+        "target_deg": rotated["deg"],
+        "target_degps": rotated["degps"],
         "relative": {
             "rail_m": [finite_or_none(v) for v in status.relative.rail_m],
             "gimbal_deg": [finite_or_none(math.degrees(v)) for v in status.relative.gimbal_rad],
@@ -228,21 +252,15 @@ def _monitor_numbers(scenario: Scenario) -> list[dict[str, Any]]:
 
 def bench_description(rig: Rig, scenario: Scenario) -> dict[str, Any]:
     """Return the description of bench and run that a page needs to draw them."""
-    rails = {f"rails.{name}": [*getattr(rig.rails, name).travel_m] for name in RAIL_NAMES}
-    gimbals = {f"turntable.{name}": [*getattr(rig.turntable, name).travel_deg] for name in GIMBAL_NAMES}
-    target = rig.rotated_target
-    turned = {}
-    if target is not None:
-        turned = {axis: [*getattr(target, axis.split(".")[1]).travel_deg] for axis in TARGET_AXES}
+    axes = [axis for table in rig.axis_groups.values() for axis in table.axes]
     guidance, corridor = scenario.gnc.guidance, scenario.gnc.corridor
     return {
-        "axes": rails | gimbals | turned,
+        "axes": {name: [*axis.in_file("travel")] for name, axis in zip(rig.axis_names, axes, strict=True)},
+        "units": {name: "m" if table.si_per_unit == 1.0 else "deg" for name, table in rig.axis_groups.items()},
         "stale_s": {
-            "rails": rig.rails.timeout_s,
-            "turntable": rig.turntable.timeout_s,
+            **{name: table.timeout_s for name, table in rig.axis_groups.items()},
             "vmu": rig.vmu.timeout_s,
             "io": rig.io.timeout_s if rig.io is not None and rig.has_io else None,
-            **({TARGET: target.timeout_s} if target else {}),
         },
         "lever_arm_m": rig.bench.lever_arm_m,
         "ring_m": rig.vmu.leds_m,

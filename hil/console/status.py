@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.bench.kinematics import write_axes
 from hil.bench.manipulator import relative_axes
+from hil.config.rig import BENCH_AXES, FURTHER_AXES_MAX, GIMBAL_NAMES
 from hil.core.messages import AXES
 from hil.core.modes import Mode
 from hil.core.sensor_records import MAX_SENSORS
@@ -19,6 +20,7 @@ from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
 
 MODES: Final = tuple(Mode)
+AXES_SHOWN: Final = len(BENCH_AXES) + len(GIMBAL_NAMES) + FURTHER_AXES_MAX
 DEVICES: Final = ("rails", "turntable", "vmu", "io")
 UNKNOWN: Final = -1
 
@@ -33,17 +35,17 @@ STATUS = np.dtype(
         ("feedback", AXES),  # of a rig with a rotary manipulator in the lab, in each mode
         ("setpoint", AXES),
         ("age_s", "f8", len(DEVICES)),  # of the last data of each of DEVICES; nan if unknown
-        ("homing", "i8", 9),  # of rails, turntable, and rotary manipulator
-        ("limit", "i8", 9),
+        ("homing", "i8", AXES_SHOWN),  # in the order of ``Rig.axis_names``
+        ("limit", "i8", AXES_SHOWN),
         ("estop", "i8"),  # 1 pressed, 0 released, UNKNOWN
         ("frames", "i8"),
         ("overruns", "i8"),
         ("skipped_periods", "i8"),
         ("limited_cycles", "i8"),
-        ("target_rad", "f8", 3),  # encoders of the rotary manipulator, as all that follow; zero without one
-        ("target_radps", "f8", 3),
-        ("target_age_s", "f8"),
-        ("relative", AXES),  # ``feedback`` relative to the target
+        ("position", "f8", AXES_SHOWN),  # encoders of the axes after the first six, m or rad
+        ("rate", "f8", AXES_SHOWN),
+        ("axis_age_s", "f8", AXES_SHOWN),
+        ("relative", AXES),  # ``feedback`` relative to the target, of a rotary manipulator
         ("sensors", SENSOR, MAX_SENSORS),  # in the order of the loop's records
     ],
     align=True,
@@ -77,8 +79,16 @@ class StatusWriter:
             out.age_s[0], out.age_s[1] = now_s - rails.t_s, now_s - turntable.t_s
             out.homing[:6] = (*rails.homing, *turntable.homing)
             out.limit[:6] = (*rails.limit, *turntable.limit)
+            first = 6
+            for group in loop.target.groups:
+                found, places = group.feedback, slice(first, first + len(group.feedback.position))
+                out.homing[places], out.limit[places] = found.homing, found.limit
+                out.position[places], out.rate[places], out.axis_age_s[places] = (
+                    found.position, found.rate, now_s - found.t_s
+                )  # fmt: skip
+                first = places.stop
             if bench.manipulator is not None:
-                self._read_manipulator(bench.manipulator, now_s)
+                self._read_manipulator(bench.manipulator)
             out.age_s[2] = self._age_of_frames(now_s)
             self._read_safety_io(now_s)
         if loop.sensors is not None:
@@ -89,13 +99,11 @@ class StatusWriter:
         out.limited_cycles = bench.limited_cycles
         return self.record
 
-    def _read_manipulator(self, manipulator: Manipulator, now_s: float) -> None:
-        """Write the axes of the manipulator, and those of the chaser's rig in the lab and relative to the target."""
+    def _read_manipulator(self, manipulator: Manipulator) -> None:
+        """Write the axes of the chaser's rig in the lab and relative to the target."""
         bench, out, target = self._runner.loop.bench, self._view, manipulator.feedback
         rails, turntable = bench.feedback
         write_axes(rails.position, rails.rate, turntable.position, turntable.rate, out.feedback)
-        out.target_rad, out.target_radps, out.target_age_s = target.position, target.rate, now_s - target.t_s
-        out.homing[6:], out.limit[6:] = target.homing, target.limit
         out.relative.rail_m, out.relative.gimbal_rad = relative_axes(
             bench.params, manipulator.params, rails.position, turntable.position, target.position
         )

@@ -283,6 +283,8 @@ class Homing(IntEnum):
     FAILED = 3
 
 
+AXES_MAX: Final = 6
+"""Most axes of one device."""
 HOMED: Final = (Homing.DONE, Homing.DONE, Homing.DONE)
 """Three axes with a valid position reference."""
 NO_LIMIT: Final = (0, 0, 0)
@@ -291,7 +293,7 @@ NO_LIMIT: Final = (0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class AxisFeedback:
-    """Feedback of the n axes of one device, three unless its table has fewer: the newest sample and its time.
+    """Feedback of the n axes of one device, one to six: the newest sample and its time.
 
     position: shape (n,), m or rad; rate: shape (n,), m/s or rad/s; t_s: bench time of the sample.
     homing: of each axis; only at DONE does its position refer to the bench. limit: limit switch that

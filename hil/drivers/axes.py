@@ -1,4 +1,4 @@
-"""Servo model of up to three axes with its parameters, for mocks and emulators; limits of setpoints, for drivers."""
+"""Servo model of one to six axes with its parameters, for mocks and emulators; limits of setpoints, for drivers."""
 
 from __future__ import annotations
 
@@ -10,25 +10,27 @@ from hil.config.mechanics import DriveMechanics
 from hil.config.rig import AxisGroupTable
 from hil.core.messages import Array, new
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
-from hil.models.drive_mechanics import DRIVE_MECHANICS, drive_mechanics_step, encoder_reading
-from hil.models.servo import SERVO, servo_step
+from hil.models.drive_mechanics import drive_mechanics_record, drive_mechanics_step, encoder_reading
+from hil.models.servo import servo_record, servo_step
 
+AXES_LEAST: Final = 3
+"""Axes of a record, also of a group of fewer: the kernels of rails and turntable serve it."""
 _FROM_CONFIG: Final = ("low", "high", "rate_max", "acceleration_max", "position")
 
 
 class ServoAxes:
-    """Axes that follow setpoints, n of one to three, in SI units: m and m/s, or rad and rad/s.
+    """Axes that follow setpoints, n of one to six, in SI units: m and m/s, or rad and rad/s.
 
-    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (n,), rails x y z or gimbals
-    roll pitch yaw; views of ``record`` (SERVO), a new one or the given one. The axes start at their park position, at
-    rest.
+    position, rate, setpoint, feedforward, low, high, kp (1/s), tau (s): arrays of shape (n,), in the order of
+    ``config.axes``; views of ``record`` (SERVO, of more axes a wider one), a new one or the given one. The axes start
+    at their park position, at rest.
     """
 
     def __init__(self, config: AxisGroupTable, record: np.record | None = None) -> None:
         table = np.array([axis.limits for axis in config.axes])
-        n = len(table)
-        table = np.concatenate([table, np.repeat(table[-1:], 3 - n, axis=0)])  # SERVO has three: the others stand
-        self.record: np.record = new(SERVO) if record is None else record
+        n, width = len(table), max(AXES_LEAST, len(table))
+        table = np.concatenate([table, np.repeat(table[-1:], width - n, axis=0)])  # those that it has not stand
+        self.record: np.record = new(servo_record(width)) if record is None else record
         for name, column in zip(_FROM_CONFIG, table.T, strict=True):
             self.record[name] = column
         self.record.rate_min = -self.record.rate_max
@@ -77,8 +79,8 @@ class MechanicalAxes(ServoAxes):
 
     def __init__(self, config: AxisGroupTable, mechanics: DriveMechanics) -> None:
         super().__init__(config)
-        state: np.record = new(DRIVE_MECHANICS)
         n = len(self.position)
+        state: np.record = new(drive_mechanics_record(max(AXES_LEAST, n)))
         state.motor = state.counted = self.record.position
         gain = 2.0 * np.pi * mechanics.velocity_bandwidth_hz
         load = mechanics.load_ratio / (1.0 + mechanics.load_ratio)

@@ -14,13 +14,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
+from hil.core.messages import AXES_MAX, Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.errors import SafetyTrip
 
 
 @runtime_checkable
 class AxisGroup(Protocol):
-    """Position-controlled axes of one device, in m and m/s or rad and rad/s: rails and turntable have three."""
+    """Position-controlled axes of one device, n of one to six, in m and m/s or rad and rad/s."""
 
     name: str
     axis_names: tuple[str, ...]
@@ -70,7 +70,7 @@ class LimitsSetpoints(Protocol):
     """An axis group whose axes catch up after a gap in the setpoints, as after a lost response."""
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
-        """Set the limits (3,) of catching up, those of the present move; ``open`` sets the limits of the axes."""
+        """Set the limits (n,) of catching up, those of the present move; ``open`` sets the limits of the axes."""
 
 
 @runtime_checkable
@@ -78,7 +78,7 @@ class Parks(Protocol):
     """An axis group with profiled moves."""
 
     def move_to(self, position: Array, rate: Array, now_s: float) -> Array:
-        """Move to position (3,) at most at rate (3,) and hold there; return the accepted goal.
+        """Move to position (n,) at most at rate (n,) and hold there; return the accepted goal.
 
         Returns at once, ``read`` reports the progress. Later setpoints are not passed on until the next ``open``:
         ``send`` returns the present position. Errors as for ``send``.
@@ -90,7 +90,7 @@ class CountsExchanges(Protocol):
     """An axis group that counts the feedback of its drives."""
 
     def exchanges(self) -> tuple[int, float]:
-        """Return the number of samples of all three axes since ``open``, and bench time of the newest, s."""
+        """Return the number of samples of all axes since ``open``, and bench time of the newest, s."""
 
 
 @runtime_checkable
@@ -165,7 +165,7 @@ def full_names(device: str, short: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{group}.{name}" for name in short)
 
 
-_UNLIMITED = np.full(3, np.finfo(float).max)
+_UNLIMITED = np.full(AXES_MAX, np.finfo(float).max)
 
 
 def setpoint_bounds(low: Array, high: Array, jogging: bool) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Cyclic exchange of setpoints and feedback: thread and life cycle shared by drivers of up to three axes.
+"""Cyclic exchange of setpoints and feedback: thread and life cycle shared by drivers of up to six axes.
 
 The caller's side (``send``, ``read``) never blocks. The thread owns the link from ``open`` to ``close``: it exchanges
 when a setpoint arrives, at most at the rate of the rig file, and every PERIOD_S without one.

@@ -1,4 +1,4 @@
-"""Mechanics of emulated drives, one to three: servos, holding brakes, encoders, home and limit switches, faults."""
+"""Mechanics of emulated drives, one to six: servos, holding brakes, encoders, home and limit switches, faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mock of rails, turntable and other axes: up to three in memory, in simulated time."""
+"""Mock of rails, turntable and other axes: one to six in memory, in simulated time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from hil.config.rig import AxisGroupTable
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array, AxisFeedback, Homing
-from hil.drivers.axes import ServoAxes
+from hil.drivers.axes import AXES_LEAST, ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.errors import DeviceError, LinkLost, SafetyTrip
 from hil.models.servo import move_servo
@@ -24,7 +24,7 @@ class MockAxes:
 
     Each call advances the axes to its time; earlier times move nothing. An axis with ``encoder = "incremental"``
     counts from its position at power-on. ``home`` moves axes that are not homed to their home switches. servo: SERVO
-    of the axes, which a compiled loop moves instead of ``send`` and ``read``; None: of their own.
+    of three axes, which a compiled loop moves instead of ``send`` and ``read``; None: of their own.
     """
 
     def __init__(self, name: str, config: AxisGroupTable, servo: np.record | None = None) -> None:
@@ -159,7 +159,11 @@ class MockAxes:
         if not self._stopped:
             if Homing.UNDER_WAY in self._homing:
                 self._step_homing(left_s)
-            move_servo(self.servo, now_s)
+            if len(self.axis_names) <= AXES_LEAST:
+                move_servo(self.servo, now_s)
+                return
+            self._axes.step(left_s)
+            self.servo.t_s = now_s
             return
         self.servo.t_s = now_s
         while left_s > 0.0 and self._axes.rate.any():

@@ -11,7 +11,6 @@ import numpy as np
 from hil.bench import kinematics, stopping
 from hil.bench.bench_guard import BENCH_GUARD_MEMORY
 from hil.bench.guard import NOTHING
-from hil.bench.jog import Jog
 from hil.bench.manipulator import ChaserMotion
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, new
@@ -31,26 +30,7 @@ class Manipulator(Protocol):
     params: np.record
     """MANIPULATOR."""
     feedback: AxisFeedback
-    """From the last ``read``."""
-
-    @property
-    def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes, roll, pitch and yaw."""
-
-    def read(self, now_s: float) -> None:
-        """Read the newest encoder values. Raises BenchError."""
-
-    def check(self, now_s: float) -> None:
-        """``read``, and raise SafetyTrip if an axis is not where it should be."""
-
-    def begin_jog(self, axis: int, direction: int, rate_fraction: float) -> Jog:
-        """Return a jog of ``axis``, 0..2, from where the axes stand; ``end_jog`` ends it."""
-
-    def jog(self, jog: Jog, now_s: float) -> None:
-        """Send the next setpoint of a jog while its key is pressed."""
-
-    def end_jog(self) -> None:
-        """Limit the setpoints to the travel again."""
+    """Newest encoder values."""
 
     def seed(self, now_s: float) -> None:
         """Seed the setpoints with the encoder positions, at rest."""

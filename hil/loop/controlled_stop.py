@@ -42,9 +42,9 @@ class BrakeTimes:
 
 
 class Ramp:
-    """Speeds of the three axes of a device during a stop, against the ramp that each must follow.
+    """Speeds of the axes of a device during a stop, against the ramp that each must follow.
 
-    deceleration (3,): of the ramps, m/s2 or rad/s2. rest: speed below which an axis counts as at rest, also the
+    deceleration (n,): of the ramps, m/s2 or rad/s2. rest: speed below which an axis counts as at rest, also the
     tolerance of the ramp, m/s or rad/s. stopped_s: bench time of the command. rotates: they rotate, rad and rad/s.
     """
 
@@ -99,13 +99,13 @@ class Ramp:
         return Alarm(now_s, self.axes.axis_names[axis], "speed in a stop", value, limit)
 
     def _allowed(self, now_s: float) -> Array:
-        """Return the highest speed (3,) that the ramps allow at ``now_s``."""
+        """Return the highest speed (n,) that the ramps allow at ``now_s``."""
         assert self._first is not None
         braked_s = max(0.0, now_s - self._stopped_s - REACTION_S)
         return np.asarray(np.maximum(0.0, self._first - self._deceleration * braked_s) + self._rest)
 
     def _mean_speed(self, now_s: float, position: Array) -> Array:
-        """Return by how much the mean speed over the last ``OFF_RAMP_S`` is above the ramp at their begin, (3,).
+        """Return by how much the mean speed over the last ``OFF_RAMP_S`` is above the ramp at their begin, (n,).
 
         It comes from the change of position: a drive may report another speed than its axis has.
         """

@@ -13,11 +13,13 @@ from hil.core.gnc_records import GncMode
 from hil.core.messages import AXES, HOMED, Homing, new
 from hil.core.modes import Mode
 from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, StopCommanded
+from hil.drivers.base import Jogs
 from hil.errors import SafetyTrip
-from hil.loop.bench_stage import Manipulator, Move
+from hil.loop.bench_stage import Move
 from hil.loop.cycle import Loop
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate, Tick
+from hil.loop.target_axes import TargetAxes
 from hil.safety.monitor import hold_trip
 
 PROGRESS_CYCLES: Final = 50
@@ -66,6 +68,7 @@ class MotionSequencer:
         self.progress_ticks = PROGRESS_CYCLES * ticks_per_cycle
         """Ticks between two reports of progress."""
         self._newest: Tick
+        self._target_is_placed = False  # as are further axes, until the next standby
         self.warning_s = 0.0
         """Duration of the warning before the next motion; 0 after it."""
         self._link_check_ticks = max(1, round(_LINK_CHECK_PERIOD_S / step_s))
@@ -89,8 +92,9 @@ class MotionSequencer:
         self.loop.safety_io.check(now_s)
         self.loop.bench.read(now_s)
         self.loop.bench.check(now_s)
-        if self.loop.bench.manipulator is not None:
-            self.loop.bench.manipulator.read(now_s)
+        self._target_is_placed = self._target_is_placed and self.modes.mode is not Mode.STANDBY
+        target = self.loop.target
+        (target.check if self._target_is_placed else target.read)(now_s)
 
     def check_links(self, now_s: float) -> None:
         """Raise SafetyTrip if a device has lost too many packets recently."""
@@ -178,6 +182,7 @@ class MotionSequencer:
         tick = self.seed_for_run()
         self.modes.go(Mode.PLACING)
         self.loop.target.place(self._tick_without_hold, self._step_s)
+        self._target_is_placed = True
         tick = self._newest
         while not self._move_to(target, tick):
             tick = self.hold(self._newest)
@@ -187,20 +192,30 @@ class MotionSequencer:
         tick = self.tick()
         if self.hold_requested(self.modes.mode):
             text = self.safety.hold_reason or "commanded by the operator"
-            raise SafetyTrip("target", "hold", f"({text})", "once the target is at its place")
+            raise SafetyTrip("bench", "hold", f"({text})", "once target and further axes stand")
         return tick
 
     def park(self, target: np.record) -> None:
-        """Move all axes slowly to the park position ``target`` (AXES); the turntable by its drives' profiles.
+        """Move all axes slowly to the park position ``target`` (AXES), then those of the target and further ones.
 
-        The axes must be at rest, see ``brake``. After a profile move the turntable accepts no setpoints until it is
-        reopened.
+        The turntable moves by its drives' profiles, after which it accepts no setpoints until it is reopened. The axes
+        must be at rest, see ``brake``.
         """
         self.begin()
         tick = self.seed_for_run()
+        if name := self.loop.target.not_homed(tick.now_s):
+            raise SafetyTrip(name, "homing", "not done", "done before parking")
         self.modes.go(Mode.PARKING)
-        self.loop.bench.park_turntable(target, tick.now_s)
-        if not self._move_to(target, tick):  # hold requested: the bench stays where it stops
+        bench, fraction = self.loop.bench, self.safety.limits.parking_rate_fraction
+        bench.park_turntable(target, tick.now_s)
+
+        def parked() -> Tick:
+            bench.command(target, self._newest.now_s)
+            return self._tick_without_hold()
+
+        if self._move_to(target, tick):
+            self.loop.target.park(parked, self._step_s, fraction)
+        else:  # hold requested: the bench stays where it stops
             self.brake()
         self.modes.go(Mode.STANDBY)
 
@@ -308,9 +323,10 @@ class MotionSequencer:
         if self.warning_s > 0.0:
             self._warn()
             tick, request = self._newest, self._operator.jog_request() or request
-        if bench.manipulator is not None and request.axis in bench.manipulator.axis_names:
-            self._jog_manipulator(bench.manipulator, request, tick)
-            return
+        for group in self.loop.target.groups:
+            if request.axis in group.axes.axis_names:
+                self._jog_group(group, request, tick)
+                return
         jog = self._begin_jog(request, tick)
         if jog is None:
             self._operator.end_jog()
@@ -374,49 +390,53 @@ class MotionSequencer:
             self._operator.rejections.append(f"{bench.axis_names[jog.axis]}: no jog this way: {alarm.text}")
         return alarm is None
 
-    def _jog_manipulator(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
-        """``jog`` of an axis that rotates the target, while the drives of rails and turntable hold their positions."""
+    def _jog_group(self, group: TargetAxes, request: JogRequest, tick: Tick) -> None:
+        """``jog`` of an axis of the target or a further one, while the drives of rails and turntable hold them."""
         try:
-            if rejection := self._jog_rejection(manipulator, request, tick):
+            if rejection := self._jog_rejection(group, request, tick):
                 self._operator.rejections.append(rejection)
             else:
-                self._turn_target(manipulator, request, tick)
+                self._jog_axis_of(group, request, tick)
         finally:
             self._operator.end_jog()
 
-    def _jog_rejection(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> str:
-        """Return why the requested axis of the manipulator cannot be jogged, "" if it can."""
+    def _jog_rejection(self, group: TargetAxes, request: JogRequest, tick: Tick) -> str:
+        """Return why the requested axis of ``group`` cannot be jogged, "" if it can."""
         if request.direction not in (-1, 1):
             return f"bench: cannot jog {request.axis} by {request.direction}"
         alarm = self.safety.interlock_motion(tick.now_s, *self.loop.bench.feedback, self.loop.now.feedback)
         if alarm is not None:  # of rails and turntable, whose travel is not widened
             return alarm.text
-        homing = manipulator.feedback.homing[manipulator.axis_names.index(request.axis)]
-        return "" if homing is Homing.DONE else f"{request.axis}: homing not done, required before it is jogged"
+        if group.jogs_before_homing and isinstance(group.axes, Jogs):
+            return ""
+        states = zip(group.axes.axis_names, group.feedback.homing, strict=True)
+        unhomed = [name for name, state in states if state is not Homing.DONE]
+        return f"{unhomed[0]}: homing not done, required before it is jogged" if unhomed else ""
 
-    def _turn_target(self, manipulator: Manipulator, request: JogRequest, tick: Tick) -> None:
+    def _jog_axis_of(self, group: TargetAxes, request: JogRequest, tick: Tick) -> None:
         """Seed the setpoints, and jog until the key is released and all axes are at rest."""
-        bench = self.loop.bench
-        axis = manipulator.axis_names.index(request.axis)
+        bench, axis = self.loop.bench, group.axes.axis_names.index(request.axis)
         bench.seed(tick.now_s)
-        jog = manipulator.begin_jog(axis, request.direction, self.safety.limits.jog_rate_fraction)
+        limits = self.safety.limits
+        rest = limits.rest_radps if group.rotates else limits.rest_mps
+        jog = group.begin_jog(axis, request.direction, limits.jog_rate_fraction, tick.now_s, self._step_s)
         jog.key.refresh(tick.now_s)
         self.modes.go(Mode.JOGGING)
         moving = True
         try:
-            while moving or not bench.at_rest(tick.now_s):
+            while moving or not bench.at_rest(tick.now_s) or np.abs(group.feedback.rate).max() > rest:
                 self._poll_command(Mode.JOGGING)
                 if self._operator.jog_request() == request:
                     jog.key.refresh(tick.now_s)
-                if jog.may_move(tick.now_s, manipulator.feedback.limit[axis]):
-                    manipulator.jog(jog, tick.now_s)
+                if jog.may_move(tick.now_s, group.feedback.limit[axis]):
+                    group.jog(jog, tick.now_s)
                     moving = True
                 else:
-                    moving = manipulator.brake(tick.now_s) or jog.key.pressed(tick.now_s)
+                    moving = group.brake(tick.now_s) or jog.key.pressed(tick.now_s)
                 tick = self.tick()
-                manipulator.check(tick.now_s)
+                group.check_motion()
         finally:
-            manipulator.end_jog()
+            group.end_jog()
         self.modes.go(Mode.STANDBY)
 
     def _poll_command(self, mode: Mode) -> OperatorCommand | None:

@@ -283,7 +283,6 @@ class Runner:
         frames = 0
         while frames < self._plan.frames_to_arm:
             tick = self._sequencer.tick()
-            self.loop.target.check(tick.now_s)
             frames += self.loop.discard_frames(tick.now_s)
             self._on_progress(Mode.ARMED, 0.0)
 

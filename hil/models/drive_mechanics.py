@@ -20,32 +20,38 @@ from hil.core.jit import kernel
 SUBSTEP_S: Final = 1e-4
 """Longest step of the integration; frequencies of the model are far below 1 / SUBSTEP_S."""
 
-DRIVE_MECHANICS = np.dtype(
-    [
-        ("motor", "f8", 3),  # at the load's side of the gear
-        ("motor_rate", "f8", 3),
-        ("counted", "f8", 3),  # by the encoder, on the motor
-        ("rate_reference", "f8", 3),  # of the velocity loop
-        ("integral", "f8", 3),  # of the velocity loop
-        ("bristle", "f8", 3),  # mean deflection of the bristles, the state of LuGre friction
-        ("velocity_gain", "f8", 3),  # 1/s
-        ("force_max", "f8", 3),
-        ("coulomb", "f8", 3),
-        ("breakaway", "f8", 3),
-        ("stribeck", "f8", 3),  # speed
-        ("viscous", "f8", 3),  # 1/s
-        ("presliding", "f8", 3),  # deflection at break-away
-        ("gap", "f8", 3),
-        ("stiffness", "f8", 3),  # 1/s^2; 0: rigid
-        ("damping", "f8", 3),  # 1/s
-        ("load_fraction", "f8", 3),  # of the moved mass
-        ("cogging", "f8", 3),
-        ("cogging_period", "f8", 3),
-        ("encoder_step", "f8", 3),
-    ],
-    align=True,
-)
-"""State and parameters of three axes, in m or rad, in addition to those of SERVO; 0 switches an effect off."""
+
+def drive_mechanics_record(n: int) -> np.dtype:
+    """Return the record of ``n`` axes: state and parameters in addition to those of SERVO; 0 switches an effect off."""
+    return np.dtype(
+        [
+            ("motor", "f8", n),  # at the load's side of the gear
+            ("motor_rate", "f8", n),
+            ("counted", "f8", n),  # by the encoder, on the motor
+            ("rate_reference", "f8", n),  # of the velocity loop
+            ("integral", "f8", n),  # of the velocity loop
+            ("bristle", "f8", n),  # mean deflection of the bristles, the state of LuGre friction
+            ("velocity_gain", "f8", n),  # 1/s
+            ("force_max", "f8", n),
+            ("coulomb", "f8", n),
+            ("breakaway", "f8", n),
+            ("stribeck", "f8", n),  # speed
+            ("viscous", "f8", n),  # 1/s
+            ("presliding", "f8", n),  # deflection at break-away
+            ("gap", "f8", n),
+            ("stiffness", "f8", n),  # 1/s^2; 0: rigid
+            ("damping", "f8", n),  # 1/s
+            ("load_fraction", "f8", n),  # of the moved mass
+            ("cogging", "f8", n),
+            ("cogging_period", "f8", n),
+            ("encoder_step", "f8", n),
+        ],
+        align=True,
+    )
+
+
+DRIVE_MECHANICS = drive_mechanics_record(3)
+"""Three axes, in m or rad."""
 
 _INTEGRAL_FRACTION: Final = 0.25  # corner of the velocity loop's integrator, of its gain
 
@@ -86,7 +92,7 @@ def spring_force(twist, twist_rate, gap, stiffness, damping):
 
 @kernel
 def drive_mechanics_step(axes, m, dt):
-    """Advance three axes by ``dt``, s, in place. axes: SERVO, position and rate are the load's; m: DRIVE_MECHANICS.
+    """Advance axes by ``dt``, s, in place. axes: SERVO, position and rate are the load's; m: DRIVE_MECHANICS.
 
     Without any effect the axis moves like that of ``servo_step``: the velocity loop follows the same reference.
     """
@@ -94,7 +100,7 @@ def drive_mechanics_step(axes, m, dt):
         return
     n = int(dt / SUBSTEP_S) + 1
     h = dt / n
-    for i in range(3):
+    for i in range(axes.position.shape[0]):
         load, rate = axes.position[i], axes.rate[i]
         motor, motor_rate = m.motor[i], m.motor_rate[i]
         reference, integral, bristle = m.rate_reference[i], m.integral[i], m.bristle[i]

@@ -17,27 +17,33 @@ from hil.maths.limits import cut_to_range
 _LANES: Final = 6
 _ROWS: Final = 10
 
-SERVO = np.dtype(
-    [
-        ("t_s", "f8"),  # time of position and rate
-        ("position", "f8", 3),
-        ("rate", "f8", 3),
-        ("setpoint", "f8", 3),
-        ("feedforward", "f8", 3),
-        ("kp", "f8", 3),
-        ("tau", "f8", 3),
-        ("rate_max", "f8", 3),
-        ("rate_min", "f8", 3),
-        ("acceleration_max", "f8", 3),
-        ("low", "f8", 3),
-        ("high", "f8", 3),
-        ("encoder_offset", "f8", 3),  # reading minus position
-        ("disturbance", "f8", 3),  # added to each setpoint
-        ("disturbance_rate", "f8", 3),
-    ],
-    align=True,
-)
-"""Three axes of a device: arguments of ``servo_step``, and what faults add to readings and setpoints."""
+
+def servo_record(n: int) -> np.dtype:
+    """Return the record of ``n`` axes: arguments of ``servo_step``, and what faults add to readings and setpoints."""
+    return np.dtype(
+        [
+            ("t_s", "f8"),  # time of position and rate
+            ("position", "f8", n),
+            ("rate", "f8", n),
+            ("setpoint", "f8", n),
+            ("feedforward", "f8", n),
+            ("kp", "f8", n),
+            ("tau", "f8", n),
+            ("rate_max", "f8", n),
+            ("rate_min", "f8", n),
+            ("acceleration_max", "f8", n),
+            ("low", "f8", n),
+            ("high", "f8", n),
+            ("encoder_offset", "f8", n),  # reading minus position
+            ("disturbance", "f8", n),  # added to each setpoint
+            ("disturbance_rate", "f8", n),
+        ],
+        align=True,
+    )
+
+
+SERVO = servo_record(3)
+"""Three axes of a device."""
 
 
 @kernel

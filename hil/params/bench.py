@@ -46,10 +46,15 @@ def manipulator(rig: Rig) -> np.record | None:
 def manipulator_limits(rig: Rig, step_s: float) -> np.record:
     """Return BENCH_PARAMS with the limits of the rotary manipulator in place of the turntable's; its rails stand."""
     assert rig.rotated_target is not None
+    return limits_of(rig.rotated_target.axes, step_s, 3)
+
+
+def limits_of(axes: Sequence[BenchAxis], step_s: float, first: int = 0) -> np.record:
+    """Return BENCH_PARAMS with the limits of ``axes`` in the places from ``first`` on; the others stand."""
     params = new(BENCH_PARAMS)
     params.dt_s = step_s
-    params.low[:3], params.high[:3], params.rate_max[:3], params.acceleration_max[:3] = -1.0, 1.0, 1.0, 1.0
-    _set_axes(params, slice(3, 6), rig.rotated_target.axes)
+    params.low, params.high, params.rate_max, params.acceleration_max = -1.0, 1.0, 1.0, 1.0
+    _set_axes(params, slice(first, first + len(axes)), axes)
     return params
 
 

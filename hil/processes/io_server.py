@@ -39,7 +39,6 @@ class IoServer(DeviceServer):
         self._axes = axes
         self._poses = poses
         self._loop_lost = False
-        self._setpoint = np.zeros(1, io_layout.SETPOINT)
         self._frame = np.zeros(1, VMU_FRAME)
         self._setpoint_number = dict.fromkeys(axes, 0)
         self._jogging = dict.fromkeys(axes, False)
@@ -60,9 +59,9 @@ class IoServer(DeviceServer):
     def on_opened(self, name: str) -> None:
         """Skip setpoints from before the opening, and write the first feedback before the request is answered."""
         if name in self._axes:
-            before = np.zeros(1, io_layout.SETPOINT)
             self._jogging[name] = False
-            self._setpoint_number[name] = self.memory.block[f"{name}.setpoint"].read(before)[0]
+            box = self.memory.block[f"{name}.setpoint"]
+            self._setpoint_number[name] = box.read(np.zeros(1, box.dtype))[0]
             self._write_feedback(name, self._axes[name].read(self.clock.now_s()))
 
     def _step_axes(self, name: str, now_s: float) -> None:
@@ -74,8 +73,9 @@ class IoServer(DeviceServer):
         try:
             box = block[f"{name}.setpoint"]
             if box.written != self._setpoint_number[name]:
-                self._setpoint_number[name], sent_s = box.read(self._setpoint)
-                self._pass_on(device, sent_s)
+                setpoint = np.zeros(1, box.dtype)
+                self._setpoint_number[name], sent_s = box.read(setpoint)
+                self._pass_on(device, setpoint[0], sent_s)
             feedback = device.read(now_s)
         except BenchError as error:
             self.fail(name, error, now_s)
@@ -83,9 +83,8 @@ class IoServer(DeviceServer):
         if feedback.t_s != self._feedback_s[name]:
             self._write_feedback(name, feedback)
 
-    def _pass_on(self, device: AxisGroup, sent_s: float) -> None:
-        n, kind = len(device.axis_names), int(self._setpoint["kind"][0])
-        position, rate = self._setpoint["position"][0, :n], self._setpoint["rate"][0, :n]
+    def _pass_on(self, device: AxisGroup, setpoint: np.void, sent_s: float) -> None:
+        position, rate, kind = setpoint["position"], setpoint["rate"], int(setpoint["kind"])
         if kind == io_layout.GOAL and isinstance(device, Parks):
             device.move_to(position, rate, sent_s)
             return
@@ -93,14 +92,15 @@ class IoServer(DeviceServer):
             self._jogging[device.name] = kind == io_layout.JOGGED
             device.set_jogging(kind == io_layout.JOGGED)
         if isinstance(device, LimitsSetpoints):
-            device.set_limits(self._setpoint["rate_max"][0, :n], self._setpoint["acceleration_max"][0, :n])
+            device.set_limits(setpoint["rate_max"], setpoint["acceleration_max"])
         device.send(position, rate, sent_s)
 
     def _write_feedback(self, name: str, feedback: AxisFeedback) -> None:
         self._feedback_s[name] = feedback.t_s
-        record = np.zeros(1, io_layout.FEEDBACK)
+        box = self.memory.block[f"{name}.feedback"]
+        record = np.zeros(1, box.dtype)
         io_layout.write_feedback(record, feedback)
-        self.memory.block[f"{name}.feedback"].write(record, feedback.t_s)
+        box.write(record, feedback.t_s)
 
     def _step_poses(self, now_s: float) -> None:
         if "vmu" not in self.served:
@@ -135,7 +135,7 @@ def make(configuration: Message) -> IoServer:
     raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     made = make_drivers(rig, clock)
-    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), tuple(rig.held_axes))
+    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), rig.held_numbers)
     return IoServer(made.axes, made.poses, memory, socket.socket(fileno=configuration["requests"]), clock)
 
 

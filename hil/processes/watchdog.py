@@ -87,7 +87,7 @@ def make(configuration: Message) -> Watchdog:
     raise_priority(clock)
     rig = Rig.model_validate(configuration["rig"], strict=False)
     assert rig.io is not None
-    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), tuple(rig.held_axes))
+    memory = IoSharedMemory.attach(tuple(configuration["descriptors"]), rig.held_numbers)
     return Watchdog(rig.io.make_driver(clock), memory, socket.socket(fileno=configuration["requests"]), clock)
 
 

@@ -24,6 +24,7 @@ TABLES: Final = {
     "/imu": "imu",
     "/axes": "axes",
     schema.MANIPULATOR: "manipulator",
+    schema.HELD: "axes",
     schema.SENSORS: "sensors",
     foxglove.LOG_TOPIC: "log",
 }
@@ -53,8 +54,8 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
 
     ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, results of a docking
     monitor in ``OUT-portions``, samples of IMU and axes that are faster than the cycle in ``OUT-imu`` and
-    ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``, each further sensor in
-    ``OUT-sensor-NAME``. Works on recordings of any
+    ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``, each group of held axes in
+    ``OUT-axes-NAME``, each further sensor in ``OUT-sensor-NAME``. Works on recordings of any
     version, by the layout in their schemas. Raises BadInput.
     """
     if form == "parquet":
@@ -69,10 +70,12 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
 
 
 def _tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
-    """Yield name, columns and units of each table that the recording has; of further sensors one each."""
+    """Yield name, columns and units of each table that the recording has; of held axes and sensors one per name."""
     for topic, name in TABLES.items():
         if topic == schema.SENSORS:
             yield from _sensor_tables(found)
+        elif topic == schema.HELD:
+            yield from _held_tables(found)
         elif (table := _table(found, topic)) is not None:
             yield name, table, _units(found, topic)
 
@@ -94,6 +97,22 @@ def _sensor_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[
             units[f"sigma_{column}"] = component["unit"]
             table[f"innovation_{column}"] = rows["innovation"][:, i]
         yield f"sensor-{name}", table, units
+
+
+def _held_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+    """Yield the table of each group of axes that are held, ``axes-NAME``, with the columns of its axes."""
+    if not found.records.get(schema.HELD) or schema.HELD_FILE not in found.files:
+        return
+    flat = found.flat(schema.HELD)
+    for number, (name, group) in enumerate(json.loads(found.files[schema.HELD_FILE]).items()):
+        rows, unit = flat[flat["group"] == number], group["unit"]
+        table, units = {"t_s": rows["t_s"], "sampled_s": rows["sampled_s"]}, {"t_s": "s", "sampled_s": "s"}
+        for i, axis in enumerate(group["axes"]):
+            columns_of_axis = {f"{axis}_setpoint_{unit}": ("setpoint", unit), f"{axis}_{unit}": ("position", unit),
+                               f"{axis}_{unit}ps": ("rate", f"{unit}/s")}  # fmt: skip
+            for column, (field, its_unit) in columns_of_axis.items():
+                table[column], units[column] = rows[field][:, i], its_unit
+        yield f"axes-{name}", table, units
 
 
 def write_cycles(history: np.ndarray, out: Path) -> None:

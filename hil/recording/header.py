@@ -17,7 +17,7 @@ from hil.core.clock import utc_text
 from hil.core.files import sha256_of
 from hil.params.sensors import sensors_of
 from hil.recording import audit
-from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE, VERSION
+from hil.recording.schema import GEOMETRY_FILE, HELD_FILE, SCENE_FILE, SENSORS_FILE, VERSION
 from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
 
@@ -55,7 +55,7 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHe
 
 
 def _calibrations(job: Job) -> dict[str, str]:
-    """Return the cameras and targets as assumed by vision unit and docking monitor, if their images are rendered."""
+    """Return the cameras and targets of rendered images, and what the rows of sensors and held axes mean."""
     scenario, rig = job.scenario.value, job.rig.value
     files = {}
     if scenario.vmu.source == "rendered":
@@ -64,6 +64,13 @@ def _calibrations(job: Job) -> dict[str, str]:
         files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
     if sensors_of(scenario):
         files[SENSORS_FILE] = json.dumps(sensor_columns(scenario))
+    if groups := rig.groups_at_places:
+        files[HELD_FILE] = json.dumps(
+            {
+                name: {"axes": table.axis_names, "unit": "m" if table.si_per_unit == 1.0 else "rad"}
+                for name, table in groups.items()
+            }
+        )
     return files
 
 

@@ -25,6 +25,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
+from hil.core.held_records import HELD_SAMPLE
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.core.sensor_records import SENSOR_ARRIVAL
@@ -273,7 +274,8 @@ class Recorded:
 
     cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. imu_samples, axes_samples: of
     IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. manipulator_samples: of
-    MANIPULATOR_SAMPLE, empty without a rotary manipulator. sensor_arrivals: of SENSOR_ARRIVAL, empty without further
+    MANIPULATOR_SAMPLE, empty without a rotary manipulator. held_samples: of HELD_SAMPLE, empty without axes that are
+    held. sensor_arrivals: of SENSOR_ARRIVAL, empty without further
     sensors. log: entries of the log as recorded. summary: as of
     ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
     """
@@ -294,6 +296,7 @@ class Recorded:
     imu_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, IMU_SAMPLE))
     axes_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, AXES_SAMPLE))
     manipulator_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, MANIPULATOR_SAMPLE))
+    held_samples: np.ndarray = field(default_factory=lambda: np.zeros(0, HELD_SAMPLE))
     sensor_arrivals: np.ndarray = field(default_factory=lambda: np.zeros(0, SENSOR_ARRIVAL))
     absent: frozenset[str] = frozenset()
     """Dotted names of the fields of CYCLE that the recording lacks."""
@@ -334,6 +337,7 @@ def _recorded(found: Contents) -> Recorded:
         _rows(found, "/imu"),
         _rows(found, "/axes"),
         _rows(found, schema.MANIPULATOR),
+        _rows(found, schema.HELD),
         _rows(found, schema.SENSORS),
         _absent(found, "/cycle"),
     )

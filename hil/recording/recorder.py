@@ -18,6 +18,7 @@ import numpy as np
 from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
+from hil.core.held_records import HELD_SAMPLE
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
 from hil.core.sensor_records import SENSOR_ARRIVAL
@@ -45,6 +46,7 @@ RING_DTYPES: Final = {
     "axes_samples": AXES_SAMPLE,
     "sensor_samples": SENSOR_ARRIVAL,
     "manipulator_samples": MANIPULATOR_SAMPLE,
+    "held_samples": HELD_SAMPLE,
 }
 """Name of a ring in ``RecordingSinks`` -> its record."""
 

@@ -76,7 +76,7 @@ TOPICS: Final = {
     f"/{LEFT}/image/compressed": _IMAGE,
     f"/{RIGHT}/image/compressed": _IMAGE,
 }
-"""Topic -> type; those of further sensors, ``/sensors/NAME``, are JointState."""
+"""Topic -> type; those of further sensors and held axes, ``/sensors/NAME``, ``/held_axes/NAME``, are JointState."""
 _AXES: Final = (*RAIL_NAMES, *GIMBAL_NAMES)
 _LEVELS: Final = {"alarm": 2, "fault": 2, "order": 1}
 _HILL, _CHASER = "H", "chaser"
@@ -117,7 +117,7 @@ def _is_numbers(kind: str) -> bool:
 
 def type_of(topic: str) -> str:
     """Return the type of the messages of ``topic``."""
-    return _JOINTS if topic.startswith("/sensors/") else TOPICS[topic]
+    return _JOINTS if topic.startswith(("/sensors/", "/held_axes/")) else TOPICS[topic]
 
 
 class _Cdr:
@@ -233,6 +233,7 @@ def _values(recorded: Recorded) -> Iterator[tuple[str, int, Any]]:
         for topic, value in _cycle(row, time_ns, zero_ns):
             yield topic, time_ns, value
     yield from _samples(recorded, zero_ns)
+    yield from _held_axes(recorded, zero_ns)
     for line in recorded.log:
         time_ns = _stamp(line.get("t_s"), zero_ns)
         values = [(key, _text(line.get(key))) for key in ("kind", "t_s", "bench_s", "cycle")]
@@ -255,6 +256,16 @@ def _samples(recorded: Recorded, zero_ns: int) -> Iterator[tuple[str, int, Any]]
         n = len(names)
         sigmas = np.sqrt(np.diagonal(sample["covariance"])[:n])
         yield f"/sensors/{name}", time_ns, (_header(time_ns, name), names, sample["value"][:n], (), sigmas)
+
+
+def _held_axes(recorded: Recorded, zero_ns: int) -> Iterator[tuple[str, int, Any]]:
+    """Yield the encoder values of the axes that are held, by groups, at the times of the cycles."""
+    groups = list(json.loads(recorded.files.get(schema.HELD_FILE, "{}")).items())
+    for sample in recorded.held_samples:
+        name, group = groups[int(sample["group"])]
+        n, time_ns = len(group["axes"]), _stamp(float(sample["t_s"]), zero_ns)
+        values = sample["position"][:n], sample["rate"][:n]
+        yield f"/held_axes/{name}", time_ns, (_header(time_ns, ""), group["axes"], *values, ())
 
 
 def _text(value: Any) -> str:

@@ -39,7 +39,7 @@ def record_channel(topic: str) -> tuple[str, str, MessageSchema]:
 def fixed_channels() -> Iterator[tuple[str, str, MessageSchema]]:
     """Yield topic, encoding and schema of each channel that every run has; those of images come with their images.
 
-    Those of a rotary manipulator and of further sensors are opened for a run with them.
+    Those of a rotary manipulator, of axes that are held and of further sensors are opened for a run with them.
     """
     for topic in schema.RECORDS:
         if topic not in schema.OPTIONAL:
@@ -93,6 +93,7 @@ class RunMessages(ABC):
             "axes_samples": lambda rows: self._write_samples("/axes", rows),
             "sensor_samples": self.write_sensor_samples,
             "manipulator_samples": lambda rows: self._write_samples(schema.MANIPULATOR, rows),
+            "held_samples": lambda rows: self._write_samples(schema.HELD, rows),
         }
 
     def begin(self, files: Mapping[str, str]) -> None:
@@ -104,8 +105,9 @@ class RunMessages(ABC):
         self._json_each_s = _telemetry_period_s(rig)
         if (rig.get("rotary_manipulator") or {}).get("driver", "none") != "none":
             self._open_channel(*record_channel(schema.MANIPULATOR))
-        if schema.SENSORS_FILE in files:
-            self._open_channel(*record_channel(schema.SENSORS))
+        for name, topic in ((schema.HELD_FILE, schema.HELD), (schema.SENSORS_FILE, schema.SENSORS)):
+            if name in files:
+                self._open_channel(*record_channel(topic))
         time_ns = self._time_ns(0.0)
         if (scene := foxglove_scene.scene_of(files, time_ns)) is not None:
             self._add(foxglove.SCENE_TOPIC, foxglove.encoded(scene), time_ns)

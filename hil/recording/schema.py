@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.core.fields import Fields, leaf_fields, record_dtype
 from hil.core.files import parse_json
+from hil.core.held_records import HELD_SAMPLE_FIELDS
 from hil.core.manipulator_records import MANIPULATOR_SAMPLE_FIELDS
 from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, IMU_SAMPLE_FIELDS
 from hil.core.sensor_records import SENSOR_ARRIVAL_FIELDS
@@ -49,11 +50,14 @@ operator (action at the console), fault (switched on an emulator). number, key, 
 GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE = "vmu_geometry.json", "monitor_scene.json", "sensors.json"
 """Attachments: cameras and targets as assumed by vision unit and docking monitor; further sensors by name, with kind
 and the components of a measurement: their names and units."""
+HELD_FILE: Final = "held_axes.json"
+"""Attachment: groups of axes that are held during a run, by name, with the names of their axes and their unit."""
 
 MANIPULATOR: Final = "/manipulator"
+HELD: Final = "/held_axes"
 SENSORS: Final = "/sensors"
-OPTIONAL: Final = (MANIPULATOR, SENSORS)
-"""Topics that runs without a rotary manipulator, or without further sensors, lack."""
+OPTIONAL: Final = {MANIPULATOR: "manipulator_samples", HELD: "held_samples", SENSORS: "sensor_samples"}
+"""Topics that runs without a rotary manipulator, held axes, or further sensors lack, with their sinks."""
 RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),
     "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),
@@ -61,6 +65,7 @@ RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/imu": ("hil.ImuSample", IMU_SAMPLE_FIELDS),
     "/axes": ("hil.AxesSample", AXES_SAMPLE_FIELDS),
     MANIPULATOR: ("hil.ManipulatorSample", MANIPULATOR_SAMPLE_FIELDS),
+    HELD: ("hil.HeldSample", HELD_SAMPLE_FIELDS),
     SENSORS: ("hil.SensorArrival", SENSOR_ARRIVAL_FIELDS),
 }
 """Topic -> name of its schema and fields of its messages."""

@@ -163,6 +163,8 @@ def required_sinks(job: Job) -> set[str]:
         required.add("sensor_samples")
     if job.rig.value.rotated_target is not None:
         required.add("manipulator_samples")
+    if job.rig.value.groups_at_places:
+        required.add("held_samples")
     if scenario.vmu.source == "rendered" and wanted:
         required.add("images")
     if scenario.monitor.has_images:
@@ -176,6 +178,7 @@ def ring_slots(job: Job) -> dict[str, int]:
     return {
         "cycles": cycles,
         "manipulator_samples": cycles,
+        "held_samples": max(1, len(job.rig.value.groups_at_places)) * cycles,
         "sensor_samples": cycles,
         "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
         "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),

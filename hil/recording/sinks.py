@@ -17,6 +17,7 @@ from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.runner import Runner
+from hil.loop.target_stage import HeldAxes
 from hil.recording.audit import Actor, AuditChain
 from hil.recording.foxglove import log
 from hil.recording.schema import LOG_ENTRY
@@ -92,6 +93,7 @@ class RecordingSinks:
 
     images: of the vision unit; monitor_images, portions: of the docking monitor; imu_samples, axes_samples: of an IMU
     and of axes that are faster than the cycle; manipulator_samples: of all axes of a rig whose target is rotated;
+    held_samples: of axes that are held;
     sensor_samples: of further sensors.
     run_time: receives the relation of the run's time to bench time, for sources that have bench time only. audit: of
     the log.
@@ -106,6 +108,7 @@ class RecordingSinks:
     imu_samples: Telemetry = field(default_factory=NoTelemetry)
     axes_samples: Telemetry = field(default_factory=NoTelemetry)
     manipulator_samples: Telemetry = field(default_factory=NoTelemetry)
+    held_samples: Telemetry = field(default_factory=NoTelemetry)
     sensor_samples: Telemetry = field(default_factory=NoTelemetry)
     run_time: RunTime | None = None
     audit: AuditChain = field(default_factory=AuditChain, init=False)
@@ -122,6 +125,9 @@ class RecordingSinks:
             loop.axes_sink = self.axes_samples
         if isinstance(loop.bench.manipulator, RotatedTarget):
             loop.bench.manipulator.sink = self.manipulator_samples
+        for group in loop.target.groups:
+            if isinstance(group, HeldAxes):
+                group.sink = self.held_samples
         if loop.sensors is not None:
             loop.sensors.sink = self.sensor_samples
         if self.run_time is not None:

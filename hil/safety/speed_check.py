@@ -15,7 +15,7 @@ _CONFIRMED_S: Final = 0.1  # of a mismatch, until it counts
 
 
 class SpeedCheck:
-    """Compares mean speeds of three axes over 0.1 s: reported ones, and those by their positions.
+    """Compares mean speeds of the axes of one device over 0.1 s: reported ones, and those by their positions.
 
     mismatch_max: allowed difference, m/s or rad/s, in addition to a tenth of the larger speed.
     """
@@ -27,15 +27,15 @@ class SpeedCheck:
     def restart(self) -> None:
         """Forget earlier feedback: homing moves the zero, an opened device starts anywhere."""
         self._samples: deque[tuple[float, Array, Array]] = deque()
-        self._last_rate = np.zeros(3)
-        self._since_s = np.full(3, np.inf)
+        self._last_rate: Array | float = 0.0
+        self._since_s: Array | float = np.inf
 
     def update(self, feedback: AxisFeedback) -> tuple[int, float, float] | None:
         """Return axis, reported mean speed and mean speed by its position if they differ for 0.1 s, else None."""
         samples, t_s = self._samples, feedback.t_s
         if samples and t_s <= samples[-1][0]:
             return None
-        path = np.zeros(3)
+        path = np.zeros(len(feedback.rate))
         if samples:
             before_s, _, path = samples[-1]
             path = path + 0.5 * (t_s - before_s) * (feedback.rate + self._last_rate)
@@ -49,8 +49,8 @@ class SpeedCheck:
             return None
         reported, moved = (path - first_path) / window_s, (feedback.position - position) / window_s
         allowed = self._mismatch_max + _FRACTION_OF_SPEED * np.maximum(np.abs(reported), np.abs(moved))
-        self._since_s = np.where(np.abs(reported - moved) > allowed, np.minimum(self._since_s, t_s), np.inf)
-        axis = int(self._since_s.argmin())
-        if t_s - self._since_s[axis] < _CONFIRMED_S:
+        self._since_s = since_s = np.where(np.abs(reported - moved) > allowed, np.minimum(self._since_s, t_s), np.inf)
+        axis = int(since_s.argmin())
+        if t_s - since_s[axis] < _CONFIRMED_S:
             return None
         return axis, float(reported[axis]), float(moved[axis])

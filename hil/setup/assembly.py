@@ -51,7 +51,8 @@ from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
-from hil.loop.target_stage import AxesTogether, FixedTarget, HeldAxes, TargetStage
+from hil.loop.target_axes import TargetAxes
+from hil.loop.target_stage import AxesTogether, HeldAxes
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
@@ -205,10 +206,11 @@ def assemble(
     rails, turntable, source, io, target, held = devices
     axis_names = (*rails.axis_names, *turntable.axis_names)
     limits = safety_limits(rig, memory.params.guard)
-    safety = SafetyMonitor(limits, axis_names, _links(rig, rails, turntable, source))
+    safety = SafetyMonitor(limits, axis_names, _links(rig, devices))
     stage = BenchStage(rails, turntable, memory, safety)
     moved = _target_stage(job, rig, target)
-    standing = {name: HeldAxes(held[name], table) for name, table in rig.held_axes.items()}
+    first = int(isinstance(moved, HeldAxes))
+    standing = {name: HeldAxes(held[name], table, n) for n, (name, table) in enumerate(rig.held_axes.items(), first)}
     if isinstance(moved, RotatedTarget):
         stage.manipulator = moved
     sensors = _sensors(job, rig, devices, stage, memory, context.clock)
@@ -243,7 +245,8 @@ def assemble(
         loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
-    loop.target = AxesTogether([moved, *standing.values()]) if standing else moved
+    groups = [*([] if moved is None else [moved]), *standing.values()]
+    loop.target = groups[0] if len(groups) == 1 else AxesTogether(groups)
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
@@ -282,10 +285,10 @@ def _axis_faults(params: np.record, rails: np.record, turntable: np.record) -> C
     return lambda t_s: set_axis_faults(faults, nominal, t_s, rails, turntable)
 
 
-def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetStage:
+def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetAxes | None:
     """Return what carries the target: nothing that moves, axes that place it, or axes that rotate it in the run."""
     if axes is None:
-        return FixedTarget()
+        return None
     if rig.moved_target is not None:
         return HeldAxes(axes, rig.moved_target)
     step_s, params = job.scenario.value.step_s, bench_params.manipulator(rig)
@@ -392,10 +395,13 @@ def park_position(rig: Rig) -> np.record:
     return axes
 
 
-def _links(rig: Rig, rails: AxisGroup, turntable: AxisGroup, source: PoseSource) -> list[LinkWatch]:
+def _links(rig: Rig, devices: Devices) -> list[LinkWatch]:
     """Return a leaky bucket for each device that counts lost packets."""
-    watches = []
-    for device, config in ((rails, rig.rails), (turntable, rig.turntable)):
+    rails, turntable, source, _, target, held = devices
+    groups: dict[str, AxisGroup | None] = {"rails": rails, "turntable": turntable, "target": target, **held}
+    watches: list[LinkWatch] = []
+    for name, config in rig.axis_groups.items():
+        device = groups[name]
         if isinstance(device, CountsLosses):
             bucket = LeakyBucket(config.lost_packets_max, config.lost_packets_window_s)
             watches.append(LinkWatch(device.name, bucket, device.lost_packets))

@@ -1,4 +1,4 @@
-"""One contract for every backend of rails and turntable: mocks, and drivers against their emulators."""
+"""One contract for every backend of axes, one to six: mocks, and drivers against their emulators."""
 
 from __future__ import annotations
 
@@ -14,8 +14,22 @@ import pytest
 
 from hil.config.faults import ErrorTerm
 from hil.config.load import load_rig
-from hil.config.rig import RAIL_NAMES, AsciiTurntableLine, AxisGroupTable, Modbus, ModbusAxis, Rails, Turntable
+from hil.config.rig import (
+    LINEAR_NAMES,
+    RAIL_NAMES,
+    ROTARY_NAMES,
+    AsciiTurntableLine,
+    AxisGroupTable,
+    HeldAtPlace,
+    HeldLinearAxes,
+    HeldRotaryAxes,
+    Modbus,
+    ModbusAxis,
+    Rails,
+    Turntable,
+)
 from hil.core.clock import BenchClock, Order, SimulatedClock
+from hil.core.messages import Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
 from hil.drivers.factory import make_axes
@@ -52,6 +66,11 @@ class Backend:
     faults: Faults | None = None
     """Of the emulator on the other end of a wire."""
 
+    @property
+    def rest(self) -> np.ndarray:
+        """Rates of axes at rest, (n,)."""
+        return np.zeros(len(self.low))
+
     def wait_until(self, reached: Callable[[], bool], limit_s: float = 5.0) -> bool:
         """Let bench time pass until ``reached`` or ``limit_s`` is over."""
         end_s = self.now_s() + limit_s
@@ -62,6 +81,11 @@ class Backend:
         return reached()
 
 
+def _name(config: AxisGroupTable) -> str:
+    """Return the name of the device: rails, turntable, or that of further axes."""
+    return "further" if isinstance(config, HeldAtPlace) else config.device
+
+
 def _travel(config: AxisGroupTable) -> tuple[np.ndarray, np.ndarray]:
     axes = ServoAxes(config)
     return axes.low, axes.high
@@ -70,7 +94,7 @@ def _travel(config: AxisGroupTable) -> tuple[np.ndarray, np.ndarray]:
 @contextmanager
 def _mock(config: AxisGroupTable) -> Iterator[Backend]:
     clock = SimulatedClock()
-    device = MockAxes(config.device, config)
+    device = MockAxes(_name(config), config)
 
     def pass_time(seconds: float) -> None:
         clock.t_s += seconds
@@ -82,13 +106,14 @@ def _mock(config: AxisGroupTable) -> Iterator[Backend]:
 def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
     """The selected drivers against their emulators, all from the registry of drivers; faults of the first."""
     with in_lock_step() as clock, closing(SharedAxisState.create()) as board, ExitStack() as served:
-        parts = config.parts(config.device)
+        group = _name(config)
+        parts = config.parts(group)
         emulators = [part.make_emulator(clock, board, name=name) for name, part in parts.items()]
         addresses = [address for emulator in emulators for address in emulator.start().items()]
-        wired = config.connected(config.device, dict(addresses))
+        wired = config.connected(group, dict(addresses))
         for emulator in emulators:
             served.enter_context(serving(clock, emulator))
-        with closing(make_axes(wired, clock, config.device)) as device:
+        with closing(make_axes(wired, clock, group)) as device:
             yield Backend(device, clock.now_s, clock.sleep, *_travel(config), emulators[0].faults)
 
 
@@ -96,17 +121,15 @@ def _on_wires(config: AxisGroupTable) -> Iterator[Backend]:
 def _behind_the_io_process(config: AxisGroupTable) -> Iterator[Backend]:
     """The loop's side over shared memory; the host's work is done in a thread, the drives are mocks."""
     here, there = socket.socketpair()
-    memory = IoSharedMemory.create()
-    axes: dict[str, AxisGroup] = {
-        "rails": MockAxes("rails", RIG.rails),
-        "turntable": MockAxes("turntable", RIG.turntable),
-    }
+    name = _name(config)
+    memory = IoSharedMemory.create({name: len(config.axes)} if isinstance(config, HeldAtPlace) else {})
+    axes: dict[str, AxisGroup] = {name: MockAxes(name, config)}
     with in_lock_step() as clock, closing(memory):
         host = IoServer(axes, MockVmu(RIG.vmu, lambda t_s: None), memory, there, clock)
         host.start()
         with serving(clock, host, Order.IO), closing(IoRequests(here, IO, clock)) as requests:
             link = IoLink(IO, memory, requests, clock, lambda: "")
-            with closing(RemoteAxes(config.device, config, link)) as device:
+            with closing(RemoteAxes(name, config, link)) as device:
                 yield Backend(device, clock.now_s, partial(_pass, device, clock), *_travel(config))
 
 
@@ -129,6 +152,22 @@ def _on_two_controllers(key: str, controller: dict[str, Any]) -> Any:
     return type(table).model_validate(table.model_dump(mode="json") | {"controllers": [controller]}, strict=False)
 
 
+def _further(key: str, n: int, driver: str, **keys: Any) -> AxisGroupTable:
+    """Return the table of ``n`` further axes, those of the emulated rig's x or roll over and over."""
+    names, axis, limit = (
+        (LINEAR_NAMES, RIG.rails.x, {"travel_m": (-1.0, 9.0), "park_m": 0.0})
+        if key == "linear_axes"
+        else (ROTARY_NAMES, RIG.turntable.roll, {})
+    )
+    table = {"driver": driver, "servo": {"gain_per_s": 30.0, "lag_s": 0.006}, **keys}
+    table |= dict.fromkeys(names[:n], axis.model_dump(mode="json") | limit)
+    table["place_m" if key == "linear_axes" else "place_deg"] = (0.0,) * n
+    model = HeldLinearAxes if key == "linear_axes" else HeldRotaryAxes
+    found: AxisGroupTable = model.model_validate(table, strict=False)
+    return found
+
+
+IDS = (11, 12, 13, 14, 15, 16)
 WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "rails-modbus": lambda: RIG.rails,
     "rails-modbus-gateway": lambda: GATEWAY,
@@ -141,44 +180,57 @@ WIRED: dict[str, Callable[[], AxisGroupTable]] = {
     "turntable-cia402": lambda: RIG.turntable,
     "turntable-hil-ascii": lambda: _ascii("hil-ascii"),
     "turntable-acu": lambda: _ascii("acu"),
+    "one-modbus": lambda: _further("linear_axes", 1, "modbus"),
+    "six-modbus": lambda: _further("linear_axes", 6, "modbus"),
+    "six-modbus-rtu": lambda: _further("linear_axes", 6, "modbus_rtu", rtu={"device_ids": IDS, "baud": 460_800}),
+    "one-cia402": lambda: _further("rotary_axes", 1, "cia402", cia402={}),
+    "six-cia402": lambda: _further("rotary_axes", 6, "cia402", cia402={"node_ids": IDS}),
 }
 BACKENDS: dict[str, Callable[[], Any]] = {
     "rails-mock": lambda: _mock(RIG.rails),
     "turntable-mock": lambda: _mock(RIG.turntable),
     "rails-remote": lambda: _behind_the_io_process(RIG.rails),
     "turntable-remote": lambda: _behind_the_io_process(RIG.turntable),
+    "one-mock": lambda: _mock(_further("rotary_axes", 1, "mock")),
+    "six-mock": lambda: _mock(_further("linear_axes", 6, "mock")),
+    "six-remote": lambda: _behind_the_io_process(_further("rotary_axes", 6, "mock")),
 } | {name: lambda table=table: _on_wires(table()) for name, table in WIRED.items()}
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run each test on all backends, or on rails and turntable of the rig file given by --driver-rig."""
+    """Run each test on all backends, or on all axes but the target's of the rig file given by --driver-rig."""
     rig_file = metafunc.config.getoption("--driver-rig", default=None)
     if "wired" in metafunc.fixturenames and rig_file is None:
-        metafunc.parametrize("wired", [pytest.param(table, id=name) for name, table in WIRED.items()])
+        marks = {name: [pytest.mark.slow] for name in ("six-modbus-rtu", "six-cia402")}
+        wired = [pytest.param(table, id=name, marks=marks.get(name, [])) for name, table in WIRED.items()]
+        metafunc.parametrize("wired", wired)
         return
     if "wired" in metafunc.fixturenames:
-        rig = load_rig(rig_file).value
-        found = {"rails": rig.rails, "turntable": rig.turntable}
-        metafunc.parametrize(
-            "wired", [pytest.param(lambda each=each: each, id=name) for name, each in found.items() if each.has_wires]
-        )
+        wired = [pytest.param(lambda each=each: each, id=name) for name, each in _wired_of(rig_file).items()]
+        metafunc.parametrize("wired", wired)
         return
     if "backend" not in metafunc.fixturenames:
         return
     if rig_file is None:
         metafunc.parametrize("backend", [pytest.param(make, id=name) for name, make in BACKENDS.items()], indirect=True)
         return
-    rig = load_rig(rig_file).value
-    tables = {"rails": rig.rails, "turntable": rig.turntable}
-    made = [pytest.param(partial(_on_wires, table), id=name) for name, table in tables.items() if table.has_wires]
+    made = [pytest.param(partial(_on_wires, table), id=name) for name, table in _wired_of(rig_file).items()]
     metafunc.parametrize("backend", made, indirect=True)
 
 
+def _wired_of(rig_file: str) -> dict[str, AxisGroupTable]:
+    """Return the tables of all axes on wires, by names, but the target's."""
+    groups = load_rig(rig_file).value.axis_groups
+    return {name: table for name, table in groups.items() if table.has_wires and name != "target"}
+
+
 def _incremental(config: AxisGroupTable) -> Any:
-    """Return ``config`` with axes that do not know their places when their drives are switched on."""
-    return config.model_copy(
-        update={name: getattr(config, name).model_copy(update={"encoder": "incremental"}) for name in config.axis_names}
-    )
+    """Return ``config`` with axes that do not know their places, near home, when their drives are switched on."""
+    axes = {
+        name: axis.model_copy(update={"encoder": "incremental", axis.key_of("park"): 0.1})
+        for name, axis in zip(config.axis_names, config.axes, strict=True)
+    }
+    return config.model_copy(update=axes)
 
 
 LOST_RAILS: Rails = _incremental(RIG.rails)
@@ -189,7 +241,29 @@ LOST_BACKENDS: dict[str, Callable[[], Any]] = {
     "turntable-cia402": lambda: _on_wires(LOST_TURNTABLE),
     "turntable-hil-ascii": lambda: _on_wires(_ascii("hil-ascii", LOST_TURNTABLE)),
     "turntable-acu": lambda: _on_wires(_ascii("acu", LOST_TURNTABLE)),
+    "six-mock": lambda: _mock(_incremental(_further("linear_axes", 6, "mock"))),
+    "six-modbus": lambda: _on_wires(_incremental(_further("linear_axes", 6, "modbus"))),
+    "six-cia402": lambda: _on_wires(
+        _incremental(_further("rotary_axes", 6, "cia402", cia402={"node_ids": IDS, "homing_method": 24}))
+    ),
 }
+
+
+@pytest.mark.parametrize("name", sorted(LOST_BACKENDS))
+def test_all_axes_are_homed_together_and_then_follow_their_setpoints(name: str) -> None:
+    with LOST_BACKENDS[name]() as backend:
+        device, now_s = backend.device, backend.now_s
+        device.open(now_s())
+        assert set(device.read(now_s()).homing) == {Homing.NEEDED}
+        device.home(now_s())
+        assert backend.wait_until(lambda: set(device.read(now_s()).homing) == {Homing.DONE}, limit_s=60.0)
+        goal = device.read(now_s()).position + 0.02
+
+        def there() -> bool:
+            device.send(goal, backend.rest, now_s())
+            return bool(np.abs(device.read(now_s()).position - goal).max() < 1e-3)
+
+        assert backend.wait_until(there)
 
 
 @pytest.mark.parametrize("name", sorted(LOST_BACKENDS))
@@ -199,17 +273,19 @@ def test_axes_that_are_not_homed_move_only_while_they_are_jogged(name: str) -> N
         assert isinstance(device, Jogs)
         device.open(now_s())
         start = device.read(now_s()).position
+        ahead = backend.rest
+        ahead[-2] = 0.02
 
         def creep(backend: Backend) -> bool:
             with suppress(SafetyTrip):
-                device.send(start + np.array([0.0, 0.02, 0.0]), np.zeros(3), backend.now_s())
-            return abs(device.read(backend.now_s()).position[1] - start[1] - 0.02) < 2e-3
+                device.send(start + ahead, backend.rest, backend.now_s())
+            return bool(np.abs(device.read(backend.now_s()).position - start - ahead).max() < 2e-3)
 
         assert not backend.wait_until(lambda: creep(backend), limit_s=1.0)
         assert np.abs(device.read(now_s()).position - start).max() < 1e-4
         device.set_jogging(True)
         assert backend.wait_until(lambda: creep(backend))
-        beyond = device.send(backend.high + 1.0, np.zeros(3), now_s())
+        beyond = device.send(backend.high + 1.0, backend.rest, now_s())
         assert np.array_equal(beyond, backend.high + 1.0)  # it does not know where its ends are
         device.stop(now_s())
         device.set_jogging(False)
@@ -237,11 +313,11 @@ def test_nothing_moves_when_a_device_is_opened(backend: Backend) -> None:
 def test_axes_go_where_they_are_sent_and_stand_there(backend: Backend) -> None:
     device = backend.device
     device.open(backend.now_s())
-    target = device.read(backend.now_s()).position + np.array([0.02, -0.03, 0.01])
-    rest = np.zeros(3)
+    start = device.read(backend.now_s()).position
+    target = start + np.resize([0.02, -0.03, 0.01], len(start))
 
     def there() -> bool:
-        device.send(target, rest, backend.now_s())
+        device.send(target, backend.rest, backend.now_s())
         feedback = device.read(backend.now_s())
         return bool(np.abs(feedback.position - target).max() < 1e-4 and np.abs(feedback.rate).max() < 1e-3)
 
@@ -250,17 +326,20 @@ def test_axes_go_where_they_are_sent_and_stand_there(backend: Backend) -> None:
 
 def test_send_returns_what_was_accepted_after_the_travel(backend: Backend) -> None:
     backend.device.open(backend.now_s())
-    beyond = np.array([backend.high[0] + 1.0, backend.low[1] - 1.0, backend.high[2] + 1.0])
-    accepted = backend.device.send(beyond, np.zeros(3), backend.now_s())
-    assert accepted == pytest.approx([backend.high[0], backend.low[1], backend.high[2]])
+    up = np.arange(len(backend.low)) % 2 == 0
+    beyond = np.where(up, backend.high + 1.0, backend.low - 1.0)
+    accepted = backend.device.send(beyond, backend.rest, backend.now_s())
+    assert accepted == pytest.approx(np.where(up, backend.high, backend.low))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_setpoint_that_is_not_finite_is_refused_by_the_axis_name(backend: Backend, bad: float) -> None:
     device = backend.device
     device.open(backend.now_s())
-    with pytest.raises(SafetyTrip, match=device.axis_names[1]):
-        device.send(np.array([0.0, bad, 0.0]), np.zeros(3), backend.now_s())
+    setpoint, last = backend.rest, len(backend.rest) - 1
+    setpoint[last] = bad
+    with pytest.raises(SafetyTrip, match=device.axis_names[last]):
+        device.send(setpoint, backend.rest, backend.now_s())
 
 
 def test_feedback_is_of_now(backend: Backend) -> None:
@@ -273,17 +352,17 @@ def test_stop_brings_moving_axes_to_a_stand_that_later_setpoints_do_not_break(ba
     device = backend.device
     device.open(backend.now_s())
     start = device.read(backend.now_s()).position
-    far = start + np.array([0.3, 0.3, 0.3])
+    far = start + 0.3
 
     def moving() -> bool:
-        device.send(far, np.zeros(3), backend.now_s())
+        device.send(far, backend.rest, backend.now_s())
         return bool(np.abs(device.read(backend.now_s()).rate).min() > 0.05)
 
     assert backend.wait_until(moving)
     device.stop(backend.now_s())
     assert backend.wait_until(lambda: bool(np.abs(device.read(backend.now_s()).rate).max() < 1e-3), 2.0)
     stood = device.read(backend.now_s()).position
-    device.send(far, np.zeros(3), backend.now_s())
+    device.send(far, backend.rest, backend.now_s())
     backend.pass_time(0.4)
     assert np.abs(device.read(backend.now_s()).position - stood).max() < 1e-3
     assert np.abs(far - stood).min() > 0.01
@@ -311,11 +390,19 @@ def test_closed_device_refuses_with_its_name(backend: Backend) -> None:
 
 @dataclass
 class Motion:
-    """What a loop sees of axes that are moved for a second: positions (n, 3), ages of the feedback (n,), s, error."""
+    """What a loop sees of axes that are moved for a second: rows of positions, ages of the feedback, s; error."""
 
     position: np.ndarray
     age_s: np.ndarray
     error: DeviceError | None = None
+    counted: float = 0.0
+    """Packets that the driver has counted as damaged, late, lost or received twice; nan if it counts none."""
+
+
+def counted(device: AxisGroup) -> float:
+    """Return ``Motion.counted`` since ``open``."""
+    count = getattr(device, "counters", None)
+    return np.nan if count is None else sum(n for name, n in count().items() if name != "exchanges")
 
 
 PERIOD_S, BEFORE, CYCLES, SPEED = 0.02, 10, 60, 0.03
@@ -330,21 +417,21 @@ def moved(backend: Backend, on: Callable[[], None] = lambda: None) -> Motion:
             on()
         try:
             feedback = device.read(now_s())
-            device.send(start + SPEED * k * PERIOD_S, np.full(3, SPEED), now_s())
+            device.send(start + SPEED * k * PERIOD_S, np.full(len(start), SPEED), now_s())
         except DeviceError as error:
             return Motion(np.array(rows), np.array(ages), error)
         rows.append(feedback.position - start)
         ages.append(now_s() - feedback.t_s)
         backend.pass_time(PERIOD_S)
-    return Motion(np.array(rows), np.array(ages))
+    return Motion(np.array(rows), np.array(ages), counted=counted(device))
 
 
 def _has_effect(fault: str, healthy: Motion, found: Motion) -> bool:
     """Whether a fault shows: as an error that names the device, in the positions, or as feedback that is late."""
     if found.error is not None:
         return True
-    if fault in ("duplicate", "corrupt"):  # a driver may see none: what comes twice is used once, what is damaged not
-        return True
+    if fault in ("duplicate", "corrupt"):  # what comes twice is used once, what is damaged not: both are counted
+        return not found.counted <= healthy.counted
     apart = np.abs(found.position - healthy.position).max(axis=1)
     return bool(apart[BEFORE:].max() > 1e-4 or (found.age_s - healthy.age_s)[BEFORE:].max() > 0.05)
 
@@ -371,7 +458,7 @@ def _acts(config: AxisGroupTable, kind: str, fault: ErrorTerm, healthy: Motion) 
         device, faults = backend.device, backend.faults
         assert faults is not None
         device.open(backend.now_s())
-        axis = faults.axes[1] if fault.of_axis else ""
+        axis = faults.axes[-1] if fault.of_axis else ""
         value = {"drop": 1.0, "corrupt": 1.0, "delay": 0.2, "scaled": 0.5}.get(kind)
         found = moved(backend, lambda: faults.on(kind, axis, value))
         if found.error is not None:

@@ -156,6 +156,43 @@ def test_axes_of_a_target_that_is_rotated_are_shown_and_jogged() -> None:
         page.until(lambda: not page.now["open"], "the end")
 
 
+@pytest.mark.slow
+def test_further_axes_are_shown_and_jogged_by_name(tmp_path: Path) -> None:
+    gimbal = "{ travel_deg = [-90.0, 90.0], rate_max_degps = 30.0, acceleration_max_degps2 = 60.0 }"
+    rail = "{ travel_m = [0.0, 2.0], rate_max_mps = 1.0, acceleration_max_mps2 = 2.0, encoder = 'incremental' }"
+    servo = "driver = 'mock'\nservo = { gain_per_s = 30.0, lag_s = 0.006 }"
+    rig = tmp_path / "lamp.toml"
+    rig.write_text(
+        f"extends = 'mock'\nname = 'lamp'\n[linear_axes.lamp]\n{servo}\nplace_m = [0.0]\nu = {rail}\n"
+        f"[rotary_axes.arm]\n{servo}\nplace_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n"
+        + "".join(f"{name} = {gimbal}\n" for name in ("roll", "pitch", "yaw", "a", "b", "c"))
+    )
+    with console("--rig", str(rig)) as c:
+        page = c.page("ann")
+        assert page.ask("take")["ok"]
+        assert page.ask("open", confirmed=True)["ok"]
+        page.until_mode("standby")
+        axes = page.page["bench"]["axes"]
+        assert list(axes)[6:] == ["lamp.u", *(f"arm.{name}" for name in ("roll", "pitch", "yaw", "a", "b", "c"))]
+        assert (axes["lamp.u"], axes["arm.c"]) == ([0.0, 2.0], [-90.0, 90.0])
+        assert page.page["bench"]["units"] == {"rails": "m", "turntable": "deg", "lamp": "m", "arm": "deg"}
+        page.until(lambda: page.now["homing"] == [2] * 6 + [0] + [2] * 6, "thirteen axes")
+        page.until(lambda: 0.0 <= page.now["ages_s"]["lamp"] < 0.4, "the age of its feedback")
+
+        def pressed() -> bool:
+            page.socket.send('{"do": "jog", "axis": "arm.c", "direction": -1}')
+            return bool(page.now["further_axes"]["arm"]["deg"][5] < -0.3)
+
+        page.until(pressed, "a jog")
+        page.until_mode("standby")
+        further = page.now["further_axes"]
+        assert further["arm"]["deg"][:5] == pytest.approx([0.0] * 5, abs=1e-6)
+        assert further["lamp"] == {"m": pytest.approx([0.0]), "mps": pytest.approx([0.0])}
+        assert page.ask("jog", axis="arm.x", direction=1)["text"] == "bench: cannot jog arm.x by 1"
+        page.order("stop")
+        page.until(lambda: not page.now["open"], "the end")
+
+
 def test_region_of_search_goes_from_the_page_to_the_monitor_and_its_frame_comes_back(tmp_path: Path) -> None:
     settings = typed(*NEAR, "monitor.source=rendered")
     with console("--rig", "mock", "--set", "rig.console.lease_s=30", *settings, record=tmp_path) as c:

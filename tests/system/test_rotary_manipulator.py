@@ -150,6 +150,15 @@ def test_procedure_jogs_an_axis_of_the_manipulator_within_its_travel_while_the_o
         assert bench.start().stop == "completed"
 
 
+def test_manipulator_stays_where_it_is_when_the_bench_parks() -> None:
+    with hil.Bench(RIG, "scheme-1") as bench:
+        bench.jog("target.yaw", 1, 1.0)
+        at_rad = bench.target_feedback().angle_rad.copy()
+        bench.park()
+        assert at_rad[2] > 0.01
+        np.testing.assert_allclose(bench.target_feedback().angle_rad, at_rad, atol=1e-3)
+
+
 def test_jog_of_a_manipulator_needs_one_and_an_axis_that_is_homed() -> None:
     with hil.Bench("mock", "scheme-1", overrides={"duration_s": 1.0}) as bench:
         with pytest.raises(BadInput, match=r"must be one of rails\.x, .*, turntable\.yaw; 1 or -1"):

@@ -33,7 +33,7 @@ class AcmeLink:
         self._number = 0
         self._stopped = False
         self._received_s = 0.0
-        self._counts = dict.fromkeys(("exchanges", "lost", "protocol_errors"), 0)
+        self._counts = dict.fromkeys(("exchanges", "lost", "protocol_errors", "late"), 0)
 
     def open(self) -> AxisFeedback:
         """Open the port, check the model, enable the drives."""
@@ -87,7 +87,7 @@ class AcmeLink:
             port.close()
 
     def counters(self) -> dict[str, int]:
-        """Return exchanges, lost responses and damaged responses."""
+        """Return exchanges, lost responses, damaged responses, and those that are late or come twice."""
         return dict(self._counts)
 
     def _feedback(self, response: Response) -> AxisFeedback:
@@ -116,11 +116,12 @@ class AcmeLink:
             while self._clock.now_s() < sent_s + RESPONSE_S:
                 data += port.read(256)
                 *lines, data = data.split(b"\n")
-                for line in lines:
-                    words = self._decoded(line)
-                    if words and words[0] == str(self._number):
-                        self._received_s = 0.5 * (sent_s + self._clock.now_s())
-                        return words[1:]
+                responses = [words for line in lines if (words := self._decoded(line))]
+                due = [words for words in responses if words[0] == str(self._number)]
+                self._counts["late"] += len(responses) - bool(due)
+                if due:
+                    self._received_s = 0.5 * (sent_s + self._clock.now_s())
+                    return due[0][1:]
                 self._clock.sleep_until(self._clock.now_s() + 0.001)
         except OSError as error:
             raise LinkLost(self._name, f"serial port failed: {error}") from error

@@ -227,18 +227,21 @@ export class Controls {
     $("fault_list").textContent = Object.keys(page.faults.menu).length ? on.map(([device, list]) => `${device}: ${list}`).join("; ") : none;
     $("fault_list").classList.toggle("none", !on.length);
     const names = Object.keys(page.bench.axes || {});
-    if (document.querySelectorAll(".axis").length !== names.length) this.axes(names);
+    if (this.shown !== String(names)) this.axes(names);
   }
 
-  // Rows of the axes: of another rig with or without those of a target that is rotated.
+  // Rows of the axes: of another rig with or without those of the target and further ones.
   axes(names) {
     for (const row of document.querySelectorAll(".axis")) row.remove();
+    this.shown = String(names);
     if (this.axis >= names.length) this.axis = 0;
-    $("jog").firstChild.textContent = `Jog while held: 1..${names.length || 6}, then \u2190 \u2192`;
+    $("jog").firstChild.textContent = `Jog while held: 1..${Math.min(9, names.length || 6)}, then \u2190 \u2192`;
     names.forEach((name, i) => {
       const row = document.createElement("div");
       row.className = `axis ${i < 6 ? "" : "turned"} ${i === this.axis ? "chosen" : ""}`;
-      row.innerHTML = `<span>${i + 1} ${i < 6 ? "" : "t."}${name.split(".")[1]}</span><span class="where"><b>-</b><i></i></span>`;
+      const [group, axis] = name.split(".");
+      row.innerHTML = `<span></span><span class="where"><b>-</b><i></i></span>`;
+      row.firstChild.textContent = `${i < 9 ? i + 1 : ""} ${i < 6 ? "" : group === "target" ? "t." : `${group}.`}${axis}`;
       for (const [direction, sign] of [[-1, "\u2212"], [1, "+"]]) {
         const button = document.createElement("button");
         button.textContent = sign;
@@ -254,16 +257,19 @@ export class Controls {
 
   positions(now, page) {
     if (!now.rail_m) return;
-    const limits = Object.values(page.bench.axes), values = [...now.rail_m, ...now.gimbal_deg, ...(now.target_deg || [])];
-    const rates = [...now.rail_mps, ...now.gimbal_degps, ...(now.target_degps || [])]; // shown of a target only
+    const further = Object.values(now.further_axes || {}), units = Object.keys(page.bench.axes).map((name) => page.bench.units[name.split(".")[0]]);
+    const limits = Object.values(page.bench.axes);
+    const values = [...now.rail_m, ...now.gimbal_deg, ...(now.target_deg || []), ...further.flatMap((group) => group.m || group.deg)];
+    const rates = [...now.rail_mps, ...now.gimbal_degps, ...(now.target_degps || []), ...further.flatMap((group) => group.mps || group.degps)]; // shown from the seventh on
     document.querySelectorAll(".axis .where").forEach((where, i) => {
       if (values[i] === undefined) return; // of the session before
       const [low, high] = limits[i], value = values[i];
       const note = now.limit[i] ? " on limit switch" : now.homing[i] === 2 ? "" : " not homed";
-      where.firstChild.textContent = `${value === null ? "-" : value.toFixed(i < 3 ? 3 : 2)} ${i < 3 ? "m" : "\u00b0"}${note}`;
+      const turns = units[i] === "deg", unit = turns ? "\u00b0" : " m";
+      where.firstChild.textContent = `${value === null ? "-" : value.toFixed(turns ? 2 : 3)} ${turns ? "\u00b0" : "m"}${note}`;
       where.classList.toggle("limit", Boolean(note));
-      if (i >= 6 && !note && value !== null) where.firstChild.textContent = `${value.toFixed(2)}\u00b0 ${(rates[i] ?? NaN).toFixed(1)}\u00b0/s`;
-      where.title = `${limits[i].join(" to ")} ${i < 3 ? "m" : "\u00b0"}`;
+      if (i >= 6 && !note && value !== null) where.firstChild.textContent = `${value.toFixed(turns ? 2 : 3)}${unit} ${(rates[i] ?? NaN).toFixed(turns ? 1 : 3)}${unit}/s`;
+      where.title = `${limits[i].join(" to ")} ${turns ? "\u00b0" : "m"}`;
       where.lastChild.style.left = `${Math.min(97, Math.max(0, (100 * (value - low)) / (high - low)))}%`;
     });
   }

@@ -70,7 +70,7 @@ export function ages(now, page, link_age_s) {
     return [text ? `${name} ${text}` : name, age_s, page.bench.sensors[name], state];
   });
   const entries = [
-    ...["rails", "turntable", ...("target" in stale ? ["target"] : []), "vmu", "io"].map((name) => [name, now.ages_s ? now.ages_s[name] : null, stale[name]]),
+    ...(page.bench.stale_s ? Object.keys(stale) : ["rails", "turntable", "vmu", "io"]).map((name) => [name, now.ages_s ? now.ages_s[name] : null, stale[name]]),
     ...sensors,
     ["loop", now.status_age_s ?? null, STATUS_OLD_S],
     ["link", link_age_s, STATUS_OLD_S],

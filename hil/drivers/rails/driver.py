@@ -1,4 +1,4 @@
-"""Driver of the rails: up to three drives on Modbus TCP or RTU, one event loop in its own thread.
+"""Driver of the rails: up to six drives on Modbus TCP or RTU, one event loop in its own thread.
 
 An exchange is one transaction (function 23) per drive, or a write and a read for drives without that function, all
 at once; those that share a wire go one after the other. It is triggered by ``send``, at most at the rate of the

@@ -1,4 +1,4 @@
-"""Emulator of the rails: up to three drives on Modbus TCP, or on one serial line, with servo dynamics."""
+"""Emulator of the rails: up to six drives on Modbus TCP, or on one serial line, with servo dynamics."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class EmulatedRails:
 
 
 class RailsEmulator(ModbusTcpEmulator):
-    """Up to three drives on 127.0.0.1, ports by the system; axes of one host and port in the rig file share a port.
+    """Up to six drives on 127.0.0.1, ports by the system; axes of one host and port in the rig file share a port.
 
     Positions are written to ``shared`` every 4 ms, of wall time above real time, and at each request. Further arguments
     are those of ``EmulatedRails``.
@@ -100,7 +100,7 @@ class RailsEmulator(ModbusTcpEmulator):
 
 
 class RtuRailsEmulator:
-    """Up to three drives on one serial line, a pseudo terminal with the timing of the real line."""
+    """Up to six drives on one serial line, a pseudo terminal with the timing of the real line."""
 
     def __init__(self, config: LinearAxes, clock: BenchClock, shared: SharedAxisState, **kwargs: Any) -> None:
         self._clock = clock

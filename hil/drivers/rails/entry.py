@@ -7,9 +7,9 @@ from typing import Final
 from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.rail_map import range_of
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import RAIL_NAMES, LinearAxes, RailAxis
+from hil.config.rig import LINEAR_NAMES, LinearAxes, RailAxis, check_ids
 
-_EXCHANGES_IN_TIMEOUT: Final = 10.0  # three drives, one retry, and as much again for the drives' response times
+_DRIVES_LEAST: Final = 3  # for which the time-out must suffice
 
 
 def _check_map(rails: LinearAxes) -> None:
@@ -37,11 +37,13 @@ def _check_tcp(rails: LinearAxes) -> None:
 
 
 def _check_rtu(rails: LinearAxes) -> None:
-    rtu = rails.rtu or ModbusRtu()
-    least_s = _EXCHANGES_IN_TIMEOUT * rtu.exchange_s(rails.map)
+    rtu, drives = rails.rtu or ModbusRtu(), max(_DRIVES_LEAST, len(rails.axes))
+    check_ids("rtu.device_ids", rtu.device_ids, rails)
+    exchanges = 2.0 * (drives + 2)  # one retry, and as much again for the drives' response times
+    least_s = exchanges * rtu.exchange_s(rails.map)
     if rails.timeout_s < least_s:
         raise ValueError(
-            f"timeout_s {rails.timeout_s:g}: too short for three drives at {rtu.baud} baud with one retry, "
+            f"timeout_s {rails.timeout_s:g}: too short for {drives} drives at {rtu.baud} baud with one retry, "
             f"allowed {least_s:.2f} or more"
         )
     _check_map(rails)
@@ -62,10 +64,10 @@ TCP: Final = DriverEntry(
     "modbus",
     driver="hil.drivers.rails.driver:ModbusRails",
     emulator="hil.drivers.rails.emulator:RailsEmulator",
-    wires=[WireKey(f"modbus.{name}", "tcp", name) for name in RAIL_NAMES],
+    wires=[WireKey(f"modbus.{name}", "tcp", name) for name in LINEAR_NAMES],
     check=_check_tcp,
     identity=_identity,
-    any_axes=True,
+    axes=range(1, 7),
     keeps_bench_time=lambda table: True,
 )
 RTU: Final = DriverEntry(
@@ -77,7 +79,7 @@ RTU: Final = DriverEntry(
     wires=[WireKey("rtu.port", "serial", emulated={"parity": "none"})],
     check=_check_rtu,
     identity=_identity,
-    any_axes=True,
+    axes=range(1, 7),
     setpoints_hz=_rtu_setpoints_hz,
     keeps_bench_time=lambda table: True,
 )

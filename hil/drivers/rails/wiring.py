@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.rail_wires import ModbusRtu
-from hil.config.rig import LinearAxes, Modbus, ModbusAxis
+from hil.config.rig import LinearAxes, ModbusAxis
 from hil.core.clock import BenchClock
 from hil.drivers.rails.drive import ATTEMPTS, ModbusDevice
 from hil.drivers.rails.frames import Counters
@@ -44,5 +44,4 @@ def _attempt_s(timeout_s: float, drives: int) -> float:
 
 def tcp_axes(config: LinearAxes) -> list[ModbusAxis]:
     """Return the TCP settings of the drives."""
-    modbus = config.modbus or Modbus()
-    return [getattr(modbus, name) for name in config.axis_names]
+    return [getattr(config.modbus, name, ModbusAxis()) for name in config.axis_names]

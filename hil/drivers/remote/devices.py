@@ -132,10 +132,9 @@ class RemoteAxes(_RemoteDevice):
         self._wakes = wakes
         self._limits = SetpointLimits(name, config)
         self.axis_names = self._limits.names
-        self._n = len(self.axis_names)
         self._timeout_s = config.timeout_s
-        self._setpoint = np.zeros(1, io_layout.SETPOINT)
-        self._feedback = np.zeros(1, io_layout.FEEDBACK)
+        self._setpoint = np.zeros(1, io_layout.setpoint_record(len(self.axis_names)))
+        self._feedback = np.zeros(1, io_layout.feedback_record(len(self.axis_names)))
         self._stop = np.zeros(1, io_layout.STOP)
         self._newest: AxisFeedback | None = None
         self._received = self._feedback_before = 0
@@ -159,19 +158,19 @@ class RemoteAxes(_RemoteDevice):
 
     def set_limits(self, rate: Array, acceleration: Array) -> None:
         """Set the limits (n,) within which the axes catch up after a gap in the setpoints."""
-        self._setpoint["rate_max"][0, : self._n], self._setpoint["acceleration_max"][0, : self._n] = rate, acceleration
+        self._setpoint["rate_max"], self._setpoint["acceleration_max"] = rate, acceleration
 
     def send(self, position: Array, rate: Array, now_s: float) -> Array:
         """Send the newest setpoint; return the accepted position, or the measured one if the device is stopped."""
         self._check(now_s)
         accepted, accepted_rate = self._limits.accepted(position, rate, self._kind == io_layout.JOGGED)
         if self._stopped or self._kind == io_layout.GOAL:
-            return np.array(self._feedback["position"][0, : self._n])
+            return np.array(self._feedback["position"][0])
         self._write_setpoint(accepted, accepted_rate, now_s)
         return accepted
 
     def _write_setpoint(self, position: Array, rate: Array, now_s: float) -> None:
-        self._setpoint["position"][0, : self._n], self._setpoint["rate"][0, : self._n] = position, rate
+        self._setpoint["position"], self._setpoint["rate"] = position, rate
         self._setpoint["kind"] = self._kind
         self._block[f"{self.name}.setpoint"].write(self._setpoint, now_s)
         if self._wakes:
@@ -189,7 +188,7 @@ class RemoteAxes(_RemoteDevice):
         box = self._block[f"{self.name}.feedback"]
         if box.written > self._received:
             self._received, _ = box.read(self._feedback)
-            self._newest = io_layout.read_feedback(self._feedback, self._n)
+            self._newest = io_layout.read_feedback(self._feedback)
         if self._newest is None or self._received <= self._feedback_before:
             raise LinkTimeout(self.name, "has not answered yet")
         age_s = now_s - self._newest.t_s

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -22,15 +22,26 @@ AXIS_DEVICES: Final = ("rails", "turntable", "target")
 LOOP, IO, WATCHDOG = "loop", "I/O", "watchdog"
 """The processes; mailboxes of their heartbeats."""
 
-SETPOINT: Final = np.dtype(
-    [("position", "f8", 3), ("rate", "f8", 3), ("rate_max", "f8", 3), ("acceleration_max", "f8", 3), ("kind", "i8")]
-)
-"""rate_max, acceleration_max: limits within which the axes catch up after a gap."""
+
+def setpoint_record(n: int) -> np.dtype:
+    """Return the record of a setpoint of ``n`` axes.
+
+    rate_max, acceleration_max: limits within which the axes catch up after a gap.
+    """
+    return np.dtype(
+        [(name, "f8", (n,)) for name in ("position", "rate", "rate_max", "acceleration_max")] + [("kind", "i8")]
+    )
+
+
+def feedback_record(n: int) -> np.dtype:
+    """Return the record of the feedback of ``n`` axes."""
+    fields = (("position", "f8"), ("rate", "f8"), ("homing", "i8"), ("limit", "i8"))
+    return np.dtype([("t_s", "f8")] + [(name, kind, (n,)) for name, kind in fields])
+
+
+SETPOINT: Final = setpoint_record(3)
 CYCLIC, JOGGED, GOAL = 0, 1, 2
 """Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the position to park at."""
-FEEDBACK: Final = np.dtype(
-    [("t_s", "f8"), ("position", "f8", 3), ("rate", "f8", 3), ("homing", "i8", 3), ("limit", "i8", 3)]
-)
 HEARTBEAT: Final = np.dtype([("watched", "i8"), ("pause_s", "f8")])
 """pause_s: of the sender, by the host, within the last second, s of wall time; that of the loop is not sent."""
 STOP: Final = np.dtype([("number", "i8"), ("kind", "i8")])
@@ -64,16 +75,16 @@ _FRAMES: Final = 256
 _KINDS: Final[dict[str, type[DeviceError]]] = {kind.__name__: kind for kind in (LinkLost, LinkTimeout, ProtocolError)}
 
 
-def layout(held: Sequence[str] = ()) -> dict[str, np.dtype]:
-    """Return the mailboxes. held: names of further axes of the rig."""
-    axes = (*AXIS_DEVICES, *held)
+def layout(held: Mapping[str, int] = {}) -> dict[str, np.dtype]:
+    """Return the mailboxes. held: groups of further axes of the rig, by names: how many axes each has."""
+    axes = dict.fromkeys(AXIS_DEVICES, 3) | {**held}
     devices = (*axes, "vmu", "io")
     return {
         LOOP: HEARTBEAT,
         IO: HEARTBEAT,
         WATCHDOG: HEARTBEAT,
-        **{f"{device}.setpoint": SETPOINT for device in axes},
-        **{f"{device}.feedback": FEEDBACK for device in axes},
+        **{f"{device}.setpoint": setpoint_record(n) for device, n in axes.items()},
+        **{f"{device}.feedback": feedback_record(n) for device, n in axes.items()},
         **{f"{device}.stop": STOP for device in (*axes, "io")},
         "io.inputs": INPUTS,
         "io.outputs": OUTPUTS,
@@ -91,13 +102,13 @@ class IoSharedMemory:
         self.wakes = wakes
 
     @classmethod
-    def create(cls, held: Sequence[str] = ()) -> IoSharedMemory:
+    def create(cls, held: Mapping[str, int] = {}) -> IoSharedMemory:
         """Create new memory; pass ``descriptors`` to the other processes (``pass_fds``). held: as of ``layout``."""
         wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (IO, WATCHDOG)}
         return cls(MailboxBlock.create(layout(held), "io"), Ring.create(VMU_FRAME, _FRAMES, "poses"), wakes)
 
     @classmethod
-    def attach(cls, descriptors: tuple[int, int, int, int], held: Sequence[str] = ()) -> IoSharedMemory:
+    def attach(cls, descriptors: tuple[int, int, int, int], held: Mapping[str, int] = {}) -> IoSharedMemory:
         """Attach to the memory that another process created."""
         block, frames, io, watchdog = descriptors
         wakes = {IO: io, WATCHDOG: watchdog}
@@ -116,22 +127,21 @@ class IoSharedMemory:
 
 
 def write_feedback(record: np.ndarray, feedback: AxisFeedback) -> None:
-    """Put ``feedback`` into ``record``, shape (1,) of FEEDBACK."""
-    record["t_s"], n = feedback.t_s, len(feedback.position)
-    for name in ("position", "rate", "homing", "limit"):
-        record[name][0, :n] = getattr(feedback, name)
+    """Put ``feedback`` into ``record``, shape (1,) of ``feedback_record``."""
+    for name in ("t_s", "position", "rate", "homing", "limit"):
+        record[name][0] = getattr(feedback, name)
 
 
-def read_feedback(record: np.ndarray, n: int = 3) -> AxisFeedback:
-    """Return the feedback of ``n`` axes in ``record``, shape (1,) of FEEDBACK; its arrays are copies."""
+def read_feedback(record: np.ndarray) -> AxisFeedback:
+    """Return the feedback in ``record``, shape (1,) of ``feedback_record``; its arrays are copies."""
     t_s, position, rate, homing, limit = record[0].item()
     del position, rate
     return AxisFeedback(
         t_s,
-        record["position"][0, :n].copy(),
-        record["rate"][0, :n].copy(),
-        tuple(map(Homing, homing[:n])),
-        tuple(map(int, limit[:n])),
+        record["position"][0].copy(),
+        record["rate"][0].copy(),
+        tuple(map(Homing, homing)),
+        tuple(map(int, limit)),
     )
 
 

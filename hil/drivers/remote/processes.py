@@ -52,7 +52,7 @@ class IoProcesses:
     def __init__(self, rig: Rig, clock: BenchClock, server: ForkServer | None = None) -> None:
         self._rig = rig
         self._clock = clock
-        self._memory = IoSharedMemory.create(tuple(rig.held_axes))
+        self._memory = IoSharedMemory.create(rig.held_numbers)
         self._processes: dict[str, _ChildLink] = {}
         try:
             for name in (IO, *((WATCHDOG,) if rig.has_io else ())):

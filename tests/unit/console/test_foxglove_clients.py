@@ -6,6 +6,7 @@ import asyncio
 import base64
 import json
 import math
+import os
 import socket
 import threading
 import time
@@ -21,7 +22,7 @@ from mcap.reader import make_reader
 from websockets.exceptions import ConnectionClosed
 
 from hil.console.foxglove_clients import FoxgloveClients
-from hil.console.foxglove_process import BENCH_TOPIC, SERVICES, request_of
+from hil.console.foxglove_process import BENCH_TOPIC, SERVICES, LiveSession, request_of
 from hil.console.service import ConsoleService
 from hil.console.session import Choice
 from hil.console.tuner import Tuner
@@ -30,7 +31,9 @@ from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
+from hil.recording import schema
 from hil.recording.foxglove_images import PICTURE_TOPICS
+from hil.recording.recorder import RING_DTYPES
 from hil.recording.schema import LOG_ENTRY
 from hil.recording.writer import RecordingHeader, RunFile
 from tests.support.foxglove_client import FoxgloveClient
@@ -290,3 +293,22 @@ def test_dead_process_leaves_the_console_alone() -> None:
         time.sleep(0.02)
     assert desk.log == ["foxglove: its process was ended by SIGKILL; console and bench continue"]
     desk.close()
+
+
+@pytest.mark.parametrize("topic", schema.OPTIONAL)
+def test_rows_that_only_some_runs_have_reach_the_viewers_of_a_live_session(topic: str) -> None:
+    sink = schema.OPTIONAL[topic]
+    ring, run_time = Ring.create(RING_DTYPES[sink], 8, sink), RunTime.create()
+    opened: list[str] = []
+    logged: list[str] = []
+    server = SimpleNamespace(
+        open_channel=lambda topic, *_: opened.append(topic),
+        log=lambda topic, message, log_time: logged.append(opened[opened.index(topic)]),
+    )
+    about = {"slots": {sink: 8}, "clock": [0, 1.0], "files": {}}
+    shared = {sink: os.dup(ring.descriptor), "run_time": os.dup(run_time.descriptor)}
+    session = LiveSession(server, about, shared)  # type: ignore[arg-type]
+    ring.put(np.zeros(1, RING_DTYPES[sink]))
+    session.poll()
+    session.close()
+    assert logged == [topic]

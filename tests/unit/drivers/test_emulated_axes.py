@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig
+from hil.config.rig import HeldLinearAxes
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import EmulatedAxes
@@ -308,3 +309,24 @@ def test_encoders_of_two_groups_have_noise_of_their_own(board: SharedAxisState) 
         axes.advance(PERIOD_S)
         positions.append(axes.position.tolist())
     assert positions[0] == positions[1] != positions[2]
+
+
+@pytest.mark.parametrize("friction_n", [0.0, 40.0])
+def test_six_axes_move_as_the_same_axes_of_a_group_of_three(board: SharedAxisState, friction_n: float) -> None:
+    """Bit by bit: with an ideal servo, and with the mechanics of a machine."""
+    rails = load_rig("emulated").value.rails
+    table = rails.model_dump(mode="json", include={"driver", "servo", "x", "y", "z"})
+    table |= {"u": table["x"], "v": table["y"], "w": table["z"], "place_m": (0.0,) * 6}
+    if friction_n:
+        table["mechanics"] = {"friction_coulomb_n": friction_n, "friction_breakaway_n": friction_n}
+    of_six = HeldLinearAxes.model_validate(table, strict=False)
+    of_three = rails.model_copy(update={"mechanics": of_six.mechanics})
+    six, three = (EmulatedAxes("further", config, StoppedClock(), board) for config in (of_six, of_three))
+    for step in range(50):
+        for group in (six, three):
+            for axis, position in enumerate(group.position.tolist()):
+                group.follow(axis, position + 0.01 * (1 + axis % 3), 0.0, PERIOD_S * step)
+            group.advance(PERIOD_S * (step + 1))
+    np.testing.assert_array_equal(six.position, np.tile(three.position, 2))
+    np.testing.assert_array_equal(six.rate, np.tile(three.rate, 2))
+    assert np.abs(six.rate).min() > 0.01

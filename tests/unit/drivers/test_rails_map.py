@@ -119,7 +119,7 @@ def test_a_drive_without_exchange_numbers_needs_no_registers_for_them(tmp_path: 
         ),
         (
             'rails.driver = "modbus_rtu"\nrails.rtu.baud = 9600',
-            "lab.toml: rig.rails: timeout_s 0.4: too short for three drives at 9600 baud with one retry, "
+            "lab.toml: rig.rails: timeout_s 0.4: too short for 3 drives at 9600 baud with one retry, "
             "allowed 0.58 or more",
         ),
         (

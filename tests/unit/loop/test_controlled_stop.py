@@ -14,7 +14,7 @@ from hil.core.messages import Array, AxisFeedback
 from hil.errors import LinkTimeout
 from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S, STANDSTILL_S, BrakeTimes, ControlledStop
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.target_stage import FixedTarget
+from hil.loop.target_stage import AxesTogether
 from hil.safety.alarms import AlarmLog
 
 STEP_S = 0.02
@@ -88,7 +88,7 @@ class Bench:
                 stop=lambda now_s: [group.stop(now_s) for group in groups],
                 disable=lambda now_s: [group.disable(now_s) for group in groups],
             ),
-            target=FixedTarget(),
+            target=AxesTogether(),
             safety_io=self.lines,
         )
         self.stop = ControlledStop(loop, self.rate, brakes or BrakeTimes(), lambda now_s: now_s >= self.ended_s)

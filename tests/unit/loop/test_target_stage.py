@@ -11,7 +11,8 @@ from hil.core.clock import SimulatedClock
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate, Tick
-from hil.loop.target_stage import FRACTION_OF_LIMITS, HeldAxes
+from hil.loop.target_axes import FRACTION_OF_LIMITS
+from hil.loop.target_stage import HeldAxes
 from hil.session.build import runner as make_runner
 from tests.support.run_settings import make_job
 

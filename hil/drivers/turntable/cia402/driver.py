@@ -1,4 +1,4 @@
-"""Turntable of up to three CiA 402 drives on one CAN bus, cyclic synchronous position mode."""
+"""Turntable of up to six CiA 402 drives on one CAN bus, cyclic synchronous position mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Emulator of up to three CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
+"""Emulator of up to six CiA 402 drives on one CAN bus: python-can's serial framing over a pty, or any other bus."""
 
 from __future__ import annotations
 

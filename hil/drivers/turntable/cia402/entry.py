@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.driver_registry import DriverEntry, WireKey
-from hil.config.rig import Cia402, RotaryAxes
+from hil.config.rig import Cia402, RotaryAxes, check_ids
 
 _PDO_BITS: Final = 111  # of a data frame of 8 bytes with the space after it, without stuff bits (ISO 11898-1)
 _SYNC_BITS: Final = 47  # of one without data
 _ADAPTER_BYTES: Final = {"serial": (19, 11), "slcan": (22, 6)}  # of both on the serial port of an adapter
 _BITS_PER_BYTE: Final = 10
+
+
+def _check(turntable: RotaryAxes) -> None:
+    check_ids("cia402.node_ids", (turntable.cia402 or Cia402()).node_ids, turntable)
 
 
 def _check_files(turntable: RotaryAxes) -> list[str]:
@@ -48,7 +52,8 @@ ENTRY: Final = DriverEntry(
     wires=[WireKey("cia402.channel", "can")],
     check_files=_check_files,
     identity=_identity,
-    any_axes=True,
+    axes=range(1, 7),
+    check=_check,
     setpoints_hz=_setpoints_hz,
     keeps_bench_time=lambda table: bool(table.cia402.interface == "serial"),
 )
