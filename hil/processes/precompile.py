@@ -31,9 +31,12 @@ def _job(*settings: str) -> Job:
 
 
 def _compile_stages() -> None:
+    from hil.core.clock import WallClock
     from hil.drivers.axes import axes_of
+    from hil.loop.rate_keeper import WallClockRate
     from hil.session.warm_up import warm_up_all_but_gnc
 
+    WallClockRate(WallClock(), _job().tick_s)
     warm_up_all_but_gnc(_job("monitor.source=model"))
     axes_of(load_rig("emulated-machine").value.rails).step(0.001)
 
@@ -57,6 +60,8 @@ def _compile_loop() -> None:
 
 
 def _compile_verdict() -> None:
+    from hil.checks.go_level import go_warnings
+    from hil.report.control_numbers import control_numbers
     from hil.report.tally import Tally
 
     job = _job()
@@ -70,7 +75,9 @@ def _compile_verdict() -> None:
         rows["navigation"][name] = rows["truth"][name]
     tally = Tally(scenario, rig)
     tally.add(rows)
-    tally.end()
+    tally.numbers()
+    control_numbers(rows, scenario)
+    go_warnings(scenario, rig)
 
 
 def _compile_run() -> None:
