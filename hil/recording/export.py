@@ -95,7 +95,7 @@ def _sensor_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[
             table[column], units[column] = rows["sample.value"][:, i], component["unit"]
             table[f"sigma_{column}"] = np.sqrt(rows["sample.covariance"][:, i, i])
             units[f"sigma_{column}"] = component["unit"]
-            table[f"innovation_{column}"] = rows["innovation"][:, i]
+            table[f"innovation_{column}"], units[f"innovation_{column}"] = rows["innovation"][:, i], "1"
         yield f"sensor-{name}", table, units
 
 
