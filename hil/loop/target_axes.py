@@ -91,13 +91,13 @@ class TargetAxes:
 
         tick: waits for the next cycle, of period ``step_s``, s, and checks the bench.
         """
-        self._move_to(self.place_at, "place", tick, step_s, FRACTION_OF_LIMITS)
+        self._move_to(self.place_at, tick, step_s, FRACTION_OF_LIMITS)
 
     def park(self, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
         """Move all axes to their park positions, at most at ``rate_fraction`` of the limits; otherwise as ``place``."""
-        self._move_to(self._park_at, "park position", tick, step_s, rate_fraction)
+        self._move_to(self._park_at, tick, step_s, rate_fraction)
 
-    def _move_to(self, goal: Array, what: str, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
+    def _move_to(self, goal: Array, tick: Callable[[], Tick], step_s: float, rate_fraction: float) -> None:
         now_s = tick().now_s
         feedback = self.axes.read(now_s)
         for name, homing in zip(self.axes.axis_names, feedback.homing, strict=True):
@@ -114,7 +114,7 @@ class TargetAxes:
         position, motion, along = start.copy(), np.zeros(len(start)), np.empty(2)
         while moved_s <= duration_s or np.abs(self.feedback.position - goal).max() > _SETTLED:
             if moved_s > duration_s + _SETTLE_S:
-                raise SafetyTrip(self.axes.name, what, "not reached", f"{_SETTLE_S:g} s after the move")
+                raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
             for i, (length, speed, up, smooth_s) in enumerate(limits):
                 along_smooth_line(length, speed, up, up, smooth_s, moved_s, along)
                 position[i] = start[i] + math.copysign(along[0], distance[i])

@@ -129,7 +129,7 @@ with runner(job, operator=Holding(attended=True)) as bench:
 """
 
 
-@pytest.mark.parametrize("settings", [("scheme-1",), ("far-approach",), ("scheme-1", "monitor.source=model")])
+@pytest.mark.parametrize("settings", [("scheme-1",), ("far-approach", "monitor.source=model")])
 def test_run_in_real_time_loads_no_kernel_while_it_runs(settings: tuple[str, ...]) -> None:
     done = subprocess.run([sys.executable, "-c", RUN, *settings], capture_output=True, text=True, check=False)
     assert done.stdout.endswith("loaded: []\n"), done.stdout + done.stderr
