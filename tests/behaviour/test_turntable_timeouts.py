@@ -135,7 +135,7 @@ def test_frames_of_another_length_in_the_name_of_a_drive_are_an_error_that_names
 
 
 def test_drives_stop_by_themselves_when_setpoints_cease(driver):
-    with served(driver) as (emulator, device, clock):
+    with served(driver, speed=1.0) as (emulator, device, clock):  # their patience is short for a computer that pauses
         device.send(np.radians((50.0, -50.0, 50.0)), np.zeros(3), clock.now_s())
         eventually(lambda: np.abs(emulator.gimbals.rate).min() > math.radians(10.0))
         # the controller falls silent: its thread hangs
