@@ -56,16 +56,21 @@ SENSOR_ARRIVAL_FIELDS: Final = (
 SENSOR_ARRIVAL = record_dtype(SENSOR_ARRIVAL_FIELDS)
 """A sample as the loop received it, and what the navigation made of it: the row that is recorded."""
 
-SENSOR_TRUTH_FIELDS: Final = (
+_RELATIVE_MOTION: Final = (
     Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
     Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point from the target's"),
     Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity, as seen in H"),
     Field("q_CH", "f8", 4, "1", "", "attitude of the chaser"),
     Field("w_CH_C", "f8", 3, "rad/s", "c", "rate of the chaser against H"),
+)
+_SUN: Final = Field("sun_I", "f8", 3, "1", "I", "unit vector to the Sun")
+
+SENSOR_TRUTH_FIELDS: Final = (
+    *_RELATIVE_MOTION,
     Field("r_T_I", "f8", 3, "m", "I", "target from the centre of the central body"),
     Field("v_T_I", "f8", 3, "m/s", "I", "its velocity"),
     Field("q_HI", "f8", 4, "1", "", "attitude of H"),
-    Field("sun_I", "f8", 3, "1", "I", "unit vector to the Sun"),
+    _SUN,
     Field("sunlight", "f8", (), "1", "", "visible fraction of the Sun's disc; 1 without eclipses"),
     Field("dt_s", "f8", (), "s", "", "since the measurement before, 0 for the first"),
     Field("normal", "f8", NORMALS, "1", "", "independent standard normals: the only random numbers of a measurement"),
@@ -75,13 +80,9 @@ SENSOR_TRUTH = record_dtype(SENSOR_TRUTH_FIELDS)
 """What ``measure`` reads: the truth, or the bench in its place, with random numbers; ``memory`` is the module's."""
 
 SENSOR_ESTIMATE_FIELDS: Final = (
-    Field("t_s", "f8", (), "s", "", "moment of the measurement, time of the run"),
-    Field("r_CT_H", "f8", 3, "m", "H", "chaser's reference point from the target's"),
-    Field("v_CT_H", "f8", 3, "m/s", "H", "its velocity, as seen in H"),
-    Field("q_CH", "f8", 4, "1", "", "attitude of the chaser"),
-    Field("w_CH_C", "f8", 3, "rad/s", "c", "rate of the chaser against H"),
+    *_RELATIVE_MOTION,
     Field("q_HI", "f8", 4, "1", "", "attitude of H by the orbit as the GNC has it; nan for a target that tumbles"),
-    Field("sun_I", "f8", 3, "1", "I", "unit vector to the Sun"),
+    _SUN,
 )
 SENSOR_ESTIMATE = record_dtype(SENSOR_ESTIMATE_FIELDS)
 """What ``innovate`` reads: the estimate at the moment of the measurement."""

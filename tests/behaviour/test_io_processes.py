@@ -25,7 +25,7 @@ from hil.core.messages import AxisFeedback, Homing, PoseFrame
 from hil.drivers.axes import ServoAxes
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes, RemotePoses, RemoteTurntable
-from hil.drivers.remote.io_layout import IO, SETPOINT, WATCHDOG, IoSharedMemory
+from hil.drivers.remote.io_layout import IO, WATCHDOG, IoSharedMemory, setpoint_record
 from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.remote.requests import IoRequests
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S
@@ -44,7 +44,7 @@ RIG = load_rig("emulated", WIRES).value
 
 
 def setpoint(position: np.ndarray) -> np.ndarray:
-    record = np.zeros(1, SETPOINT)
+    record = np.zeros(1, setpoint_record(3))
     record["position"] = position
     return record
 

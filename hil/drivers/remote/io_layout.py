@@ -39,7 +39,6 @@ def feedback_record(n: int) -> np.dtype:
     return np.dtype([("t_s", "f8")] + [(name, kind, (n,)) for name, kind in fields])
 
 
-SETPOINT: Final = setpoint_record(3)
 CYCLIC, JOGGED, GOAL = 0, 1, 2
 """Kinds of setpoints: of homed axes within their travel; of axes that are jogged; the position to park at."""
 HEARTBEAT: Final = np.dtype([("watched", "i8"), ("pause_s", "f8")])
