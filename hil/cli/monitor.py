@@ -23,7 +23,7 @@ from hil.errors import BadInput
 
 if TYPE_CHECKING:
     from hil.config.scene import Scene
-    from hil.monitor.preprocess import Region
+    from hil.monitor.region import Region
     from hil.monitor.results import FrameResult, Portion
 
 _PASSED = 0
@@ -118,7 +118,7 @@ def monitor(
 
 def _region(roi: str | None, scene: Scene) -> Region | None:
     """Return the operator's region "u,v,width,height", px, or None."""
-    from hil.monitor.preprocess import Region
+    from hil.monitor.region import Region
 
     if roi is None:
         return None

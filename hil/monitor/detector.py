@@ -18,7 +18,8 @@ from hil.monitor.kernels.circle_detection import CircleCandidate, find_circles
 from hil.monitor.kernels.patterns import LARGEST_ROLL, Pattern, best_pattern, boxes_pattern, cross_pattern
 from hil.monitor.kernels.pose import UNKNOWNS
 from hil.monitor.polygon_detection import PolygonCandidate, find_polygons
-from hil.monitor.preprocess import Prepared, Region
+from hil.monitor.preprocess import Prepared
+from hil.monitor.region import Region
 
 Floats = NDArray[np.float64]
 

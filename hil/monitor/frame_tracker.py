@@ -19,7 +19,8 @@ from hil.monitor.kernels import measure
 from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
 from hil.monitor.kernels.pose import GROWTH, UNKNOWNS
 from hil.monitor.motion import NOT_ESTIMATED, Motion
-from hil.monitor.preprocess import LEAST_CONTRAST, Region, prepare
+from hil.monitor.preprocess import LEAST_CONTRAST, prepare
+from hil.monitor.region import Region
 from hil.monitor.results import FAR, NEAR, NO_TARGET, FrameDetection, FrameResult
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import LOWER, UPPER, Image, VideoFrame, lines_of

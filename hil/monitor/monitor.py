@@ -21,7 +21,7 @@ from hil.monitor.field_check import FieldCheck
 from hil.monitor.frame_tracker import FrameTracker
 from hil.monitor.kernels.quantities import derive
 from hil.monitor.motion import MotionFit, MotionSolution
-from hil.monitor.preprocess import Region
+from hil.monitor.region import Region
 from hil.monitor.results import (
     AMBIGUOUS,
     ANY_ROLL_QUANTITIES,

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.config.scene import SceneCamera
 from hil.monitor.kernels.measure import TUNING
-from hil.monitor.preprocess import Region
+from hil.monitor.region import Region
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.frmn.search_region import Box, SearchRegion
 from hil.monitor.monitor import DockingMonitor
-from hil.monitor.preprocess import Region
+from hil.monitor.region import Region
 from hil.monitor.results import PORTION, Portion, portion_of, portion_row
 from hil.monitor.screen.overlay import annotated_shapes
 from hil.monitor.settings import MonitorSettings

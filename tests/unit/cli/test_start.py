@@ -41,3 +41,18 @@ def imported() -> set[str]:
 def test_run_on_the_mock_rig_imports_nothing_slow_that_it_does_not_use(imported: set[str]) -> None:
     assert "hil.report.summary" in imported
     assert not imported & SLOW_TO_IMPORT
+
+
+def test_computer_without_opencv_compiles_and_flies_all_that_needs_none() -> None:
+    """The extra "vision" has OpenCV; a docking monitor as a model needs no image."""
+    script = """
+import sys
+sys.modules["cv2"] = None
+from hil.cli.main import execute
+from hil.processes.precompile import GROUPS, NEEDS_OPENCV
+for group in GROUPS.keys() - set(NEEDS_OPENCV):
+    GROUPS[group]()
+execute(["run", "scheme-1", "--duration", "0.1", "--set", "monitor.source=model"])
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert "Timing      6 cycles" in run.stdout, run.stderr

@@ -14,7 +14,8 @@ from hil.config.scene import PixelNoise, Scene
 from hil.errors import BadInput
 from hil.monitor.kernels.quantities import quantities
 from hil.monitor.monitor import DockingMonitor
-from hil.monitor.preprocess import Region, bimodal_threshold
+from hil.monitor.preprocess import bimodal_threshold
+from hil.monitor.region import Region
 from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
 from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
