@@ -60,11 +60,6 @@ class TargetAxes:
         stopping.brake_step(self._limits, self._motion, self._next)
         self._stand_at(place)
 
-    @property
-    def groups(self) -> tuple[TargetAxes, ...]:
-        """This group."""
-        return (self,)
-
     def open(self, now_s: float) -> None:
         """Open the axes; they hold their positions. Raises DeviceError."""
         self.axes.open(now_s)

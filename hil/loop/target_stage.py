@@ -122,7 +122,3 @@ class AxesTogether:
         """Close all groups."""
         for group in self.groups:
             group.close()
-
-
-TargetStage = TargetAxes | AxesTogether
-"""Carrier of the target, and further axes, as used by cycle and runner."""

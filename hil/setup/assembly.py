@@ -245,8 +245,7 @@ def assemble(
         loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
-    groups = [*([] if moved is None else [moved]), *standing.values()]
-    loop.target = groups[0] if len(groups) == 1 else AxesTogether(groups)
+    loop.target = AxesTogether([*([] if moved is None else [moved]), *standing.values()])
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
@@ -323,7 +322,7 @@ def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array,
             found = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
         else:
             found = bench.feedback[0].position, bench.feedback[1].position
-        if isinstance(rotated, RotatedTarget):
+        if rotated is not None:
             at = target.servo.position if isinstance(target, MockAxes) else rotated.feedback.position
             return relative_axes(bench.params, rotated.params, *found, at)
         return found
