@@ -140,7 +140,7 @@ def campaign(
 
 def _as_json(results: Results, request: CampaignRequest) -> dict[str, Any]:
     """Return the numbers of ``hil campaign --json``."""
-    from hil.api.comparisons import Comparison, SweepResults
+    from hil.api.campaign_results import Comparison, SweepResults
 
     if isinstance(results, Comparison):
         return {"first": results.first.summary, "second": results.second.summary, "comparison": results.summary}

@@ -15,9 +15,9 @@ from hil.core.messages import AXES
 from hil.core.modes import Mode
 from hil.core.sensor_records import MAX_SENSORS
 from hil.errors import BenchError
-from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
+from hil.loop.target_stage import RotatedTarget
 
 MODES: Final = tuple(Mode)
 AXES_SHOWN: Final = len(BENCH_AXES) + len(GIMBAL_NAMES) + FURTHER_AXES_MAX

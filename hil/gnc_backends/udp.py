@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.gnc_link import GncLink
+from hil.config.host import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
 from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.core.observable import ObservableList

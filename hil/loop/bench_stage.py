@@ -24,7 +24,7 @@ from hil.safety.guard_alarms import guard_alarm
 from hil.safety.monitor import SafetyMonitor
 
 if TYPE_CHECKING:
-    from hil.loop.manipulator_stage import RotatedTarget
+    from hil.loop.target_stage import RotatedTarget
 
 
 class BenchStage:

@@ -9,8 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.core.clock import BenchClock, SimulatedClock, WallClock
-from hil.core.host_pauses import HostPauses
+from hil.core.clock import BenchClock, HostPauses, SimulatedClock, WallClock
 from hil.core.wait import wait_until
 
 _PAUSE_S = 0.001

@@ -16,7 +16,7 @@ from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
-from hil.drivers.profiled_move import compile_profile
+from hil.drivers.setpoint_limiter import compile_profile
 from hil.drivers.shared_state import SharedAxisState
 
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by

@@ -22,8 +22,7 @@ from hil.loop.compiled.run_stats import (
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
-from hil.report.device_times import NAMES, count_beyond, execution_times_s, judge_times
-from hil.report.latency import LATENCIES, measured, percentiles
+from hil.report.latency import LATENCIES, NAMES, count_beyond, execution_times_s, judge_times, measured, percentiles
 from hil.report.navigation_bound import NavigationBound
 from hil.report.sums import Squares, ThinnedSample
 from hil.report.vehicle import navigation_numbers, thruster_numbers

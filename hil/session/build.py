@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
-from hil.checks.calibration import check_drift_views
-from hil.checks.clock import check_clock
+from hil.checks.clock import check_clock, check_drift_views, check_lock_step
 from hil.checks.compatibility import (
     check_approach,
     check_budget,
@@ -28,9 +27,8 @@ from hil.checks.compatibility import (
     driver_warnings,
 )
 from hil.checks.faults import check_faults
-from hil.checks.lock_step import check_lock_step
-from hil.checks.preflight_record import check_preflight
 from hil.checks.sensors import check_sensors
+from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -52,12 +50,10 @@ from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, core_memory, library_problems, mocks
 from hil.setup.assembly import Job as Job
-from hil.setup.clock_watch import ClockWatch
 from hil.setup.compiled import compiled_cycles
 from hil.setup.compiled import runs_compiled as runs_compiled
-from hil.setup.exchange_rates import ExchangeRates
 from hil.setup.sample_sources import wired_sensors
-from hil.setup.true_axes import TrueAxesWatch
+from hil.setup.true_axes import ClockWatch, ExchangeRates, TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
 _GRID_S = 0.02  # lock-step: longest time between two steps of emulators and servers

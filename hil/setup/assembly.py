@@ -42,7 +42,6 @@ from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.cycle import Loop
-from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.model_stage import ModelDssStage
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -52,7 +51,7 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_axes import TargetAxes
-from hil.loop.target_stage import AxesTogether, HeldAxes
+from hil.loop.target_stage import AxesTogether, HeldAxes, RotatedTarget
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params

@@ -12,7 +12,7 @@ from hil.bench.manipulator import relative_axes
 from hil.core.modes import Mode
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import BadInput, SafetyTrip
-from hil.loop.manipulator_stage import RotatedTarget
+from hil.loop.target_stage import RotatedTarget
 from hil.maths import quat
 from hil.params import bench as bench_params
 from hil.recording import schema
