@@ -28,8 +28,7 @@ from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc_backends import external_records, udp_records
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc
-from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, ReceiveBuffers, ReplyReceiver
-from hil.gnc_backends.udp_stats import LinkStats
+from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, LinkStats, ReceiveBuffers, ReplyReceiver
 
 NAME: Final = "gnc"
 _OFFERS: Final = ("gnc.setup", "gnc.input", "imu.samples", *MIRRORED)

@@ -69,7 +69,7 @@ def make_emulator(configuration: Message) -> Emulator:
         assert isinstance(clock, WallClock)  # as of ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
     if device == "sensor":
-        from hil.setup.emulated_sensors import emulated_sensor
+        from hil.setup.emulated_vision import emulated_sensor
 
         return emulated_sensor(scenario, rig, seed, board, part, clock)
     emulator: Emulator

@@ -23,8 +23,7 @@ from hil.core.operator_commands import Operator
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.drivers.cameras.base import SIDES
-from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import CommandWordReceiver
+from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
