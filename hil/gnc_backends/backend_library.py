@@ -40,14 +40,9 @@ class LibraryBackend:
     def __init__(self, path: str, part: str, refuse: Callable[[str], BadInput]) -> None:
         self._path, self._part, self._refuse = Path(path).absolute(), part, refuse
         self.name = self._path.name
-        loaded = loaded_library(self._path, "hil gnc header --backends prints its interface", refuse)
         names = ("hil_backends_protocol", *(f"hil_{part}_{name}" for name in _FUNCTIONS))
-        if missing := [name for name in names if not hasattr(loaded, name)]:
-            raise refuse(f"has no function {', '.join(missing)}: hil gnc header --backends prints its interface")
-        loaded.hil_backends_protocol.argtypes, loaded.hil_backends_protocol.restype = (), ctypes.c_int
-        if (protocol := loaded.hil_backends_protocol()) != BACKEND_PROTOCOL:
-            text = f"has version {protocol} of the records, this bench has {BACKEND_PROTOCOL}"
-            raise refuse(f"{text}: build it with the header of hil gnc header --backends")
+        version = "version {} of the records", BACKEND_PROTOCOL
+        loaded = loaded_library(self._path, names, version, "hil gnc header --backends", refuse)
         self._open, step, self._close = (getattr(loaded, f"hil_{part}_{name}") for name in _FUNCTIONS)
         self._open.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)
         self._open.restype = ctypes.c_void_p
@@ -77,27 +72,11 @@ class LibraryBackend:
         """Open and close an instance. Raises BadInput with the reason if the library refuses the scenario."""
         self.open(setup, np.array([setting.default for setting in self.settings])).close()
 
-    def open(self, setup: np.record, values: np.ndarray) -> _LibraryInstance:
+    def open(self, setup: np.record, values: np.ndarray) -> BackendInstance:
         """Return an instance. Raises BadInput with the reason if the library refuses the scenario."""
         reason = ctypes.create_string_buffer(REASON_BYTES)
         block = np.array(values, float) if len(values) else np.zeros(1)
         pointer = self._open(np.asarray(setup).ctypes.data, block.ctypes.data, reason)
         if not pointer:
             raise self._refuse(f"refuses the scenario: {printable(reason.raw) or 'without a reason'}")
-        return _LibraryInstance(self._step_address, pointer, self._close, block)
-
-
-class _LibraryInstance(BackendInstance):
-    def __init__(self, step_address: int, address: int, close: Any, block: np.ndarray) -> None:
-        super().__init__(step_address, address)
-        self._close, self._block = close, block
-
-    def set_settings(self, values: np.ndarray) -> None:
-        """Write the values to the array that the library was given when it was opened."""
-        self._block[: len(values)] = values
-
-    def close(self) -> None:
-        """Free it; may be called more than once."""
-        address, self.address = self.address, 0
-        if address:
-            self._close(address)
+        return BackendInstance(self._step_address, pointer, block, self._close)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol, Self
 
@@ -36,20 +36,8 @@ class Library:
         self.name = self.path.name
         self._shown = path
         self._source = source
-        self._loaded = loaded_library(self.path, "hil gnc header prints its interface", self._refusal)
-        missing = [name for name in _SYMBOLS if not hasattr(self._loaded, name)]
-        if missing:
-            raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header prints its interface")
-        self._declare()
-        protocol = self._loaded.hil_gnc_protocol()
-        if protocol != PROTOCOL:
-            raise self._refusal(
-                f"has protocol {protocol}, this bench has {PROTOCOL}: build it with the header of hil gnc header"
-            )
-
-    def _declare(self) -> None:
-        loaded = self._loaded
-        loaded.hil_gnc_protocol.argtypes, loaded.hil_gnc_protocol.restype = (), ctypes.c_int
+        version = "protocol {}", PROTOCOL
+        loaded = self._loaded = loaded_library(self.path, _SYMBOLS, version, "hil gnc header", self._refusal)
         loaded.hil_gnc_open.argtypes, loaded.hil_gnc_open.restype = (ctypes.c_void_p, ctypes.c_char_p), ctypes.c_void_p
         loaded.hil_gnc_close.argtypes, loaded.hil_gnc_close.restype = (ctypes.c_void_p,), None
         self.step_address: int = ctypes.cast(loaded.hil_gnc_step, ctypes.c_void_p).value or 0
@@ -66,10 +54,16 @@ class Library:
         return BadInput.single(self._source, KEY, f'"{self._shown}": {what}')
 
 
-def loaded_library(path: Path, interface: str, refuse: Callable[[str], BadInput]) -> ctypes.CDLL:
-    """Return the shared library at ``path``. interface: how to print it. Raises BadInput, made by ``refuse``."""
+def loaded_library(
+    path: Path, names: Sequence[str], version: tuple[str, int], header: str, refuse: Callable[[str], BadInput]
+) -> ctypes.CDLL:
+    """Return the shared library at ``path``. Raises BadInput, made by ``refuse``.
+
+    names: of its functions; the first returns its version. version: text of one with {}, and that of this bench.
+    header: command that prints its interface.
+    """
     if not path.is_file():
-        raise refuse(f"no such file: give the path of a shared library ({interface})")
+        raise refuse(f"no such file: give the path of a shared library ({header} prints its interface)")
     exact = _keeps_subnormals()
     try:
         loaded = ctypes.CDLL(str(path))
@@ -77,6 +71,12 @@ def loaded_library(path: Path, interface: str, refuse: Callable[[str], BadInput]
         raise refuse(f"cannot be loaded: {_reason(error, path)}") from error
     if exact and not _keeps_subnormals():
         raise refuse("makes this process round small numbers to zero: build it without -ffast-math")
+    if missing := [name for name in names if not hasattr(loaded, name)]:
+        raise refuse(f"has no function {', '.join(missing)}: {header} prints its interface")
+    versioned, (text, expected) = getattr(loaded, names[0]), version
+    versioned.argtypes, versioned.restype = (), ctypes.c_int
+    if (found := versioned()) != expected:
+        raise refuse(f"has {text.format(found)}, this bench has {expected}: build it with the header of {header}")
     return loaded
 
 
