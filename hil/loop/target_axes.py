@@ -20,7 +20,7 @@ from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_smooth_line, duration
 from hil.params import bench as bench_params
 from hil.safety.alarms import speed_text
-from hil.safety.speed_check import SpeedCheck
+from hil.safety.packet_loss import SpeedCheck
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places

@@ -28,9 +28,8 @@ from hil.report.limits import (
     margins_of,
     stop_of_alarm,
 )
-from hil.report.vehicle import navigation_means, propellant_kg
 from hil.report.verdict import control_precision, is_accepted, verdict_of
-from hil.report.verdict_parts import energy_part, security_part
+from hil.report.verdict_parts import energy_part, navigation_means, propellant_kg, security_part
 from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import is_of_guard
 

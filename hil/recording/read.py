@@ -30,7 +30,7 @@ from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
-from hil.recording.earlier_names import present_key, with_present_names
+from hil.recording.schema import present_key, with_present_names
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 

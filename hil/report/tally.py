@@ -25,9 +25,15 @@ from hil.report.bench_error import BenchErrorSums
 from hil.report.latency import LATENCIES, NAMES, count_beyond, execution_times_s, judge_times, measured, percentiles
 from hil.report.navigation_bound import NavigationBound
 from hil.report.sums import Squares, ThinnedSample
-from hil.report.vehicle import navigation_numbers, thruster_numbers
 from hil.report.verdict import Verdict, control_precision, verdict_of
-from hil.report.verdict_parts import AbortCourse, FieldOfView, energy_part, security_part
+from hil.report.verdict_parts import (
+    AbortCourse,
+    FieldOfView,
+    energy_part,
+    navigation_numbers,
+    security_part,
+    thruster_numbers,
+)
 
 _BLOCK_S: Final = 20.0
 """Of the run: what is fitted to windows (``latency``) finds whole ones in a block."""

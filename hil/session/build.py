@@ -26,8 +26,7 @@ from hil.checks.compatibility import (
     check_sign_off,
     driver_warnings,
 )
-from hil.checks.faults import check_faults
-from hil.checks.sensors import check_sensors
+from hil.checks.faults import check_faults, check_sensors
 from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
