@@ -14,11 +14,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
-from hil.loop.compiled.run_stats import (
-    count_rows,
-    new_run_stats,
-    run_stats_params,
-)
+from hil.loop.compiled import run_stats
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
@@ -49,8 +45,8 @@ class Tally:
     def __init__(self, scenario: Scenario, rig: Rig, pause_s: float = 0.0) -> None:
         self._scenario, self._rig, self._pause_s = scenario, rig, pause_s
         self._block = max(2, min(_ROWS_MAX, round(_BLOCK_S / scenario.step_s)))
-        self._params = kernel_record(run_stats_params(scenario, rig, SETTLED_S))
-        self.stats = new_run_stats()
+        self._params = kernel_record(run_stats.run_stats_params(scenario, rig, SETTLED_S))
+        self.stats = run_stats.new_run_stats()
         self._abort = AbortCourse(scenario)
         self._view = FieldOfView(scenario, rig)
         self._bound = NavigationBound(scenario, rig, SETTLED_S)
@@ -84,7 +80,7 @@ class Tally:
 
     def _count(self, rows: np.ndarray) -> None:
         """Count a block; what compares successive rows has the last row of the block before as well."""
-        count_rows(self._params, self.stats, rows.view(np.ndarray))
+        run_stats.count_rows(self._params, self.stats, rows.view(np.ndarray))
         joined = rows if self._last is None else np.concatenate([self._last, rows])
         self._abort.add(rows)
         self._view.add(rows)
