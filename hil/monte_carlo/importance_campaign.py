@@ -68,57 +68,41 @@ class ImportanceSettings:
         return {"importance": dataclasses.asdict(self.event)}
 
     def run(self, job: CampaignJob, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:
-        """Run the cases that are missing; return the summary, which is also written to the folder."""
-        return ImportanceCampaign(job, self, store, engine).run(watch)
+        """Fit the density unless the folder has it, run the cases that are missing, and estimate the probability.
 
+        Returns the summary, which is also written to the folder.
+        """
+        density = self._density(job, store.folder / DENSITY, watch)
+        if density is not None:
+            spec = dataclasses.replace(job.spec, density=density.text())
+            job.fly(spec, store, self.cases, engine, watch, f"{self.event}:")
+        summary = {"scenario": job.scenario.value.name, "seed": job.seed, "rare": self._estimate(store, density)}
+        write_summary(store.folder / "summary.json", summary)
+        return summary
 
-class ImportanceCampaign:
-    """Fits the density unless the folder has it, runs the cases, and estimates the probability."""
-
-    def __init__(self, job: CampaignJob, settings: ImportanceSettings, store: Store, engine: Engine) -> None:
-        self._job = job
-        self._settings = settings
-        self._store = store
-        self._engine = engine
-
-    def run(self, watch: Watch) -> dict[str, Any]:
-        """Run the cases that are missing; return the summary, which is also written to the folder."""
-        density = self._density(watch)
-        if density is None:
-            return self._finish(None)
-        job, settings, store = self._job, self._settings, self._store
-        spec = dataclasses.replace(job.spec, density=density.text())
-        job.fly(spec, store, settings.cases, self._engine, watch, f"{settings.event}:")
-        return self._finish(density)
-
-    def _density(self, watch: Watch) -> importance_density.ImportanceDensity | None:
-        path = self._store.folder / DENSITY
+    def _density(self, job: CampaignJob, path: Path, watch: Watch) -> importance_density.ImportanceDensity | None:
         if path.is_file():
             return read_density(path)
-        axis = COLUMNS.index(self._settings.event.outcome)
-        found = pilot_density(self._job, axis, self._settings.event.threshold, watch)
+        found = pilot_density(job, COLUMNS.index(self.event.outcome), self.event.threshold, watch)
         if found is not None:
             with atomic_write(path) as partial:
                 partial.write_text(found.text(), encoding="utf-8")
         return found
 
-    def _finish(self, density: importance_density.ImportanceDensity | None) -> dict[str, Any]:
-        event = self._settings.event
+    def _estimate(self, store: Store, density: importance_density.ImportanceDensity | None) -> dict[str, Any]:
+        event = self.event
         rare = {"outcome": event.outcome, "side": event.side, "threshold": event.threshold}
         if density is None:
-            rare |= _result(np.zeros(0), np.zeros(0), event.level) | {"verdict": NO_DIRECTION}
-        else:
-            values = event.values(np.asarray(self._store.column(event.outcome), dtype=float))
-            weights = np.exp(np.asarray(self._store.column(importance_density.LOG_WEIGHT), dtype=float))
-            rare |= _result(values, weights, event.level) | {"distance": density.distance}
-            rare["noise"] = importance_density.noise_drivers(density)
-            failing = np.flatnonzero(values > event.level)
-            rare["failing_cases"] = len(failing)
-            shown = failing[np.argsort(-values[failing], kind="stable")][:_SHOWN]
-            rare["failing"] = [{"case": int(case), "value": float(values[case])} for case in shown]
-        summary = {"scenario": self._job.scenario.value.name, "seed": self._job.seed, "rare": rare}
-        write_summary(self._store.folder / "summary.json", summary)
-        return summary
+            return rare | _result(np.zeros(0), np.zeros(0), event.level) | {"verdict": NO_DIRECTION}
+        values = event.values(np.asarray(store.column(event.outcome), dtype=float))
+        weights = np.exp(np.asarray(store.column(importance_density.LOG_WEIGHT), dtype=float))
+        rare |= _result(values, weights, event.level) | {"distance": density.distance}
+        rare["noise"] = importance_density.noise_drivers(density)
+        failing = np.flatnonzero(values > event.level)
+        rare["failing_cases"] = len(failing)
+        shown = failing[np.argsort(-values[failing], kind="stable")][:_SHOWN]
+        rare["failing"] = [{"case": int(case), "value": float(values[case])} for case in shown]
+        return rare
 
 
 def read_density(path: Path) -> importance_density.ImportanceDensity:
