@@ -18,7 +18,7 @@ _READY_WALL_S = 60.0  # the first start compiles
 _EMULATORS = "hil.processes.emulators"
 _SERVER = ForkServer(
     _EMULATORS, "hil.processes.io_server", "hil.processes.watchdog", "hil.drivers.rails.emulator",
-    "hil.drivers.turntable.cia402.emulated_bus", "hil.drivers.io.emulator", "hil.drivers.vmu.emulator",
+    "hil.drivers.turntable.cia402.emulator", "hil.drivers.io.emulator", "hil.drivers.vmu.emulator",
     "hil.setup.emulated_vision",
 )  # fmt: skip
 

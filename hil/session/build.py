@@ -35,8 +35,8 @@ from hil.setup.assembly import Devices, RunContext, assemble, core_memory, libra
 from hil.setup.assembly import Job as Job
 from hil.setup.compiled import compiled_cycles
 from hil.setup.compiled import runs_compiled as runs_compiled
+from hil.setup.meters import ClockWatch, ExchangeRates, TrueAxesWatch
 from hil.setup.sample_sources import wired_sensors
-from hil.setup.true_axes import ClockWatch, ExchangeRates, TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
 _GRID_S = 0.02  # lock-step: longest time between two steps of emulators and servers

@@ -11,7 +11,7 @@ from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
 from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402.driver import Cia402Turntable
-from hil.drivers.turntable.cia402.emulated_bus import Cia402Emulator
+from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.errors import DeviceError
 from tests.support.lock_step import GRID_S, in_lock_step, serving
 

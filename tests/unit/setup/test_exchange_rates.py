@@ -10,7 +10,7 @@ from hil.core.messages import CYCLE
 from hil.drivers.mock_axes import MockAxes
 from hil.frmn.ring import NoTelemetry
 from hil.report.latency import with_exchanges
-from hil.setup.true_axes import ExchangeRates
+from hil.setup.meters import ExchangeRates
 
 
 class CountedAxes(MockAxes):

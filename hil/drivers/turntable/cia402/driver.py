@@ -16,9 +16,9 @@ from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.base import full_names
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
 from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.eds import Eds
 from hil.drivers.turntable.cia402.node import Node
-from hil.drivers.turntable.cia402.serial_can import CanPort
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
 from hil.errors import BadInput, DeviceError, LinkTimeout
 

@@ -17,9 +17,9 @@ from hil.config.rig import Cia402
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import CanPort
 from hil.drivers.turntable.cia402.codec import DriveState, Pdo
 from hil.drivers.turntable.cia402.eds import Eds
-from hil.drivers.turntable.cia402.serial_can import CanPort
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
 REPLY_WALL_S = 0.3

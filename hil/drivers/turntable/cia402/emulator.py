@@ -19,9 +19,9 @@ from hil.drivers.fault_injection import Faults, FaultyChannel
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import CanPort, Frame, SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.modes import DriveAxis
-from hil.drivers.turntable.cia402.serial_can import CanPort, Frame, SerialFrames, encode_serial
 from hil.errors import BadInput
 from hil.maths.random_streams import stream
 
