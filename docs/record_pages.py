@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.core import held_records, manipulator_records, messages
+from hil.core import manipulator_records, messages
 from hil.core.fields import Fields, markdown_table
-from hil.gnc_backends.backend_header import BACKEND_STRUCTS
-from hil.gnc_backends.c_header import RECORDS
+from hil.gnc_backends.c_header import BACKEND_STRUCTS, RECORDS
 from hil.loop.model_stage import RECORDS as MODEL_RECORDS
 from hil.monitor.results import PORTION_FIELDS
 
@@ -67,7 +66,7 @@ like `setpoint` of the cycle:""",
             "`setpoint` and `feedback` of it:",
             manipulator_records.GIMBALS_FIELDS,
             "## Held axes\n\n`/held_axes`, one per cycle and group of axes held at their places (`HELD_SAMPLE`):",
-            held_records.HELD_SAMPLE_FIELDS,
+            manipulator_records.HELD_SAMPLE_FIELDS,
             "## Frame of the vision unit\n\n`frame` (`VMU_FRAME`):",
             messages.VMU_FRAME_FIELDS,
             "## Portion\n\n`/monitor/portions`, one per batch of frames of the docking monitor (`PORTION`):",

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from hil import errors
     from hil.api.bench import Bench
-    from hil.api.campaign_results import Campaign
+    from hil.api.campaign_results import Campaign, Comparison, StudyResults, SweepResults, compare
     from hil.api.campaigns import campaign, rare_event, sobol_indices, sweep
-    from hil.api.comparisons import Comparison, SweepResults, compare
     from hil.api.jobs import load_rig, load_scenario
     from hil.api.margins import margins
     from hil.api.recordings import Recording, Replay
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from hil.api.requirements import RunRequirement
     from hil.api.results import RecordGroup, Run
     from hil.api.runs import run
-    from hil.api.studies import StudyResults
     from hil.config.rig import Rig
     from hil.config.scenario import Scenario
     from hil.core.build_info import VERSION
@@ -77,7 +75,7 @@ __all__ = [
 _MODULES = {
     "Bench": "hil.api.bench",
     "Campaign": "hil.api.campaign_results",
-    "Comparison": "hil.api.comparisons",
+    "Comparison": "hil.api.campaign_results",
     "Component": "hil.sensors.module",
     "DockingMonitor": "hil.monitor.monitor",
     "LineProtocol": "hil.core.line_protocol",
@@ -91,12 +89,12 @@ _MODULES = {
     "SensorError": "hil.sensors.module",
     "SensorModule": "hil.sensors.module",
     "Setting": "hil.core.settings",
-    "StudyResults": "hil.api.studies",
-    "SweepResults": "hil.api.comparisons",
+    "StudyResults": "hil.api.campaign_results",
+    "SweepResults": "hil.api.campaign_results",
     "VisionUnit": "hil.vmu.unit",
     "__version__": "hil.core.build_info:VERSION",
     "campaign": "hil.api.campaigns",
-    "compare": "hil.api.comparisons",
+    "compare": "hil.api.campaign_results",
     "kernel_backend": "hil.gnc_backends.kernel_backend",
     "load_rig": "hil.api.jobs",
     "load_scenario": "hil.api.jobs",

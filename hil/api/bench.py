@@ -15,13 +15,7 @@ from typing import Final, Literal, Self, cast
 
 import numpy as np
 
-from hil.api.jobs import (
-    Overrides,
-    is_positive,
-    job_of,
-    named_as_argument,
-    rig_name,
-)
+from hil.api import jobs
 from hil.api.requirements import RunRequirement, write_run_evidence
 from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
@@ -185,7 +179,7 @@ class Bench:
         rig: str | Path | Rig,
         scenario: str | Path | Scenario,
         seed: int = 0,
-        overrides: Overrides | None = None,
+        overrides: jobs.Overrides | None = None,
         gnc: PythonGnc | None = None,
         record: str | Path | None = None,
         speed: float = 1.0,
@@ -194,13 +188,13 @@ class Bench:
 
         overrides: ``{"faults": [...]}`` injects faults. speed: relative to real time, on rigs that run in real time.
         """
-        with named_as_argument():
-            self._job = replace(job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc), compiled=False)
+        with jobs.named_as_argument():
+            self._job = replace(jobs.job_of(scenario, rig, overrides, seed, speed=speed, gnc=gnc), compiled=False)
             build.check(self._job)
         self._operator = ProcedureOperator()
         self._request = RunRequest(
             self._job,
-            rig_name(rig),
+            jobs.rig_name(rig),
             record,
             gnc_summary(gnc),
             announce=log.info,
@@ -317,7 +311,7 @@ class Bench:
         of further axes; direction: 1 or -1; duration_s: of the key, s. Raises BadInput.
         """
         axes = self._job.rig.value.axis_names
-        if axis not in axes or direction not in (-1, 1) or not is_positive(duration_s):
+        if axis not in axes or direction not in (-1, 1) or not jobs.is_positive(duration_s):
             text = f"{axis!r}, {direction!r}, {duration_s!r}: must be one of {', '.join(axes)}; 1 or -1; above 0 s"
             raise BadInput.single("jog", "", text)
         step = _Step("jog", None, lambda *_: False, duration_s + 10.0)
@@ -377,7 +371,7 @@ class Bench:
             raise self._ended_error(command.value)
 
     def _fly(self, command: OperatorCommand, until: Until, timeout_s: float) -> Run:
-        if not (until in ("ready", "end") or is_positive(until)):
+        if not (until in ("ready", "end") or jobs.is_positive(until)):
             raise BadInput.single(command.value, "until", f'{until!r:.60}: must be "ready", "end" or a time above 0 s')
         reached, outcome = False, cast("Outcome | None", None)
 

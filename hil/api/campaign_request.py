@@ -9,10 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from hil.api.campaign_results import Campaign
-from hil.api.comparisons import Comparison, SweepResults
+from hil.api.campaign_results import Campaign, Comparison, StudyResults, SweepResults
 from hil.api.jobs import BackendArguments, Settings, job_of
-from hil.api.studies import StudyResults
 from hil.checks.go_level import go_warnings
 from hil.config.scenario import Scenario
 from hil.errors import BadInput, Problem

@@ -1,22 +1,60 @@
-"""Results of a campaign."""
+"""Results of campaigns and studies, and their cases: one campaign, two compared, many along the values of a key."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.api.cases import job_of_case
 from hil.api.frames import library
 from hil.api.results import Run
-from hil.api.runs import RunRequest, log, run_or_raise
+from hil.api.runs import RunRequest, log, run_job, run_or_raise
+from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.monte_carlo.campaign import RIG
-from hil.monte_carlo.dispersions import Design
+from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo.campaign import RIG, Sweep, campaign_digest, sweep_summary
+from hil.monte_carlo.dispersions import Design, case_seed
+from hil.monte_carlo.sobol_indices import sobol_point
+from hil.monte_carlo.statistics import compare as compare_columns
+from hil.monte_carlo.stored_campaign import StoredCampaign
 from hil.session.warm_up import compile_kernels
 from hil.setup.assembly import Job
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from matplotlib.figure import Figure
+
+
+def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None, unit: Array | None = None) -> Job:
+    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed.
+
+    mixed: that seed in a campaign of a rare event or of Sobol' indices. unit: in the latter, the point of the dispersed
+    numbers in the unit cube.
+    """
+    design = Design(job.scenario, job.seed)
+    truth, known = design.apply(design.values(case, mixed, unit), design.fault(case))
+    known = known.model_copy(update={"faults": truth.faults})
+    seed = case_seed(job.seed, case) if mixed is None else mixed
+    return replace(job, scenario=replace(job.scenario, value=known), seed=seed, dispersed=truth)
+
+
+def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str]:
+    """Return the job of a case of the campaign in ``folder``, the campaign's seed, and a note if the scenario differs.
+
+    job: the nominal run; seed and duration are those of the campaign. Raises BadInput.
+    """
+    stored = StoredCampaign(folder)
+    job = replace(job, seed=stored.seed, duration_s=stored.duration_s)
+    if not stored.is_sample and job.rig.value.kind != "mock":
+        raise BadInput.single("--rig", job.rig.value.name, "a case of --rare or --sobol runs on the mock rig")
+    mixed, unit = stored.mixed_seed(case), None
+    if stored.is_sobol:
+        unit, mixed = sobol_point(stored.seed, case, len(Design(job.scenario, job.seed).names))
+    note = ""
+    if stored.digest != campaign_digest(job.scenario.value, job.rig.value):
+        note = f"{folder}: its campaign has another scenario, rig or settings: the run differs from its case {case}"
+    return job_of_case(job, case, mixed, unit), stored.seed, note
 
 
 class Campaign:
@@ -107,3 +145,94 @@ class Campaign:
 
         why = "".join(html.paragraph(cause["text"]) for cause in self.summary["why"]["causes"][:3])
         return html.paragraph(repr(self)[1:-1]) + why + html.image("outcomes of the cases", svg_address(self.figure()))
+
+
+class StudyResults:
+    """Results of a study of many cases.
+
+    summary: the content of ``summary.json``, by its keys. cases: pyarrow table with one row per case. job: the nominal
+    run. folder: of the results, None if they are not kept.
+    """
+
+    def __init__(self, job: Job, summary: dict[str, Any], cases: pa.Table | None, folder: Path | None) -> None:
+        self.job = job
+        self.summary = summary
+        self.cases = cases
+        self.folder = folder
+
+    def run_case(self, case: int) -> Run:
+        """Return case number ``case``, run again in full detail with the same bits.
+
+        Raises BadInput for a number that has no case, and for a study whose folder was not given.
+        """
+        if self.folder is None:
+            raise BadInput.single("case", "", "the study has no folder: give out")
+        job, campaign_seed, _ = job_of_stored_case(self.job, self.folder, case)
+        compile_kernels(job, log.warning)
+        return run_job(RunRequest(job, RIG, more={"campaign_seed": campaign_seed, "case": case}))
+
+    def __repr__(self) -> str:
+        number = 0 if self.cases is None else len(self.cases)
+        return f"<StudyResults {self.summary['scenario']}: {number} cases>"
+
+
+class Comparison:
+    """Two campaigns with the same cases. summary: second minus first, by the keys of ``comparison.json``."""
+
+    def __init__(self, first: Campaign, second: Campaign, summary: dict[str, Any]) -> None:
+        self.first, self.second, self.summary = first, second, summary
+
+    @property
+    def difference(self) -> dict[str, Any]:
+        """Mean difference of each outcome with its 95 % interval: ``mean``, ``low``, ``high``, ``n``."""
+        found: dict[str, Any] = self.summary["difference"]
+        return found
+
+    def __repr__(self) -> str:
+        rates = self.summary["accepted_rate"]
+        first, second = (rates[name]["passed"] for name in ("first", "second"))
+        names = f"{self.summary['second']} against {self.summary['first']}"
+        return f"<Comparison {names}: {second} and {first} of {self.summary['runs']} accepted>"
+
+
+def compare(first: Campaign, second: Campaign) -> Comparison:
+    """Return the paired differences of two campaigns, second minus first, case by case.
+
+    Raises BadInput if they do not have the same seed and number of cases.
+    """
+    if first.job.seed != second.job.seed or len(first.cases) != len(second.cases):
+        text = "both campaigns must have the same seed and number of cases"
+        raise BadInput.single("compare", "", text)
+    names = (first.summary["scenario"], second.summary["scenario"])
+    return Comparison(first, second, compare_columns(first, second, names))
+
+
+class SweepResults:
+    """Campaigns along the values of one key. values: of the key; campaigns: in their order; summary: ``sweep.json``."""
+
+    def __init__(self, sweep: Sweep, campaigns: Sequence[Campaign]) -> None:
+        self.key, self.values, self.campaigns = sweep.key, sweep.values, list(campaigns)
+        self.summary: dict[str, Any] = sweep_summary(sweep, self.campaigns)
+
+    def figure(self) -> Figure:
+        """Return rate of accepted cases and propellant along the values."""
+        from hil.monte_carlo.figure import sweep_figure  # slow import
+
+        return sweep_figure(self.summary)
+
+    def to_pandas(self) -> Any:
+        """Return a DataFrame with one row per value: rates and means. Raises BadInput without pandas."""
+        from hil.api.frames import library
+
+        rows = [
+            {
+                "value": point["value"],
+                **{name: point[name]["rate"] for name in ("accepted_rate", "pass_rate")},
+                **{name: part["mean"] for name, part in point.items() if isinstance(part, dict) and "mean" in part},
+            }
+            for point in self.summary["points"]
+        ]
+        return library("pandas").DataFrame(rows).set_index("value")
+
+    def __repr__(self) -> str:
+        return f"<SweepResults {self.key}: {len(self.values)} values, {len(self.campaigns[0].cases)} cases each>"

@@ -8,9 +8,8 @@ from typing import Any, Unpack, overload
 
 from hil.api.campaign_request import CampaignRequest
 from hil.api.campaign_results import Campaign as Campaign
-from hil.api.comparisons import SweepResults
+from hil.api.campaign_results import StudyResults, SweepResults
 from hil.api.jobs import BackendArguments, Overrides, check_count, named_as_argument, settings_of
-from hil.api.studies import StudyResults
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS

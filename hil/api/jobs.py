@@ -13,7 +13,7 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
-from hil.checks.sensors import unfused_sensors
+from hil.checks.faults import unfused_sensors
 from hil.config import load
 from hil.config.load import Loaded
 from hil.config.model import ConfigModel

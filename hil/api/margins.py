@@ -8,17 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from hil.api.jobs import (
-    Faults,
-    Overrides,
-    Settings,
-    check_count,
-    loaded_rig,
-    loaded_scenario,
-    named_as_argument,
-    settings_of,
-    with_faults,
-)
+from hil.api import jobs
 from hil.config.error_models import LAG_MAX_S
 from hil.config.model import DELAY_MAX_S
 from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
@@ -33,7 +23,7 @@ def margins(
     runs: int = 20,
     out: str | Path | None = None,
     seed: int = 0,
-    overrides: Overrides | None = None,
+    overrides: jobs.Overrides | None = None,
     workers: int = 0,
     watch: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
@@ -71,11 +61,11 @@ def margins(
     BadInput
         Invalid arguments, with one line per error.
     """
-    check_count("runs", runs, 1)
-    check_count("workers", workers, 0)
-    with named_as_argument():
-        settings = settings_of(overrides)
-        flown, rig = loaded_scenario(scenario, settings).value, loaded_rig(RIG, settings).value
+    jobs.check_count("runs", runs, 1)
+    jobs.check_count("workers", workers, 0)
+    with jobs.named_as_argument():
+        settings = jobs.settings_of(overrides)
+        flown, rig = jobs.loaded_scenario(scenario, settings).value, jobs.loaded_rig(RIG, settings).value
     return search_margins(flown, rig, runs, out, seed, workers, watch)
 
 
@@ -111,9 +101,9 @@ def delayed_parts(scenario: Scenario, rig: Rig, seed: int) -> list[DelayedPart]:
 
     valve_s = scenario.chaser.thrusters.errors.delay_s
 
-    def job(settings: Settings, faults: Faults = ()) -> CampaignJob:
-        late = with_faults(loaded_scenario(scenario, settings), faults)
-        return CampaignJob(late, loaded_rig(rig, ["rig.guard.enabled=false", *settings]), seed)
+    def job(settings: jobs.Settings, faults: jobs.Faults = ()) -> CampaignJob:
+        late = jobs.with_faults(jobs.loaded_scenario(scenario, settings), faults)
+        return CampaignJob(late, jobs.loaded_rig(rig, ["rig.guard.enabled=false", *settings]), seed)
 
     def poses(delay_s: float) -> CampaignJob:
         return job([f"vmu.latency_s={scenario.vmu.latency_s + delay_s}"])

@@ -26,7 +26,7 @@ from hil.params.ready import SETTLED_S
 from hil.recording.read import Recorded, RowBatch, load, load_without_rows, row_batches
 from hil.recording.replay import Difference, Replayed, replay
 from hil.report.summary import summary_of
-from hil.report.vehicle import navigation_numbers
+from hil.report.verdict_parts import navigation_numbers
 from hil.safety.alarms import Alarm
 from hil.setup.assembly import make_backend
 from hil.setup.gnc_setup import backend_setup

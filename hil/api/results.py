@@ -15,8 +15,8 @@ from hil.api import frames
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.clock import utc_ns
+from hil.core.files import write_text
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event
-from hil.core.text_files import write_text
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.runner import Outcome

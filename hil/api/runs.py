@@ -127,7 +127,7 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
         if folder is not None:
             raise BadInput.single("campaign", "", "needs case")
         return job, {}
-    from hil.api.cases import job_of_case, job_of_stored_case  # slow import
+    from hil.api.campaign_results import job_of_case, job_of_stored_case  # slow import
 
     if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
         raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")
@@ -210,7 +210,7 @@ def run_job(request: RunRequest) -> Run:
 
 def _prepare(bench: build.WiredBench, runner: Runner) -> None:
     if bench.rig.vmu.drift_check.views:
-        from hil.commission.drift_check import request_drift_check  # slow imports
+        from hil.commission.calibration_drive import request_drift_check  # slow imports
 
         request_drift_check(bench, runner)
 

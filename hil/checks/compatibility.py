@@ -11,9 +11,9 @@ import numpy as np
 
 from hil.bench.kinematics import SETPOINTS_KEPT, axes_of_pose
 from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
+from hil.checks.abort import check_transfers
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
-from hil.checks.transfers import check_transfers
 from hil.config.limits import SCENARIO_LIMITS, excess
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest

@@ -1,4 +1,4 @@
-"""Checks of a scenario's faults against its vehicle and the rig."""
+"""Checks of a scenario's faults and further sensors against its vehicle, its GNC, and the rig."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from hil.config.scenario import Scenario
 from hil.core.messages import MAX_FAULTS
 from hil.dynamics.thruster_faults import DELAY_STEPS_MAX
 from hil.errors import Problem
+from hil.params.monitor import MONITOR
+from hil.params.sensors import sensors_of
 
 KEY, DELAY_KEY = "faults", "chaser.thrusters.errors.delay_s"
 
@@ -52,3 +54,57 @@ def _why_not(fault: TimedFault, scenario: Scenario, rig: Rig) -> str:
         names = ", ".join(family for family in TERMS if family != "axis")
         return f'device = "{fault.device}": axes have faults on the mock rig only; on {rig.name}: {names}'
     return ""
+
+
+def unfused_sensors(scenario: Loaded[Scenario], gnc: str) -> list[Problem]:
+    """Return a problem for each sensor to be fused by a GNC that receives none. gnc: its name."""
+    text = f"not available: {gnc} receives no measurements of further sensors"
+    return [
+        Problem(scenario.where(f"sensors.{name}"), f"sensors.{name}", text)
+        for name, config in scenario.value.sensors.items()
+        if config.use == "fusion"
+    ]
+
+
+def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each sensor that GNC or rig cannot use: none is left out without notice."""
+    value, problems = scenario.value, []
+
+    def problem(key: str, text: str) -> None:
+        problems.append(Problem(scenario.where(f"sensors.{key}"), f"sensors.{key}", text))
+
+    elsewhere = value.gnc.binary
+    if rig.value.flight_computer.command_words != "none":
+        elsewhere = f"rig.flight_computer.command_words = {rig.value.flight_computer.command_words}"
+    modules = sensors_of(value)
+    if elsewhere is not None:
+        problems += unfused_sensors(scenario, elsewhere)
+    if MONITOR in value.sensors:
+        problem(MONITOR, "is the name of the docking monitor, table [monitor]")
+    for name, config in value.sensors.items():
+        sensor = modules[name].kind
+        rate_hz = config.rate_hz or sensor.module.rate_hz
+        if config.rate_hz is not None and rate_hz * value.step_s > 1.0 + 1e-9:
+            problem(f"{name}.rate_hz", f"{rate_hz:g}: at most one measurement per cycle, {1.0 / value.step_s:g}")
+        oldest_s = config.latency_s + 2.0 * value.step_s
+        if oldest_s > value.gnc.navigation.memory_s:
+            memory_s = value.gnc.navigation.memory_s
+            problem(f"{name}.latency_s", f"{config.latency_s:g}: the filters remember {memory_s:g} s, two cycles more")
+        in_simulated_time = rig.value.kind == "mock" or rig.value.host.time == "lock_step"
+        if config.source == "udp" and in_simulated_time:
+            problem(f"{name}.source", f'"udp": needs the wall clock, which rig "{rig.value.name}" does not follow')
+        if config.source == "model" and rig.value.kind == "hardware" and sensor.module.sees == "bench":
+            if sensor.module.wire is None:
+                problem(f"{name}.source", '"model": would measure a bench that it does not see; on hardware "udp"')
+            elif (line := rig.value.sensors.get(name)) is None or line.port is None:
+                key = f"sensors.{name}.port"
+                problems.append(Problem(rig.where(key), f"rig.{key}", "is missing: the serial port of the sensor"))
+            elif config.stamp != "receipt":
+                text = 'must be "receipt": a line was measured latency_s before it was sent'
+                problem(f"{name}.stamp", text)
+    for index, fault in enumerate(value.faults):
+        if fault.family == "sensor" and fault.kind not in modules[fault.member].kind.module.faults:
+            known = ", ".join(modules[fault.member].kind.module.faults)
+            text = f'kind = "{fault.kind}": {modules[fault.member].config.kind} has {known}'
+            problems.append(Problem(scenario.where("faults"), f"faults[{index}]", text))
+    return problems

@@ -56,7 +56,7 @@ def benchmark(
     """
     from hil.api import benchmark as api
     from hil.config.load import parsed_settings
-    from hil.core.text_files import write_text
+    from hil.core.files import write_text
     from hil.monte_carlo.campaign import write_summary
     from hil.report.benchmark_page import HEAD, cells_of, page_of, rows_and_ideals
 

@@ -30,7 +30,7 @@ from hil.cli.options import (
 )
 from hil.cli.output import base_of, deliver, say, write_json
 from hil.cli.progress import ProgressBar
-from hil.core.text_files import write_text
+from hil.core.files import write_text
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:

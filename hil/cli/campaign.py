@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from hil.cli.options import (
-    File,
-    Group,
-    OptionalInteger,
-    OptionalRuns,
-    OptionalSeconds,
-    Output,
-    Seed,
-    Settings,
-    Workers,
-    bounded,
-)
+from hil.cli import options
 from hil.cli.output import say, write_json
 from hil.cli.progress import ProgressBar
 
@@ -31,7 +20,7 @@ _DONE, _NOT_SHOWN = 0, 1
 _CAUSES: Final = 3  # clusters of failures that are printed; ``hil explain`` prints all
 _FLAG_LABELS: Final = {"passed": "Table III", "passed_all_parts": "all parts"}
 _LEAST_ROWS: Final = 10
-SobolRows = Annotated[OptionalInteger, bounded(_LEAST_ROWS)]
+SobolRows = Annotated[options.OptionalInteger, options.bounded(_LEAST_ROWS)]
 _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate_degps": "deg/s"}
 
 
@@ -39,7 +28,7 @@ _UNITS = {"position_m": "m", "velocity_mps": "m/s", "attitude_deg": "deg", "rate
 class EngineOptions:
     """Options of the workers."""
 
-    workers: Workers = 0
+    workers: options.Workers = 0
     """Number of processes on this computer; 0: one per core."""
     scheduler: str | None = None
     """Address of a Dask scheduler, tcp://host:8786, whose workers are used instead."""
@@ -59,15 +48,15 @@ class VariationOptions:
 class CaseOptions:
     """Options of the cases."""
 
-    runs: OptionalRuns = None
+    runs: options.OptionalRuns = None
     """Number of cases, numbered from 0; with --rare of each level, 1000 unless given, by --method importance 2000."""
-    seed: Seed = 0
+    seed: options.Seed = 0
     """Seed of the whole campaign."""
-    duration: OptionalSeconds = None
+    duration: options.OptionalSeconds = None
     """Run time in seconds, instead of the scenario's."""
     dispersions: str | None = None
     """Dispersion set, instead of the scenario's: shipped, stress, or the path of a file."""
-    settings: Settings = ()
+    settings: options.Settings = ()
 
 
 @dataclass(frozen=True)
@@ -90,12 +79,12 @@ def campaign(
     scenario: str,
     /,
     *,
-    out: Output,
-    cases: Group[CaseOptions] = _DEFAULT_CASES,
-    study: Group[StudyOptions] = _NO_STUDY,
-    workers: Group[EngineOptions] = _ENGINE_DEFAULTS,
-    variation: Group[VariationOptions] = _ONE_SCENARIO,
-    json: File = None,
+    out: options.Output,
+    cases: options.Group[CaseOptions] = _DEFAULT_CASES,
+    study: options.Group[StudyOptions] = _NO_STUDY,
+    workers: options.Group[EngineOptions] = _ENGINE_DEFAULTS,
+    variation: options.Group[VariationOptions] = _ONE_SCENARIO,
+    json: options.File = None,
 ) -> int:
     """Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases fail.
 
@@ -140,7 +129,7 @@ def campaign(
 
 def _as_json(results: Results, request: CampaignRequest) -> dict[str, Any]:
     """Return the numbers of ``hil campaign --json``."""
-    from hil.api.comparisons import Comparison, SweepResults
+    from hil.api.campaign_results import Comparison, SweepResults
 
     if isinstance(results, Comparison):
         return {"first": results.first.summary, "second": results.second.summary, "comparison": results.summary}

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from hil.cli.options import File, Runs, Seed
 from hil.cli.output import write_json
-from hil.core.text_files import write_text
+from hil.core.files import write_text
 from hil.errors import BadInput
 
 if TYPE_CHECKING:

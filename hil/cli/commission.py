@@ -14,7 +14,7 @@ from rich.console import Console
 
 from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, TomlFile, refuse, refuse_wires_in_use
 from hil.cli.output import base_of, chosen_axes, say
-from hil.core.text_files import write_text
+from hil.core.files import write_text
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class SignOffOptions:
 
     def problems(self) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
-        from hil.checks.proof_test import DUE_DAYS_MAX  # slow imports
+        from hil.checks.signed_record import DUE_DAYS_MAX  # slow imports
 
         found = []
         if self.operator is not None and not self.operator.strip():
@@ -103,10 +103,9 @@ def commission(
     refuse_wires_in_use(rig, settings)
 
     from hil.checks.compatibility import check_plan
-    from hil.checks.proof_test import write_proof
+    from hil.checks.signed_record import write_proof
     from hil.cli.warm_up import compile_kernels_with_notice
-    from hil.commission.auto_operator import AutoOperator
-    from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
+    from hil.commission.prompt import AutoOperator, OperatorPrompt, ScriptedPrompt, StepFailed
     from hil.commission.sign_off import as_toml, signed_before
     from hil.commission.steps import Commissioning, CommissioningPlan, Findings
     from hil.config.load import load_rig, load_scenario

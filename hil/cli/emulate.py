@@ -50,7 +50,7 @@ def _emulate_cameras(scenario: str, folder: str | None, settings: Settings, geom
     from hil.cameras.pose_sensor import calibrated_geometry
     from hil.config.load import load_rig, load_scenario
     from hil.core.clock import WallClock
-    from hil.core.text_files import write_text
+    from hil.core.files import write_text
     from hil.drivers.cameras.base import SIDES
     from hil.drivers.vmu.emulated_camera import emulated_camera
     from hil.setup.assembly import with_cameras

@@ -115,8 +115,7 @@ def header(*, folder: Flag = False, backends: Flag = False) -> int:
     backends
         Print hil_backends.h, of backends of navigation and of control, instead.
     """
-    from hil.gnc_backends.backend_header import BACKENDS_HEADER_FILE
-    from hil.gnc_backends.c_header import HEADER_FILE
+    from hil.gnc_backends.c_header import BACKENDS_HEADER_FILE, HEADER_FILE
 
     file = BACKENDS_HEADER_FILE if backends else HEADER_FILE
     sys.stdout.write(f"{file.parent}\n" if folder else file.read_text(encoding="utf-8"))

@@ -13,7 +13,7 @@ from rich.table import Table
 from hil.cli.options import Axes, File, Flag, Positive, Settings, TomlFile, refuse_wires_in_use
 from hil.cli.output import base_of, chosen_axes, say, write_json
 from hil.cli.progress import ProgressBar
-from hil.core.text_files import write_text
+from hil.core.files import write_text
 from hil.errors import BadInput
 
 if TYPE_CHECKING:

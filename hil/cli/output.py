@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
-from hil.core.text_files import write_text
+from hil.core.files import write_text
 
 _WIDEST = 1000  # characters of a table
 _FIGURES = (".png", ".pdf", ".svg")

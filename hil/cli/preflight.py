@@ -39,7 +39,7 @@ def preflight(
     operator_key
         The operator's key file, by hil operators add: the record of a hardware rig has its name, and is sealed with it.
     """
-    from hil.checks.preflight_record import write_record
+    from hil.checks.signed_record import write_record
     from hil.checks.waivers import waivers
     from hil.config.load import load_rig, load_scenario
     from hil.core.local_user import local_user

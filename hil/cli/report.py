@@ -33,7 +33,7 @@ def report(
     if out is None and not folders:
         raise BadInput.single("--out", "", "must be given: the file of the report")
     if folders:
-        from hil.core.text_files import write_text
+        from hil.core.files import write_text
         from hil.monte_carlo.page import page_of, write_page
 
         path = Path(out) if out is not None else write_page(Path(folders[0]))

@@ -106,7 +106,7 @@ def run(
     job = replace(job, until_stopped=until_stopped)
     more = {}
     if (case := of_case.case) is not None:
-        from hil.api.cases import job_of_case, job_of_stored_case
+        from hil.api.campaign_results import job_of_case, job_of_stored_case
 
         if of_case.campaign is None:
             more = {"campaign_seed": job.seed, "case": case}

@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.commission.chain_tests import ChainTests
-from hil.commission.emergency_stop import Button, EmergencyStopTest
+from hil.commission.emergency_stop import Button, ChainTests, EmergencyStopTest
 from hil.commission.identity import check_vision_unit, expected_identity
 from hil.commission.prompt import KeptPrompt, OperatorPrompt, StepFailed
 from hil.commission.slow_mover import MoveResult, SlowMover, shown, size

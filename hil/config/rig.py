@@ -8,21 +8,16 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from hil.config.bodies import BenchBody, check_kinds
 from hil.config.cameras import DriftCheckViews, MonitorCamera
-from hil.config.clock import ClockConfig
-from hil.config.console import ConsoleTable
 from hil.config.driver_registry import DeviceTable, Wire, WireKey, check_axes
 from hil.config.flight_computer import FlightComputer
-from hil.config.gnc_link import GncLink
-from hil.config.guard import GuardConfig
-from hil.config.host import HostConfig, OnOverrun
+from hil.config.guard import BenchBody, GuardConfig, check_kinds
+from hil.config.host import ClockConfig, ConsoleTable, GncLink, HostConfig, OnOverrun, RecordingTable, TelemetryTable
 from hil.config.io import Io
 from hil.config.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
 from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
 from hil.config.rail_map import RailMap
 from hil.config.rail_wires import ModbusRtu
-from hil.config.recording import RecordingTable, TelemetryTable
 from hil.config.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")

@@ -28,11 +28,10 @@ from hil.config.model import (
     Probability,
     Triple,
 )
-from hil.config.model_fmu import ModelFmu, ThrusterModel
 from hil.config.required_parts import PART_COLUMNS
 from hil.config.sensors import SensorConfig, device_of
 from hil.config.target import KnownTarget, MovingTarget
-from hil.config.truth import Ephemeris, Orbit, SolarArray, Truth
+from hil.config.truth import Ephemeris, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
 from hil.core.backend_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX

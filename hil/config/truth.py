@@ -1,4 +1,4 @@
-"""Truth model: orbit of the target, solar array of the chaser, and effects."""
+"""Truth model: orbit of the target, solar array of the chaser, effects, and parts of it in FMUs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,23 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.model import ConfigModel, NotNegativeTriple, Positive, Triple
-from hil.config.model_fmu import ModelFmu
 from hil.core.messages import MAX_MODES
+
+
+class ModelFmu(ConfigModel):
+    """FMU for co-simulation (FMI 2.0, 3.0) instead of a built-in model."""
+
+    fmu: str | None = None
+    """FMU that replaces the built-in model."""
+    fmu_mapping: str | None = None
+    """File that maps the FMU's variables to the records; by name without one."""
+    fmu_parameters: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    """Parameters and start values of the FMU, in its units."""
+
+
+class ThrusterModel(ModelFmu):
+    """Model of the valves and their thrust, without their places, which are the chaser's."""
+
 
 HIGHEST_DEGREE = 360  # beyond it the Legendre functions of Pines' form leave the range of a double at the poles
 

@@ -12,13 +12,12 @@ from typing import Any, Final
 
 from hil.config.load import load_rig, load_scene
 from hil.config.scene import SceneCamera
-from hil.console.fault_injection_panel import FaultInjectionPanel
 from hil.console.lease import Lease, RequestRejected
 from hil.console.live_view import Client, LiveView
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess
 from hil.console.session_state import RecordingStatus, SessionState, bench_description
-from hil.console.tuner import Tuner
+from hil.console.tuner import FaultInjectionPanel, Tuner
 from hil.core.modes import Mode
 from hil.errors import one_line
 from hil.loop.runner import COMPLETED

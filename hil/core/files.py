@@ -1,7 +1,7 @@
-"""Input files: regular files of bounded size, and the tables in them, of bounded depth.
+"""Files that a user names: inputs are regular, of bounded size and depth, texts are written completely or not at all.
 
-A file that a user names may be a device without end, a pipe without a writer, or of another kind than its name. Every
-reader takes its bytes from here, so that each of them ends in one line, in bounded time and memory.
+An input may be a device without end, a pipe without a writer, or of another kind than its name. Every reader takes its
+bytes from here, so that each of them ends in one line, in bounded time and memory.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import re
 import stat
 import tomllib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -132,3 +133,24 @@ def _unreadable(path: Path, why: str) -> BadInput:
 def _too_large(path: Path, at_most: int) -> BadInput:
     limit = f"{at_most / MIB:g} MiB" if at_most >= MIB else f"{at_most / KIB:g} KiB"
     return _unreadable(path, f"is longer than {limit}")
+
+
+def write_text(text: str, path: str | Path, mode: int = 0o666) -> None:
+    """Write ``text`` to ``path``, completely or not at all; raise BadInput if it cannot be written.
+
+    mode: of the new file, less the process' mask.
+    """
+    out = Path(path)
+    partial = Path(f"{path}.part")
+    try:
+        if out.exists() and not out.is_file():  # a device or a pipe: never replaced
+            out.write_text(text, encoding="utf-8")
+            return
+        partial.unlink(missing_ok=True)
+        with open(partial, "x", encoding="utf-8", opener=lambda name, flags: os.open(name, flags, mode)) as file:
+            file.write(text)
+        os.replace(partial, out)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise BadInput.single(str(path), "", f"cannot be written: {error.strerror or error}") from error

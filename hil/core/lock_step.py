@@ -22,36 +22,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
+from hil.core import lock_step_page as pages
 from hil.core.clock import Order
-from hil.core.lock_step_page import (
-    ACCEPTS,
-    ANSWERED,
-    AT_WORK,
-    ATTACHED,
-    BATON,
-    BUSY,
-    CALLED,
-    CLOSED,
-    DEADLINE,
-    FREE,
-    GRID,
-    KEY,
-    LISTENS,
-    LOOP_SLOT,
-    NEVER,
-    NOW,
-    PASSES,
-    PROCESS,
-    RECEIVED,
-    SEEN,
-    SENT,
-    STATE,
-    WAITING,
-    WOKEN,
-    LockStepPage,
-    slot_at,
-    wire_at,
-)
 from hil.errors import LinkTimeout
 
 if TYPE_CHECKING:
@@ -72,7 +44,7 @@ class LockStepWire:
         self._clock, self._page, self._of_line = clock, clock.page, of_line
         self._words = clock.page.words
         wire = clock.page.wire(key, end)
-        at = wire_at(wire)
+        at = pages.wire_at(wire)
         self.listens = 1 << (2 * wire + end)
         self._at = at
         self._mine, self._theirs = end, 1 - end
@@ -81,12 +53,12 @@ class LockStepWire:
     @property
     def pending(self) -> int:
         """Number of bytes that are on their way to this end, or there."""
-        return self._words[self._at + SENT + self._theirs] - self._words[self._at + RECEIVED + self._mine]
+        return self._words[self._at + pages.SENT + self._theirs] - self._words[self._at + pages.RECEIVED + self._mine]
 
     @property
     def is_readable(self) -> bool:
         """Whether bytes are pending, or the other end has gone."""
-        return self.pending > 0 or bool(self._words[self._at + CLOSED + self._theirs])
+        return self.pending > 0 or bool(self._words[self._at + pages.CLOSED + self._theirs])
 
     def wait(self, descriptor: int, wall_s: float) -> bool:
         """Wait at most ``wall_s`` until the wire is readable; return whether it is. Raises OSError after ``release``.
@@ -129,14 +101,14 @@ class LockStepWire:
 
     def sending(self, count: int) -> bool:
         """Count bytes before they are sent; False, and nothing is counted, for a line without another end."""
-        if self._of_line and not self._words[self._at + ATTACHED + self._theirs]:
+        if self._of_line and not self._words[self._at + pages.ATTACHED + self._theirs]:
             return False
-        self._words[self._at + SENT + self._mine] += count
+        self._words[self._at + pages.SENT + self._mine] += count
         return True
 
     def received(self, count: int) -> None:
         """Count bytes that have been read."""
-        self._words[self._at + RECEIVED + self._mine] += count
+        self._words[self._at + pages.RECEIVED + self._mine] += count
 
     def close(self) -> None:
         """Leave the wire. Idempotent."""
@@ -145,12 +117,12 @@ class LockStepWire:
         self._is_open = False
         words, at = self._words, self._at
         if self._of_line:
-            words[at + ATTACHED + self._mine] = 0
+            words[at + pages.ATTACHED + self._mine] = 0
             return
         with self._page.locked():
-            words[at + CLOSED + self._mine] = 1
-            if words[at + CLOSED + self._theirs] or not words[at + ATTACHED + self._theirs]:
-                words[at + KEY] = 0
+            words[at + pages.CLOSED + self._mine] = 1
+            if words[at + pages.CLOSED + self._theirs] or not words[at + pages.ATTACHED + self._theirs]:
+                words[at + pages.KEY] = 0
 
 
 class LockStepEvent:
@@ -169,7 +141,7 @@ class LockStepEvent:
         with self._lock:
             self._is_set = True
             if self._waiting is not None:
-                self._clock.page.words[slot_at(self._waiting) + WOKEN] += 1
+                self._clock.page.words[pages.slot_at(self._waiting) + pages.WOKEN] += 1
                 self._waiting = None
 
     def clear(self) -> None:
@@ -183,7 +155,7 @@ class LockStepEvent:
 
     def wait(self, wall_s: float | None = None) -> bool:
         """Wait at most ``wall_s`` for the event, for ever if None; return whether it is set."""
-        deadline_ns = NEVER if wall_s is None else self._clock.deadline_ns(wall_s)
+        deadline_ns = pages.NEVER if wall_s is None else self._clock.deadline_ns(wall_s)
         while not self.begin() and self._clock.now_ns < deadline_ns:
             if self._clock.wait_until_ns(deadline_ns):
                 break
@@ -199,7 +171,7 @@ class LockStepClock:
 
     speed: float = 1.0
 
-    def __init__(self, page: LockStepPage, order: Order, name: str) -> None:
+    def __init__(self, page: pages.LockStepPage, order: Order, name: str) -> None:
         self.page = page
         self._words = page.words
         self._name = name
@@ -211,7 +183,7 @@ class LockStepClock:
     @classmethod
     def attach(cls, configuration: dict[str, Any]) -> Self:
         """Return the clock of a child process."""
-        page = LockStepPage(configuration["page"], configuration["wakes"])
+        page = pages.LockStepPage(configuration["page"], configuration["wakes"])
         return cls(page, Order(configuration["order"]), configuration["name"])
 
     def configuration(self, order: Order, name: str) -> dict[str, Any]:
@@ -232,10 +204,10 @@ class LockStepClock:
     @property
     def now_ns(self) -> int:
         """Bench time, ns."""
-        return self._words[NOW]
+        return self._words[pages.NOW]
 
     def now_s(self) -> float:
-        return self._words[NOW] / 1e9
+        return self._words[pages.NOW] / 1e9
 
     def host_s(self) -> float:
         """Return the time by which time-outs of programs are counted, s."""
@@ -246,7 +218,7 @@ class LockStepClock:
 
     def paced_s(self, period_s: float) -> float:
         """Return the time between two steps of work that is due every ``period_s``, s: at least the grid."""
-        return max(period_s, self._words[GRID] / 1e9)
+        return max(period_s, self._words[pages.GRID] / 1e9)
 
     poll_s = paced_s
 
@@ -259,8 +231,8 @@ class LockStepClock:
 
     def _deadline_ns(self, t_s: float) -> int:
         """Return ``t_s`` in ns; later than now, however little, if it is."""
-        if t_s > 1e-9 * NEVER:
-            return NEVER
+        if t_s > 1e-9 * pages.NEVER:
+            return pages.NEVER
         least_ns = self.now_ns + (t_s > self.now_s())
         return max(least_ns, math.ceil(1e9 * t_s - 1e-3))
 
@@ -294,11 +266,11 @@ class LockStepClock:
                 target()
             finally:
                 ended.set()
-                self._words[slot_at(slot) + STATE] = FREE
-                if self._words[BATON] == slot:
-                    self._words[BATON] = LOOP_SLOT
+                self._words[pages.slot_at(slot) + pages.STATE] = pages.FREE
+                if self._words[pages.BATON] == slot:
+                    self._words[pages.BATON] = pages.LOOP_SLOT
                 with suppress(OSError, IndexError):  # the bench has ended
-                    os.eventfd_write(self.page.wakes[LOOP_SLOT], 1)
+                    os.eventfd_write(self.page.wakes[pages.LOOP_SLOT], 1)
 
         thread = threading.Thread(target=run, name=name, daemon=True)
         self._ended = {each: event for each, event in self._ended.items() if each.is_alive()} | {thread: ended}
@@ -313,7 +285,7 @@ class LockStepClock:
     def wake(self, name: str, descriptor: int) -> None:
         """Let the participant ``name`` do its next step now."""
         if (slot := self.page.slot_of(name)) is not None:
-            self._words[slot_at(slot) + CALLED] += 1
+            self._words[pages.slot_at(slot) + pages.CALLED] += 1
 
     def wait_wake(self, descriptor: int, wall_s: float) -> None:
         """Wait at most ``wall_s`` for a ``wake``."""
@@ -334,13 +306,13 @@ class LockStepClock:
             time.sleep(1e-3)  # what still runs ends with the process
             return True
         slot, words = self.slot, self._words
-        at = slot_at(slot)
-        words[at + DEADLINE], words[at + LISTENS] = deadline_ns, listens
-        words[at + ACCEPTS] = words[at + ACCEPTS] + 1 if accepts else 0
-        words[at + STATE] = WAITING
+        at = pages.slot_at(slot)
+        words[at + pages.DEADLINE], words[at + pages.LISTENS] = deadline_ns, listens
+        words[at + pages.ACCEPTS] = words[at + pages.ACCEPTS] + 1 if accepts else 0
+        words[at + pages.STATE] = pages.WAITING
         try:
-            if words[BATON] != slot:  # a thread that has begun, while another participant is at work
-                os.eventfd_write(self.page.wakes[LOOP_SLOT], 1)
+            if words[pages.BATON] != slot:  # a thread that has begun, while another participant is at work
+                os.eventfd_write(self.page.wakes[pages.LOOP_SLOT], 1)
                 os.eventfd_read(self.page.wakes[slot])
             elif not self._pass_on(slot):
                 os.eventfd_read(self.page.wakes[slot])
@@ -353,8 +325,8 @@ class LockStepClock:
 
     def _begin(self, at: int) -> None:
         words = self._words
-        words[at + STATE] = BUSY
-        words[at + SEEN], words[at + ANSWERED] = words[at + WOKEN], words[at + CALLED]
+        words[at + pages.STATE] = pages.BUSY
+        words[at + pages.SEEN], words[at + pages.ANSWERED] = words[at + pages.WOKEN], words[at + pages.CALLED]
 
     def _pass_on(self, slot: int) -> bool:
         """Advance the time to the next work and wake its participant; return whether it is that of ``slot``.
@@ -363,12 +335,12 @@ class LockStepClock:
         """
         words = self._words
         following, due_ns = self.page.next_work()
-        if following == AT_WORK:
-            following = LOOP_SLOT
-        elif due_ns != words[NOW]:
-            words[NOW] = due_ns
-            words[PASSES] += 1
-        words[BATON] = following
+        if following == pages.AT_WORK:
+            following = pages.LOOP_SLOT
+        elif due_ns != words[pages.NOW]:
+            words[pages.NOW] = due_ns
+            words[pages.PASSES] += 1
+        words[pages.BATON] = following
         if following == slot:
             return True
         os.eventfd_write(self.page.wakes[following], 1)
@@ -383,7 +355,7 @@ class LockStepConductor(LockStepClock):
     """
 
     def __init__(self, grid_s: float, timeout_s: float) -> None:
-        super().__init__(LockStepPage.create(grid_s), Order.LOOP, "loop")
+        super().__init__(pages.LockStepPage.create(grid_s), Order.LOOP, "loop")
         self._timeout_s = timeout_s
 
     def close(self) -> None:
@@ -397,19 +369,23 @@ class LockStepConductor(LockStepClock):
 
     def wait_until_ns(self, deadline_ns: int, listens: int = 0, accepts: bool = False) -> bool:
         """Wait until ``deadline_ns``, or until the loop has other work. Raises LinkTimeout for a silent participant."""
-        if self.slot != LOOP_SLOT or self._released:
+        if self.slot != pages.LOOP_SLOT or self._released:
             return super().wait_until_ns(deadline_ns, listens, accepts)
         words = self._words
-        at = slot_at(LOOP_SLOT)
-        words[at + DEADLINE], words[at + LISTENS], words[at + STATE] = deadline_ns, listens, WAITING
-        moved_s, passes = time.monotonic(), words[PASSES]
-        while not (words[BATON] == LOOP_SLOT and self._has_turn()):
-            if select.select([self.page.wakes[LOOP_SLOT]], [], [], _LOOK_WALL_S)[0]:
-                os.eventfd_read(self.page.wakes[LOOP_SLOT])
+        at = pages.slot_at(pages.LOOP_SLOT)
+        words[at + pages.DEADLINE], words[at + pages.LISTENS], words[at + pages.STATE] = (
+            deadline_ns,
+            listens,
+            pages.WAITING,
+        )
+        moved_s, passes = time.monotonic(), words[pages.PASSES]
+        while not (words[pages.BATON] == pages.LOOP_SLOT and self._has_turn()):
+            if select.select([self.page.wakes[pages.LOOP_SLOT]], [], [], _LOOK_WALL_S)[0]:
+                os.eventfd_read(self.page.wakes[pages.LOOP_SLOT])
                 continue
             now_s = time.monotonic()
-            if words[PASSES] != passes or any(map(_is_debugged, self._remove_ended())):
-                moved_s, passes = now_s, words[PASSES]
+            if words[pages.PASSES] != passes or any(map(_is_debugged, self._remove_ended())):
+                moved_s, passes = now_s, words[pages.PASSES]
             if now_s - moved_s > self._timeout_s:
                 self._give_up()
         self._begin(at)
@@ -417,22 +393,22 @@ class LockStepConductor(LockStepClock):
 
     def _has_turn(self) -> bool:
         """Return whether the next work is the loop's; let others do theirs before."""
-        return self.page.next_work()[0] != AT_WORK and self._pass_on(LOOP_SLOT)
+        return self.page.next_work()[0] != pages.AT_WORK and self._pass_on(pages.LOOP_SLOT)
 
     def _late(self) -> list[int]:
         """Return the participants for which all others wait."""
-        baton = self._words[BATON]
-        return sorted({*self.page.at_work(), *([baton] if baton != LOOP_SLOT else [])})
+        baton = self._words[pages.BATON]
+        return sorted({*self.page.at_work(), *([baton] if baton != pages.LOOP_SLOT else [])})
 
     def _remove_ended(self) -> list[int]:
         """Remove the participants of processes that have ended; return the processes for which all others wait."""
         words, processes = self._words, []
         for slot in self._late():
-            process = words[slot_at(slot) + PROCESS]
+            process = words[pages.slot_at(slot) + pages.PROCESS]
             if _state(process) in "ZX":
                 self.page.remove_process(process)
-                if words[BATON] == slot:
-                    words[BATON] = LOOP_SLOT
+                if words[pages.BATON] == slot:
+                    words[pages.BATON] = pages.LOOP_SLOT
             else:
                 processes.append(process)
         return processes
@@ -442,12 +418,12 @@ class LockStepConductor(LockStepClock):
         late = self._late()
         names = ", ".join(map(self.page.name_of, late)) or "lock-step"
         text = f"has not done its part at {self.now_s():.6f} s of bench time within {self._timeout_s:g} s of wall time"
-        for process in {self._words[slot_at(slot) + PROCESS] for slot in late}:
+        for process in {self._words[pages.slot_at(slot) + pages.PROCESS] for slot in late}:
             if process != os.getpid():
                 os.kill(process, signal.SIGKILL)
             self.page.remove_process(process)
-        self._words[BATON] = LOOP_SLOT
-        self._begin(slot_at(LOOP_SLOT))
+        self._words[pages.BATON] = pages.LOOP_SLOT
+        self._begin(pages.slot_at(pages.LOOP_SLOT))
         raise LinkTimeout(names, f"{text} (lock-step)")
 
 

@@ -1,11 +1,14 @@
-"""Record of the physical axes of a rig whose target is rotated: in a cycle's record they are relative to the target."""
+"""Records of axes that a cycle's record lacks: of a rig whose target is rotated, and of axes held at their place.
+
+In a cycle's record the axes of a rig whose target is rotated are relative to the target.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
 from hil.core.fields import Field, record_dtype
-from hil.core.messages import AXES_FIELDS
+from hil.core.messages import AXES_FIELDS, AXES_MAX
 
 GIMBALS_FIELDS: Final = (
     Field("angle_rad", "f8", 3, "rad", "", "roll, pitch, yaw of the rotary manipulator"),
@@ -22,3 +25,15 @@ MANIPULATOR_SAMPLE_FIELDS: Final = (
 )
 MANIPULATOR_SAMPLE: Final = record_dtype(MANIPULATOR_SAMPLE_FIELDS)
 """Last setpoints and newest encoder values of all nine axes in a cycle; chaser: rails and turntable, in the lab."""
+
+
+HELD_SAMPLE_FIELDS: Final = (
+    Field("t_s", "f8", (), "s", "", "time of the run, that of the cycle's row"),
+    Field("group", "i8", (), "1", "", "number of the group in `held_axes.json`, from 0"),
+    Field("setpoint", "f8", AXES_MAX, "SI", "", "places of its axes, m or rad; of axes that it lacks zero"),
+    Field("position", "f8", AXES_MAX, "SI", "", "by the encoders, m or rad"),
+    Field("rate", "f8", AXES_MAX, "SI", "", "by the encoders, m/s or rad/s"),
+    Field("sampled_s", "f8", (), "s", "", "when the encoders had these values, time of the run"),
+)
+HELD_SAMPLE: Final = record_dtype(HELD_SAMPLE_FIELDS)
+"""Places and newest encoder values of one group in a cycle."""

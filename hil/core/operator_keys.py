@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
-from hil.core.files import KIB, parse_toml, read_private_text
-from hil.core.text_files import write_text
+from hil.core.files import KIB, parse_toml, read_private_text, write_text
 from hil.errors import BadInput, Problem
 
 Rights = Literal["watch", "confirm", "command"]

@@ -16,10 +16,14 @@ from hil.config.rig import AxisGroupTable
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import SetpointLimits
-from hil.drivers.exchange_pacer import ExchangePacer
 from hil.drivers.latest import Latest
-from hil.drivers.profiled_move import ProfiledMove, compile_profile
-from hil.drivers.setpoint_limiter import SetpointLimiter, setpoint_limiters
+from hil.drivers.setpoint_limiter import (
+    ExchangePacer,
+    ProfiledMove,
+    SetpointLimiter,
+    compile_profile,
+    setpoint_limiters,
+)
 from hil.errors import DeviceError, LinkLost
 
 PERIOD_S = 0.02  # bench time between exchanges when no setpoints arrive

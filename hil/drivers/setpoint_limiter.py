@@ -1,4 +1,7 @@
-"""Setpoints on the wire after a gap: an axis that has missed some catches up within the limits of its move."""
+"""Setpoints on their way to the drives: their rate, profiled moves, and the end of a gap.
+
+An axis that has missed some setpoints catches up within the limits of its move.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,11 @@ import math
 from collections import deque
 from typing import Final
 
+import numpy as np
+
 from hil.config.rig import AxisGroupTable
+from hil.core.messages import Array
+from hil.models.profile import along_line
 
 _FIRST_PERIOD_S: Final = 0.02
 _GAP: Final = 1.5  # of the usual time between two setpoints; a drive bridges that by its feed-forward rate
@@ -160,3 +167,59 @@ class _SlidingMean:
         begin = first + (second - first) * since_s / (second_s - first_s)
         integral = end_integral - first_integral - 0.5 * (first + begin) * since_s
         return self._origin + integral / self._span_s, (end - begin) / self._span_s
+
+
+_EARLY: Final = 0.125  # of a period: jitter of setpoints whose rate is a multiple of that of the exchanges
+
+
+class ExchangePacer:
+    """Selects the setpoints that trigger an exchange, at most ``rate_max_hz`` per second of bench time.
+
+    A setpoint between two exchanges is superseded by the next one, and never queued. Exchanges keep to a grid: a late
+    one does not delay those after it. After a pause there is one exchange more.
+    """
+
+    def __init__(self, rate_max_hz: float) -> None:
+        self._period_s = 1.0 / rate_max_hz
+        self.restart()
+
+    def restart(self) -> None:
+        """Let the next setpoint trigger an exchange, whenever it comes."""
+        self._due_s = -math.inf
+
+    def is_due(self, sent_s: float) -> bool:
+        """Return whether the setpoint given at ``sent_s`` of bench time triggers an exchange."""
+        if sent_s < self._due_s - _EARLY * self._period_s:
+            return False
+        self._due_s = max(self._due_s + self._period_s, sent_s)
+        return True
+
+
+class ProfiledMove:
+    """Move from ``start`` to ``goal``, at most at ``rate`` and ``acceleration``, all (n,); starts at ``start_s``."""
+
+    def __init__(self, start: Array, goal: Array, rate: Array, acceleration: Array, start_s: float) -> None:
+        self._start = start.copy()
+        self._path = goal - start
+        self._rate = rate
+        self._acceleration = acceleration
+        self._start_s = start_s
+        self._point = np.empty(3)
+
+    def at(self, t_s: float) -> tuple[Array, Array]:
+        """Return position and rate, (n,) each, due at ``t_s``."""
+        position, rate = self._start.copy(), np.zeros(len(self._start))
+        for axis in range(len(position)):
+            limit = float(self._acceleration[axis])
+            length = abs(float(self._path[axis]))
+            along_line(length, float(self._rate[axis]), limit, limit, t_s - self._start_s, self._point)
+            sign = np.sign(self._path[axis])
+            position[axis] += sign * self._point[0]
+            rate[axis] = sign * self._point[1]
+        return position, rate
+
+
+def compile_profile() -> None:
+    """Compile the kernel of a profile outside the cycle."""
+    one = np.ones(1)
+    ProfiledMove(np.zeros(1), one, one, one, 0.0).at(0.5)

@@ -10,21 +10,7 @@ import numpy as np
 from hil.config.scenario import REACTION_NAMES
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
-from hil.gnc.approach_monitor import (
-    ATTITUDE,
-    BENCH_DISAGREES,
-    CLOSING_RATE,
-    CORRIDOR,
-    DEVIATION,
-    ENCODERS,
-    FIRING,
-    FIRST_HEALTH_CAUSE,
-    HEALTH,
-    HELD_TOO_LONG,
-    LEVEL,
-    UNBOUNDED,
-    UNPROTECTED,
-)
+from hil.gnc import approach_monitor
 from hil.gnc.reactions import ABORT
 
 ABORT_CAUSES = (
@@ -60,17 +46,17 @@ def limit_text(cause: int, state: np.record | None) -> str:
     if state is None:
         return ""
     found = state["reactions"]
-    if cause in (CORRIDOR, CLOSING_RATE):
+    if cause in (approach_monitor.CORRIDOR, approach_monitor.CLOSING_RATE):
         value, limit = float(found["broken"]["value"]), float(found["broken"]["limit"])
         if limit == 0.0:
             return ""
-        if cause == CORRIDOR:
+        if cause == approach_monitor.CORRIDOR:
             return f": {value:.3f} m from the line with the protection level, allowed {limit:.3f} m"
         return f": {value:.4f} m/s with its uncertainty, allowed {limit:.4f} m/s"
-    if cause == BENCH_DISAGREES:
+    if cause == approach_monitor.BENCH_DISAGREES:
         axis, value, limit = (float(number) for number in state["bench_breach"])
         return f": {_AXES[int(axis)]} {_shown(int(axis), value)} off, allowed {_shown(int(axis), limit)}"
-    if cause in (UNPROTECTED, FIRST_HEALTH_CAUSE, HELD_TOO_LONG):
+    if cause in (approach_monitor.UNPROTECTED, approach_monitor.FIRST_HEALTH_CAUSE, approach_monitor.HELD_TOO_LONG):
         return _level_text(found)
     return ""
 
@@ -81,7 +67,7 @@ def _level_text(reactions: np.record) -> str:
     if not (levels > 0.0).any():
         return ""
     worst = int(np.argmax(levels * limits.max() / np.maximum(limits, 1e-12)))
-    kind = 3 if worst == ATTITUDE else 0
+    kind = 3 if worst == approach_monitor.ATTITUDE else 0
     return f": level {_DIRECTIONS[worst]} {_shown(kind, levels[worst])}, alert limit {_shown(kind, limits[worst])}"
 
 
@@ -92,12 +78,17 @@ def go_limit_text(state: np.record | None) -> str:
     go = state["go"]
     lacks, axis, value, limit = int(go["lacks"]), int(go["axis"]), float(go["value"]), float(go["limit"])
     numbers = f"{_AXES[axis]} {_shown(axis, value)}, allowed {_shown(axis, limit)}"
-    if lacks == UNBOUNDED:
+    if lacks == approach_monitor.UNBOUNDED:
         return _level_text(state["reactions"])
-    words = {DEVIATION: "", LEVEL: "level of ", ENCODERS: "encoders show ", FIRING: "smallest firings give "}
+    words = {
+        approach_monitor.DEVIATION: "",
+        approach_monitor.LEVEL: "level of ",
+        approach_monitor.ENCODERS: "encoders show ",
+        approach_monitor.FIRING: "smallest firings give ",
+    }
     if lacks in words and limit > 0.0:
         return f": {words[lacks]}{numbers}"
-    return ": the navigation is not healthy" if lacks == HEALTH else ""
+    return ": the navigation is not healthy" if lacks == approach_monitor.HEALTH else ""
 
 
 def _shown(axis: int, value: float) -> str:

@@ -6,7 +6,7 @@ Kinds: a kernel (``kernel_backend``), a Python class or object (``python_backend
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -30,21 +30,33 @@ _VECTORS: Final = {
 class BackendInstance:
     """Base class of an open backend: in a campaign one per case.
 
-    step_address: of ``int step(input, output, instance)``. address: third argument of the step.
+    step_address: of ``int step(input, output, instance)``. address: third argument of the step, 0 once it is closed.
+    block: memory that begins with the values of the settings; None if they are elsewhere. free: ends ``address``.
     """
 
     error: BaseException | None = None
     """What a Python object has raised in its step."""
 
-    def __init__(self, step_address: int, address: int) -> None:
-        self.step_address = step_address
-        self.address = address
+    def __init__(
+        self,
+        step_address: int,
+        address: int,
+        block: np.ndarray | None = None,
+        free: Callable[[int], object] = lambda _: None,
+    ) -> None:
+        self.step_address, self.address = step_address, address
+        self._block, self._free = block, free
 
     def set_settings(self, values: np.ndarray) -> None:
         """Take over other values of the settings, (n,), between two cycles."""
+        if self._block is not None:
+            self._block.view(np.uint8)[: 8 * len(values)] = np.ascontiguousarray(values, float).view(np.uint8)
 
     def close(self) -> None:
         """End it; may be called more than once."""
+        address, self.address = self.address, 0
+        if address:
+            self._free(address)
 
 
 class Backend(Protocol):

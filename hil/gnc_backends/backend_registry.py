@@ -19,9 +19,9 @@ from hil.core.own_code import import_error, module_of_file
 from hil.core.settings import Setting
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
-from hil.gnc_backends.backend_library import LibraryBackend
 from hil.gnc_backends.kernel_backend import CompiledKernel, KernelBackend
 from hil.gnc_backends.python_backend import PythonBackend
+from hil.gnc_backends.shared_library import LibraryBackend
 from hil.sensors.registry import with_sensor_settings
 
 OBJECT: Final = "object"

@@ -8,8 +8,7 @@ import numpy as np
 
 from hil.config.flight_computer import FlightComputer
 from hil.core.messages import MAX_THRUSTERS
-from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import NAME, CommandWordReceiver
+from hil.drivers.command_words.receiver import NAME, CommandWordReceiver, PoseForwarder
 from hil.errors import LinkTimeout
 from hil.gnc_backends import external_records
 from hil.gnc_backends.base import Records

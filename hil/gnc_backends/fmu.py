@@ -244,7 +244,7 @@ class _FmuInstance(BackendInstance):
     def __init__(self, steps: _FmuSteps, names: Sequence[str], setup: np.record, values: np.ndarray) -> None:
         self._steps, self._names = steps, names
         self._component, self._tables = steps.open(setup, dict(zip(names, map(float, values), strict=False)))
-        super().__init__(step.step_function_of_part().address, self._tables.address)
+        super().__init__(step.step_function_of_part().address, self._tables.address, free=self._free_component)
 
     def set_settings(self, values: np.ndarray) -> None:
         """Set the tunable parameters. Raises DeviceError if the FMU refuses one."""
@@ -254,11 +254,8 @@ class _FmuInstance(BackendInstance):
         except FmuError as error:
             raise DeviceError("gnc", str(error)) from error
 
-    def close(self) -> None:
-        """Free it; may be called more than once."""
-        address, self.address = self.address, 0
-        if address:
-            self._steps.free(self._component, self._tables)
+    def _free_component(self, _address: int) -> None:
+        self._steps.free(self._component, self._tables)
 
 
 class _Tables:

@@ -80,21 +80,12 @@ class CompiledKernel:
     def check(self, setup: np.record) -> None:
         """Accept any setup: it is compiled."""
 
-    def open(self, setup: np.record, values: np.ndarray) -> _KernelInstance:
+    def open(self, setup: np.record, values: np.ndarray) -> BackendInstance:
         """Return an instance with memory of its own."""
-        return _KernelInstance(self._step, self._instance, values)
-
-
-class _KernelInstance(BackendInstance):
-    def __init__(self, step: int, layout: np.dtype, values: np.ndarray) -> None:
-        self._block = np.zeros(1, layout)
-        super().__init__(step, self._block.ctypes.data)
-        self._n = len(values)
-        self.set_settings(values)
-
-    def set_settings(self, values: np.ndarray) -> None:
-        """Write the settings, which are the first numbers of the block."""
-        self._block.view(np.uint8)[: 8 * self._n] = np.ascontiguousarray(values, float).view(np.uint8)
+        block = np.zeros(1, self._instance)
+        found = BackendInstance(self._step, block.ctypes.data, block)
+        found.set_settings(values)
+        return found
 
 
 def _step_address(function: Callable[..., None], part: str, layout: np.dtype) -> int:

@@ -1,21 +1,25 @@
-"""GNC in a shared library (``hil_gnc.h``): the library, an instance of its GNC, and the backend that calls it."""
+"""Shared libraries: a whole GNC (``hil_gnc.h``) with its instance and backend, and backends (``hil_backends.h``)."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol, Self
 
 import numpy as np
 
+from hil.core.backend_records import BACKEND_PROTOCOL, MAX_SETTINGS
 from hil.core.files import sha256_of
 from hil.core.gnc_records import PROTOCOL, REASON_BYTES, GncMode, GncState
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import new
+from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError, ProtocolError
 from hil.gnc.step_memory import new_memory
 from hil.gnc_backends import external_records
+from hil.gnc_backends.backend import BackendInstance
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc, fault_text, hold_reason, printable, reported_fault
 from hil.gnc_backends.library_kernel import LIBRARY, library_step, output_of
@@ -36,20 +40,8 @@ class Library:
         self.name = self.path.name
         self._shown = path
         self._source = source
-        self._loaded = loaded_library(self.path, "hil gnc header prints its interface", self._refusal)
-        missing = [name for name in _SYMBOLS if not hasattr(self._loaded, name)]
-        if missing:
-            raise self._refusal(f"has no function {', '.join(missing)}: hil gnc header prints its interface")
-        self._declare()
-        protocol = self._loaded.hil_gnc_protocol()
-        if protocol != PROTOCOL:
-            raise self._refusal(
-                f"has protocol {protocol}, this bench has {PROTOCOL}: build it with the header of hil gnc header"
-            )
-
-    def _declare(self) -> None:
-        loaded = self._loaded
-        loaded.hil_gnc_protocol.argtypes, loaded.hil_gnc_protocol.restype = (), ctypes.c_int
+        version = "protocol {}", PROTOCOL
+        loaded = self._loaded = loaded_library(self.path, _SYMBOLS, version, "hil gnc header", self._refusal)
         loaded.hil_gnc_open.argtypes, loaded.hil_gnc_open.restype = (ctypes.c_void_p, ctypes.c_char_p), ctypes.c_void_p
         loaded.hil_gnc_close.argtypes, loaded.hil_gnc_close.restype = (ctypes.c_void_p,), None
         self.step_address: int = ctypes.cast(loaded.hil_gnc_step, ctypes.c_void_p).value or 0
@@ -66,10 +58,16 @@ class Library:
         return BadInput.single(self._source, KEY, f'"{self._shown}": {what}')
 
 
-def loaded_library(path: Path, interface: str, refuse: Callable[[str], BadInput]) -> ctypes.CDLL:
-    """Return the shared library at ``path``. interface: how to print it. Raises BadInput, made by ``refuse``."""
+def loaded_library(
+    path: Path, names: Sequence[str], version: tuple[str, int], header: str, refuse: Callable[[str], BadInput]
+) -> ctypes.CDLL:
+    """Return the shared library at ``path``. Raises BadInput, made by ``refuse``.
+
+    names: of its functions; the first returns its version. version: text of one with {}, and that of this bench.
+    header: command that prints its interface.
+    """
     if not path.is_file():
-        raise refuse(f"no such file: give the path of a shared library ({interface})")
+        raise refuse(f"no such file: give the path of a shared library ({header} prints its interface)")
     exact = _keeps_subnormals()
     try:
         loaded = ctypes.CDLL(str(path))
@@ -77,6 +75,12 @@ def loaded_library(path: Path, interface: str, refuse: Callable[[str], BadInput]
         raise refuse(f"cannot be loaded: {_reason(error, path)}") from error
     if exact and not _keeps_subnormals():
         raise refuse("makes this process round small numbers to zero: build it without -ffast-math")
+    if missing := [name for name in names if not hasattr(loaded, name)]:
+        raise refuse(f"has no function {', '.join(missing)}: {header} prints its interface")
+    versioned, (text, expected) = getattr(loaded, names[0]), version
+    versioned.argtypes, versioned.restype = (), ctypes.c_int
+    if (found := versioned()) != expected:
+        raise refuse(f"has {text.format(found)}, this bench has {expected}: build it with the header of {header}")
     return loaded
 
 
@@ -233,3 +237,67 @@ def step_failed(name: str, code: int, output: np.record) -> DeviceError:
     """Return the error of a step that returned ``code``, not 0."""
     text = printable(output.text)
     return DeviceError(name, f"its step returned {code}" + (f": {text}" if text else ""))
+
+
+_FUNCTIONS: Final = ("open", "step", "close")
+
+
+class _Declaration(ctypes.Structure):
+    """hil_backend_setting."""
+
+    _fields_ = (
+        ("name", ctypes.c_char_p),
+        ("unit", ctypes.c_char_p),
+        ("meaning", ctypes.c_char_p),
+        ("value", ctypes.c_double),
+        ("low", ctypes.c_double),
+        ("high", ctypes.c_double),
+    )
+
+
+class LibraryBackend:
+    """The shared library at ``path`` as a backend of ``part``: navigation or control. Raises BadInput."""
+
+    def __init__(self, path: str, part: str, refuse: Callable[[str], BadInput]) -> None:
+        self._path, self._part, self._refuse = Path(path).absolute(), part, refuse
+        self.name = self._path.name
+        names = ("hil_backends_protocol", *(f"hil_{part}_{name}" for name in _FUNCTIONS))
+        version = "version {} of the records", BACKEND_PROTOCOL
+        loaded = loaded_library(self._path, names, version, "hil gnc header --backends", refuse)
+        self._open, step, self._close = (getattr(loaded, f"hil_{part}_{name}") for name in _FUNCTIONS)
+        self._open.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)
+        self._open.restype = ctypes.c_void_p
+        self._close.argtypes, self._close.restype = (ctypes.c_void_p,), None
+        self._step_address = ctypes.cast(step, ctypes.c_void_p).value or 0
+        self.settings = self._declared(loaded)
+
+    def _declared(self, loaded: Any) -> tuple[Setting, ...]:
+        """Return the settings of the table that the library may have."""
+        symbol = f"hil_{self._part}_settings"
+        if not hasattr(loaded, symbol):
+            return ()
+        table = (_Declaration * MAX_SETTINGS).in_dll(loaded, symbol)
+        found = []
+        try:
+            for row in table:
+                if row.name is None:
+                    break
+                name, unit, meaning = (printable(text or b"") for text in (row.name, row.unit, row.meaning))
+                low, high = (row.low, row.high) if row.low < row.high else (-math.inf, math.inf)
+                found.append(Setting(name, row.value, unit, low, high, meaning))
+            return checked_settings(found)
+        except ValueError as error:
+            raise self._refuse(str(error)) from error
+
+    def check(self, setup: np.record) -> None:
+        """Open and close an instance. Raises BadInput with the reason if the library refuses the scenario."""
+        self.open(setup, np.array([setting.default for setting in self.settings])).close()
+
+    def open(self, setup: np.record, values: np.ndarray) -> BackendInstance:
+        """Return an instance. Raises BadInput with the reason if the library refuses the scenario."""
+        reason = ctypes.create_string_buffer(REASON_BYTES)
+        block = np.array(values, float) if len(values) else np.zeros(1)
+        pointer = self._open(np.asarray(setup).ctypes.data, block.ctypes.data, reason)
+        if not pointer:
+            raise self._refuse(f"refuses the scenario: {printable(reason.raw) or 'without a reason'}")
+        return BackendInstance(self._step_address, pointer, block, self._close)

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.gnc_link import GncLink
+from hil.config.host import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
 from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.core.observable import ObservableList
@@ -28,8 +28,7 @@ from hil.gnc.filter_monitor import FilterMonitor
 from hil.gnc_backends import external_records, udp_records
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc
-from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, ReceiveBuffers, ReplyReceiver
-from hil.gnc_backends.udp_stats import LinkStats
+from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, LinkStats, ReceiveBuffers, ReplyReceiver
 
 NAME: Final = "gnc"
 _OFFERS: Final = ("gnc.setup", "gnc.input", "imu.samples", *MIRRORED)

@@ -14,8 +14,7 @@ from hil.core.gnc_records import GncMode
 from hil.core.messages import Array
 from hil.gnc_check import test_cases
 from hil.gnc_check.estimate import check_estimate
-from hil.gnc_check.gnc_under_test import GncUnderTest
-from hil.gnc_check.session import Played, play, pushes
+from hil.gnc_check.gnc_under_test import GncUnderTest, Played, play, pushes
 from hil.gnc_check.test_cases import Change, CheckCase, Player, along
 from hil.setup.gnc_setup import gnc_setup
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,32 +23,8 @@ from hil.models.profile import along_line, duration
 from hil.safety.guard_alarms import guard_alarm
 from hil.safety.monitor import SafetyMonitor
 
-
-class Manipulator(Protocol):
-    """Axes of the target that share the motion with rails and turntable."""
-
-    params: np.record
-    """MANIPULATOR."""
-    feedback: AxisFeedback
-    """Newest encoder values."""
-
-    def seed(self, now_s: float) -> None:
-        """Seed the setpoints with the encoder positions, at rest."""
-
-    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> ChaserMotion:
-        """Return what the chaser's rig has to show of a pose at rest, before a run."""
-
-    def follow(self, relative: ChaserMotion, now_s: float) -> ChaserMotion:
-        """Send the next setpoint; return what is left for the chaser's rig."""
-
-    def relate_setpoint(self, axes: np.record) -> None:
-        """Replace setpoints of rails and turntable, AXES, by those relative to the target."""
-
-    def brake(self, now_s: float) -> bool:
-        """Send the next setpoint of a braking ramp; return whether it still moves."""
-
-    def at_rest(self, now_s: float) -> bool:
-        """Return whether the axes are at rest according to their encoders."""
+if TYPE_CHECKING:
+    from hil.loop.target_stage import RotatedTarget
 
 
 class BenchStage:
@@ -67,7 +43,7 @@ class BenchStage:
         bench has no such input."""
         self.local_enable: Callable[[float], bool] | None = None
         """Returns the level of the local enabling input; None without one."""
-        self.manipulator: Manipulator | None = None
+        self.manipulator: RotatedTarget | None = None
         """Of the target, which moves with the chaser's rig; None if the target stands still."""
         self.feedback: tuple[AxisFeedback, AxisFeedback]
         """Of rails and turntable, from the last ``read``."""

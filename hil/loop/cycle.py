@@ -21,10 +21,10 @@ from hil.loop import core
 from hil.loop.bench_stage import BenchStage
 from hil.loop.core_memory import CoreMemory, CycleData
 from hil.loop.rate_keeper import Tick
-from hil.loop.safety_io_stage import NoSafetyIo, SafetyIo
+from hil.loop.safety_io_stage import SafetyIo
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, RunZero, VisionStage
-from hil.loop.target_stage import AxesTogether, TargetStage
+from hil.loop.target_stage import AxesTogether
 from hil.safety.condition_alarms import HealthAlarms
 
 
@@ -45,8 +45,8 @@ class Loop:
     health_alarms: HealthAlarms
     """Alarms of the consistency monitors."""
     telemetry: Telemetry = field(default_factory=NoTelemetry)
-    safety_io: SafetyIo = field(default_factory=NoSafetyIo)
-    target: TargetStage = field(default_factory=AxesTogether)
+    safety_io: SafetyIo = field(default_factory=SafetyIo)
+    target: AxesTogether = field(default_factory=AxesTogether)
     run_zero: RunZero = field(default_factory=RunZero)
     axis_faults: Callable[[float], None] | None = None
     """Applies the faults of axes in memory that act at a time of the run; None if there are none."""

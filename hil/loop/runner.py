@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.core.host_pauses import pause_text
+from hil.core.clock import pause_text
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
@@ -19,12 +19,11 @@ from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorC
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
-from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop
+from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop, RootCause
 from hil.loop.cycle import Cycles, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
-from hil.loop.root_cause import RootCause
 from hil.loop.safety_io_stage import SAFETY_CHAIN
 from hil.safety.alarms import Alarm, alarm_from_error
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -24,14 +24,14 @@ _EDGE_PERIOD_S: Final = 0.2  # of the edges of enable
 _PULSE_PERIOD_S: Final = 0.01
 
 
-class SafetyIo(Protocol):
-    """Digital lines of the bench, as used by cycle and runner."""
+class SafetyIo:
+    """Digital lines of the bench, as used by cycle and runner; those of a bench without any."""
+
+    thrusters_s = math.nan
+    """Bench time at which the coupler received the present thruster lines, s; NaN if unknown."""
 
     def open(self, rate: Rate) -> None:
         """Connect and close the safety chain. Raises DeviceError, SafetyTrip."""
-
-    thrusters_s: float
-    """Bench time at which the coupler received the present thruster lines, s; NaN if unknown."""
 
     def check(self, now_s: float) -> None:
         """Keep the chain closed by a pulse; raise SafetyTrip if it is open, DeviceError on failure."""
@@ -43,7 +43,8 @@ class SafetyIo(Protocol):
         """Release the holding brakes, or let them close. Never raises."""
 
     def brakes_closed(self, now_s: float) -> bool | None:
-        """Return whether the holding brakes are closed; None if that is not read back."""
+        """Return whether the holding brakes are closed; None if that is not read back, False if it cannot be read."""
+        return None
 
     def warn(self, on: bool, now_s: float) -> None:
         """Switch the warning of motion on or off. Raises DeviceError once the link has failed."""
@@ -58,32 +59,7 @@ class SafetyIo(Protocol):
         """Close the link. Never raises."""
 
 
-class NoSafetyIo:
-    """Bench without digital lines."""
-
-    thrusters_s = math.nan
-
-    def open(self, rate: Rate) -> None: ...
-
-    def check(self, now_s: float) -> None: ...
-
-    def mirror_thrusters(self, now_s: float) -> None: ...
-
-    def release_brakes(self, released: bool, now_s: float) -> None: ...
-
-    def brakes_closed(self, now_s: float) -> bool | None:
-        return None
-
-    def warn(self, on: bool, now_s: float) -> None: ...
-
-    def keep_closed(self, now_s: float) -> None: ...
-
-    def stop(self, now_s: float) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class SafetyIoStage:
+class SafetyIoStage(SafetyIo):
     """Digital lines of a bench with an I/O coupler.
 
     on: view of the thruster commands in COMMAND, integers 0 or 1, one per line. tested_pump_s: time-out of the safety
@@ -96,7 +72,6 @@ class SafetyIoStage:
         self._tested_pump_s = tested_pump_s
         self._mirrored = on.tobytes()
         self._brakes_released = self._warning = False
-        self.thrusters_s = math.nan
 
     def open(self, rate: Rate) -> None:
         """Connect, and close the safety chain; the drives have no torque yet.
@@ -163,31 +138,26 @@ class SafetyIoStage:
         return self.io.read(now_s).local_enable is not False
 
     def mirror_thrusters(self, now_s: float) -> None:
-        """Write the thruster lines if one has changed."""
         if self._on.tobytes() != self._mirrored:
             self._mirrored = self._on.tobytes()
             self.io.write(self._outputs(), now_s)
 
     def release_brakes(self, released: bool, now_s: float) -> None:
-        """Release the holding brakes, or let them close."""
         self._brakes_released = released
         with suppress(DeviceError):  # without the coupler the relay opens, and the brakes close
             self.io.write(self._outputs(), now_s)
 
     def warn(self, on: bool, now_s: float) -> None:
-        """Switch the warning of motion on or off."""
         self._warning = on
         self.io.write(self._outputs(), now_s)
 
     def brakes_closed(self, now_s: float) -> bool | None:
-        """Return whether the holding brakes are closed; None if that is not read back, False if it cannot be read."""
         try:
             return self.io.read(now_s).brakes_closed
         except DeviceError:
             return False
 
     def keep_closed(self, now_s: float) -> None:
-        """Pulse the charge pump."""
         self.io.pulse(now_s)
 
     @property
@@ -201,11 +171,9 @@ class SafetyIoStage:
         return IoOutputs(True, self._lines())
 
     def stop(self, now_s: float) -> None:
-        """Switch all lines off."""
         self.io.stop(now_s)
 
     def close(self) -> None:
-        """Close the link."""
         self.io.close()
 
     def _outputs(self) -> IoOutputs:

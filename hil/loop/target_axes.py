@@ -20,7 +20,7 @@ from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_smooth_line, duration
 from hil.params import bench as bench_params
 from hil.safety.alarms import speed_text
-from hil.safety.speed_check import SpeedCheck
+from hil.safety.packet_loss import SpeedCheck
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
@@ -59,11 +59,6 @@ class TargetAxes:
         kinematics.limit_setpoint(self._limits, self._motion, self._wanted, self._next)  # loads the kernels of a jog
         stopping.brake_step(self._limits, self._motion, self._next)
         self._stand_at(place)
-
-    @property
-    def groups(self) -> tuple[TargetAxes, ...]:
-        """This group."""
-        return (self,)
 
     def open(self, now_s: float) -> None:
         """Open the axes; they hold their positions. Raises DeviceError."""

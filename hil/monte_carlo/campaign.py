@@ -28,9 +28,16 @@ from hil.monte_carlo.batch import TRACEBACK, Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design
 from hil.monte_carlo.engines import Engine
-from hil.monte_carlo.evidence import check_requirements, judge_requirements, tolerance_bounds
 from hil.monte_carlo.explain import explain
-from hil.monte_carlo.statistics import HasColumns, mean_interval, summarise, wilson
+from hil.monte_carlo.statistics import (
+    HasColumns,
+    check_requirements,
+    judge_requirements,
+    mean_interval,
+    summarise,
+    tolerance_bounds,
+    wilson,
+)
 from hil.monte_carlo.store import Store, atomic_write
 from hil.report.requirements_page import EvidenceRow, campaign_rows, evidence_files
 from hil.session import build

@@ -23,10 +23,10 @@ from hil.errors import BadInput, BenchError, LinkTimeout, SafetyTrip
 from hil.gnc.step_memory import new_memory
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
+from hil.gnc_backends.builtin import OpenBackends
 from hil.gnc_backends.external import hold_reason
 from hil.gnc_backends.library import open_library
 from hil.gnc_backends.library_kernel import output_of
-from hil.gnc_backends.open_backends import OpenBackends
 from hil.gnc_backends.shared_library import gnc_name, library_failure
 from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_cycles import run_cycles

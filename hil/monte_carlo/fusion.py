@@ -19,14 +19,8 @@ from hil.gnc.fusion import FUSION_STATE
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.step_memory import new_memory
 from hil.models.faults import SEED_BITS
+from hil.monte_carlo import fusion_kernel
 from hil.monte_carlo.fusion_interval import AxisProblem, degrees_of_freedom, largest_ratio
-from hil.monte_carlo.fusion_kernel import (
-    SNAPSHOTS_S,
-    STEADY_STATE_AFTER_S,
-    STUDY_PARAMS,
-    STUDY_RESULT,
-    run_study,
-)
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params.sensors import constant_error_sigmas, sensor_sources, sensors_of
@@ -62,8 +56,8 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for colour-blind
 
 def study_params(scenario: Scenario, reading: Reading, vmu_rate_hz: float) -> np.record:
     """Return STUDY_PARAMS for ``scenario``'s line and attitude."""
-    params = new(STUDY_PARAMS)
-    params.cycles = round(SNAPSHOTS_S[-1] / scenario.step_s)
+    params = new(fusion_kernel.STUDY_PARAMS)
+    params.cycles = round(fusion_kernel.SNAPSHOTS_S[-1] / scenario.step_s)
     params.frame_cycles = round(1.0 / (vmu_rate_hz * scenario.step_s))
     params.sigma_position = VMU_SIGMA[reading][0]
     params.sigma_angle = math.radians(VMU_SIGMA[reading][1])
@@ -133,7 +127,7 @@ class Study:
         random = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(number, _SENSORS)))
         sensors.seed = int(random.integers(SEED_BITS)) if noisy else -1
         errors = self._error_sigmas * random.standard_normal(self._error_sigmas.shape) * noisy
-        run_study(
+        fusion_kernel.run_study(
             self._study,
             filters,
             self._imu,
@@ -176,13 +170,13 @@ class Study:
             ),
         )
         steps, poses = int(study.frame_cycles), int(study.cycles // study.frame_cycles)
-        first = round(STEADY_STATE_AFTER_S / (steps * dt))
+        first = round(fusion_kernel.STEADY_STATE_AFTER_S / (steps * dt))
         position, attitude = (degrees_of_freedom(problem, steps, first, poses) for problem in problems)
         return position, attitude
 
     def bound(self) -> np.record:
         """Return STUDY_RESULT whose variance is that of the linear problem along the line."""
-        result = new(STUDY_RESULT)
+        result = new(fusion_kernel.STUDY_RESULT)
         self.run(0, result, noisy=False)
         return result
 
@@ -190,7 +184,7 @@ class Study:
 def run_batch(settings: tuple[str, ...], reading: Reading, seed: int, first: int, count: int) -> np.ndarray:
     """Return STUDY_RESULT of the runs ``first`` .. ``first + count``, (count,)."""
     study = Study(settings, reading, seed)
-    results = np.zeros(count, STUDY_RESULT).view(np.recarray)
+    results = np.zeros(count, fusion_kernel.STUDY_RESULT).view(np.recarray)
     for row in range(count):
         study.run(first + row, results[row])
     return results
@@ -229,7 +223,7 @@ def run_fusion(
 
 def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record, study: Study) -> dict[str, Any]:
     n = len(results)
-    updates = n * round((SNAPSHOTS_S[-1] - SNAPSHOTS_S[0]) * study.vmu_rate_hz)
+    updates = n * round((fusion_kernel.SNAPSHOTS_S[-1] - fusion_kernel.SNAPSHOTS_S[0]) * study.vmu_rate_hz)
     rmse = np.sqrt(results["square_error"].mean(axis=0))
     limit = np.sqrt(np.array(bound.variance))
     position, attitude = study.degrees_of_freedom()
@@ -251,7 +245,7 @@ def _summary(reading: Reading, seed: int, results: np.ndarray, bound: np.record,
         "nees_akf": _band(results["nees_akf"][:, -1], 6),
         "nees_at_s": {
             f"{t_s:g}": {"pkf": _band(results["nees_pkf"][:, i], 9), "akf": _band(results["nees_akf"][:, i], 6)}
-            for i, t_s in enumerate(SNAPSHOTS_S)
+            for i, t_s in enumerate(fusion_kernel.SNAPSHOTS_S)
         },
         "nis_pkf": _nis(results["nis_pkf"], updates),
         "nis_akf": _nis(results["nis_akf"], updates),
@@ -286,8 +280,8 @@ def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str) -> N
     from matplotlib import pyplot as plt
 
     study = Study(settings, reading, seed)
-    trace = np.zeros((round(SNAPSHOTS_S[-1] / study.step_s), 12))
-    study.run(0, new(STUDY_RESULT), trace)
+    trace = np.zeros((round(fusion_kernel.SNAPSHOTS_S[-1] / study.step_s), 12))
+    study.run(0, new(fusion_kernel.STUDY_RESULT), trace)
     t_s = (1 + np.arange(len(trace))) * study.step_s
     figure, axes = plt.subplots(3, 2, figsize=(11, 7), sharex=True, constrained_layout=True)
     for column, (title, unit, scale) in enumerate((("position", "mm", 1e3), ("attitude", "deg", 180.0 / np.pi))):

@@ -20,18 +20,10 @@ from hil.core.files import MIB, read_text
 from hil.core.messages import CYCLE, Array
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo import importance_density
 from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.engines import Engine
-from hil.monte_carlo.importance_density import (
-    LOG_WEIGHT,
-    ImportanceDensity,
-    PilotCases,
-    block_length_s,
-    block_normals,
-    fitted_density,
-    noise_drivers,
-)
 from hil.monte_carlo.rare_events import ESTIMATED, RareEvent, lognormal_interval
 from hil.monte_carlo.statistics import CONFIDENCE
 from hil.monte_carlo.store import Store, atomic_write
@@ -61,7 +53,7 @@ class ImportanceSettings:
 
     event: RareEvent
     cases: int = CASES
-    columns: ClassVar = (LOG_WEIGHT,)
+    columns: ClassVar = (importance_density.LOG_WEIGHT,)
     """Columns of the cases in addition to those of every campaign."""
 
     def __post_init__(self) -> None:
@@ -76,63 +68,47 @@ class ImportanceSettings:
         return {"importance": dataclasses.asdict(self.event)}
 
     def run(self, job: CampaignJob, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:
-        """Run the cases that are missing; return the summary, which is also written to the folder."""
-        return ImportanceCampaign(job, self, store, engine).run(watch)
+        """Fit the density unless the folder has it, run the cases that are missing, and estimate the probability.
 
+        Returns the summary, which is also written to the folder.
+        """
+        density = self._density(job, store.folder / DENSITY, watch)
+        if density is not None:
+            spec = dataclasses.replace(job.spec, density=density.text())
+            job.fly(spec, store, self.cases, engine, watch, f"{self.event}:")
+        summary = {"scenario": job.scenario.value.name, "seed": job.seed, "rare": self._estimate(store, density)}
+        write_summary(store.folder / "summary.json", summary)
+        return summary
 
-class ImportanceCampaign:
-    """Fits the density unless the folder has it, runs the cases, and estimates the probability."""
-
-    def __init__(self, job: CampaignJob, settings: ImportanceSettings, store: Store, engine: Engine) -> None:
-        self._job = job
-        self._settings = settings
-        self._store = store
-        self._engine = engine
-
-    def run(self, watch: Watch) -> dict[str, Any]:
-        """Run the cases that are missing; return the summary, which is also written to the folder."""
-        density = self._density(watch)
-        if density is None:
-            return self._finish(None)
-        job, settings, store = self._job, self._settings, self._store
-        spec = dataclasses.replace(job.spec, density=density.text())
-        job.fly(spec, store, settings.cases, self._engine, watch, f"{settings.event}:")
-        return self._finish(density)
-
-    def _density(self, watch: Watch) -> ImportanceDensity | None:
-        path = self._store.folder / DENSITY
+    def _density(self, job: CampaignJob, path: Path, watch: Watch) -> importance_density.ImportanceDensity | None:
         if path.is_file():
             return read_density(path)
-        axis = COLUMNS.index(self._settings.event.outcome)
-        found = pilot_density(self._job, axis, self._settings.event.threshold, watch)
+        found = pilot_density(job, COLUMNS.index(self.event.outcome), self.event.threshold, watch)
         if found is not None:
             with atomic_write(path) as partial:
                 partial.write_text(found.text(), encoding="utf-8")
         return found
 
-    def _finish(self, density: ImportanceDensity | None) -> dict[str, Any]:
-        event = self._settings.event
+    def _estimate(self, store: Store, density: importance_density.ImportanceDensity | None) -> dict[str, Any]:
+        event = self.event
         rare = {"outcome": event.outcome, "side": event.side, "threshold": event.threshold}
         if density is None:
-            rare |= _result(np.zeros(0), np.zeros(0), event.level) | {"verdict": NO_DIRECTION}
-        else:
-            values = event.values(np.asarray(self._store.column(event.outcome), dtype=float))
-            weights = np.exp(np.asarray(self._store.column(LOG_WEIGHT), dtype=float))
-            rare |= _result(values, weights, event.level) | {"distance": density.distance}
-            rare["noise"] = noise_drivers(density)
-            failing = np.flatnonzero(values > event.level)
-            rare["failing_cases"] = len(failing)
-            shown = failing[np.argsort(-values[failing], kind="stable")][:_SHOWN]
-            rare["failing"] = [{"case": int(case), "value": float(values[case])} for case in shown]
-        summary = {"scenario": self._job.scenario.value.name, "seed": self._job.seed, "rare": rare}
-        write_summary(self._store.folder / "summary.json", summary)
-        return summary
+            return rare | _result(np.zeros(0), np.zeros(0), event.level) | {"verdict": NO_DIRECTION}
+        values = event.values(np.asarray(store.column(event.outcome), dtype=float))
+        weights = np.exp(np.asarray(store.column(importance_density.LOG_WEIGHT), dtype=float))
+        rare |= _result(values, weights, event.level) | {"distance": density.distance}
+        rare["noise"] = importance_density.noise_drivers(density)
+        failing = np.flatnonzero(values > event.level)
+        rare["failing_cases"] = len(failing)
+        shown = failing[np.argsort(-values[failing], kind="stable")][:_SHOWN]
+        rare["failing"] = [{"case": int(case), "value": float(values[case])} for case in shown]
+        return rare
 
 
-def read_density(path: Path) -> ImportanceDensity:
+def read_density(path: Path) -> importance_density.ImportanceDensity:
     """Return the density of a campaign's folder; raise BadInput."""
     try:
-        return ImportanceDensity.parse(read_text(path, _DENSITY_BYTES))
+        return importance_density.ImportanceDensity.parse(read_text(path, _DENSITY_BYTES))
     except (ValueError, TypeError, KeyError) as error:
         raise BadInput.single(str(path), "", f"cannot be read, remove it: {error}") from error
 
@@ -170,12 +146,14 @@ def importance_estimate(terms: Array) -> tuple[float, float]:
     return mean, float(terms.std(ddof=1)) / (mean * math.sqrt(len(terms)))
 
 
-def pilot_density(job: CampaignJob, axis: int, level: float, watch: Watch) -> ImportanceDensity | None:
+def pilot_density(
+    job: CampaignJob, axis: int, level: float, watch: Watch
+) -> importance_density.ImportanceDensity | None:
     """Return the density for ``level`` of deviation number ``axis`` of ``COLUMNS``, from pilot cases."""
     runner = CaseRunner(job.scenario.value, job.rig, job.duration_s, job.own)
     history = np.zeros(runner.cycles, CYCLE)
     rates_hz = {name: rate for name, (_, rate) in runner.noise().items()}
-    block_s = block_length_s(rates_hz)
+    block_s = importance_density.block_length_s(rates_hz)
     blocks = math.floor(job.duration_s / block_s)
     normals: dict[str, list[Array]] = {name: [] for name in rates_hz}
     dispersions, peaks, ready_s = list[Array](), list[tuple[float, float, float]](), list[float]()
@@ -197,15 +175,15 @@ def pilot_density(job: CampaignJob, axis: int, level: float, watch: Watch) -> Im
         number = len(dispersions)
         peaks += [(number, min(blocks - 1, math.floor(t_s / block_s)), value) for t_s, value in of_case]
         for name, (drawn, rate_hz) in runner.noise().items():
-            normals[name].append(block_normals(drawn, rate_hz, block_s, blocks))
+            normals[name].append(importance_density.block_normals(drawn, rate_hz, block_s, blocks))
         dispersions.append(job.design.normals(seed))
         ready_s.append(float(stats.ready.ready_s))
     if not peaks:
         return None
     of_cases = {name: np.array(rows) for name, rows in normals.items()}
-    pilot = PilotCases(of_cases, np.array(dispersions), np.array(peaks))
+    pilot = importance_density.PilotCases(of_cases, np.array(dispersions), np.array(peaks))
     first = min(blocks - 1, math.floor(min(ready_s) / block_s))
-    return fitted_density(pilot, level, first, block_s, rates_hz)
+    return importance_density.fitted_density(pilot, level, first, block_s, rates_hz)
 
 
 def peaks_of(deviation: Array, t_s: Array, from_s: float) -> list[tuple[float, float]]:

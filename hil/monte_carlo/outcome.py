@@ -18,7 +18,6 @@ from hil.loop.compiled.run_stats import SETTLED
 from hil.loop.runner import COMPLETED
 from hil.maths.limits import finite_or_none
 from hil.params.ready import ROW_NAMES
-from hil.report.acceptance import is_accepted
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
 from hil.report.limits import (
     LIMITS,
@@ -29,9 +28,8 @@ from hil.report.limits import (
     margins_of,
     stop_of_alarm,
 )
-from hil.report.vehicle import navigation_means, propellant_kg
-from hil.report.verdict import control_precision, verdict_of
-from hil.report.verdict_parts import energy_part, security_part
+from hil.report.verdict import control_precision, is_accepted, verdict_of
+from hil.report.verdict_parts import energy_part, navigation_means, propellant_kg, security_part
 from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import is_of_guard
 

@@ -20,20 +20,10 @@ from scipy.special import ndtr
 
 from hil.core.messages import Array
 from hil.maths.random_streams import MixedSeed
+from hil.monte_carlo import rare_events
 from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
 from hil.monte_carlo.dispersions import case_seed
 from hil.monte_carlo.engines import Engine
-from hil.monte_carlo.rare_events import (
-    FRESH,
-    LEAST,
-    NEVER,
-    STUCK,
-    Estimate,
-    Method,
-    NormalPoint,
-    RareEvent,
-    mixed_seeds,
-)
 from hil.monte_carlo.statistics import CONFIDENCE
 from hil.monte_carlo.store import BATCH, Store
 from hil.monte_carlo.subset_simulation import STEPS, subset_simulation
@@ -53,7 +43,7 @@ _LEAST_FACTOR, _FACTORS = 0.05, 96  # of a dispersion's spread
 class RareSettings:
     """Event and number of cases of each level, rounded up to a multiple of 500."""
 
-    event: RareEvent
+    event: rare_events.RareEvent
     per_level: int = PER_LEVEL
 
     columns: ClassVar = POINT_COLUMNS
@@ -68,7 +58,7 @@ class RareSettings:
         """Return what distinguishes the folder from those of other campaigns."""
         return {"rare": {**dataclasses.asdict(self.event), "cases_per_level": self.cases_per_level}}
 
-    def method(self, seed: int) -> Method:
+    def method(self, seed: int) -> rare_events.Method:
         """Return the method that estimates the probability."""
         return subset_simulation(self.event.level, self.cases_per_level, seed)
 
@@ -105,9 +95,9 @@ class RareCampaign:
             except StopIteration as end:
                 return self._finish(end.value)
 
-    def _run_points(self, points: Sequence[NormalPoint]) -> int:
+    def _run_points(self, points: Sequence[rare_events.NormalPoint]) -> int:
         """Run the cases of ``points`` that are not stored; return their number."""
-        self._seeds |= mixed_seeds(self._job.seed, points, self._seeds)
+        self._seeds |= rare_events.mixed_seeds(self._job.seed, points, self._seeds)
         batches = [points[at : at + BATCH] for at in range(0, len(points), BATCH)]
         missing = []
         for batch in batches:
@@ -131,14 +121,14 @@ class RareCampaign:
         self._missing_values += int(np.count_nonzero(~np.isfinite(column)))
         self._values |= zip((row["case"] for row in rows), map(float, event.values(column)), strict=True)
 
-    def _finish(self, estimate: Estimate) -> dict[str, Any]:
+    def _finish(self, estimate: rare_events.Estimate) -> dict[str, Any]:
         self._store.finish(estimate.points)
         scenario = self._job.scenario.value.name
         summary = {"scenario": scenario, "seed": self._job.seed, "rare": self._summary(estimate)}
         write_summary(self._store.folder / "summary.json", summary)
         return summary
 
-    def _summary(self, estimate: Estimate) -> dict[str, Any]:
+    def _summary(self, estimate: rare_events.Estimate) -> dict[str, Any]:
         event = self._settings.event
         sign = 1.0 if event.side == ">" else -1.0
         failing = sorted(
@@ -176,7 +166,7 @@ class RareCampaign:
             "drivers": self._drivers(estimate),
         }
 
-    def _drivers(self, estimate: Estimate) -> list[dict[str, Any]]:
+    def _drivers(self, estimate: rare_events.Estimate) -> list[dict[str, Any]]:
         """Return the dispersed numbers that drive the event, that with the least change of spread to halve it first."""
         design = self._job.design
         if not design.names or not len(estimate.samples):
@@ -218,9 +208,10 @@ def verdict_line(rare: dict[str, Any]) -> str:
     """Return the result of a rare-event campaign in one line."""
     event = f"{rare['outcome']} {rare['side']} {rare['threshold']:g}"
     cases = f"{rare['cases']} cases"
-    if rare["verdict"] == NEVER:
-        return f"{event}: never met, probability below {LEAST:g}; extreme {_number(rare['extreme'])} of {cases}"
-    if rare["verdict"] == STUCK:
+    if rare["verdict"] == rare_events.NEVER:
+        extreme = _number(rare["extreme"])
+        return f"{event}: never met, probability below {rare_events.LEAST:g}; extreme {extreme} of {cases}"
+    if rare["verdict"] == rare_events.STUCK:
         known = f"{rare['without_value']} cases have no value; " if rare["without_value"] else ""
         return (
             f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {known}"
@@ -239,19 +230,19 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.6g}"
 
 
-def _columns(point: NormalPoint) -> dict[str, float]:
+def _columns(point: rare_events.NormalPoint) -> dict[str, float]:
     """Return the columns of a case that identify its point."""
     return {LEVEL: float(point.level), PARENT: float(point.parent), SCALE: point.scale}
 
 
-def _point(row: dict[str, Any]) -> NormalPoint:
-    return NormalPoint(row["case"], int(row[PARENT]), row[SCALE], int(row[LEVEL]))
+def _point(row: dict[str, Any]) -> rare_events.NormalPoint:
+    return rare_events.NormalPoint(row["case"], int(row[PARENT]), row[SCALE], int(row[LEVEL]))
 
 
 def stored_seed(case: int, campaign_seed: int, parents: Callable[[int], tuple[int, float]]) -> MixedSeed:
     """Return the seed of a stored case. parents: returns parent and scale of a case."""
     line = [(case, *parents(case))]
-    while line[-1][1] != FRESH:
+    while line[-1][1] != rare_events.FRESH:
         line.append((line[-1][1], *parents(line[-1][1])))
     found = MixedSeed.fresh(case_seed(campaign_seed, line[-1][0]))
     for number, _, scale in reversed(line[:-1]):

@@ -1,4 +1,4 @@
-"""Parameters of the bench's kinematics and limits, from the rig's units to SI."""
+"""Parameters of the bench's kinematics, limits and bodies, from the rig's units to SI."""
 
 from __future__ import annotations
 
@@ -13,10 +13,33 @@ from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
 from hil.config.bench_scale import FULL_SCALE, BenchScale
+from hil.config.guard import BenchBody, SpacecraftBody
 from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import new
-from hil.params.bodies import bodies
+from hil.models.bodies import BODIES
+
+
+def bodies(
+    given: Sequence[SpacecraftBody | BenchBody], on: str, offset_m: Sequence[float] = (0.0, 0.0, 0.0)
+) -> np.record:
+    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to that of the bodies."""
+    found = new(BODIES)
+    chosen = [(number, body) for number, body in enumerate(given, 1) if body.on == on]
+    found.n, found.low, found.high = len(chosen), math.inf, -math.inf
+    for k, (number, body) in enumerate(chosen):
+        points = np.array(body.vertices_m) + np.array(offset_m)
+        centre = points.mean(axis=0)
+        found.number[k], found.vertices[k], found.radius[k] = number, len(points), body.radius_m
+        found.vertex[k, : len(points)] = points
+        found.centre[k] = centre
+        found.reach[k] = body.radius_m + np.linalg.norm(points - centre, axis=1).max()
+        found.arm[k] = body.radius_m + np.linalg.norm(points, axis=1).max()
+        found.low = np.minimum(found.low, points.min(axis=0) - body.radius_m)
+        found.high = np.maximum(found.high, points.max(axis=0) + body.radius_m)
+        found.farthest = max(float(found.farthest), float(found.arm[k]))
+    return found
+
 
 _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up
 _KEPT_S = 0.039  # between two samples of the encoders: two cycles of 50 Hz

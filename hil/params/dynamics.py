@@ -22,8 +22,7 @@ from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.errors import BadInput, Problem
 from hil.maths import euler, quat
-from hil.params.errors import imu_errors, plume, thruster_errors
-from hil.params.faults import fault_rows
+from hil.params.faults import fault_rows, imu_errors, plume, thruster_errors
 from hil.params.target import start_attitude, target_attitude
 
 ASTRONOMICAL_UNIT_M = 149_597_870_700.0  # IAU 2012, resolution B2

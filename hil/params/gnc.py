@@ -32,7 +32,7 @@ from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
 from hil.gnc.torque_witness import STAGES, TORQUE_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
-from hil.params.bodies import bodies as bodies_on
+from hil.params.bench import bodies as bodies_on
 from hil.params.control_rule import control_rule
 from hil.params.dynamics import initial_truth, mean_motion, semi_major_axis_m, sun_direction
 from hil.params.error_state import error_state

@@ -1,4 +1,4 @@
-"""Preflight: all checks in order."""
+"""Preflight: all checks in order, that of the clock among them."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hil.checks.clock import ptp_problem
 from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
-from hil.checks.preflight_record import MEASURED_S
-from hil.checks.proof_test import proof_gap
+from hil.checks.signed_record import MEASURED_S, proof_gap
 from hil.checks.truth import check_truth
+from hil.config.host import ClockConfig
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.drivers.ptp import read_status
+from hil.errors import DeviceError
 from hil.preflight import lateness
 from hil.preflight.check import PreflightCheck, all_passed
-from hil.preflight.clock import ptp_check
 from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, measure, pause_check
@@ -123,3 +125,20 @@ def overtravel_check(rig: Rig) -> PreflightCheck:
         texts += [f"{device}.{name} {path:.2f} {unit}" for name, path in zip(table.axis_names, paths, strict=True)]
     value = f"hard-wired switches at least this far beyond the travel: {', '.join(texts)}"
     return PreflightCheck("overtravel", None, value, "measure it: their places are not in the rig file")
+
+
+def ptp_check(clock: ClockConfig) -> PreflightCheck:
+    """Return state and offset of PTP; a note unless ``clock.ptp_max_offset_us`` requires it."""
+    advice = "start ptp4l, and phc2sys for a clock of the network card (docs/how-to/prepare-the-computer.md)"
+    try:
+        status = read_status(clock.ptp_socket, clock.ptp_domain)
+    except DeviceError as error:
+        required = clock.ptp_max_offset_us is not None
+        return PreflightCheck("PTP", False if required else None, str(error), advice if required else "")
+    value = str(status)
+    if clock.ptp_max_offset_us is None:
+        return PreflightCheck("PTP", None, value)
+    problem = ptp_problem(clock)
+    return PreflightCheck(
+        "PTP", not problem, problem or f"{value}, allowed {clock.ptp_max_offset_us:g} us", advice if problem else ""
+    )

@@ -9,17 +9,15 @@ import signal
 import socket
 from typing import Any
 
-from hil.checks.proof_test import DUE_DAYS, write_proof
-from hil.commission.auto_operator import AutoOperator
-from hil.commission.prompt import StepFailed
+from hil.checks.signed_record import DUE_DAYS, write_proof
+from hil.commission.prompt import AutoOperator, StepFailed
 from hil.commission.sign_off import as_toml, free_file
 from hil.commission.steps import Commissioning, CommissioningPlan
-from hil.console.commissioning_operator import CommissioningOperator
-from hil.console.session import Choice, run_session
+from hil.console.session import Choice, CommissioningOperator, run_session
 from hil.core.child_process import Parent
+from hil.core.files import write_text
 from hil.core.operator_commands import StopCommanded
 from hil.core.operator_keys import read_operators
-from hil.core.text_files import write_text
 from hil.drivers.remote.io_layout import WATCHDOG
 from hil.errors import BenchError
 from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Runner

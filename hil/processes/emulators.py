@@ -16,7 +16,7 @@ from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo
 from hil.drivers.fault_injection import ControlPort, Faults
-from hil.drivers.profiled_move import compile_profile
+from hil.drivers.setpoint_limiter import compile_profile
 from hil.drivers.shared_state import SharedAxisState
 
 _FIFO_PRIORITY = 40  # below everything that the bench itself is run by
@@ -69,7 +69,7 @@ def make_emulator(configuration: Message) -> Emulator:
         assert isinstance(clock, WallClock)  # as of ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
     if device == "sensor":
-        from hil.setup.emulated_sensors import emulated_sensor
+        from hil.setup.emulated_vision import emulated_sensor
 
         return emulated_sensor(scenario, rig, seed, board, part, clock)
     emulator: Emulator

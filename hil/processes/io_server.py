@@ -16,11 +16,11 @@ from hil.core.child_process import Message, serve
 from hil.core.clock import BenchClock, clock_of
 from hil.core.messages import VMU_FRAME, AxisFeedback
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints, Parks, PoseSource
-from hil.drivers.factory import make_drivers
-from hil.drivers.profiled_move import compile_profile
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S, DeviceServer, raise_priority
+from hil.drivers.setpoint_limiter import compile_profile
+from hil.drivers.split_axes import make_drivers
 from hil.errors import BenchError, LinkLost
 
 

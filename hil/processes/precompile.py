@@ -61,7 +61,7 @@ def _compile_loop() -> None:
 
 def _compile_verdict() -> None:
     from hil.checks.go_level import go_warnings
-    from hil.report.control_numbers import control_numbers
+    from hil.report.summary import control_numbers
     from hil.report.tally import Tally
 
     job = _job()

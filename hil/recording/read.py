@@ -25,13 +25,12 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
-from hil.core.held_records import HELD_SAMPLE
-from hil.core.manipulator_records import MANIPULATOR_SAMPLE
+from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
-from hil.recording.earlier_names import present_key, with_present_names
+from hil.recording.schema import present_key, with_present_names
 
 _Model = TypeVar("_Model", bound=ConfigModel)
 

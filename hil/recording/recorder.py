@@ -18,8 +18,7 @@ import numpy as np
 from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
-from hil.core.held_records import HELD_SAMPLE
-from hil.core.manipulator_records import MANIPULATOR_SAMPLE
+from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput

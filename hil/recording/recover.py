@@ -10,8 +10,8 @@ from mcap.records import Attachment, Message, Metadata
 from mcap.writer import CompressionType, Writer
 
 from hil.errors import BadInput
-from hil.recording.block_file import BlockFile
 from hil.recording.read import Scan, directory
+from hil.recording.writer import BlockFile
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
-from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.runner import Runner
 from hil.loop.target_stage import HeldAxes
 from hil.recording.audit import Actor, AuditChain
@@ -123,7 +122,7 @@ class RecordingSinks:
             loop.dss.sample_sink = self.imu_samples
         if loop.bench.ticks > 1:
             loop.axes_sink = self.axes_samples
-        if isinstance(loop.bench.manipulator, RotatedTarget):
+        if loop.bench.manipulator is not None:
             loop.bench.manipulator.sink = self.manipulator_samples
         for group in loop.target.groups:
             if isinstance(group, HeldAxes):

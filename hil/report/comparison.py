@@ -11,8 +11,7 @@ import numpy as np
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.params.ready import tolerances
-from hil.report.acceptance import not_required_text
-from hil.report.verdict import deviations
+from hil.report.verdict import deviations, not_required_text
 
 LEFT_SIGMAS: Final = 3.0
 _LEFT_FOR_S: Final = 1.0  # shorter excursions are noise

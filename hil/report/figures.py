@@ -23,8 +23,8 @@ from hil.params import integrity as integrity_params
 from hil.params.ready import tolerances
 from hil.report.bench_error import pose_errors
 from hil.report.limits import TERMS
-from hil.report.vehicle import attitude_error
 from hil.report.verdict import Verdict, deviations
+from hil.report.verdict_parts import attitude_error
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # distinguishable for the colour-blind
 _POINTS = 1500  # per line: more are not visible

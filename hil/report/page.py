@@ -11,12 +11,11 @@ from hil.checks.waivers import Waiver
 from hil.loop.compiled.run_stats import counted
 from hil.recording.read import Recorded
 from hil.report import html
-from hil.report.acceptance import not_required_text
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ready_rows, verdict_lines
-from hil.report.verdict import TABLE_V, Verdict, verdict_of
+from hil.report.verdict import TABLE_V, Verdict, not_required_text, verdict_of
 
 _VERSIONS: Final = (
     "hil",

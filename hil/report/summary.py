@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,22 +16,23 @@ from hil.config.scenario import Scenario
 from hil.config.sign_off import SignOff
 from hil.core.build_info import build_info
 from hil.core.messages import Event
+from hil.gnc.control import rule_of
 from hil.gnc_backends.approach_events import DOCKING_GO
 from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import digest_of
 from hil.loop.runner import COMPLETED, Outcome
+from hil.params import gnc as gnc_params
 from hil.params.ready import ROW_NAMES
-from hil.report.acceptance import acceptance, parts_of
-from hil.report.control_numbers import control_numbers
-from hil.report.device_times import with_exchanges
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
+from hil.report.latency import with_exchanges
 from hil.report.limits import RunNumbers, alarms_before, first_violated, margins_of, stop_of_alarm
 from hil.report.tally import Tally
-from hil.report.verdict import Verdict
+from hil.report.verdict import Verdict, acceptance, parts_of
 from hil.safety.guard_alarms import GUARD_QUANTITIES
 
 if TYPE_CHECKING:
     from hil.recording.read import Recorded
+
 
 BROKE_OFF: Final = "the recording broke off"
 
@@ -192,3 +194,30 @@ def sign_off_summary(rig: Rig) -> dict[str, Any] | None:
         return None
     found, gap = rig.sign_off or SignOff(), sign_off_gap(rig)
     return {"valid": not gap, "gap": gap, "waived": found.waived, "date": found.date, "by": found.by, "key": found.key}
+
+
+_AXES: Final = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def control_numbers(history: np.ndarray, scenario: Scenario) -> dict[str, Any] | None:
+    """Return what control used at the end of ``history`` (n,) of CYCLE, None if it was not the built-in one.
+
+    The shortest firing is that of the configuration, not that which was measured in flight.
+    """
+    valid = np.flatnonzero(history["navigation"]["valid"])
+    if scenario.gnc.foreign.get("control") or scenario.gnc.binary is not None or not len(valid):
+        return None
+    params = gnc_params.control(scenario, gnc_params.allocation(scenario.chaser)[1])
+    last, rows = history["navigation"][valid[-1]], []
+    sigma = [*last["sigma_r_m"], *last["sigma_attitude_rad"]]
+    sigma_rate = [*last["sigma_v_mps"], 0.0, 0.0, 0.0]
+    for axis, name in enumerate(_AXES):
+        pulse = float(params.acceleration[axis] * params.pulse_s)
+        lead_s, noise, coast, band = rule_of(params, axis, float(sigma[axis]), float(sigma_rate[axis]), pulse)
+        numbers = {"smallest_change": pulse, "noise": noise, "coast": coast, "dead_band": band}
+        unit, scale = ("mm", 1e3) if axis < 3 else ("deg", math.degrees(1.0))
+        rows.append(
+            {"axis": name, "unit": unit, "lead_s": lead_s, "period_s": float(params.period[axis] * params.dt_s)}
+            | {key: scale * value for key, value in numbers.items()}
+        )
+    return {"shortest_firing_s": float(params.pulse_s), "axes": rows}

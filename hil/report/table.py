@@ -12,8 +12,7 @@ from hil.checks.waivers import Waiver
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
 from hil.params.ready import ROW_NAMES, tolerances
-from hil.report.acceptance import missed_parts, not_required_text, parts_of
-from hil.report.verdict import TABLE_V, Verdict
+from hil.report.verdict import TABLE_V, Verdict, missed_parts, not_required_text, parts_of
 
 ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),

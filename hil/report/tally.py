@@ -14,21 +14,22 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.kernel_record import kernel_record
-from hil.loop.compiled.run_stats import (
-    count_rows,
-    new_run_stats,
-    run_stats_params,
-)
+from hil.loop.compiled import run_stats
 from hil.loop.overrun_monitor import lateness_histogram, lateness_percentiles_us
 from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
-from hil.report.device_times import NAMES, count_beyond, execution_times_s, judge_times
-from hil.report.latency import LATENCIES, measured, percentiles
+from hil.report.latency import LATENCIES, NAMES, count_beyond, execution_times_s, judge_times, measured, percentiles
 from hil.report.navigation_bound import NavigationBound
 from hil.report.sums import Squares, ThinnedSample
-from hil.report.vehicle import navigation_numbers, thruster_numbers
 from hil.report.verdict import Verdict, control_precision, verdict_of
-from hil.report.verdict_parts import AbortCourse, FieldOfView, energy_part, security_part
+from hil.report.verdict_parts import (
+    AbortCourse,
+    FieldOfView,
+    energy_part,
+    navigation_numbers,
+    security_part,
+    thruster_numbers,
+)
 
 _BLOCK_S: Final = 20.0
 """Of the run: what is fitted to windows (``latency``) finds whole ones in a block."""
@@ -44,8 +45,8 @@ class Tally:
     def __init__(self, scenario: Scenario, rig: Rig, pause_s: float = 0.0) -> None:
         self._scenario, self._rig, self._pause_s = scenario, rig, pause_s
         self._block = max(2, min(_ROWS_MAX, round(_BLOCK_S / scenario.step_s)))
-        self._params = kernel_record(run_stats_params(scenario, rig, SETTLED_S))
-        self.stats = new_run_stats()
+        self._params = kernel_record(run_stats.run_stats_params(scenario, rig, SETTLED_S))
+        self.stats = run_stats.new_run_stats()
         self._abort = AbortCourse(scenario)
         self._view = FieldOfView(scenario, rig)
         self._bound = NavigationBound(scenario, rig, SETTLED_S)
@@ -79,7 +80,7 @@ class Tally:
 
     def _count(self, rows: np.ndarray) -> None:
         """Count a block; what compares successive rows has the last row of the block before as well."""
-        count_rows(self._params, self.stats, rows.view(np.ndarray))
+        run_stats.count_rows(self._params, self.stats, rows.view(np.ndarray))
         joined = rows if self._last is None else np.concatenate([self._last, rows])
         self._abort.add(rows)
         self._view.add(rows)

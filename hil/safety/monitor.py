@@ -23,8 +23,7 @@ from hil.safety.alarms import Alarm, AlarmLog, speed_text
 from hil.safety.estop import EmergencyStop
 from hil.safety.guard_alarms import is_of_volume, volume_alarm
 from hil.safety.jog_guard import JogGuard
-from hil.safety.packet_loss import LinkWatch
-from hil.safety.speed_check import SpeedCheck
+from hil.safety.packet_loss import LinkWatch, SpeedCheck
 
 LOCAL_ENABLE: Final = "local enabling input"
 _SWITCHES: Final = {-1: "low", 1: "high"}

@@ -6,31 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 
+from hil.checks import compatibility
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
-from hil.checks.calibration import check_drift_views
-from hil.checks.clock import check_clock
-from hil.checks.compatibility import (
-    check_approach,
-    check_budget,
-    check_drivers,
-    check_flight_computer,
-    check_host,
-    check_io,
-    check_keep_out,
-    check_memory,
-    check_monitor,
-    check_plan,
-    check_ports,
-    check_rates,
-    check_scenario_limits,
-    check_sign_off,
-    driver_warnings,
-)
-from hil.checks.faults import check_faults
-from hil.checks.lock_step import check_lock_step
-from hil.checks.preflight_record import check_preflight
-from hil.checks.sensors import check_sensors
+from hil.checks.clock import check_clock, check_drift_views, check_lock_step
+from hil.checks.faults import check_faults, check_sensors
+from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -52,12 +33,10 @@ from hil.loop.runner import Runner
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.setup.assembly import Devices, RunContext, assemble, core_memory, library_problems, mocks
 from hil.setup.assembly import Job as Job
-from hil.setup.clock_watch import ClockWatch
 from hil.setup.compiled import compiled_cycles
 from hil.setup.compiled import runs_compiled as runs_compiled
-from hil.setup.exchange_rates import ExchangeRates
+from hil.setup.meters import ClockWatch, ExchangeRates, TrueAxesWatch
 from hil.setup.sample_sources import wired_sensors
-from hil.setup.true_axes import TrueAxesWatch
 
 _FRAMES_TO_ARM = 2
 _GRID_S = 0.02  # lock-step: longest time between two steps of emulators and servers
@@ -69,17 +48,17 @@ def check(job: Job) -> None:
     with locked_wires(job.rig.value):
         pass
     problems = [
-        *(check_truth(job.scenario) or check_plan(job.scenario, job.rig)),
-        *(check_approach(job.scenario) or check_abort(job.scenario)),
-        *check_scenario_limits(job.scenario, job.rig),
-        *(check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
-        *check_monitor(job.scenario, job.rig),
+        *(check_truth(job.scenario) or compatibility.check_plan(job.scenario, job.rig)),
+        *(compatibility.check_approach(job.scenario) or check_abort(job.scenario)),
+        *compatibility.check_scenario_limits(job.scenario, job.rig),
+        *(compatibility.check_keep_out(job.scenario) or check_bodies(job.scenario, job.rig)),
+        *compatibility.check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
         *check_sensors(job.scenario, job.rig),
         *check_drift_views(job.rig),
         *_rig_problems(job),
     ]
-    problems = problems or library_problems(job.scenario, job.own) or check_sign_off(job.rig)
+    problems = problems or library_problems(job.scenario, job.own) or compatibility.check_sign_off(job.rig)
     if problems := problems or check_preflight(job.rig, job.scenario.value.step_s):
         raise BadInput(problems)
 
@@ -88,22 +67,22 @@ def check_rig(job: Job) -> None:
     """Raise BadInput with every problem that prevents any motion of the rig's axes."""
     problems = _rig_problems(job)
     if job.rig.value.kind == "mock":  # its axes start at the start pose
-        problems += check_plan(job.scenario, job.rig)
+        problems += compatibility.check_plan(job.scenario, job.rig)
     if problems:
         raise BadInput(problems)
 
 
 def _rig_problems(job: Job) -> list[Problem]:
     problems = [
-        *check_ports(job.rig),
-        *check_host(job.rig),
+        *compatibility.check_ports(job.rig),
+        *compatibility.check_host(job.rig),
         *check_clock(job.rig),
-        *check_io(job.scenario, job.rig),
-        *check_rates(job.scenario, job.rig),
-        *check_memory(job.scenario, job.rig),
-        *check_budget(job.scenario, job.rig),
-        *check_drivers(job.rig),
-        *check_flight_computer(job.scenario, job.rig),
+        *compatibility.check_io(job.scenario, job.rig),
+        *compatibility.check_rates(job.scenario, job.rig),
+        *compatibility.check_memory(job.scenario, job.rig),
+        *compatibility.check_budget(job.scenario, job.rig),
+        *compatibility.check_drivers(job.rig),
+        *compatibility.check_flight_computer(job.scenario, job.rig),
         *check_lock_step(job.scenario, job.rig, job.speed),
     ]
     if job.rig.value.kind == "mock" and job.speed != 1.0 and not job.paced:
@@ -209,7 +188,7 @@ def wired_bench(
         IoProcesses(wired, clock, emulated.server if emulated else None) as io,
         telemetry_ring(sinks) as telemetry,
     ):
-        for line in driver_warnings(rig):
+        for line in compatibility.driver_warnings(rig):
             announce(line)
         io.wait_ready()
         for name, pid in io.pids.items():

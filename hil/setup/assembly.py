@@ -23,8 +23,7 @@ from hil.core.operator_commands import Operator
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
 from hil.drivers.cameras.base import SIDES
-from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import CommandWordReceiver
+from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
@@ -42,7 +41,6 @@ from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.cycle import Loop
-from hil.loop.manipulator_stage import RotatedTarget
 from hil.loop.model_stage import ModelDssStage
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -52,7 +50,7 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
 from hil.loop.stages import DssStage, VisionStage
 from hil.loop.target_axes import TargetAxes
-from hil.loop.target_stage import AxesTogether, HeldAxes
+from hil.loop.target_stage import AxesTogether, HeldAxes, RotatedTarget
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
 from hil.params import bench as bench_params
@@ -245,8 +243,7 @@ def assemble(
         loop.bench.local_enable = lines.local_enable
     if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
         loop.vision.on_frame_used = loop.gnc.forwarder.put
-    groups = [*([] if moved is None else [moved]), *standing.values()]
-    loop.target = groups[0] if len(groups) == 1 else AxesTogether(groups)
+    loop.target = AxesTogether([*([] if moved is None else [moved]), *standing.values()])
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
     loop.gnc.request_hold = safety.request_hold
@@ -323,7 +320,7 @@ def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array,
             found = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
         else:
             found = bench.feedback[0].position, bench.feedback[1].position
-        if isinstance(rotated, RotatedTarget):
+        if rotated is not None:
             at = target.servo.position if isinstance(target, MockAxes) else rotated.feedback.position
             return relative_axes(bench.params, rotated.params, *found, at)
         return found

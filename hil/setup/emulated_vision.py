@@ -1,4 +1,4 @@
-"""Vision unit of an emulated rig: what it measures of the emulated axes, and when its frames arrive.
+"""Vision unit and further sensors of an emulated rig: what they measure of the emulated axes, and when it arrives.
 
 A module of its own because its imports (cameras, scipy) take longer than all of another device's emulator.
 """
@@ -10,16 +10,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.bench.kinematics import pose_of_axes
 from hil.bench.manipulator import relative_axes
 from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.sensors import device_of
 from hil.core.camera_images import ThreadedImageSink
+from hil.core.clock import BenchClock
+from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array, PoseFrame
+from hil.core.sensor_records import NORMALS
+from hil.drivers.line_sensor.emulator import LineSensorEmulator
 from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.vmu.transport import Transport
 from hil.frmn.image_memory import ImageMemory
+from hil.models.faults import SEED_BITS
 from hil.params import bench as bench_params
+from hil.params.sensors import sensors_of, settings_row
+from hil.sensors.check import Trial
+from hil.sensors.measurement import noise_of
 from hil.setup.assembly import start_axes
 
 SeenAxes = Callable[[float], tuple[Array, Array]]
@@ -67,3 +77,35 @@ def emulated_vision(
         return sensor.measure(*seen(t_s), t_s)
 
     return EmulatedVision(pose_at, transport(scenario.vmu, seed), images.close if images else lambda: None)
+
+
+def emulated_sensor(
+    scenario: Scenario, rig: Rig, seed: int, board: SharedAxisState, name: str, clock: BenchClock
+) -> LineSensorEmulator:
+    """Return the emulator of sensor ``name`` of ``scenario``; its kernels are compiled when this returns.
+
+    It measures the pose of the axes, at rest in H and without the state of its module's own, with the noise that the
+    modelled sensor has.
+    """
+    sensors = sensors_of(scenario)
+    (kind, config, _), number = sensors[name], list(sensors).index(name)
+    protocol = kind.module.wire
+    assert protocol is not None
+    bench = kernel_record(bench_params.bench(rig, scenario.step_s, scenario.bench))
+    seen, trial = seen_axes(scenario, rig, board), Trial(kind, settings_row(kind, config))
+    r, q = np.empty(3), np.empty(4)
+
+    def measure_at(t_s: float, count: int) -> Sequence[float] | None:
+        pose_of_axes(bench, *seen(t_s), r, q)
+        truth = trial.truth
+        truth.t_s, truth.r_CT_H, truth.q_CH = t_s, r, q
+        for i in range(NORMALS):
+            truth.normal[i] = noise_of(seed & SEED_BITS, number, count, i)
+        if not trial.measure():
+            return None
+        values: list[float] = trial.output.sample.value[: len(kind.components)].tolist()
+        return values
+
+    measure_at(0.0, 0)
+    rate_hz = config.rate_hz or kind.module.rate_hz
+    return LineSensorEmulator(device_of(name), protocol, measure_at, (rate_hz, config.latency_s), clock, seed)

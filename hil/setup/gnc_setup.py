@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.gnc_link import GncLink
+from hil.config.host import GncLink
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GNC_SETUP
 from hil.core.messages import new

@@ -22,9 +22,9 @@ from hil.console.status import StatusWriter
 from hil.core.clock import SimulatedClock
 from hil.core.messages import AxisFeedback, Homing
 from hil.core.modes import Mode
-from hil.drivers.factory import make_axes
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.shared_state import SharedAxisState
+from hil.drivers.split_axes import make_axes
 from hil.errors import BadInput, DeviceError, LinkLost, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.target_stage import AxesTogether, HeldAxes

@@ -14,8 +14,8 @@ import pytest
 
 from hil.commission.sign_off import free_file
 from hil.commission.steps import Commissioning, CommissioningPlan, Findings
-from hil.console.commissioning_operator import CommissioningOperator
 from hil.console.remote_operator import OutgoingMessages
+from hil.console.session import CommissioningOperator
 from hil.console.status import CELLS
 from hil.core.modes import Mode
 from hil.core.operator_commands import StopCommanded

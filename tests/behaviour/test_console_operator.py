@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.console import OnLoss
+from hil.config.host import OnLoss
 from hil.config.load import load_scenario
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS, MODES, empty_status, status_of

@@ -19,7 +19,7 @@ from hil.checks.clock import check_clock
 from hil.config.load import load_rig
 from hil.drivers.ptp import PtpStatus, read_status
 from hil.errors import DeviceError
-from hil.preflight.clock import ptp_check
+from hil.preflight.run import ptp_check
 
 CONFIGURATION = """[global]
 free_running 1

@@ -12,7 +12,7 @@ from hil.bench.manipulator import relative_axes
 from hil.core.modes import Mode
 from hil.drivers.mock_axes import MockAxes
 from hil.errors import BadInput, SafetyTrip
-from hil.loop.manipulator_stage import RotatedTarget
+from hil.loop.target_stage import RotatedTarget
 from hil.maths import quat
 from hil.params import bench as bench_params
 from hil.recording import schema
@@ -33,7 +33,7 @@ START = ("initial.attitude_deg=[8, -6, 12]",)
 def test_nine_axes_show_the_truth_and_the_vision_unit_sees_what_they_did() -> None:
     job = make_job(4.0, START, rig=RIG)
     with build.runner(job) as runner:
-        outcome, target = runner.run(), runner.loop.target
+        outcome, (target,) = runner.run(), runner.loop.target.groups
     assert outcome.stop == "completed"
     assert isinstance(target, RotatedTarget)
     assert max(target.numbers()["angle_max_deg"]) > 5.0
@@ -49,7 +49,7 @@ def test_nine_axes_show_the_truth_and_the_vision_unit_sees_what_they_did() -> No
 
 def test_manipulator_that_stands_still_trips_and_is_stopped_with_the_bench() -> None:
     with build.runner(make_job(4.0, START, rig=RIG)) as runner:
-        target = runner.loop.target
+        (target,) = runner.loop.target.groups
         assert isinstance(target, RotatedTarget)
         follow = target.follow
 
@@ -67,7 +67,7 @@ def test_manipulator_that_stands_still_trips_and_is_stopped_with_the_bench() -> 
 
 def test_manipulator_at_its_place_is_expected_there_and_a_hold_does_not_move_it() -> None:
     with build.runner(make_job(1.0, START, rig=RIG)) as runner:
-        target, rate = runner.loop.target, runner.rate
+        (target,), rate = runner.loop.target.groups, runner.rate
         assert isinstance(target, RotatedTarget)
         target.open(0.0)
         target.seed(0.0)
@@ -89,7 +89,7 @@ def test_target_that_tumbles_faster_than_both_machines_show_is_refused_with_both
 
 def test_error_of_a_manipulator_names_axis_value_and_limit() -> None:
     with build.runner(make_job(1.0, rig=RIG)) as runner:
-        target = runner.loop.target
+        (target,) = runner.loop.target.groups
         assert isinstance(target, RotatedTarget)
         target.open(0.0)
         target.seed(0.0)
@@ -103,7 +103,7 @@ def test_axes_of_both_machines_are_recorded_and_give_what_the_cycle_records(tmp_
     job = make_job(2.0, START, rig=RIG)
     with recording(job, RIG, tmp_path, lambda _: None) as taken:
         with build.runner(job, sinks=taken.sinks) as runner:
-            target, outcome = runner.loop.target, runner.run()
+            (target,), outcome = runner.loop.target.groups, runner.run()
         taken.break_off("test")
     assert isinstance(target, RotatedTarget)
     recorded = load(taken.path)
@@ -173,7 +173,7 @@ def test_jog_of_a_manipulator_needs_one_and_an_axis_that_is_homed() -> None:
 
 def test_switch_stops_a_jog_of_the_manipulator_and_a_jog_leads_off_it() -> None:
     with build.runner(make_job(1.0, rig=RIG)) as runner, runner.axes_only() as sequencer:
-        target, operator = runner.loop.target, runner.operator
+        (target,), operator = runner.loop.target.groups, runner.operator
         assert isinstance(target, RotatedTarget)
         assert isinstance(target.axes, MockAxes)
         target.axes.set_limit_switch(2, 1)

@@ -1,4 +1,4 @@
-"""Link to one rail drive: requests are bounded in time, one lost response is retried, errors name the axis."""
+"""Rail drives and their wires: requests are bounded in time, one lost response is retried, errors name the axis."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from hil.config.rail_wires import ModbusRtu
+from hil.config.rig import LinearAxes, ModbusAxis
 from hil.core.clock import BenchClock
+from hil.core.messages import Homing
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterBlock, RegisterMap, State, Status
-from hil.drivers.rails.frames import READ_WRITE
+from hil.drivers.rails.frames import READ_WRITE, Counters
 from hil.drivers.rails.modbus_bus import ModbusBus
 from hil.errors import DriveFault, LinkTimeout, ProtocolError
 
@@ -196,3 +199,102 @@ class Drive:
             return False
         path_m = _RATE_MARGIN * self._rate_max * (self._clock.now_s() - before[0]) + _POSITION_MARGIN_M
         return abs(state.position_m - before[1]) > path_m or abs(state.rate_mps) > 2.0 * _RATE_MARGIN * self._rate_max
+
+
+# Waiting for one drive delays the commands of the others: it must stay below their watchdog time.
+ATTEMPT_MAX_S: Final = 0.2
+
+
+def make_wires(config: LinearAxes, timeout_s: float, counters: Counters, clock: BenchClock) -> list[ModbusDevice]:
+    """Return the wires of the axes, not connected yet. Requires a running event loop.
+
+    timeout_s: within which a dead wire is reported.
+    """
+    if config.driver == "modbus_rtu":
+        rtu = config.rtu or ModbusRtu()
+        line = ModbusBus.on_port(rtu.port or "", rtu, rtu.exchange_s(config.map), counters, clock)
+        attempt_s = _attempt_s(timeout_s, len(config.axes))
+        return [ModbusDevice(line, rtu.device_ids[axis], attempt_s) for axis in config.axis_numbers]
+    axes = tcp_axes(config)
+    hosts = [(axis.host, axis.port or 0) for axis in axes]
+    lines = {host: ModbusBus.to_host(*host, counters, clock) for host in dict.fromkeys(hosts)}
+    return [
+        ModbusDevice(lines[host], axis.device_id, _attempt_s(timeout_s, hosts.count(host)))
+        for host, axis in zip(hosts, axes, strict=True)
+    ]
+
+
+def _attempt_s(timeout_s: float, drives: int) -> float:
+    """Return the time for one response if ``drives`` share a wire, s.
+
+    On a dead wire each of them waits once before the first one retries and reports the failure.
+    """
+    return min(timeout_s / (drives + ATTEMPTS - 1), ATTEMPT_MAX_S)
+
+
+def tcp_axes(config: LinearAxes) -> list[ModbusAxis]:
+    """Return the TCP settings of the drives."""
+    return [getattr(config.modbus, name, ModbusAxis()) for name in config.axis_names]
+
+
+class HomingMonitor:
+    """Homing state of each axis. Axes with absolute encoders are DONE from the start.
+
+    From ``begin`` an axis is UNDER_WAY until its drive reports homed or failed; "failed" of an earlier homing is
+    ignored.
+    """
+
+    def __init__(self, config: LinearAxes) -> None:
+        self._absolute = [axis.encoder == "absolute" for axis in config.axes]
+        self.state = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
+        self._exchanges = [0] * len(self.state)  # since homing was commanded
+
+    def begin(self) -> None:
+        """Start homing of each axis that is not homed."""
+        for axis, homing in enumerate(self.state):
+            if homing in (Homing.NEEDED, Homing.FAILED):
+                self.state[axis] = Homing.UNDER_WAY
+                self._exchanges[axis] = 0
+
+    def abort(self) -> None:
+        """Abort homing that is under way."""
+        for axis, homing in enumerate(self.state):
+            if homing is Homing.UNDER_WAY:
+                self.state[axis] = Homing.FAILED
+
+    def is_homing(self, axis: int) -> bool:
+        """Whether the homing bit must be set in the command."""
+        return self.state[axis] is Homing.UNDER_WAY
+
+    def update(self, axis: int, state: State, commanded: bool) -> bool:
+        """Update from a state of the drive; return whether its zero has just moved. commanded: homing bit was set."""
+        if self._absolute[axis]:
+            return False
+        before = self.state[axis]
+        if before is Homing.UNDER_WAY:
+            self._exchanges[axis] += commanded
+            if not commanded:
+                return False
+            if state.status & Status.HOMING_FAILED and self._exchanges[axis] > 1:
+                self.state[axis] = Homing.FAILED
+            elif state.status & Status.HOMED:
+                self.state[axis] = Homing.DONE
+        elif state.status & Status.HOMED and before is Homing.NEEDED:
+            self.state[axis] = Homing.DONE  # homed in an earlier run, not switched off since
+        elif not state.status & Status.HOMED and before is Homing.DONE:
+            self.state[axis] = Homing.NEEDED  # the drive was switched off
+        return self.state[axis] is not before
+
+
+def limit_switch(status: Status, position_m: float, middle_m: float) -> int:
+    """Return the limit switch that is active: -1 low, 1 high, 0 none.
+
+    If the drive reports one without its side, the one nearer to the position is meant.
+    """
+    if status & Status.LIMIT_LOW:
+        return -1
+    if status & Status.LIMIT_HIGH:
+        return 1
+    if status & Status.LIMIT:
+        return -1 if position_m < middle_m else 1
+    return 0

@@ -20,15 +20,21 @@ from hil.config.rig import LinearAxes
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import SetpointLimits
-from hil.drivers.exchange_pacer import ExchangePacer
 from hil.drivers.latest import Latest
 from hil.drivers.loop_thread import LoopThread
 from hil.drivers.rails.codec import ControlFlags, RegisterMap, State
-from hil.drivers.rails.drive import CONNECT_TIMEOUT_S, ENABLE_TIMEOUT_S, OFF, STOP, Drive
+from hil.drivers.rails.drive import (
+    CONNECT_TIMEOUT_S,
+    ENABLE_TIMEOUT_S,
+    OFF,
+    STOP,
+    Drive,
+    HomingMonitor,
+    limit_switch,
+    make_wires,
+)
 from hil.drivers.rails.frames import new_counters
-from hil.drivers.rails.homing import HomingMonitor, limit_switch
-from hil.drivers.rails.wiring import make_wires
-from hil.drivers.setpoint_limiter import SetpointLimiter, setpoint_limiters
+from hil.drivers.setpoint_limiter import ExchangePacer, SetpointLimiter, setpoint_limiters
 from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges without setpoints

@@ -13,8 +13,8 @@ from hil.drivers.fault_injection import FaultyChannel, FaultyWire
 from hil.drivers.modbus_tcp import ModbusTcpEmulator, ModbusTcpPort
 from hil.drivers.pty_line import PtyLine
 from hil.drivers.rails.codec import DriveIdentity, RegisterMap
+from hil.drivers.rails.drive import tcp_axes
 from hil.drivers.rails.modbus_server import DriveAccess, EmulatedRailDrive, ModbusServer
-from hil.drivers.rails.wiring import tcp_axes
 from hil.drivers.shared_state import SharedAxisState
 from hil.errors import FaultKind
 from hil.maths.random_streams import stream

@@ -11,8 +11,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from hil.core.clock import BenchClock, Order, WallClock
-from hil.core.host_pauses import HostPauses, pause_text
+from hil.core.clock import BenchClock, HostPauses, Order, WallClock, pause_text
 from hil.core.realtime import SWITCH_INTERVAL_S, take_fifo
 from hil.drivers.remote import io_layout
 from hil.drivers.remote.io_layout import IoSharedMemory

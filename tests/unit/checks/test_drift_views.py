@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.checks.calibration import check_drift_views
+from hil.checks.clock import check_drift_views
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import SimulatedClock
 from hil.errors import BadInput, SafetyTrip

@@ -10,8 +10,15 @@ from typing import Any
 
 import pytest
 
-from hil.checks.preflight_record import MEASURED_S, VALID_S, check_preflight, record_path, write_record
-from hil.checks.signed_record import read_signed, signature_of
+from hil.checks.signed_record import (
+    MEASURED_S,
+    VALID_S,
+    check_preflight,
+    read_signed,
+    record_path,
+    signature_of,
+    write_record,
+)
 from hil.config.load import load_rig
 from hil.core.operator_keys import OperatorKey
 from tests.support.run_settings import HARDWARE_WIRES

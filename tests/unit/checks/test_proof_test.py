@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from hil.checks.proof_test import DUE_DAYS_MAX, proof_gap, write_proof
-from hil.checks.signed_record import read_signed, signature_of
+from hil.checks.signed_record import DUE_DAYS_MAX, proof_gap, read_signed, signature_of, write_proof
 from hil.config.load import load_rig
 from hil.core.operator_keys import OperatorKey
 from hil.preflight.run import proof_test_check

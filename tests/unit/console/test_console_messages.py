@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hil.console.columns import COLUMNS, INDEX, decimated
+from hil.console.live_view import BACKLOG, MAX_ROWS, Cursor, RowStore
 from hil.console.message import ImageMessage, pack, unpack
-from hil.console.rows import BACKLOG, MAX_ROWS, Cursor, RowStore
 
 
 def rows(n: int, start: int = 0) -> np.ndarray:

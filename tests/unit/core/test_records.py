@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from docs import record_pages
-from hil.core import gnc_records, held_records, manipulator_records, messages
+from hil.core import gnc_records, manipulator_records, messages
 from hil.core.fields import Field, Fields, leaf_fields, markdown_table, record_dtype
 from hil.core.messages import VMU_FRAME, PoseFrame
 from hil.monitor import results
@@ -68,8 +68,8 @@ def test_page_shows_the_layout_of_the_axes_of_a_rotated_target(fields: Fields) -
 
 
 def test_page_shows_the_layout_of_axes_that_are_held() -> None:
-    assert markdown_table(held_records.HELD_SAMPLE_FIELDS) in record_pages.records()
-    assert layout(held_records.HELD_SAMPLE) == (168, "77c100417314")
+    assert markdown_table(manipulator_records.HELD_SAMPLE_FIELDS) in record_pages.records()
+    assert layout(manipulator_records.HELD_SAMPLE) == (168, "77c100417314")
 
 
 def test_nested_records_are_expanded_with_dotted_names() -> None:

@@ -20,8 +20,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import MAX_POSES, POSE, PoseFrame
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can, encode, encode_can
-from hil.drivers.command_words.poses import PoseForwarder
-from hil.drivers.command_words.receiver import CommandWordReceiver
+from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder
 from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.errors import BadInput, LinkLost, LinkTimeout
 from hil.gnc_backends.command_words import CommandWordGnc

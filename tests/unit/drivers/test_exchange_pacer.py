@@ -13,7 +13,7 @@ from hil.config.load import load_rig
 from hil.core.clock import WallClock
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback
 from hil.drivers.cyclic_exchange import CyclicAxisGroup
-from hil.drivers.exchange_pacer import ExchangePacer
+from hil.drivers.setpoint_limiter import ExchangePacer
 
 
 def exchanges(setpoints_s: Sequence[float], rate_max_hz: float) -> list[float]:

@@ -18,8 +18,7 @@ from hil.drivers.line_sensor.driver import LineSensor, LineSettings
 from hil.drivers.line_sensor.emulator import LineSensorEmulator
 from hil.errors import LinkLost
 from hil.sensors import check
-from hil.sensors.dimetix import DimetixLines
-from hil.sensors.range_finder import RangeFinder
+from hil.sensors.range_finder import DimetixLines, RangeFinder
 from hil.sensors.registry import sensor
 
 WAIT_S = 5.0

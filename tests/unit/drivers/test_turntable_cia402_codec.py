@@ -8,9 +8,9 @@ import pytest
 
 from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
-from hil.drivers.turntable.cia402.serial_can import SerialFrames, encode_serial
 from hil.errors import FaultKind
 
 COUNTS_PER_TURN = 10_000_000

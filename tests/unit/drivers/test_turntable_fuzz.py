@@ -19,10 +19,10 @@ from hil.core.messages import Homing
 from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
 from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
-from hil.drivers.turntable.cia402.serial_can import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
 from hil.errors import DeviceError, DriveFault
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from hil.checks.transfers import check_transfers
+from hil.checks.abort import check_transfers
 from hil.config.load import load_scenario
 from hil.core.messages import NAVIGATION, REFERENCE, new
 from hil.errors import BadInput

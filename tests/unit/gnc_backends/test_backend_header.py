@@ -11,7 +11,7 @@ from docs import record_pages
 from hil.cli.main import execute
 from hil.core.backend_records import INPUTS, OBJECTS, OUTPUT_FIELDS, OUTPUTS
 from hil.core.fields import leaf_fields, markdown_table, record_dtype
-from hil.gnc_backends.backend_header import BACKEND_STRUCTS, BACKENDS_HEADER_FILE, backends_header
+from hil.gnc_backends.c_header import BACKEND_STRUCTS, BACKENDS_HEADER_FILE, backends_header
 from tests.support.external_gnc import compile_c
 
 

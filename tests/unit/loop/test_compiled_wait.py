@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from hil.core.clock import WallClock
-from hil.core.wait import wait_until
-from hil.loop.rate_keeper import WallClockRate
+from hil.loop.rate_keeper import WallClockRate, wait_until
 
 
 def test_the_deadline_is_kept_and_never_early() -> None:

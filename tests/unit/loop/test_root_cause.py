@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
-from hil.loop.root_cause import RootCause
+from hil.loop.controlled_stop import RootCause
 
 OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
 

@@ -95,8 +95,8 @@ def test_run_places_the_target_first_and_is_the_same_run_otherwise() -> None:
         with make_runner(job) as runner:
             outcome = runner.run()
             assert outcome.stop == "completed"
-            found.append((outcome, runner.loop.target))
-    (plain, _), (placed, target) = found
+            found.append((outcome, runner.loop.target.groups))
+    (plain, _), (placed, (target,)) = found
     assert isinstance(target, HeldAxes)
     np.testing.assert_array_equal(plain.history["truth"]["r_CT_H"][0], placed.history["truth"]["r_CT_H"][0])
     assert len(placed.history) == len(plain.history)

@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 import pytest
 
-from hil.config.bodies import BenchBody, SpacecraftBody
+from hil.config.guard import BenchBody, SpacecraftBody
 from hil.maths import quat
 from hil.models.bodies import CLOSING, DISTANCE, PAIR, STOPPING, WHICH, clearance
-from hil.params.bodies import bodies
+from hil.params.bench import bodies
 
 BOX = tuple(product((-0.1, 0.1), (-0.2, 0.2), (-0.3, 0.3)))
 SPHERE = SpacecraftBody(on="target", vertices_m=((0.0, 0.0, 0.0),), radius_m=0.5)

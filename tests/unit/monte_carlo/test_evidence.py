@@ -18,8 +18,8 @@ from hil.config.scenario import ProbabilisticRequirement
 from hil.errors import BadInput
 from hil.maths.order_statistics import cases_needed
 from hil.monte_carlo.campaign import CampaignJob, scenario_digest
-from hil.monte_carlo.evidence import judge_requirement, tolerance_bound
 from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
+from hil.monte_carlo.statistics import judge_requirement, tolerance_bound
 from hil.report import html
 from hil.report.requirements_page import (
     campaign_rows,

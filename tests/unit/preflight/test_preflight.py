@@ -14,11 +14,11 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.rig import RAIL_NAMES, AxisGroupTable, Rig
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
-from hil.drivers.factory import RigDrivers
 from hil.drivers.mock_axes import MockAxes
+from hil.drivers.split_axes import RigDrivers
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import ProtocolError
-from hil.preflight import devices, ports
+from hil.preflight import devices
 from hil.preflight.check import PreflightCheck, all_passed
 from hil.preflight.devices import device_checks
 from hil.preflight.host import HostFacts, Privileges, host_checks, probe_host
@@ -160,7 +160,7 @@ def test_wires_of_a_rig_are_those_that_its_drivers_open(tmp_path: Path) -> None:
 
 
 def test_missing_port_and_interface_are_named_and_an_address_needs_no_name_server(tmp_path: Path) -> None:
-    checks = {check.name: check for check in ports.port_checks(_rig(tmp_path))}
+    checks = {check.name: check for check in devices.port_checks(_rig(tmp_path))}
     assert checks["host rails.modbus.x"].passed is True
     assert checks["CAN turntable.cia402.channel"].value == "can_none_7: no such interface"
     port = checks["port vmu.rs422.port"]
@@ -170,7 +170,7 @@ def test_missing_port_and_interface_are_named_and_an_address_needs_no_name_serve
 
 def test_link_of_a_kind_without_a_check_is_reported_as_not_checked(tmp_path: Path) -> None:
     checks = {
-        check.name: check for check in ports.port_checks(_rig(tmp_path, interface="pcan", channel="PCAN_USBBUS1"))
+        check.name: check for check in devices.port_checks(_rig(tmp_path, interface="pcan", channel="PCAN_USBBUS1"))
     }
     check = checks["wire turntable.cia402.channel"]
     assert check.passed is None
@@ -182,7 +182,7 @@ def test_port_without_the_right_to_it_advises_its_group(tmp_path: Path, monkeypa
     port.touch()
     monkeypatch.setattr(os, "access", lambda *_: False)
     monkeypatch.setattr(Path, "group", lambda _: "dialout")
-    check = ports.port_checks(_rig(tmp_path, port=str(port)))[-1]
+    check = devices.port_checks(_rig(tmp_path, port=str(port)))[-1]
     assert check.passed is False
     assert check.advice.startswith("sudo usermod -aG dialout $USER")
 
@@ -192,7 +192,7 @@ def test_host_that_no_name_server_knows_is_named(tmp_path: Path, monkeypatch: py
         raise OSError(-2, "Name or service not known")
 
     monkeypatch.setattr("socket.getaddrinfo", unknown)
-    check = ports.port_checks(_rig(tmp_path, host="rail-x.lab"))[0]
+    check = devices.port_checks(_rig(tmp_path, host="rail-x.lab"))[0]
     assert check.passed is False
     assert check.value == "rail-x.lab:502: Name or service not known"
 

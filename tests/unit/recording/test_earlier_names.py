@@ -17,7 +17,7 @@ from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput
 from hil.recording import read
-from hil.recording.earlier_names import _RENAMED, with_present_names
+from hil.recording.schema import _RENAMED, with_present_names
 from hil.vmu.geometry import geometry_of_rig
 
 MODELS: dict[str, type[ConfigModel]] = {m.__name__: m for m in (Scenario, Rig, Scene, VmuGeometry)}

@@ -13,8 +13,8 @@ from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.scenario import Scenario
 from hil.errors import BadInput
 from hil.monte_carlo.outcome import FLAGS
-from hil.report.acceptance import acceptance, is_accepted, not_required_text
 from hil.report.table import PART_TEXTS
+from hil.report.verdict import acceptance, is_accepted, not_required_text
 
 ROOT = Path(__file__).resolve().parents[3]
 ALL = ", ".join(PART_COLUMNS)

@@ -7,7 +7,7 @@ import pytest
 
 from hil.config.load import load_rig
 from hil.core.messages import CYCLE
-from hil.report.device_times import count_beyond, execution_times_s, judge_times, limits_s
+from hil.report.latency import count_beyond, execution_times_s, judge_times, limits_s
 
 STEP_S = 0.02
 

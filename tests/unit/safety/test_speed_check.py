@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.core.messages import AxisFeedback
-from hil.safety.speed_check import SpeedCheck
+from hil.safety.packet_loss import SpeedCheck
 
 STEP_S, MISMATCH_MAX = 0.02, 0.05
 Rate = Callable[[float], float]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.api.cases import job_of_case
+from hil.api.campaign_results import job_of_case
 from hil.core.clock import SimulatedClock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.monte_carlo.dispersions import Design

@@ -9,8 +9,8 @@ from hil.config.load import load_rig
 from hil.core.messages import CYCLE
 from hil.drivers.mock_axes import MockAxes
 from hil.frmn.ring import NoTelemetry
-from hil.report.device_times import with_exchanges
-from hil.setup.exchange_rates import ExchangeRates
+from hil.report.latency import with_exchanges
+from hil.setup.meters import ExchangeRates
 
 
 class CountedAxes(MockAxes):

@@ -13,7 +13,7 @@ from hil.core.messages import AXES, CYCLE, new
 from hil.drivers.shared_state import SharedAxisState
 from hil.frmn.ring import NoTelemetry
 from hil.params import bench as bench_params
-from hil.setup.true_axes import TrueAxesWatch
+from hil.setup.meters import TrueAxesWatch
 
 STEP_S = 0.02
 NOW_S = 7.3

@@ -9,10 +9,10 @@ import math
 from typing import Final
 
 from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import Frame
 from hil.drivers.turntable.cia402.codec import DriveState
 from hil.drivers.turntable.cia402.modes import DriveAxis, DriveMotion
 from hil.drivers.turntable.cia402.objects import MappedPdo, ObjectDictionary
-from hil.drivers.turntable.cia402.serial_can import Frame
 
 _REMOTE = 0x0200  # statusword: the controlword is executed
 _VOLTAGE = 0x0010

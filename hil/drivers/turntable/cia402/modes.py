@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.clock import BenchClock
 from hil.core.messages import Homing
 from hil.drivers.emulated_axes import EmulatedAxes
-from hil.drivers.profiled_move import ProfiledMove, compile_profile
+from hil.drivers.setpoint_limiter import ProfiledMove, compile_profile
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.objects import ObjectDictionary
 
