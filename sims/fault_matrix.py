@@ -285,7 +285,7 @@ def matrix(modes: Sequence[Mode] = (Mode.RUNNING, *_STILL)) -> list[FaultCase]:
         for device, axes in _AXES.items():
             cases += [FaultCase(device, line, mode) for line in _WIRE]
             cases += [FaultCase(device, f"on drive_fault {axis}", mode) for axis in axes]
-            cases += [FaultCase(device, line, mode, CONTINUES, 1.5) for line in ("on duplicate 1", "on drop 0.02")]
+            cases += [FaultCase(device, line, mode, CONTINUES, 1.5) for line in ("on duplicate 1", "on drop 0.01")]
             if mode is Mode.RUNNING:
                 cases += [FaultCase(device, "on freeze", mode)]
                 cases += [FaultCase(device, f"on stuck {axis}", mode, TRIPS, 6.0) for axis in axes]
