@@ -94,7 +94,7 @@ def _observations(
 
 
 def _with_cameras(solved: CalibrationSolution, held: Prior, nominal: Setup, cameras: Array) -> Array:
-    """Return the covariance, (COMMON + 3 m,) squared, of the layout with the cameras' errors of ``cameras`` (24, 24)."""
+    """Return the covariance, (COMMON + 3 m,) squared, of the layout with errors of ``cameras`` (24, 24)."""
     fit, basis = solved.fit, layout_basis(nominal.points)
     matrix = information(solved.observations, fit.setup, TURNTABLE, AXIS_SIGMA, fit.noise, True).matrix
     normal = basis.T @ matrix[COMMON:, COMMON:] @ basis + np.eye(basis.shape[1]) / held.layout_sigma**2
