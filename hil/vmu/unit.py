@@ -247,23 +247,29 @@ class VisionUnit:
     def _by_windows(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction
     ) -> Solution | None:
-        """Return the solution from windows around the predicted LEDs, None if the whole images are needed."""
+        """Return the solution from windows around the predicted LEDs, None if the whole images are needed.
+
+        Where LEDs are missing, weak lights are taken too: in so few pixels noise is hardly one of them.
+        """
         if self._recheck():
             return None
         regions = self.solver.windows(expected)
         if any(_area(r) > _WINDOW_LIMIT * s[0] * s[1] for r, s in zip(regions, self._shapes, strict=True)):
             return None
-        spots = self._detect(images, regions)
-        view = self.solver.view(*spots)
-        verdict = self._identifier.tracked(view, expected)
-        if verdict is None or verdict.status != OK:
-            return None
-        return self._conclude(verdict, view, spots, t_s, full_frame=False)
+        for weak in (False, True):
+            spots = self._detect(images, regions, weak)
+            view = self.solver.view(*spots)
+            verdict = self._identifier.tracked(view, expected)
+            if verdict is not None and verdict.status == OK:
+                return self._conclude(verdict, view, spots, t_s, full_frame=False)
+            if min(map(len, spots)) >= min(map(len, regions)):
+                break
+        return None
 
     def _by_search(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
     ) -> Solution:
-        spots = self._detect(images, (None, None))
+        spots = self._detect(images, (None, None), weak=False)
         if not any(len(found) for found in spots):
             overfull = CROWDED if any(detector.overfull for detector in self._detectors) else DARK
             return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else overfull)
@@ -274,21 +280,24 @@ class VisionUnit:
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
 
     def _detect(
-        self, images: tuple[np.ndarray | None, np.ndarray | None], regions: tuple[Array | None, Array | None]
+        self,
+        images: tuple[np.ndarray | None, np.ndarray | None],
+        regions: tuple[Array | None, Array | None],
+        weak: bool,
     ) -> tuple[np.ndarray, np.ndarray]:
         (left, right), (of_left, of_right) = images, regions
         if left is None or right is None or of_left is not None or of_right is not None:
-            return self._spots(0, left, of_left), self._spots(1, right, of_right)
+            return self._spots(0, left, of_left, weak), self._spots(1, right, of_right, weak)
         with ThreadPoolExecutor(1) as beside:  # whole images take milliseconds, and the kernel leaves the interpreter
-            of_right_image = beside.submit(self._spots, 1, right, None)
-            return self._spots(0, left, None), of_right_image.result()
+            of_right_image = beside.submit(self._spots, 1, right, None, weak)
+            return self._spots(0, left, None, weak), of_right_image.result()
 
-    def _spots(self, camera: int, image: np.ndarray | None, region: Array | None) -> np.ndarray:
-        return _NO_SPOTS if image is None else self._detectors[camera].spots(image, region)
+    def _spots(self, camera: int, image: np.ndarray | None, region: Array | None, weak: bool) -> np.ndarray:
+        return _NO_SPOTS if image is None else self._detectors[camera].spots(image, region, weak)
 
     def _recheck(self) -> bool:
         every = self.track.settings.recheck
-        return self.track.poses > 0 and self.track.poses % every == 0
+        return self.track.failures == 0 < self.track.poses and self.track.poses % every == 0
 
     def _conclude(
         self, verdict: LedIdentification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
