@@ -28,7 +28,7 @@ from hil.vmu.kernels.chain import COMMON
 from hil.vmu.kernels.records import SHARED
 from hil.vmu.unit import VisionUnit
 
-_FEWEST_LEDS = 4  # of a view: three tell nothing of the layout
+_FEWEST_LEDS = 4  # of a view: of three only their distances are left
 
 
 def solve(
