@@ -71,7 +71,8 @@ class InitialGuessOptions:
     keep: Parts = ()
     """left, right, stereo, mounting or leds: held at its initial value; may be given more than once."""
     hand_held: Flag = False
-    """VIEWS has pairs of a board that is held by hand, without a bench: cameras and their relative pose alone."""
+    """VIEWS has pairs of a board held by hand, without a bench: cameras and their relative pose alone. Without --board
+    pairs of the LED ring, moved by hand: its layout by the cameras of --geometry."""
     scene: str | None = None
     """Calibrate the camera of this scene of the docking monitor instead, from images of a board in the folder VIEWS."""
 
@@ -345,7 +346,10 @@ def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -
         return []
     given = [name for name in ("rig-out", "check", "drive") if others[name]]
     found = [Problem("--hand-held", "", f"goes without --{name}") for name in given]
-    return found if start.board is not None else [*found, Problem("--hand-held", "", "needs --board and --square-mm")]
+    if start.board is None and start.geometry is None:
+        text = "needs --board and --square-mm; or, for the layout of the LEDs, --geometry with the calibrated cameras"
+        found.append(Problem("--hand-held", "", text))
+    return found
 
 
 def _calibrate_television(

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from hil.cli.output import say
 from hil.config.scene import Scene
+from hil.core.messages import Array
 from hil.vmu.calibration.job import CalibrationOutcome, DriftCheck, DriftLimits
 from hil.vmu.calibration.model import Parameter, parameters
-from hil.vmu.calibration.report import found_numbers
+from hil.vmu.calibration.report import found_numbers, led_differences
 from hil.vmu.calibration.single_camera import CameraFit
 from hil.vmu.kernels.chain import COMMON
 
@@ -43,6 +45,8 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
         last = part
         _add_number(numbers, parameter, value, sigma, paper)
     console.print(numbers)
+    if (leds := led_differences(outcome)) is not None:
+        console.print(_led_table(*leds))
     ranges = _table("Position of a point measured by both cameras, 1 sigma, mm", "range m", "noise: across", "depth")
     ranges.add_column("calibration: across", justify="right")
     ranges.add_column("depth", justify="right")
@@ -79,6 +83,14 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
         word = "ok  " if check.passed else "FAIL"
         show(f"{word}      {check.name} {check.value:.4g} {check.unit}, allowed {check.limit:g} {check.unit}")
     show(f"{'[bold green]PASS[/]' if outcome.passed else '[bold red]FAIL[/]'} {outcome.label.id}")
+
+
+def _led_table(off_mm: Array, sigma_mm: Array) -> Table:
+    table = _table("LEDs against the nominal layout, mm", "LED", "x", "y", "z", "distance", "sigma")
+    for led, (off, sigma) in enumerate(zip(off_mm, sigma_mm, strict=True)):
+        cells = (f"{value:+.3f}" for value in off)
+        table.add_row(str(led), *cells, f"{np.linalg.norm(off):.3f}", f"{np.linalg.norm(sigma):.3f}")
+    return table
 
 
 def _add_number(table: Table, parameter: Parameter, value: float, sigma: float, paper: float) -> None:

@@ -38,6 +38,9 @@ class DetectorSettings:
     """flux over its sigma, for a known shape"""
     narrowest_sigma_px: float = 0.5
     """a narrower light is a defective pixel"""
+    weak_sigmas: float = 4.0
+    weak_snr: float = 4.0
+    """the same two of weak lights: in a whole image noise alone would exceed them"""
     largest_px: float = 96.0
     """diameter of the largest spot"""
     most_spots: int = 64
@@ -72,11 +75,11 @@ class SpotDetector:
         above, below = self._noise_sums
         return max(float((above + _PRIOR_WEIGHT * _PRIOR_PER_LEVEL) / (below + _PRIOR_WEIGHT)), 0.0)
 
-    def spots(self, image: np.ndarray, windows: Array | None = None) -> np.ndarray:
+    def spots(self, image: np.ndarray, windows: Array | None = None, weak: bool = False) -> np.ndarray:
         """Return the spots of ``image`` (h, w), uint8, as an array of SPOT.
 
         windows: (k, 4), px: u and v of the first pixel and of the one after the last of each region to be searched; a
-        light that extends into one is measured completely, once. None: the whole image.
+        light that extends into one is measured completely, once. None: the whole image. weak: weak lights too.
         Raise BadInput for an image of another shape or type.
         """
         if image.shape != self._shape or image.dtype != np.uint8:
@@ -86,18 +89,19 @@ class SpotDetector:
             return self._spots[:0].copy()
         regions = _NO_WINDOWS if windows is None else np.ascontiguousarray(windows, dtype=np.int64)
         first_light = not self._noise_sums[1] and self._given_per_level is None
-        found = self._search(np.ascontiguousarray(image), regions)
+        found = self._search(np.ascontiguousarray(image), regions, weak)
         if self._update_noise() and first_light:
-            found = self._search(np.ascontiguousarray(image), regions)
+            found = self._search(np.ascontiguousarray(image), regions, weak)
         return found
 
-    def _search(self, image: np.ndarray, windows: np.ndarray) -> np.ndarray:
+    def _search(self, image: np.ndarray, windows: np.ndarray, weak: bool) -> np.ndarray:
         chosen = self._settings
         limits = np.zeros(1, LIMITS)[0]
-        limits["least_snr"], limits["narrowest"] = chosen.least_snr, chosen.narrowest_sigma_px
+        limits["least_snr"] = chosen.weak_snr if weak else chosen.least_snr
+        limits["narrowest"] = chosen.narrowest_sigma_px
         limits["largest"] = chosen.largest_px
         for attempt in range(_MOST_TRIES):
-            limits["sigmas"] = chosen.threshold_sigmas * 2.0**attempt
+            limits["sigmas"] = (chosen.weak_sigmas if weak else chosen.threshold_sigmas) * 2.0**attempt
             self._noise[:] = 0.0
             count = detect(
                 image, windows, limits, self.variance_per_level, self._label, self._queue, self._spots, self._noise

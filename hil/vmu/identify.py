@@ -41,6 +41,8 @@ _SHIFTED = 4.5  # sigmas between the two images
 _APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
 _OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
 _SECOND = 4  # LEDs, all of other lights, that make a second pattern
+_TWO_LIGHTS = 1.5  # of the usual flux: two lights may be one spot ...
+_TWO_LIGHTS_PX = 6.0  # ... which is displaced
 _RANDOM = 1.0  # ln of the number of patterns by other lights up to which a position is reported
 _LIGHTS = 4  # in an image in which as many LEDs should be seen
 _EDGE_PX = 4.0
@@ -176,10 +178,23 @@ class Identifier:
         """Return the poses of at least four LEDs by the lights that ``best`` does not use, (n,) of FIT.
 
         A reflection of the ring, or a second ring, is a pattern like the ring itself, and may be the more complete one.
+        Where both touch, two lights are one spot: to three lights each LED of ``best`` is added in turn.
         """
         rest = without_spots(view, best)
-        if rest.counts.min() < _SECOND and rest.counts.max() < _OWN:
+        if rest.counts.min() >= _SECOND or rest.counts.max() >= _OWN:
+            found = self._patterns(rest)
+            return found if len(found) else self._touching(rest)
+        if rest.counts.min() < _SECOND - 1:
             return np.zeros(0, FIT)
+        for n in np.flatnonzero((best["spot"] >= 0).all(axis=0)):
+            others = best.copy()
+            others["spot"][:, n] = -1
+            if len(found := self._patterns(without_spots(view, others))):
+                return found
+        return np.zeros(0, FIT)
+
+    def _patterns(self, rest: View) -> np.ndarray:
+        """Return the poses of at least four LEDs by the lights ``rest`` that are hardly there by chance."""
         fits, _ = self._solver.hypotheses(rest, level=_SECOND)
         leds = (fits["spot"] >= 0).any(axis=1).sum(axis=1)
         most = math.log(self._settings.false_alarms)
@@ -189,6 +204,39 @@ class Identifier:
                 for fit, n in zip(fits, leds, strict=True)
             ]
         ]
+
+    def _touching(self, rest: View) -> np.ndarray:
+        """Return the poses of three LEDs by the lights ``rest`` with a fourth at one that is brighter than most.
+
+        That is of two lights, which displaces it by up to half their distance.
+        """
+        bright, plain = [], np.zeros_like(rest.spots)
+        counts = np.zeros_like(rest.counts)
+        for c, n in enumerate(rest.counts):
+            spots = rest.spots[c, :n]
+            is_bright = spots["flux"] > _TWO_LIGHTS * np.median(spots["flux"])
+            bright.append(spots[is_bright])
+            counts[c] = n - len(bright[c])
+            plain[c, : counts[c]] = spots[~is_bright]
+        if min(map(len, bright)) == 0 or counts.min() < _SECOND - 1:
+            return np.zeros(0, FIT)
+        fits, _ = self._solver.hypotheses(rest._replace(spots=plain, counts=counts), level=_SECOND - 1)
+        return fits[[self._possible(fit) and fits_within_budget(fit) and self._shows(fit, bright) for fit in fits]]
+
+    def _shows(self, fit: np.void, lights: Sequence[np.ndarray]) -> bool:
+        """Return whether an LED without a spot is near one of ``lights`` in both cameras."""
+        pixels = [self._projected(fit, c) for c in range(2)]
+        return any(
+            all(np.hypot(*(np.column_stack([spots["u"], spots["v"]]) - at[n]).T).min() < _TWO_LIGHTS_PX
+                for spots, at in zip(lights, pixels, strict=True))
+            for n in np.flatnonzero((fit["spot"][:, : len(pixels[0])] < 0).all(axis=0))
+        )  # fmt: skip
+
+    def _projected(self, fit: np.void, camera: int) -> np.ndarray:
+        """Return the pixels (n, 2) of all LEDs in a camera by the pose ``fit``."""
+        scene = self._solver.scene
+        own = (scene.leds @ fit["r"].T + fit["t"]) @ scene.rotation[camera].T + scene.translation[camera]
+        return np.array([project(scene.lens[camera], *point) for point in own])
 
     def _with_predicted(self, view: View, fits: np.ndarray, prediction: Prediction) -> np.ndarray:
         """Return ``fits`` and, if none of them continues the track, the poses by the lights where it expects its LEDs.
@@ -233,11 +281,8 @@ class Identifier:
         """Return whether a camera sees lights, and hardly any where the best pose has LEDs in its view."""
         if view.counts[camera] < _LIGHTS or (best["spot"][camera] >= 0).sum() >= 2:
             return False
-        scene = self._solver.scene
-        in_v = scene.leds @ best["r"].T + best["t"]
-        own = in_v @ scene.rotation[camera].T + scene.translation[camera]
-        pixels = [project(scene.lens[camera], *point) for point in own]
-        expected = sum(bool(in_image(scene.lens[camera], u, v, _EDGE_PX)) for u, v in pixels)
+        lens = self._solver.scene.lens[camera]
+        expected = sum(bool(in_image(lens, u, v, _EDGE_PX)) for u, v in self._projected(best, camera))
         return expected >= _LIGHTS
 
     def _why_apart(self, left: np.void, right: np.void) -> str:

@@ -32,11 +32,12 @@ from hil.vmu.kernels.records import SPOT, RingScene, View
 from hil.vmu.kernels.refine import place_when_seen
 from hil.vmu.partial import PartialPose, partial_pose
 from hil.vmu.pose import Prediction, Solver, SolverSettings
-from hil.vmu.reflections import Doubt, reflection
+from hil.vmu.reflections import Doubt, doubt_of_lights
 from hil.vmu.track import Track, TrackSettings
 
 PREDICTED: Final = "predicted"
 SUSPECT: Final = "suspect"
+RESIDUALS: Final = "residuals"
 WRONG_SIZE: Final = "rejected_size"
 DARK: Final = "rejected_dark"
 BRIGHT: Final = "rejected_bright"
@@ -47,6 +48,8 @@ _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
 _BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # of the pixels: more than LEDs cover
 _WINDOW_LIMIT = 0.25  # of the image: larger windows are no faster than the whole image
 _USUAL_SHIFT = 2.0  # sigmas between the two images
+_USUAL_SCALE = 2.3  # sigmas of the residuals' scale, which one good pair in a hundred exceeds
+_LARGEST_SCALE = 4.0  # of the residuals: beyond it cameras or ring are not those of the geometry file
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,23 +247,29 @@ class VisionUnit:
     def _by_windows(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction
     ) -> Solution | None:
-        """Return the solution from windows around the predicted LEDs, None if the whole images are needed."""
+        """Return the solution from windows around the predicted LEDs, None if the whole images are needed.
+
+        Where LEDs are missing, weak lights are taken too: in so few pixels noise is hardly one of them.
+        """
         if self._recheck():
             return None
         regions = self.solver.windows(expected)
         if any(_area(r) > _WINDOW_LIMIT * s[0] * s[1] for r, s in zip(regions, self._shapes, strict=True)):
             return None
-        spots = self._detect(images, regions)
-        view = self.solver.view(*spots)
-        verdict = self._identifier.tracked(view, expected)
-        if verdict is None or verdict.status != OK:
-            return None
-        return self._conclude(verdict, view, spots, t_s, full_frame=False)
+        for weak in (False, True):
+            spots = self._detect(images, regions, weak)
+            view = self.solver.view(*spots)
+            verdict = self._identifier.tracked(view, expected)
+            if verdict is not None and verdict.status == OK:
+                return self._conclude(verdict, view, spots, t_s, full_frame=False)
+            if min(map(len, spots)) >= min(map(len, regions)):
+                break
+        return None
 
     def _by_search(
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
     ) -> Solution:
-        spots = self._detect(images, (None, None))
+        spots = self._detect(images, (None, None), weak=False)
         if not any(len(found) for found in spots):
             overfull = CROWDED if any(detector.overfull for detector in self._detectors) else DARK
             return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else overfull)
@@ -271,21 +280,24 @@ class VisionUnit:
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
 
     def _detect(
-        self, images: tuple[np.ndarray | None, np.ndarray | None], regions: tuple[Array | None, Array | None]
+        self,
+        images: tuple[np.ndarray | None, np.ndarray | None],
+        regions: tuple[Array | None, Array | None],
+        weak: bool,
     ) -> tuple[np.ndarray, np.ndarray]:
         (left, right), (of_left, of_right) = images, regions
         if left is None or right is None or of_left is not None or of_right is not None:
-            return self._spots(0, left, of_left), self._spots(1, right, of_right)
+            return self._spots(0, left, of_left, weak), self._spots(1, right, of_right, weak)
         with ThreadPoolExecutor(1) as beside:  # whole images take milliseconds, and the kernel leaves the interpreter
-            of_right_image = beside.submit(self._spots, 1, right, None)
-            return self._spots(0, left, None), of_right_image.result()
+            of_right_image = beside.submit(self._spots, 1, right, None, weak)
+            return self._spots(0, left, None, weak), of_right_image.result()
 
-    def _spots(self, camera: int, image: np.ndarray | None, region: Array | None) -> np.ndarray:
-        return _NO_SPOTS if image is None else self._detectors[camera].spots(image, region)
+    def _spots(self, camera: int, image: np.ndarray | None, region: Array | None, weak: bool) -> np.ndarray:
+        return _NO_SPOTS if image is None else self._detectors[camera].spots(image, region, weak)
 
     def _recheck(self) -> bool:
         every = self.track.settings.recheck
-        return self.track.poses > 0 and self.track.poses % every == 0
+        return self.track.failures == 0 < self.track.poses and self.track.poses % every == 0
 
     def _conclude(
         self, verdict: LedIdentification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float, full_frame: bool
@@ -307,7 +319,7 @@ class VisionUnit:
             return expected if expected.pose is not None else self._partly(verdict, view, spots, t_s)
         fit = with_strained_tolerances(verdict.fit)
         self.track.update(t_s, fit)
-        doubt = reflection(self.solver.scene, view, fit)
+        doubt = doubt_of_lights(self.solver.scene, view, fit)
         if self.track.poses == 1:
             self._consistency.restart()
         if doubt is None:
@@ -315,13 +327,15 @@ class VisionUnit:
             doubt = self._consistency.doubt
             if self._consistency.refuses:
                 return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)
+        degrees = 2 * int(fit["points"]) - 6
+        scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else math.nan
+        if doubt is None and scale > _LARGEST_SCALE:
+            doubt = Doubt(RESIDUALS, scale, "times those stated")
         status = OK if doubt is None else SUSPECT
         pose = Pose(fit["t"].copy(), quat.from_matrix(fit["r"]), fit["covariance"].copy(), fit["noise"].copy())
         n = len(self._none)
         left, right = (tuple(int(kept[c][k]) if k >= 0 else -1 for k in fit["spot"][c][:n]) for c in range(2))
-        degrees = 2 * int(fit["points"]) - 6
         candidates = len(verdict.candidates)
-        scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else math.nan
         distance_px = epipolar_distance(self.solver.scene, view, fit["spot"])
         return Solution(
             t_s, status, pose, spots, (left, right), float(fit["chi2"]), degrees, candidates, full_frame, distance_px,
@@ -334,7 +348,7 @@ class VisionUnit:
         """Return the solution without a pose, with what all candidates agree on."""
         known = partial_pose(verdict.candidates) if self._identifier.partly(view, verdict) else None
         if known is not None and (
-            self._consistency.doubt or reflection(self.solver.scene, view, verdict.candidates[0])
+            self._consistency.doubt or doubt_of_lights(self.solver.scene, view, verdict.candidates[0])
         ):
             known = None
         status = verdict.status if known is None else known.status
@@ -372,10 +386,14 @@ class VisionUnit:
 def with_strained_tolerances(fit: np.void) -> np.void:
     """Return ``fit`` with larger tolerances if its images are further apart than they usually are by those stated.
 
-    The part of the covariance that is not noise grows with the square of the shift between the images, so that a time
-    between them, or an error of the calibration, that is larger than stated is covered up to the limit of the shift.
+    The part of the covariance that is not noise grows with the square of the shift between the images. Residuals that
+    are larger as a whole show the size of an error that is not stated, not its kind; of one that the spots share, as of
+    the lens, the pose absorbs most. They count with the square of their scale.
     """
-    strain = float(np.abs(fit["shift"]).max()) / _USUAL_SHIFT
+    degrees = 2 * int(fit["points"]) - 6
+    scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else 1.0
+    unusual = scale > 1.0 + _USUAL_SCALE / math.sqrt(2.0 * max(degrees, 1))
+    strain = max(float(np.abs(fit["shift"]).max()) / _USUAL_SHIFT, scale**2 if unusual else 1.0)
     if strain <= 1.0:
         return fit
     found = fit.copy()

@@ -7,9 +7,11 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
+from hil.core.messages import Array
 from hil.vmu.calibration import quality
 from hil.vmu.calibration.job import CalibrationOutcome
 from hil.vmu.calibration.model import SIDES
+from hil.vmu.calibration.report import led_differences
 
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "0.6"  # distinguishable with colour blindness
 
@@ -19,11 +21,15 @@ def draw(outcome: CalibrationOutcome, path: str) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
+    leds = led_differences(outcome)
     figure, axes = plt.subplots(2, 2, figsize=(11, 9), constrained_layout=True)
     for side in range(2):
         _residuals(outcome, side, axes[0, side])
     _views(outcome, axes[1, 0])
-    _ranges(outcome, axes[1, 1])
+    if leds is None:
+        _ranges(outcome, axes[1, 1])
+    else:
+        _ring(outcome.nominal.points, *leds, axes[1, 1])
     word = "PASS" if outcome.passed else "FAIL"
     figure.suptitle(f"{outcome.label.id}, {outcome.label.date}, from {outcome.label.target}: {word}", fontsize=11)
     figure.savefig(path, dpi=110)
@@ -58,6 +64,24 @@ def _views(outcome: CalibrationOutcome, plot: Any) -> None:
     out = out if len(out) < 60 else f"{len(outcome.solved.left_out)} views"
     plot.set_title(f"RMS of each view (line: of all); left out: {out}", loc="left", fontsize=10)
     plot.set_ylabel("px")
+
+
+def _ring(nominal: Array, off_mm: Array, sigma_mm: Array, plot: Any) -> None:
+    """Draw the LEDs as the cameras see them head-on, with numbers and enlarged differences from the nominal layout."""
+    reach = 1e3 * float(np.ptp(nominal[:, :2], axis=0).max())
+    stretch = float(f"{0.1 * reach / max(float(np.abs(off_mm).max()), 1e-3):.0e}")
+    at_mm = 1e3 * nominal[:, :2]
+    plot.plot(*at_mm.T, "o", color=_GREY)
+    plot.quiver(*at_mm.T, *(stretch * off_mm[:, :2].T), angles="xy", scale_units="xy", scale=1.0, color=_ORANGE)
+    for led, (at, off, sigma) in enumerate(zip(at_mm, off_mm, sigma_mm, strict=True)):
+        text = f"  {led}: {np.linalg.norm(off):.2f} +- {np.linalg.norm(sigma):.2f}, z {off[2]:+.2f}"
+        plot.annotate(text, at, fontsize=8)
+    plot.set_xlim(at_mm[:, 0].min() - 0.2 * reach, at_mm[:, 0].max() + 0.6 * reach)
+    plot.set_ylim(at_mm[:, 1].max() + 0.2 * reach, at_mm[:, 1].min() - 0.2 * reach)
+    plot.set_aspect("equal")
+    plot.set_title(f"LEDs by number: difference from the nominal layout, mm (x {stretch:g})", loc="left", fontsize=10)
+    plot.set_xlabel("x of the ring, mm")
+    plot.set_ylabel("y of the ring, mm")
 
 
 def _ranges(outcome: CalibrationOutcome, plot: Any) -> None:

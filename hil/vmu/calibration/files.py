@@ -48,7 +48,7 @@ def geometry_table(
 ) -> dict[str, Any]:
     """Return the keys of the geometry file, including ``[calibration]``."""
     setup = fit.setup
-    on_leds = label.target == "leds"
+    on_leds = label.target.endswith("leds")
     table: dict[str, Any] = {
         "leds_m": setup.points.tolist() if on_leds else [list(led) for led in nominal.leds_m],
         "baseline_m": setup.theta[BASELINE:CAMERA_ROTATION].tolist(),
@@ -58,6 +58,8 @@ def geometry_table(
         table["marked_led"] = nominal.marked_led
     for side, name in enumerate(SIDES):
         table[name] = camera_of(setup.theta, side, setup.sizes[side])
+        if (row_time_s := getattr(nominal, name).row_time_s) is not None:
+            table[name]["row_time_s"] = row_time_s
     if nominal.sensor is not None:
         table["sensor"] = nominal.sensor.model_dump()
     if nominal.tolerances != EXACT:

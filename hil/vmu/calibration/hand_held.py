@@ -26,6 +26,7 @@ from hil.vmu.calibration.views import Views
 from hil.vmu.kernels.chain import CAMERA_ROTATION, SCALE
 
 TURNTABLE: Final = TurntableModel(np.zeros(3), np.array([2, 1, 0]))
+ALL_PARTS: Final = ("left", "right", "stereo", "mounting", "target")
 AXIS_SIGMA: Final = np.array([10.0, 10.0, 10.0, 3.0, 3.0, 3.0])
 LEAST_VIEWS: Final = 8
 _FAR: Final = 3.0  # times the median residual of a view
@@ -73,6 +74,15 @@ def solve(
                 if k not in agree}  # fmt: skip
     observed = replace(observed, axes=axes).only(agree)
     held = weak_prior(begun, (*keep, "mounting", "target"), AXIS_SIGMA, 0.0, square_sigma)
+    solved = consistent_fit(observed, begun, held, left_out)
+    if len(solved.observations.names) < LEAST_VIEWS:
+        text = f"{len(solved.observations.names)} consistent views remain, {LEAST_VIEWS} are needed"
+        raise BadInput.single("VIEWS", "", text)
+    return solved, held
+
+
+def consistent_fit(observed: Observations, begun: Setup, held: Prior, left_out: dict[str, str]) -> CalibrationSolution:
+    """Return the fit from ``begun`` without views of far larger residuals than the others, which join ``left_out``."""
     fit = RefinementProblem(observed, TURNTABLE, held, begun.points).solve(begun)
     rms_px = np.sqrt(np.nanmean(np.square(fit.residuals), axis=(1, 2, 3)))
     usual = float(np.median(rms_px))
@@ -82,27 +92,36 @@ def solve(
                      for k in np.flatnonzero(rms_px > _FAR * usual)}  # fmt: skip
         observed = observed.only(good)
         fit = RefinementProblem(observed, TURNTABLE, held, begun.points).solve(fit.setup)
-    if len(observed.names) < LEAST_VIEWS:
-        text = f"{len(observed.names)} consistent views remain, {LEAST_VIEWS} are needed"
-        raise BadInput.single("VIEWS", "", text)
-    return CalibrationSolution(fit, observed, left_out, 0), held
+    return CalibrationSolution(fit, observed, left_out, 0)
+
+
+def bench_at(turn: Array, place: Array) -> Array:
+    """Return the axes (6,) of a bench at the origin with a target at ``p_v = turn p_t + place``."""
+    angles = np.empty(3)
+    euler.from_quaternion_into(quat.from_matrix(np.ascontiguousarray(turn)), TURNTABLE.order, angles)
+    return np.array([*(-turn.T @ place), *angles])
 
 
 def _start(
     observed: Observations, board: Board, nominal: Setup, keep: tuple[str, ...], guess: bool
 ) -> tuple[Setup, Array, np.ndarray]:
     """Return initial cameras, the axes (n, 6) of a bench at the origin that has the board's poses, and good views."""
-    theta = nominal.theta.copy()
     cameras, agree = boards.start_cameras(observed, nominal, keep, guess)
+    begun = at_origin(nominal, board.points())
+    theta = begun.theta
     theta[:CAMERA_ROTATION] = cameras
-    theta[CAMERA_ROTATION:SCALE], theta[SCALE] = 0.0, 1.0
     axes = np.zeros((len(observed.names), 6))
     for k in agree:
         turn, place = boards.board_pose(board.points(), observed.pixels[k, 0], theta[PARTS["left"]])
-        angles = np.empty(3)
-        euler.from_quaternion_into(quat.from_matrix(np.ascontiguousarray(turn)), TURNTABLE.order, angles)
-        axes[k] = [*(-turn.T @ place), *angles]
-    return Setup(theta, np.eye(3), np.eye(3), board.points(), nominal.sizes), axes, agree
+        axes[k] = bench_at(turn, place)
+    return begun, axes, agree
+
+
+def at_origin(nominal: Setup, points: Array) -> Setup:
+    """Return the cameras of ``nominal`` and ``points`` with neither mounting nor place of the target."""
+    theta = nominal.theta.copy()
+    theta[CAMERA_ROTATION:SCALE], theta[SCALE] = 0.0, 1.0
+    return Setup(theta, np.eye(3), np.eye(3), points, nominal.sizes)
 
 
 def halves(solution: CalibrationSolution, held: Prior, range_m: float) -> Halves | None:
@@ -143,7 +162,7 @@ def warnings_of(solution: CalibrationSolution, shares: list[float]) -> list[str]
         found.append(f"few views: {len(observed.names)}, {_FEW} or more are recommended")
     tilt = observed.axes[:, 3:5]
     if min(float(np.ptp(tilt[:, k])) for k in range(2)) < 2.0 * _TILTED_RAD:
-        found.append("little tilt: hold the board tilted by 20 to 35 deg about both of its axes, both ways")
+        found.append("little tilt: hold the target tilted by 20 to 35 deg about both of its axes, both ways")
     range_m = np.linalg.norm(observed.axes[:, :3], axis=1)
     if float(range_m.max()) < 1.3 * float(range_m.min()):
         found.append(f"little change of range: {range_m.min():.2f} to {range_m.max():.2f} m")

@@ -13,7 +13,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.vmu.calibration import board as boards
-from hil.vmu.calibration import drift, hand_held, quality
+from hil.vmu.calibration import drift, hand_held, led_layout, quality
 from hil.vmu.calibration.board import Board
 from hil.vmu.calibration.files import HAND_HELD, Label, StoredCalibration
 from hil.vmu.calibration.leds import SpotViews, identify, spot_views
@@ -154,9 +154,14 @@ def calibrate_hand_held(
 ) -> CalibrationOutcome:
     """Return the calibration of both cameras by pairs of a board that is held by hand; arguments as of ``calibrate``.
 
-    Without ``guess`` the images may have another size than those of ``geometry``.
+    Without ``guess`` the images may have another size than those of ``geometry``. Without a board the target is the
+    ring, and its layout is measured by the cameras of ``geometry``.
     """
-    assert given.board is not None
+    if given.board is None:
+        ring = hand_held.at_origin(Setup.of(geometry, rig.bench), np.array(geometry.leds_m))
+        solved, held = led_layout.solve(hand_held.read_pairs(folder), geometry, ring, given.led_sigma, progress)
+        found = _outcome(label, solved, hand_held.TURNTABLE, held, ring, limits, False)
+        return replace(found, warnings=hand_held.warnings_of(solved, [1.0, 1.0]), checks=found.checks[:1])
     observed, sizes = boards.observations(hand_held.read_pairs(folder), given.board, progress)
     nominal = Setup.of(geometry, rig.bench, given.board.points())
     if guess and (sizes != nominal.sizes).any():

@@ -55,12 +55,17 @@ def spot_views(views: Views, sizes: Array, sensor: Sensor | None, progress: Call
 
 
 def _spots(detector: SpotDetector, image: np.ndarray) -> Spots:
-    spots = detector.spots(image, None)
-    spots = spots[(spots["flags"] & (AT_BORDER | MERGED)) == 0]
+    found, usable = measured(detector.spots(image, None))
+    return Spots(found.positions[usable], found.covariance[usable])
+
+
+def measured(spots: np.ndarray) -> tuple[Spots, np.ndarray]:
+    """Return SPOT records as measurements, and which of them count: neither cut by the edge nor overlapping."""
     covariance = np.empty((len(spots), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = spots["var_u"] + _FLOOR_PX**2, spots["var_v"] + _FLOOR_PX**2
     covariance[:, 0, 1] = covariance[:, 1, 0] = spots["cov_uv"]
-    return Spots(np.stack([spots["u"], spots["v"]], axis=1), covariance)
+    usable = (spots["flags"] & (AT_BORDER | MERGED)) == 0
+    return Spots(np.stack([spots["u"], spots["v"]], axis=1), covariance), usable
 
 
 def identify(views: SpotViews, setup: Setup, turntable: TurntableModel, gate_px: float | None = None) -> Observations:

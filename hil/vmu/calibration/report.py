@@ -37,6 +37,17 @@ def found_numbers(outcome: CalibrationOutcome) -> list[tuple[Parameter, float, f
     return [(p, float(v * p.shown), float(s * p.shown), float(b * p.shown)) for p, v, s, b in rows if s > 0.0]
 
 
+def led_differences(outcome: CalibrationOutcome) -> tuple[Array, Array] | None:
+    """Return the positions of the LEDs from the nominal ones, and their standard deviations, (n, 3), mm.
+
+    None if their layout has not been estimated.
+    """
+    fit = outcome.solved.fit
+    if len(fit.covariance) == COMMON:
+        return None
+    return 1e3 * (fit.setup.points - outcome.nominal.points), 1e3 * fit.sigma[COMMON:].reshape(-1, 3)
+
+
 def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
     """Return the content of ``hil calibrate --json``."""
     solved, fit = outcome.solved, outcome.solved.fit

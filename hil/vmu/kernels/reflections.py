@@ -16,6 +16,9 @@ from hil.vmu.kernels.records import MAX_SPOTS
 from hil.vmu.kernels.refine import jacobian, place, place_in_row
 
 _FEWEST = 6  # spots
+_FEWEST_OF_ONE = 5  # spots of one camera
+_SEEN_ALIKE = 0.2  # of the square of a disc's size and the angle of its LED from the others
+_ODD_RELATIVE = 0.15  # of the elongation that all have: motion that differs between the LEDs
 _LEAST_PX2 = 0.004  # 1 sigma of an elongation: sums of pixels, texture, a lens that is not round
 _PLATES_M = (0.01, 0.02, 0.03, 0.045, 0.07)  # behind the rearmost LED
 _LEANS = 11  # directions of the axis that are tried along u and v
@@ -228,6 +231,48 @@ def moved_pose(scene, view, fit, shift):
             moved += fit.covariance[a, b] * gradient[b]
         largest = max(largest, abs(moved) / math.sqrt(fit.covariance[a, a]))
     return largest
+
+
+@kernel
+def odd_light(scene, view, fit):
+    """Return the LED whose spots are elongated least like those of the others, and by how many sigmas.
+
+    A disc of radius r that is cut to a half is displaced by 0.42 r and has 0.09 r^2 less of half the difference of its
+    variances; motion, tilt and the lens elongate all spots alike, but for the angles at which the LEDs are seen.
+    0.0 sigmas with fewer than five spots in each camera.
+    """
+    n_leds, away = scene.leds.shape[0], 0.0
+    total, other, used = np.zeros(n_leds), np.empty((2, n_leds)), np.empty(n_leds, np.int64)
+    for i in range(3):
+        away += fit.t[i] * fit.t[i]
+    away = math.sqrt(away)
+    for c in range(2):
+        m = 0
+        for n in range(n_leds):
+            if fit.spot[c, n] >= 0 and math.isfinite(view.spots[c, fit.spot[c, n]].shape[0]):
+                used[m] = n
+                m += 1
+        if m < _FEWEST_OF_ONE:
+            continue
+        for k in range(m):
+            for i in range(2):
+                at = 0
+                for q in range(m):
+                    if q != k:
+                        other[i, at] = view.spots[c, fit.spot[c, used[q]]].shape[i]
+                        at += 1
+            usual_u, usual_v = np.median(other[0, : m - 1]), np.median(other[1, : m - 1])
+            spot, led = view.spots[c, fit.spot[c, used[k]]], scene.leds[used[k]]
+            angle = math.sqrt(led[0] * led[0] + led[1] * led[1] + led[2] * led[2]) / away
+            seen = _SEEN_ALIKE * angle * max(spot.shape[2] - _BLUR_PX2, 0.0)
+            variance = spot.shape_sigma[0] ** 2 + _LEAST_PX2**2 + seen**2 + (0.5 * _SIZE * spot.shape[2]) ** 2
+            variance += _ODD_RELATIVE**2 * (usual_u**2 + usual_v**2)
+            total[used[k]] += ((spot.shape[0] - usual_u) ** 2 + (spot.shape[1] - usual_v) ** 2) / variance
+    worst = 0
+    for n in range(n_leds):
+        if total[n] > total[worst]:
+            worst = n
+    return worst, math.sqrt(total[worst])
 
 
 @kernel

@@ -20,6 +20,7 @@ from tests.support.vmu_disturbances import (
     USUAL,
     VERY_GOOD,
     Row,
+    approach,
     drawn_motion,
     known_geometry,
     real_bench,
@@ -179,3 +180,15 @@ def test_every_row_is_as_expected(row: Row) -> None:
     """The table of ``python sims/disturbances.py vmu``."""
     verdict = judge(row.expected, [row.run(40, seed).result() for seed in range(3)])
     assert not verdict.why, verdict
+
+
+def test_track_goes_on_by_lights_that_are_too_weak_for_a_search() -> None:
+    """LEDs of 3 levels have an SNR of 6: half of them are below the threshold of a whole image."""
+    rng, unit, found = np.random.default_rng(12), VisionUnit(known_geometry(VERY_GOOD)), []
+    for k, (scene, truth) in enumerate(approach(VERY_GOOD)(rng, 11)):
+        optics = replace(scene.optics, peak_levels=200.0 if k < 4 else 3.0)
+        solution = unit.solve(*replace(scene, optics=optics).pair(truth.turn, truth.t_v, rng), 0.16 * k)
+        if k >= 4 and solution.status == "ok":
+            found.append(np.abs(truth.error(solution)) / np.sqrt(np.diag(solution.covariance)))
+    assert len(found) >= 6
+    assert np.max(found) < 4.5

@@ -9,6 +9,7 @@ import pytest
 
 from hil.vmu.detect import SpotDetector
 from hil.vmu.geometry import camera_pair, led_positions
+from hil.vmu.kernels.records import SPOT
 from hil.vmu.render import projections
 from hil.vmu.unit import Solution, VisionUnit
 from tests.support.vmu_disturbances import (
@@ -19,7 +20,14 @@ from tests.support.vmu_disturbances import (
     real_bench,
     somewhere,
 )
-from tests.support.vmu_lookalikes import LOOKALIKE_ROWS, mirror_behind, other_scale
+from tests.support.vmu_lookalikes import (
+    LOOKALIKE_ROWS,
+    hidden_by_arm,
+    in_space,
+    mirror_behind,
+    other_scale,
+    reflected,
+)
 from tests.support.vmu_pixels import Array, Image, PixelCamera, PixelOptics, PixelScene
 from tests.support.vmu_scene import Truth, ring, spots_of
 from tests.support.vmu_scene import somewhere as seen_from
@@ -142,6 +150,101 @@ def test_reflections_that_merge_with_their_leds_are_known_by_length_and_size_of_
     for _ in range(40):
         unit.track.drop()
         assert unit.solve_spots(*mirrored_spots(0.0, rng)[1], 0.0).status == "ok"
+
+
+def spots_at(scene: PixelScene, points_v: Array, flux: Array, rng: np.random.Generator) -> list[np.ndarray]:
+    """Return the spots of lights (n, 3), m; those within 5.5 px of each other are one."""
+    found = []
+    for camera in (scene.left, scene.right):
+        pixels, rows = camera.pixels(points_v), []
+        left = list(range(len(pixels)))
+        while left:
+            one = [k for k in left if np.hypot(*(pixels[k] - pixels[left[0]])) < 5.5]
+            left = [k for k in left if k not in one]
+            rows.append((*(flux[one] @ pixels[one] / flux[one].sum()), flux[one].sum()))
+        spots = np.zeros(len(rows), SPOT)
+        spots["u"], spots["v"], spots["flux"] = np.array(rows).T
+        spots["u"] += 0.02 * rng.standard_normal(len(rows))
+        spots["v"] += 0.02 * rng.standard_normal(len(rows))
+        spots["var_u"] = spots["var_v"] = 0.02**2
+        spots["size"], spots["elongation"] = 1.2, np.nan
+        found.append(spots)
+    return found
+
+
+def test_reflection_that_touches_a_ring_with_hidden_leds_is_no_pose() -> None:
+    """An LED and a reflection that are one spot do not take the ring its fourth light."""
+    rng, unit = np.random.default_rng(5), VisionUnit(known_geometry(VERY_GOOD))
+    merged = 0
+    for _ in range(30):
+        scene, truth = real_bench(VERY_GOOD, rng, PixelOptics()), somewhere(rng, 1.5, 6.0)
+        mirrored = reflected(scene, truth, rng.uniform(0.1, 0.125), 0.9, hidden_by_arm(rng))
+        lights = np.vstack([in_space(mirrored.leds_m, truth), mirrored.lights_v[:, :3]])
+        spots = spots_at(scene, lights, np.r_[np.full(4, 1600.0), np.full(6, 1440.0)], rng)
+        if len(spots[0]) < 9:  # two lights of the ring's four are left
+            continue
+        merged += len(spots[0]) < 10
+        unit.track.drop()
+        assert unit.solve_spots(*spots, 0.0).pose is None
+    assert merged >= 10
+
+
+def cut_spots(cut: bool, rng: np.random.Generator) -> tuple[Truth, tuple[np.ndarray, np.ndarray], int]:
+    """Return a pose at 1 to 3 m, and spots of LEDs of 5 mm, and the LED of which an edge hides one half if ``cut``.
+
+    The other half is displaced by 4 / 3 pi of the radius r, and has 0.18 r^2 less of a variance along that.
+    """
+    geometry, led = ring(), int(rng.integers(6))
+    truth = seen_from(rng, 1.0, 3.0, 20.0)
+    found, angle = spots_of(geometry, truth, np.random.default_rng(0)), rng.uniform(0.0, 2.0 * np.pi)
+    places = projections(camera_pair(geometry), led_positions(geometry), truth.t, truth.q)
+    for c in range(2):
+        found[c]["u"], found[c]["v"] = (places[c] + 0.015 * rng.standard_normal((6, 2))).T
+        found[c]["var_u"] = found[c]["var_v"] = 0.015**2
+        radius_px = 0.0025 * geometry.left.fx / truth.t[2]
+        found[c]["elongation"] = 0.05 + 0.008 * rng.standard_normal((6, 2))  # motion, as of all
+        found[c]["size"] = np.sqrt(1.0 + 0.25 * radius_px**2)
+        found[c]["shape_sigma"] = 0.008
+        if cut:
+            found[c]["u"][led] += 0.42 * radius_px * np.cos(angle)
+            found[c]["v"][led] += 0.42 * radius_px * np.sin(angle)
+            found[c]["elongation"][led] -= 0.09 * radius_px**2 * np.array([np.cos(2.0 * angle), np.sin(2.0 * angle)])
+    return truth, found, led
+
+
+def test_led_that_an_edge_cuts_is_suspect_by_its_number() -> None:
+    rng, unit = np.random.default_rng(9), VisionUnit(known_geometry(replace(VERY_GOOD, led_m=3e-4)))
+    named = 0
+    for _ in range(30):
+        truth, found, led = cut_spots(True, rng)
+        unit.track.drop()
+        solution = unit.solve_spots(*found, 0.0)
+        if solution.status == "ok":
+            assert np.abs(truth.error(solution.pose) / sigmas(solution)).max() < 5.0
+        elif solution.doubt is not None and solution.doubt.what == "partly_hidden":
+            assert solution.doubt.amount == led
+            named += 1
+    assert named >= 15
+    for _ in range(60):
+        unit.track.drop()
+        assert unit.solve_spots(*cut_spots(False, rng)[1], 0.0).status == "ok"
+
+
+def test_lens_that_is_not_the_stated_one_is_suspect_or_within_wider_sigmas() -> None:
+    """k1 -0.3 for -0.08 is 58 px at the corner, of which 0.05 px are stated."""
+    rng, unit, doubts = np.random.default_rng(10), VisionUnit(known_geometry(VERY_GOOD)), 0
+    for _ in range(60):
+        scene, truth = real_bench(VERY_GOOD, rng, PixelOptics()), somewhere(rng, 1.0, 4.0)
+        left, right = (
+            replace(camera, distortion=(-0.3, *camera.distortion[1:])) for camera in (scene.left, scene.right)
+        )
+        spots = spots_at(replace(scene, left=left, right=right), in_space(scene.leds_m, truth), np.ones(6), rng)
+        unit.track.drop()
+        solution = unit.solve_spots(*spots, 0.0)
+        if solution.status == "ok":
+            assert np.abs(truth.error(solution) / sigmas(solution)).max() < 5.0
+        doubts += solution.doubt is not None and solution.doubt.what == "residuals"
+    assert doubts >= 8
 
 
 @pytest.mark.parametrize("scale", [{"focal": 0.005}, {"focal": -0.005}, {"ring": 0.01}, {"ring": -0.01}])
