@@ -10,6 +10,10 @@ image cost seven times as much as its computation.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy, as `hil` does: idle threads spin, and would count
+
 import ctypes
 import sys
 import time
