@@ -221,18 +221,14 @@ def kernel(function: _Function) -> _Function:
     """
     inlined = not function.__module__.startswith(_NOT_INLINED)
     called = _compiled(function, "wrapped", WrappedCompiler)
-    of_images = function.__module__.startswith(_OF_IMAGES)
-
-    @cache
-    def inside() -> Any:
-        return _compiled(function, "inline", InlineCompiler, forceinline=inlined, no_cpython_wrapper=True)
-
-    def call_template(types: Any, named: Any) -> Any:
-        return inside().get_call_template([_any_integer(a) for a in types] if of_images else types, named)
-
-    called.get_call_template = call_template
-    called.get_overload = lambda signature: inside().get_overload(signature)
-    called.inside = inside  # made when another kernel is compiled that calls it: most processes compile none
+    inside = _compiled(function, "inline", InlineCompiler, forceinline=inlined, no_cpython_wrapper=True)
+    call_template = inside.get_call_template
+    if function.__module__.startswith(_OF_IMAGES):
+        called.get_call_template = lambda types, named: call_template([_any_integer(a) for a in types], named)
+    else:
+        called.get_call_template = call_template
+    called.get_overload = inside.get_overload
+    called.inside = inside
     return cast(_Function, called)
 
 
@@ -290,19 +286,4 @@ def _compile_for_baseline() -> None:
         config.CPU_NAME, config.CPU_FEATURES = name, ""
 
 
-def _make_each_record_type_once() -> None:
-    """Let numba derive the type of a record from its dtype once: it does so for every argument of a first call."""
-    numpy_support: Any = importlib.import_module("numba.np.numpy_support")
-    derive = numpy_support.from_struct_dtype
-    known: dict[int, tuple[Any, Any]] = {}  # by identity: dtypes may be equal and differ in their alignment
-
-    def from_struct_dtype(dtype: Any) -> Any:
-        if id(dtype) not in known:
-            known[id(dtype)] = dtype, derive(dtype)  # the dtype is kept, so that its identity is not given again
-        return known[id(dtype)][1]
-
-    numpy_support.from_struct_dtype = from_struct_dtype
-
-
 _compile_for_baseline()
-_make_each_record_type_once()

@@ -10,7 +10,6 @@ import sys
 from typing import Any
 
 import numba
-import numpy as np
 import pytest
 from numba.core.codegen import JITCPUCodegen
 
@@ -51,7 +50,7 @@ def test_code_generator_makes_libraries_of_this_class() -> None:
 
 def test_kernel_that_another_calls_is_bitcode_without_machine_code(ninth: Any) -> None:
     inside: Any = _third
-    library = library_of(inside.inside())
+    library = library_of(inside.inside)
     assert isinstance(library, InlineLibrary), _THIS
     assert library.get_pointer_to_function(library.name) == 0, _THIS
     assert not inside.overloads, f"{_THIS}: compiled for Python, which never calls it"
@@ -107,26 +106,3 @@ print("scipy.linalg" in sys.modules, product(np.ones(3), np.ones(3)), "scipy.lin
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout == "False 3.0 True\n", f"{_THIS}: {done.stderr}"
-
-
-def test_type_of_a_record_is_derived_once_and_by_its_own_alignment() -> None:
-    fields = [("count", "i4"), ("pad", "i4"), ("value", "f8")]
-    packed, aligned = np.dtype(fields), np.dtype(fields, align=True)
-    assert packed == aligned
-    typed = [numba.typeof(np.zeros(1, dtype)[0]) for dtype in (packed, aligned, packed)]
-    assert typed[0] is typed[2], _THIS
-    assert [one.aligned for one in typed[:2]] == [False, True], _THIS
-
-
-def test_kernel_that_only_python_calls_is_not_prepared_for_others() -> None:
-    code = """
-from hil.core.jit import kernel
-import hil.core.jit as jit
-made = []
-compiled = jit._compiled
-jit._compiled = lambda function, kind, *rest, **options: made.append(kind) or compiled(function, kind, *rest, **options)
-from hil.maths import limits
-print(*sorted(set(made)))
-"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.split() == ["wrapped"]
