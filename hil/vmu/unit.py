@@ -327,8 +327,7 @@ class VisionUnit:
             doubt = self._consistency.doubt
             if self._consistency.refuses:
                 return Solution(t_s, GEOMETRY_FILE, None, spots, (self._none, self._none), doubt=doubt)
-        degrees = 2 * int(fit["points"]) - 6
-        scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else math.nan
+        degrees, scale = residual_scale(fit)
         if doubt is None and scale > _LARGEST_SCALE:
             doubt = Doubt(RESIDUALS, scale, "times those stated")
         status = OK if doubt is None else SUSPECT
@@ -383,6 +382,12 @@ class VisionUnit:
         return Solution(t_s, status, None, (_NO_SPOTS, _NO_SPOTS), (self._none, self._none))
 
 
+def residual_scale(fit: np.void) -> tuple[int, float]:
+    """Return the degrees of freedom of the residuals of ``fit`` and their RMS over the stated; nan without any."""
+    degrees = 2 * int(fit["points"]) - 6
+    return degrees, math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else math.nan
+
+
 def with_strained_tolerances(fit: np.void) -> np.void:
     """Return ``fit`` with larger tolerances if its images are further apart than they usually are by those stated.
 
@@ -390,8 +395,7 @@ def with_strained_tolerances(fit: np.void) -> np.void:
     are larger as a whole show the size of an error that is not stated, not its kind; of one that the spots share, as of
     the lens, the pose absorbs most. They count with the square of their scale.
     """
-    degrees = 2 * int(fit["points"]) - 6
-    scale = math.sqrt(float(fit["misfit"]) / degrees) if degrees > 0 else 1.0
+    degrees, scale = residual_scale(fit)
     unusual = scale > 1.0 + _USUAL_SCALE / math.sqrt(2.0 * max(degrees, 1))
     strain = max(float(np.abs(fit["shift"]).max()) / _USUAL_SHIFT, scale**2 if unusual else 1.0)
     if strain <= 1.0:
