@@ -14,8 +14,8 @@ from numba import njit
 
 from hil.config.load import load_scenario
 from hil.core.messages import POSE, new
-from hil.gnc import joint_filter, pose_model, step_memory
-from hil.gnc.fusion import FUSION_STATE
+from hil.gnc.estimation import joint_filter, pose_model, step_memory
+from hil.gnc.estimation.fusion import FUSION_STATE
 from hil.params import gnc as gnc_params
 from tests.support.plain_filters import PLAIN
 

@@ -105,7 +105,7 @@ PATH: Final = (
     ("decode frame", "sync, CRC, exposure", "hil/drivers/vmu/driver.py", ORANGE),
     ("ring", "shared memory", "hil/drivers/remote/io_layout.py", GREY),
     ("camera to chaser", "stage 3", "hil/sensors/mounting.py", BLUE),
-    ("filters", "stage 4, at the exposure", "hil/gnc/fusion.py", BLUE),
+    ("filters", "stage 4, at the exposure", "hil/gnc/estimation/fusion.py", BLUE),
     ("guidance, monitor", "stages 5 and 6", "hil/gnc/guidance.py", BLUE),
     ("phase planes", "stage 7", "hil/gnc/control.py", BLUE),
     ("allocation", "thrusters on or off", "hil/gnc/allocation.py", BLUE),

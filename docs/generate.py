@@ -17,16 +17,16 @@ from pydantic import BaseModel
 
 from docs import benchmark_pages, package_pages, record_pages, wire_pages
 from hil.cli.main import app
-from hil.config.body import CentralBody
-from hil.config.dispersions import Spread
-from hil.config.driver_registry import DeviceTable
-from hil.config.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
 from hil.config.key_reference import KeyTable, own_keys, tables
-from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.tables.body import CentralBody
+from hil.config.tables.dispersions import Spread
+from hil.config.tables.driver_registry import DeviceTable
+from hil.config.tables.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
+from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.fields import markdown_table

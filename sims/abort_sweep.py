@@ -24,9 +24,9 @@ from multiprocessing import get_context
 from typing import Final
 
 from hil.checks.abort import check_abort
-from hil.config.faults import TimedFault
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.scenario import Scenario
+from hil.config.tables.faults import TimedFault
 from hil.errors import BadInput
 from hil.monte_carlo.case_runner import CaseRunner
 from sims.integrity_campaign import WITHOUT_GUARD

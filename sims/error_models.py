@@ -15,9 +15,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hil.config.dispersions import Dispersions
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
+from hil.config.tables.dispersions import Dispersions
 from hil.monte_carlo.batch import Rows, Spec, run_batch
 
 SET: Final = "data-sheet"

@@ -29,8 +29,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hil.api.jobs import IN_LOCK_STEP
-from hil.config.faults import EMULATED
 from hil.config.load import load_rig, load_scenario
+from hil.config.tables.faults import EMULATED
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS
 from hil.core.modes import Mode

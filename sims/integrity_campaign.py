@@ -26,10 +26,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hil.config.faults import TimedFault
 from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.faults import TimedFault
 from hil.monte_carlo.batch import Rows, Spec
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed, drawn_fault

@@ -16,9 +16,9 @@ import numpy as np
 from hil.checks.faults import unfused_sensors
 from hil.config import load
 from hil.config.load import Loaded
-from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.model import ConfigModel
 from hil.core.files import parse_toml
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import PARTS, OwnBackends

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from hil.api import jobs
-from hil.config.error_models import LAG_MAX_S
-from hil.config.model import DELAY_MAX_S
 from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.error_models import LAG_MAX_S
+from hil.config.tables.model import DELAY_MAX_S
 from hil.monte_carlo.campaign import RIG, CampaignJob, write_summary
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.margins import DelayedPart, delay_margins, draw_margins

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.bench.kinematics import pose_on_bench
-from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.rig import Rig
 from hil.config.scene import Scene
+from hil.config.tables.docking_monitor import DockingMonitorConfig
 from hil.core.messages import POSE, Array, new
 from hil.maths import quat
 from hil.maths.random_streams import stream

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hil.config.host import ClockConfig
 from hil.config.load import Loaded, load_geometry
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.host import ClockConfig
 from hil.drivers.ptp import read_status
 from hil.errors import BadInput, DeviceError, Problem
 from hil.vmu.calibration.files import read_back

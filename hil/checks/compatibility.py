@@ -14,12 +14,12 @@ from hil.bench.manipulator import ChaserMotion, shown_motion, start_angles
 from hil.checks.abort import check_transfers
 from hil.checks.reachability import check_reachability
 from hil.checks.target_motion import check_target_motion
-from hil.config.limits import SCENARIO_LIMITS, excess
 from hil.config.load import Loaded, load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import BENCH_AXES, AxisGroupTable, Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.tables.limits import SCENARIO_LIMITS, excess
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
 from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits

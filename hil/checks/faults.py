@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 
-from hil.config.faults import TERMS, TimedFault
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.faults import TERMS, TimedFault
 from hil.core.messages import MAX_FAULTS
 from hil.dynamics.thruster_faults import DELAY_STEPS_MAX
 from hil.errors import Problem

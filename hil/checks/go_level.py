@@ -14,7 +14,7 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
-from hil.gnc.missed_fault import largest_missed
+from hil.gnc.estimation.missed_fault import largest_missed
 from hil.params.gnc import integrity
 from hil.params.sensors import sensors_of
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.body import CentralBody
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
+from hil.config.tables.body import CentralBody
 from hil.core.messages import Array
 from hil.dynamics.gravity_file import GravityFileError
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2

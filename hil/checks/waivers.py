@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hil.checks.compatibility import sign_off_gap
-from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, values
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS, values
 from hil.errors import BadInput
 
 

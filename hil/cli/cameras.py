@@ -203,7 +203,7 @@ def option_problems(options: CameraOptions) -> list[Problem]:
     """Return a problem for each option that a camera cannot have."""
     from typing import get_args
 
-    from hil.config.cameras import CameraInterface, PixelFormat
+    from hil.config.tables.cameras import CameraInterface, PixelFormat
 
     problems = []
     for name, allowed in (
@@ -225,7 +225,7 @@ def size_of(options: CameraOptions) -> tuple[int, int]:
 
 def open_camera_of(camera: str, options: CameraOptions) -> Camera:
     """Return ``camera``, started. Raises DeviceError."""
-    from hil.config.cameras import VisionCameras
+    from hil.config.tables.cameras import VisionCameras
     from hil.drivers.cameras.interfaces import open_camera
 
     settings = VisionCameras.model_validate(

@@ -223,7 +223,7 @@ def _title(summary: dict[str, Any]) -> str:
 
 def _render_summary(summary: dict[str, Any], console: Console) -> None:
     from hil.cli.explain import false_alarms_text
-    from hil.config.required_parts import PART_COLUMNS
+    from hil.config.tables.required_parts import PART_COLUMNS
     from hil.report.requirements_page import limit_text, result_text
 
     rows = Table(title=f"{_title(summary)}: worst of {summary['runs']} cases", title_justify="left")

@@ -60,7 +60,7 @@ def _first_sentence(text: str) -> str:
 
 
 def _drivers() -> dict[str, str]:
-    from hil.config.driver_registry import registered_drivers
+    from hil.config.tables.driver_registry import registered_drivers
 
     return registered_drivers()
 

@@ -200,8 +200,8 @@ def _genicam(source: str) -> list[str] | None:
 
 def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float) -> CameraPairs:
     from hil.cameras.live import CameraPairs
-    from hil.config.cameras import VisionCameras
     from hil.config.rig import Vmu
+    from hil.config.tables.cameras import VisionCameras
 
     wait_s = 0.5 / rate_hz  # poses are not due at once
     settings = VisionCameras(left=cameras[0], right=cameras[1], pair_within_s=0.1 / rate_hz, pair_wait_s=wait_s)

@@ -13,7 +13,7 @@ from typing import Any
 from hil.commission.steps import AxisFindings, Findings
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
-from hil.config.sign_off import SignOff
+from hil.config.tables.sign_off import SignOff
 from hil.core.build_info import VERSION
 from hil.core.operator_keys import OperatorKey, Signature
 

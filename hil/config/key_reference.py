@@ -19,10 +19,10 @@ from typing import Any, Final, NamedTuple, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hil.config.model import Live
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.units import UNITS, split
+from hil.config.tables.model import Live
+from hil.config.tables.units import UNITS, split
 from hil.errors import BadInput
 
 NO_UNIT: Final = re.compile(

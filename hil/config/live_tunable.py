@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from pydantic import BaseModel, field_validator
 
-from hil.config.model import ConfigModel, Live
+from hil.config.tables.model import ConfigModel, Live
 
 BACKEND_SETTINGS: Final = ("gnc.navigation.settings.", "gnc.control.settings.")
 """Beginnings of the keys that backends declare; each may change, within the range that its backend declares."""

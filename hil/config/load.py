@@ -16,18 +16,18 @@ from typing import Any, Generic, TypeVar, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from hil.config.body import CentralBody
-from hil.config.dispersions import Dispersions
-from hil.config.driver_registry import DeviceTable, model_of_field
-from hil.config.fmu_mapping import FmuMapping
-from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess
-from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
-from hil.config.sensors import by_name
-from hil.config.units import converted, split
+from hil.config.tables.body import CentralBody
+from hil.config.tables.dispersions import Dispersions
+from hil.config.tables.driver_registry import DeviceTable, model_of_field
+from hil.config.tables.fmu_mapping import FmuMapping
+from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess
+from hil.config.tables.model import ConfigModel
+from hil.config.tables.sensors import by_name
+from hil.config.tables.units import converted, split
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.files import CONFIG_BYTES, parse_json, parse_toml, read_text

@@ -7,8 +7,8 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from hil.config.model import ConfigModel
 from hil.config.rig import GIMBAL_NAMES
+from hil.config.tables.model import ConfigModel
 
 OF_AXIS: Final = ("position", "rate", "status", "fault")
 OF_DEVICE: Final = ("model", "serial", "firmware", "ignore")

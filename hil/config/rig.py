@@ -8,17 +8,25 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from hil.config.cameras import DriftCheckViews, MonitorCamera
-from hil.config.driver_registry import DeviceTable, Wire, WireKey, check_axes
-from hil.config.flight_computer import FlightComputer
-from hil.config.guard import BenchBody, GuardConfig, check_kinds
-from hil.config.host import ClockConfig, ConsoleTable, GncLink, HostConfig, OnOverrun, RecordingTable, TelemetryTable
-from hil.config.io import Io
-from hil.config.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
-from hil.config.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
-from hil.config.rail_map import RailMap
-from hil.config.rail_wires import ModbusRtu
-from hil.config.sign_off import SignOff
+from hil.config.tables.cameras import DriftCheckViews, MonitorCamera
+from hil.config.tables.driver_registry import DeviceTable, Wire, WireKey, check_axes
+from hil.config.tables.flight_computer import FlightComputer
+from hil.config.tables.guard import BenchBody, GuardConfig, check_kinds
+from hil.config.tables.host import (
+    ClockConfig,
+    ConsoleTable,
+    GncLink,
+    HostConfig,
+    OnOverrun,
+    RecordingTable,
+    TelemetryTable,
+)
+from hil.config.tables.io import Io
+from hil.config.tables.mechanics import DriveMechanics, GimbalMechanics, RailMechanics
+from hil.config.tables.model import ConfigModel, Matrix3, Name, NotNegative, Positive, Triple
+from hil.config.tables.rail_map import RailMap
+from hil.config.tables.rail_wires import ModbusRtu
+from hil.config.tables.sign_off import SignOff
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")

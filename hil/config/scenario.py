@@ -8,15 +8,15 @@ from typing import Annotated, Final, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from hil.config.bench_scale import BenchScale
-from hil.config.dispersions import Dispersions
-from hil.config.docking_monitor import DockingMonitorConfig
-from hil.config.error_models import ErrorBudget, ImuErrors, ThrusterErrors, VisionErrors
-from hil.config.faults import TimedFault
-from hil.config.guard import KeepOut
-from hil.config.integrity import Integrity
 from hil.config.live_tunable import LiveTuning
-from hil.config.model import (
+from hil.config.tables.bench_scale import BenchScale
+from hil.config.tables.dispersions import Dispersions
+from hil.config.tables.docking_monitor import DockingMonitorConfig
+from hil.config.tables.error_models import ErrorBudget, ImuErrors, ThrusterErrors, VisionErrors
+from hil.config.tables.faults import TimedFault
+from hil.config.tables.guard import KeepOut
+from hil.config.tables.integrity import Integrity
+from hil.config.tables.model import (
     AngleTriple,
     ConfigModel,
     Delay,
@@ -28,10 +28,10 @@ from hil.config.model import (
     Probability,
     Triple,
 )
-from hil.config.required_parts import PART_COLUMNS
-from hil.config.sensors import SensorConfig, device_of
-from hil.config.target import KnownTarget, MovingTarget
-from hil.config.truth import Ephemeris, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
+from hil.config.tables.required_parts import PART_COLUMNS
+from hil.config.tables.sensors import SensorConfig, device_of
+from hil.config.tables.target import KnownTarget, MovingTarget
+from hil.config.tables.truth import Ephemeris, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
 from hil.core.backend_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX

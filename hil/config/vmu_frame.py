@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import ConfigModel, Positive
+from hil.config.tables.model import ConfigModel, Positive
 
 COUNTS: Final = {"position": 3, "quaternion": 4, "euler": 3, "covariance": 21, "sigma_position": 3, "sigma_angle": 3}
 """Numbers of a field; one for the others."""

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hil.config.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
+from hil.config.tables.model import ConfigModel, Matrix3, NotNegative, Positive, Triple
 
 
 class Calibration(ConfigModel):

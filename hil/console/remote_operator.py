@@ -26,7 +26,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from hil.config.host import OnLoss
+from hil.config.tables.host import OnLoss
 from hil.console.status import StatusWriter
 from hil.core.files import parse_json
 from hil.core.messages import Event

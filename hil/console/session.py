@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from hil.checks.compatibility import check_plan
 from hil.config.load import load_rig, load_scenario
-from hil.config.model import ConfigModel
+from hil.config.tables.model import ConfigModel
 from hil.console.bench import ConsoleBench, opened
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS

@@ -13,7 +13,7 @@ from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
 from hil.console.status import DEVICES, MODES, UNKNOWN, empty_status, status_of
 from hil.core.modes import Mode
-from hil.gnc.filter_monitor import nis_band
+from hil.gnc.estimation.filter_monitor import nis_band
 from hil.maths.limits import finite_or_none
 from hil.monitor.results import QUANTITIES
 from hil.monitor.screen.overlay import NUMBERS

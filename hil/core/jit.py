@@ -42,7 +42,13 @@ from hil.errors import BadInput
 _numba_config: Any = numba.config
 _PACKAGE = Path(__file__).parent.parent
 _OF_IMAGES = ("hil.vmu.", "hil.monitor.")
-_NOT_INLINED = (*_OF_IMAGES, "hil.console.", "hil.gnc.joint_filter", "hil.gnc.pose_model", "hil.gnc.backend_step")
+_NOT_INLINED = (
+    *_OF_IMAGES,
+    "hil.console.",
+    "hil.gnc.estimation.joint_filter",
+    "hil.gnc.estimation.pose_model",
+    "hil.gnc.backend_step",
+)
 _UNUSED_MAX_S: Final = 60 * 86_400.0
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.mechanics import DriveMechanics
 from hil.config.rig import AxisGroupTable
+from hil.config.tables.mechanics import DriveMechanics
 from hil.core.messages import Array, new
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.models.drive_mechanics import drive_mechanics_record, drive_mechanics_step, encoder_reading

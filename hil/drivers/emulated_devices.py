@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 
 from hil.config.rig import Rig, SensorLine
 from hil.config.scenario import Scenario
-from hil.config.sensors import device_of
+from hil.config.tables.sensors import device_of
 from hil.core.child_process import ChildProcess
 from hil.core.clock import BenchClock, Order
 from hil.core.fork_server import ForkServer

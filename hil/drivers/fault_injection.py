@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.config.faults import EMULATED, ErrorTerm
+from hil.config.tables.faults import EMULATED, ErrorTerm
 
 
 class Faults:

@@ -17,8 +17,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from hil.config.driver_registry import Wire
 from hil.config.rig import Rig
+from hil.config.tables.driver_registry import Wire
 from hil.core.files import KIB
 from hil.errors import BadInput, Problem, one_line
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from hil.config.fmu_mapping import MappedVariables, VariableNames
+from hil.config.tables.fmu_mapping import MappedVariables, VariableNames
 from hil.core.fields import Fields, record_dtype
 from hil.fmi.archive import FmuError
 from hil.fmi.description import FmiVariable, ModelDescription

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.fmu_mapping import FmuMapping
+from hil.config.tables.fmu_mapping import FmuMapping
 from hil.core.fields import Fields, record_dtype
 from hil.fmi.archive import FmuError
 from hil.fmi.binary import OK, WARNING, Fmu, status_text

@@ -36,9 +36,6 @@ ALONG, ACROSS, ATTITUDE = range(3)
 GO, DEVIATION, HEALTH, LEVEL, ENCODERS, UNBOUNDED, FIRING = range(7)
 """What an estimate lacks for a go, GO if nothing; UNBOUNDED: a protection level exceeds its alert limit; FIRING: the
 smallest firing about an axis is too large for the required rate."""
-LEVEL_TERMS = 5
-"""Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
-bound of the second sensor."""
 BREAK = np.dtype([("value", "f8"), ("limit", "f8")], align=True)
 """Value of a quantity that has broken its limit, and the limit."""
 

@@ -19,10 +19,11 @@ change of rate d that the valves can fire (docs/explanation/control.md derives t
   The brake of an abort has no noise in it.
 - burn: against s back to the edge of the dead band, and one smallest burn.
 
-The reference's acceleration is fed forward, with what axes of H that rotate ask beyond it (``hil.gnc.body_frame``):
-the change of rate that it requires over the coming period is fired in one burn, unless that is less than half a
-smallest one. The part required and not yet fired, or fired ahead, is the pending delta-v (``owed`` in COMMAND); the
-rate error is taken against the reference's rate without it, so feedback never fires the same change again.
+The reference's acceleration is fed forward, with what axes of H that rotate ask beyond it
+(``hil.gnc.estimation.body_frame``): the change of rate that it requires over the coming period is fired in one burn,
+unless that is less than half a smallest one. The part required and not yet fired, or fired ahead, is the pending
+delta-v (``owed`` in COMMAND); the rate error is taken against the reference's rate without it, so feedback never fires
+the same change again.
 """
 
 from __future__ import annotations

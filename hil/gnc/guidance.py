@@ -16,9 +16,9 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
+from hil.gnc.estimation.target_orbit import TARGET_ORBIT
 from hil.gnc.guidance_transfer import TRANSFER_PLAN, least_drift_range, on_transfer, plan_transfer
 from hil.gnc.impulses import TRANSFER_WORK, size_of
-from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths import quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.profile import along_line, duration

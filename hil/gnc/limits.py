@@ -18,7 +18,8 @@ from hil.core.gnc_records import GncHealth
 from hil.core.jit import kernel
 from hil.core.messages import MAX_PHASES
 from hil.gnc import approach_monitor
-from hil.gnc.approach_monitor import ACROSS, LEVEL_TERMS, NOT_ABORTED
+from hil.gnc.approach_monitor import ACROSS, NOT_ABORTED
+from hil.gnc.estimation.integrity import LEVEL_TERMS
 from hil.gnc.reactions import HOLD
 
 CORRIDOR, CLOSING, LEVEL, ERROR, CORRIDOR_SEEN, CLOSING_SEEN, VISION_AGE, TRACKING = 0, 1, 2, 5, 8, 9, 10, 11

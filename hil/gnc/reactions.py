@@ -18,11 +18,11 @@ from hil.gnc.approach_monitor import (
     CORRIDOR,
     FIRST_HEALTH_CAUSE,
     HELD_TOO_LONG,
-    LEVEL_TERMS,
     NOT_ABORTED,
     SENSOR_SUSPECT,
     UNPROTECTED,
 )
+from hil.gnc.estimation.integrity import LEVEL_TERMS
 
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 8

@@ -14,24 +14,14 @@ from hil.core.backend_records import MAX_SETTINGS
 from hil.core.gnc_records import GncHealth, GncOrder
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
-from hil.gnc import (
-    allocation,
-    approach_monitor,
-    backend_step,
-    body_frame,
-    control,
-    guidance,
-    navigation,
-    reactions,
-    target_motion,
-    thruster_monitor,
-)
+from hil.gnc import allocation, approach_monitor, backend_step, control, guidance, reactions, thruster_monitor
 from hil.gnc.allocation import ROWS
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS, GO_CHECK, NOT_ABORTED
 from hil.gnc.backend_step import BACKENDS
 from hil.gnc.control import CONTROL_PARAMS, FEED_FORWARD
+from hil.gnc.estimation import body_frame, navigation, target_motion
+from hil.gnc.estimation.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.guidance import GUIDANCE_PARAMS, GUIDANCE_STATE
-from hil.gnc.navigation import NAVIGATION_PARAMS, NAVIGATION_STATE
 from hil.gnc.reactions import REACTION_PARAMS, REACTION_STATE
 from hil.gnc.thruster_monitor import DEAD, NO_FAULT, THRUSTER_MONITOR_PARAMS, THRUSTER_MONITOR_STATE
 from hil.maths import quat, stack

@@ -11,7 +11,7 @@ from hil.core.gnc_records import GncMode
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
 from hil.gnc import guidance, step
-from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc.step import APPROACH_PROGRESS
 from hil.gnc_backends.approach_events import ApproachEventLog
 

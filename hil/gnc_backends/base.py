@@ -10,7 +10,7 @@ import numpy as np
 from hil.core.gnc_records import GncMode
 from hil.core.messages import Array, Event
 from hil.core.observable import ObservableList
-from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc.estimation.filter_monitor import FilterMonitor
 
 
 class Poses(Protocol):

@@ -17,10 +17,11 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array, Event, new
 from hil.core.observable import ObservableList
 from hil.errors import DeviceError
-from hil.gnc import backend_step, navigation, step, thruster_monitor
-from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc import backend_step, step, thruster_monitor
+from hil.gnc.estimation import navigation
+from hil.gnc.estimation.filter_monitor import FilterMonitor
+from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.step import GNC_STATE
-from hil.gnc.step_memory import new_memory
 from hil.gnc_backends.approach import Approach
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.backend import PARTS, BackendInstance, Backends, failure_of

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.config.flight_computer import FlightComputer
+from hil.config.tables.flight_computer import FlightComputer
 from hil.core.messages import MAX_THRUSTERS
 from hil.drivers.command_words.receiver import NAME, CommandWordReceiver, PoseForwarder
 from hil.errors import LinkTimeout

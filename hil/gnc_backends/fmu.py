@@ -11,9 +11,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from hil.config.fmu_mapping import FmuMapping
 from hil.config.load import load_fmu_mapping
 from hil.config.scenario import GncConfig
+from hil.config.tables.fmu_mapping import FmuMapping
 from hil.core.backend_records import (
     CONTROL_INPUT_FIELDS,
     CONTROL_OUTPUT_FIELDS,

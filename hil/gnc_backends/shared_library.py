@@ -17,7 +17,7 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import new
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError, ProtocolError
-from hil.gnc.step_memory import new_memory
+from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc_backends import external_records
 from hil.gnc_backends.backend import BackendInstance
 from hil.gnc_backends.base import Poses, Records

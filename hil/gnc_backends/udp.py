@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.host import GncLink
+from hil.config.tables.host import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
 from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.core.observable import ObservableList
@@ -23,8 +23,8 @@ from hil.frmn.link import Link
 from hil.frmn.mailboxes import IMU_SAMPLES, IMU_SAMPLES_MAX, Role
 from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
-from hil.gnc import navigation
-from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc.estimation import navigation
+from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends import external_records, udp_records
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc

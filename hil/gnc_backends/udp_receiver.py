@@ -17,9 +17,9 @@ from hil.core.messages import IMU, TRUTH, new
 from hil.errors import DeviceError
 from hil.frmn.link import Arrival, Link
 from hil.frmn.mailboxes import GNC_FILTERS, GNC_FLIGHT
-from hil.gnc import navigation
-from hil.gnc.error_state import FILTERS
-from hil.gnc.target_orbit import TARGET_ORBIT
+from hil.gnc.estimation import navigation
+from hil.gnc.estimation.error_state import FILTERS
+from hil.gnc.estimation.target_orbit import TARGET_ORBIT
 from hil.gnc_backends import udp_records
 from hil.gnc_backends.external import printable
 

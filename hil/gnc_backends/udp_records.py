@@ -6,8 +6,8 @@ import numpy as np
 
 from hil.core.gnc_records import GncState
 from hil.core.jit import kernel
-from hil.gnc import joint_filter
-from hil.gnc.error_state import ROTATION, R
+from hil.gnc.estimation import joint_filter
+from hil.gnc.estimation.error_state import ROTATION, R
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.maths.record_view import copy_record
 from hil.sensors.vision_unit.pose import read_sent

@@ -22,7 +22,7 @@ from hil.dynamics.imu import IMU_PARAMS
 from hil.dynamics.imu_faults import IMU_MEMORY
 from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
-from hil.gnc import integrity, navigation, sensor_witness
+from hil.gnc.estimation import integrity, navigation, sensor_witness
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
 from hil.gnc_backends.library_kernel import LIBRARY
 from hil.loop.compiled.run_stats import RUN_STATS_PARAMS

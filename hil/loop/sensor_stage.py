@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
-from hil.config.sensors import device_of
+from hil.config.tables.sensors import device_of
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array
 from hil.core.sensor_records import SENSOR_ARRIVAL

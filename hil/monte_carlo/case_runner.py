@@ -20,7 +20,7 @@ from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, BenchError, LinkTimeout, SafetyTrip
-from hil.gnc.step_memory import new_memory
+from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.builtin import OpenBackends

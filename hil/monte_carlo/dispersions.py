@@ -20,10 +20,10 @@ import numpy as np
 import scipy  # its parts are imported when they are used
 from scipy.special import ndtr, ndtri
 
-from hil.config.dispersions import TABLES, FaultDispersion, Number, Spread
-from hil.config.faults import AXES
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
+from hil.config.tables.dispersions import TABLES, FaultDispersion, Number, Spread
+from hil.config.tables.faults import AXES
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 from hil.maths.random_streams import MixedSeed, noise_source

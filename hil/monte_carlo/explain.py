@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.units import UNITS, split
+from hil.config.tables.units import UNITS, split
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
 from hil.errors import BadInput, one_line
 from hil.gnc.decision_verdict import ACCUSED

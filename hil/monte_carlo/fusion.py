@@ -15,9 +15,9 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
 from hil.errors import BadInput, Problem
-from hil.gnc.fusion import FUSION_STATE
+from hil.gnc.estimation.fusion import FUSION_STATE
+from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
-from hil.gnc.step_memory import new_memory
 from hil.models.faults import SEED_BITS
 from hil.monte_carlo import fusion_kernel
 from hil.monte_carlo.fusion_interval import AxisProblem, degrees_of_freedom, largest_ratio

@@ -14,11 +14,12 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.dynamics import imu as imu_kernels
 from hil.dynamics.truth import rate_against_hill
-from hil.gnc import akf, fusion, guidance
-from hil.gnc.error_state import BIAS, DRIFT, FILTER_ERRORS, ROTATION, R, V
-from hil.gnc.navigation import normalised_errors
-from hil.gnc.sensor_innovation import innovate
-from hil.gnc.step_memory import step_at
+from hil.gnc import guidance
+from hil.gnc.estimation import akf, fusion
+from hil.gnc.estimation.error_state import BIAS, DRIFT, FILTER_ERRORS, ROTATION, R, V
+from hil.gnc.estimation.navigation import normalised_errors
+from hil.gnc.estimation.sensor_innovation import innovate
+from hil.gnc.estimation.step_memory import step_at
 from hil.maths import quat
 from hil.maths.arrays import copy_into
 from hil.sensors.measurement import deliver, is_any_due, measure

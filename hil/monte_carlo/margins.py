@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.scenario import Scenario
+from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.loop.runner import COMPLETED
 from hil.monte_carlo.campaign import CampaignJob
 from hil.monte_carlo.engines import Engine

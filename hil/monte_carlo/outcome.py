@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.required_parts import PART_COLUMNS
 from hil.config.scenario import Scenario
+from hil.config.tables.required_parts import PART_COLUMNS
 from hil.core.messages import Array
 from hil.gnc.decision_verdict import ACCUSED
 from hil.gnc.limits import CLOSING, CORRIDOR

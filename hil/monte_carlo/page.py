@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.required_parts import PART_COLUMNS
+from hil.config.tables.required_parts import PART_COLUMNS
 from hil.core.files import MIB, parse_json, read_text
 from hil.errors import BadInput, one_line
 from hil.monte_carlo.explain import Cases, dispersed_names, explain

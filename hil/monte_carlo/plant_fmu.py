@@ -18,9 +18,9 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 
-from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.docking_monitor import DockingMonitorConfig
 from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GncState
 from hil.core.kernel_library import whole_module

@@ -12,10 +12,10 @@ from hil.bench.guard import GUARD
 from hil.bench.keep_out import KEEP_OUT_ZONE
 from hil.bench.kinematics import BENCH_PARAMS
 from hil.bench.manipulator import MANIPULATOR
-from hil.config.bench_scale import FULL_SCALE, BenchScale
-from hil.config.guard import BenchBody, SpacecraftBody
 from hil.config.rig import BenchAxis, Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
+from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.core.messages import new
 from hil.models.bodies import BODIES
 

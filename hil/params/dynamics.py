@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.config.body import CentralBody
 from hil.config.load import load_body
 from hil.config.scenario import Scenario
-from hil.config.truth import BendingMode, Orbit, SolarArray
+from hil.config.tables.body import CentralBody
+from hil.config.tables.truth import BendingMode, Orbit, SolarArray
 from hil.core.messages import TRUTH, Array, new
 from hil.dynamics import gravity_file, orbit
 from hil.dynamics.central_gravity import acceleration, field_table

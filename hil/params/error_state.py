@@ -10,7 +10,7 @@ import numpy as np
 from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array, new
 from hil.errors import BadInput
-from hil.gnc.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
+from hil.gnc.estimation.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
 from hil.params.sensors import SensorErrorState, error_states
 
 

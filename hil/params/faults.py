@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.faults import TERMS, TimedFault
-from hil.config.model import Triple
 from hil.config.scenario import Scenario
+from hil.config.tables.faults import TERMS, TimedFault
+from hil.config.tables.model import Triple
 from hil.core.messages import Array, new
 from hil.dynamics import imu_faults, target_faults, thruster_faults
 from hil.dynamics.imu_errors import IMU_ERRORS

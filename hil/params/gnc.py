@@ -21,15 +21,15 @@ from hil.gnc.allocation import (
 )
 from hil.gnc.approach_monitor import APPROACH_MONITOR_PARAMS
 from hil.gnc.control import CONTROL_PARAMS
+from hil.gnc.estimation.integrity import INTEGRITY_PARAMS
+from hil.gnc.estimation.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
+from hil.gnc.estimation.target_orbit import TARGET_ORBIT
+from hil.gnc.estimation.thrust_model import JUMP_NIS, JUMP_WINDOWS, THRUST_PARAMS
+from hil.gnc.estimation.torque_witness import STAGES, TORQUE_PARAMS
 from hil.gnc.guidance import APPROACH, ARC, FINAL, GUIDANCE_PARAMS, HOLD, LINE, RETREAT, SLEW, TRANSFER, WAIT
-from hil.gnc.integrity import INTEGRITY_PARAMS
-from hil.gnc.navigation import NAVIGATION_PARAMS, VISION_ALONE, VISION_AND_IMU
 from hil.gnc.reactions import REACTION_PARAMS
 from hil.gnc.step import GNC_PARAMS
-from hil.gnc.target_orbit import TARGET_ORBIT
-from hil.gnc.thrust_model import JUMP_NIS, JUMP_WINDOWS, THRUST_PARAMS
 from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
-from hil.gnc.torque_witness import STAGES, TORQUE_PARAMS
 from hil.maths import chi_square, euler, quat
 from hil.maths.kepler import mean_anomaly
 from hil.params.bench import bodies as bodies_on

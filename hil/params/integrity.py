@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.config.faults import TimedFault
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.faults import TimedFault
 from hil.core.messages import new
 from hil.gnc.integrity_verdict import INTEGRITY_PARAMS
 from hil.params import bench as bench_params

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.load import load_scene
 from hil.config.rig import BenchGeometry
 from hil.config.scenario import Scenario
-from hil.config.sensors import SensorConfig
+from hil.config.tables.docking_monitor import DockingMonitorConfig
+from hil.config.tables.sensors import SensorConfig
 from hil.core.messages import new
 from hil.maths import quat
 from hil.sensors.mounting import MOUNTING

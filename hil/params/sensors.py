@@ -8,10 +8,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.config.sensors import SensorConfig
+from hil.config.tables.sensors import SensorConfig
 from hil.core.messages import Array, new
 from hil.core.sensor_records import MAX_SENSORS, SENSOR_ERRORS_MAX
-from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
+from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.maths import chi_square, quat
 from hil.models.faults import NUMBER, SEED_BITS, VALUE
 from hil.params.dynamics import sun_direction

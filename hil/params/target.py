@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.config.target import MovingTarget
+from hil.config.tables.target import MovingTarget
 from hil.core.messages import Array, new
 from hil.dynamics.target_attitude import (
     ALIGNED,

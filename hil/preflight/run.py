@@ -12,10 +12,10 @@ from hil.checks.clock import ptp_problem
 from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
 from hil.checks.signed_record import MEASURED_S, proof_gap
 from hil.checks.truth import check_truth
-from hil.config.host import ClockConfig
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.host import ClockConfig
 from hil.drivers.ptp import read_status
 from hil.errors import DeviceError
 from hil.preflight import lateness

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.cameras import CameraSettings
+from hil.config.tables.cameras import CameraSettings
 from hil.core.child_process import Message, Parent
 from hil.core.clock import WallClock
 from hil.core.realtime import drop_priority, take_fifo

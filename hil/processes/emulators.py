@@ -9,9 +9,9 @@ import math
 import threading
 from typing import Protocol
 
-from hil.config.driver_registry import DeviceTable
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.driver_registry import DeviceTable
 from hil.core.child_process import Message, Service, serve
 from hil.core.clock import WallClock, clock_of
 from hil.core.realtime import speed_held, take_fifo

@@ -42,7 +42,7 @@ def _compile_stages() -> None:
 
 
 def _compile_gnc() -> None:
-    from hil.gnc import navigation
+    from hil.gnc.estimation import navigation
     from hil.loop.core_memory import CycleData
 
     gnc = make_gnc(load_scenario("scheme-1").value)

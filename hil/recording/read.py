@@ -20,9 +20,9 @@ from mcap.records import Attachment, Channel, Chunk, DataEnd, McapRecord, Messag
 from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
-from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.model import ConfigModel
 from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE

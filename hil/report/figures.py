@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
-from hil.gnc.approach_monitor import LEVEL_TERMS
-from hil.gnc.filter_monitor import WINDOWS, nis_band
+from hil.gnc.estimation.filter_monitor import WINDOWS, nis_band
+from hil.gnc.estimation.integrity import LEVEL_TERMS
 from hil.gnc.integrity_verdict import stanford
 from hil.loop.overrun_monitor import lateness_histogram
 from hil.params import integrity as integrity_params

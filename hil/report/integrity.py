@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.faults import TimedFault
 from hil.config.scenario import REACTION_NAMES, Scenario
+from hil.config.tables.faults import TimedFault
 from hil.gnc.integrity_verdict import MONITOR_DISAGREES
 from hil.maths import chi_square
 from hil.maths.limits import finite_or_none

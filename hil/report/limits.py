@@ -13,9 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.rig import BENCH_AXES
 from hil.config.scenario import Scenario
+from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.core.gnc_records import GncHealth
 from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, ORDERED, SENSOR_SUSPECT
 from hil.gnc.ready_phase import DEVIATIONS

@@ -10,10 +10,10 @@ import numpy as np
 
 from hil.checks.compatibility import sign_off_gap
 from hil.checks.waivers import waivers
-from hil.config.faults import TimedFault
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.sign_off import SignOff
+from hil.config.tables.faults import TimedFault
+from hil.config.tables.sign_off import SignOff
 from hil.core.build_info import build_info
 from hil.core.messages import Event
 from hil.gnc.control import rule_of

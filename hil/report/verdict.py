@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.config.model import Triple
-from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.scenario import Requirements, Scenario
+from hil.config.tables.model import Triple
+from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.core.messages import Array
 from hil.gnc import ready_phase
 from hil.loop.runner import COMPLETED

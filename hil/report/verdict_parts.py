@@ -26,7 +26,7 @@ import numpy as np
 from hil.bench.field_of_view import view_margins
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.truth import Orbit
+from hil.config.tables.truth import Orbit
 from hil.core.messages import Array, new
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.gnc.allocation import AXES_OF_A_BODY

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
 from hil.core.observable import ObservableList
-from hil.gnc.filter_monitor import FilterCondition
+from hil.gnc.estimation.filter_monitor import FilterCondition
 from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog
 
 

@@ -12,16 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
 
-from hil.config.faults import TERMS
-from hil.config.sensors import SensorConfig
+from hil.config.tables.faults import TERMS
+from hil.config.tables.sensors import SensorConfig
 from hil.core.line_protocol import LineProtocol
 from hil.core.sensor_records import COMPONENTS_MAX, SENSOR_ERRORS_MAX
 from hil.core.settings import Setting, checked_settings
 
 FAMILY: Final = "sensor"
-"""Family of the faults of sensors (``hil.config.faults``)."""
+"""Family of the faults of sensors (``hil.config.tables.faults``)."""
 COMMON: Final = ("name", *SensorConfig.model_fields)
-"""Keys that every sensor has (``hil.config.sensors``)."""
+"""Keys that every sensor has (``hil.config.tables.sensors``)."""
 FUSED_FAULTS: Final = {
     "no_sample": "no measurement: known at once; nothing is unseen",
     "frozen": "gate and CUSUM of the innovations once the chaser has moved by sigmas",

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
-from hil.config.sensors import SensorConfig
+from hil.config.tables.sensors import SensorConfig
 from hil.core.own_code import import_error, module_of_file
 from hil.core.sensor_records import ERROR_STATES_MAX
 from hil.core.settings import Setting

@@ -29,7 +29,7 @@ from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
 from hil.errors import BadInput, Problem
 from hil.frmn.ring import NoTelemetry, Telemetry
-from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.base import GncBackend

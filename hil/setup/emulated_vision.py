@@ -15,7 +15,7 @@ from hil.bench.manipulator import relative_axes
 from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.sensors import device_of
+from hil.config.tables.sensors import device_of
 from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record

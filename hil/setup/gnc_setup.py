@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.host import GncLink
 from hil.config.scenario import Scenario
+from hil.config.tables.host import GncLink
 from hil.core.gnc_records import GNC_SETUP
 from hil.core.messages import new
 from hil.frmn.link import Link
 from hil.frmn.mirror import Mirror
-from hil.gnc.filter_monitor import FilterMonitor
+from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.external import BackendSetup
 from hil.gnc_backends.udp import UdpGnc

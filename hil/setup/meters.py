@@ -11,9 +11,9 @@ import numpy as np
 
 from hil.bench.field_of_view import camera_errors
 from hil.bench.manipulator import relative_axes
-from hil.config.bench_scale import FULL_SCALE, BenchScale
-from hil.config.host import ClockConfig
 from hil.config.rig import Rig
+from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
+from hil.config.tables.host import ClockConfig
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE
 from hil.drivers.base import AxisGroup, CountsExchanges

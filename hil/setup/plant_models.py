@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.config.fmu_mapping import FmuMapping
 from hil.config.load import Loaded, load_fmu_mapping
 from hil.config.scenario import Scenario
+from hil.config.tables.fmu_mapping import FmuMapping
 from hil.errors import BadInput
 from hil.fmi.archive import FmuError
 from hil.fmi.plant_model import ModelSource, PlantModel

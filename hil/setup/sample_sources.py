@@ -21,7 +21,7 @@ import numpy as np
 
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.sensors import SensorConfig, device_of
+from hil.config.tables.sensors import SensorConfig, device_of
 from hil.core.clock import BenchClock
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.drivers.line_sensor.driver import LineSensor, LineSettings

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from pydantic import Field, ValidationError
 
-from hil.config.model import ConfigModel, Positive
+from hil.config.tables.model import ConfigModel, Positive
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem

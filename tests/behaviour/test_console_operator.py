@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.host import OnLoss
 from hil.config.load import load_scenario
+from hil.config.tables.host import OnLoss
 from hil.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.console.status import CELLS, MODES, empty_status, status_of
 from hil.core.clock import SimulatedClock

@@ -15,7 +15,7 @@ import pytest
 
 from hil.cameras.aid_server import AidServer
 from hil.cli.main import execute
-from hil.config.cameras import VisionCameras
+from hil.config.tables.cameras import VisionCameras
 from hil.drivers.cameras.base import Camera, CameraFrame, to_8_bits
 from hil.drivers.cameras.emulator import CameraEmulator
 from hil.drivers.cameras.interfaces import open_camera

@@ -18,7 +18,7 @@ from pymodbus.exceptions import ConnectionException
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.clock import WallClock
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io.codec import Function, LineMap

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.rail_map import RailMap
 from hil.config.rig import Rails
+from hil.config.tables.rail_map import RailMap
 from hil.core.clock import WallClock
 from hil.drivers import loop_thread
 from hil.drivers.base import AxisGroup

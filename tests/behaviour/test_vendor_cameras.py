@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.config.cameras import VisionCameras
+from hil.config.tables.cameras import VisionCameras
 from hil.drivers.cameras.base import Camera
 from hil.drivers.cameras.gentl import PATH
 from hil.drivers.cameras.interfaces import list_cameras, open_camera

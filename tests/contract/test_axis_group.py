@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.faults import ErrorTerm
 from hil.config.load import load_rig
 from hil.config.rig import (
     LINEAR_NAMES,
@@ -28,6 +27,7 @@ from hil.config.rig import (
     Rails,
     Turntable,
 )
+from hil.config.tables.faults import ErrorTerm
 from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.core.messages import Homing
 from hil.drivers.axes import ServoAxes

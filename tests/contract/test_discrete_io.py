@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.clock import Order, SimulatedClock
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo

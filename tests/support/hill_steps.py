@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.messages import new
-from hil.gnc.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
+from hil.gnc.estimation.target_orbit import HILL_STEP, TARGET_ORBIT, move_hill_frame
 
 
 def on_circle(rate: float, dt_s: float) -> np.record:

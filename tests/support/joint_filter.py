@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.core.messages import new
-from hil.gnc import joint_filter, pose_model
-from hil.gnc.error_state import FILTERS, INNOVATION, NOISE_FACTOR
-from hil.gnc.step_memory import STEP
+from hil.gnc.estimation import joint_filter, pose_model
+from hil.gnc.estimation.error_state import FILTERS, INNOVATION, NOISE_FACTOR
+from hil.gnc.estimation.step_memory import STEP
 
 NO_FORCE = np.zeros(3)
 

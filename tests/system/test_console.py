@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import BAD_INPUT, PASSED, execute
-from hil.config.required_parts import PART_COLUMNS
+from hil.config.tables.required_parts import PART_COLUMNS
 from hil.console.serve import is_loopback
 from hil.console.session import Choice
 from hil.console.session_process import SessionProcess

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.faults import RESPONSES, TERMS
 from hil.config.load import load_rig, load_scenario
+from hil.config.tables.faults import RESPONSES, TERMS
 from hil.core.messages import Array
 from hil.maths import quat
 from hil.monte_carlo.case_runner import COMPLETED, CaseRunner

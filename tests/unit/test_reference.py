@@ -9,11 +9,11 @@ from pydantic import BaseModel
 from docs import generate
 from hil.cli.main import COMMANDS, GROUPS
 from hil.config import key_reference
-from hil.config.model import ConfigModel
 from hil.config.protocol import Protocol
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.tables.model import ConfigModel
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.modes import Mode

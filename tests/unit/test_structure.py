@@ -50,6 +50,22 @@ def test_layers_are_few() -> None:
     assert len(layers()) <= LAYERS_MOST
 
 
+@pytest.mark.parametrize("inner", ["config/tables", "gnc/estimation"])
+def test_an_inner_package_imports_none_of_its_outer_one(inner: str, trees: dict[str, ast.Module]) -> None:
+    outer = f"hil.{inner.split('/')[0]}"
+    own = f"hil.{inner.replace('/', '.')}"
+    imported = {
+        name
+        for module, tree in trees.items()
+        if module.startswith(f"{inner}/")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module
+        for name in [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    }
+    assert imported
+    assert [name for name in imported if name.startswith(f"{outer}.") and not name.startswith(own)] == []
+
+
 def test_class_names_are_unique(trees: dict[str, ast.Module]) -> None:
     names = Counter(node.name for tree in trees.values() for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
     assert [name for name, count in names.items() if count > 1] == []

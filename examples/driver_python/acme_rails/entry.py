@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hil.config.driver_registry import DriverEntry, WireKey
-from hil.config.model import ConfigModel
 from hil.config.rig import Rails
+from hil.config.tables.driver_registry import DriverEntry, WireKey
+from hil.config.tables.model import ConfigModel
 
 
 class AcmeSettings(ConfigModel):

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from hil.config.cameras import CameraInterface, CameraSettings, PixelFormat
+from hil.config.tables.cameras import CameraInterface, CameraSettings, PixelFormat
 from hil.errors import DeviceError
 
 SHUTTER: Final = "SensorShutterMode"

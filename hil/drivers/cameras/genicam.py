@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.cameras import CameraSettings
+from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, SHUTTER, CameraFrame, CameraInfo, check_size, to_8_bits
 from hil.drivers.cameras.libaravis import AravisError, aravis
 from hil.errors import DeviceError, LinkLost

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.config.cameras import CameraSettings
+from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import BITS, CameraFrame, CameraInfo, check_size, to_8_bits
 from hil.drivers.cameras.node_map import NodeMap, link_lost, reason, vendor_module
 from hil.errors import DeviceError, LinkLost

@@ -6,7 +6,7 @@ import importlib
 import importlib.util
 from typing import Any, Final
 
-from hil.config.cameras import CameraInterface, CameraSettings
+from hil.config.tables.cameras import CameraInterface, CameraSettings
 from hil.drivers.cameras.base import Camera, CameraInfo, CameraType
 from hil.drivers.cameras.genicam import found_cameras
 from hil.drivers.cameras.v4l2 import found_devices

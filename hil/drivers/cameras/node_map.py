@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
-from hil.config.cameras import CameraSettings
+from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import SHUTTER, check_size
 from hil.errors import DeviceError, LinkLost
 

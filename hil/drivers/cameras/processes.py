@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from hil.config.cameras import CameraSettings
 from hil.config.rig import Vmu
+from hil.config.tables.cameras import CameraSettings
 from hil.core.child_process import ChildProcess, Message
 from hil.core.clock import WallClock
 from hil.drivers.cameras.base import SIDES

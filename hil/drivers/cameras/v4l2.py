@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.config.cameras import CameraSettings
+from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.base import CameraFrame, CameraInfo, check_size
 from hil.errors import DeviceError, LinkLost
 

@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 import serial
 
-from hil.config.flight_computer import FlightComputer, WordsLine
+from hil.config.tables.flight_computer import FlightComputer, WordsLine
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Final
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 
 MAX_READ: Final = 2000  # bits of one request
 MAX_WRITE: Final = 1968

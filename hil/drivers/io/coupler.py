@@ -13,7 +13,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.clock import BenchClock
 from hil.drivers.io import NAME
 from hil.drivers.io.codec import Function, LineMap

@@ -12,7 +12,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from typing import Final
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.clock import BenchClock, Order
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME

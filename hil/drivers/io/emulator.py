@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 from typing import Final
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.clock import BenchClock
 from hil.drivers.fault_injection import Faults, FaultyWire
 from hil.drivers.io import NAME

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.config.driver_registry import DriverEntry, WireKey
+from hil.config.tables.driver_registry import DriverEntry, WireKey
 
 ENTRY: Final = DriverEntry(
     "io",

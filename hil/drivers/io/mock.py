@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io import NAME
 from hil.drivers.io.relay import HoldingBrakes, SafetyRelay

@@ -1,6 +1,6 @@
 """Register map of a rail drive: numbers in SI on one side, Modbus holding registers on the other.
 
-Registers and formats are configured by ``hil/config/rail_map.py``; a rig file may replace any of them. The default,
+Registers and formats are those of ``hil.config.tables.rail_map``; a rig file may replace any of them. The default,
 also of the emulated drives:
 
 ======= ======= ====== ========== ================================================================
@@ -38,7 +38,7 @@ from dataclasses import dataclass
 from enum import IntFlag
 from typing import Final
 
-from hil.config.rail_map import WORDS, AnyRegister, NumberType, RailMap, counts_per_si, span
+from hil.config.tables.rail_map import WORDS, AnyRegister, NumberType, RailMap, counts_per_si, span
 from hil.drivers.rails.frames import WRITE_ONE
 from hil.errors import FaultKind
 

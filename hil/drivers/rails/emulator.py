@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from typing import Any, Final
 
-from hil.config.rail_wires import ModbusRtu
 from hil.config.rig import LinearAxes
+from hil.config.tables.rail_wires import ModbusRtu
 from hil.core.clock import BenchClock
 from hil.drivers.emulated_axes import STEP_S, EmulatedAxes, ReadChain
 from hil.drivers.fault_injection import FaultyChannel, FaultyWire

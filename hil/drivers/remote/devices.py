@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hil.config.io import Io
 from hil.config.rig import AxisGroupTable, Vmu
+from hil.config.tables.io import Io
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
 from hil.drivers.axes import SetpointLimits

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.config.cameras import VisionCameras
-from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.load import load_frame
 from hil.config.rig import Vmu, VmuLine
+from hil.config.tables.cameras import VisionCameras
+from hil.config.tables.driver_registry import DriverEntry, WireKey
 from hil.errors import BadInput
 
 _BITS_PER_BYTE: Final = 10

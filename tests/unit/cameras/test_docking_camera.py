@@ -7,10 +7,10 @@ import pytest
 
 from hil.cameras.docking import EncoderTrack, RenderedCamera, view
 from hil.checks.compatibility import axes_at, check_monitor
-from hil.config.docking_monitor import DockingMonitorConfig
 from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.docking_monitor import DockingMonitorConfig
 from hil.core.messages import CYCLE
 from hil.maths import euler
 from hil.params import bench as bench_params

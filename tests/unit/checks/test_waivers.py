@@ -22,10 +22,10 @@ from hil.checks.compatibility import check_scenario_limits
 from hil.checks.waivers import Waiver, waivers
 from hil.cli.main import execute
 from hil.config.key_reference import all_keys
-from hil.config.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess, values
 from hil.config.load import load_rig, load_scenario, shipped
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess, values
 from hil.console.live_view import Client
 from hil.console.service import OPEN_QUESTION, ConsoleService
 from hil.console.session import Choice

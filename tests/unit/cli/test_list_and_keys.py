@@ -9,7 +9,7 @@ import pytest
 from hil.cli.main import execute
 from hil.config.key_reference import all_keys
 from hil.config.load import load_rig, load_scenario, shipped
-from hil.config.units import converted, split
+from hil.config.tables.units import converted, split
 from hil.errors import BadInput
 
 

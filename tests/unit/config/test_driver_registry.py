@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from hil.config import driver_registry
-from hil.config.driver_registry import driver_entry
 from hil.config.load import load_rig
 from hil.config.rig import Rig
+from hil.config.tables import driver_registry
+from hil.config.tables.driver_registry import driver_entry
 from hil.errors import BadInput
 
 ENTRY = """
-from hil.config.driver_registry import DriverEntry, WireKey
-from hil.config.model import ConfigModel
+from hil.config.tables.driver_registry import DriverEntry, WireKey
+from hil.config.tables.model import ConfigModel
 
 class Settings(ConfigModel):
     port: str | None = None

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.config.faults import RESPONSES, TERMS
 from hil.config.load import load_rig, load_scenario
+from hil.config.tables.faults import RESPONSES, TERMS
 from hil.errors import BadInput
 from hil.params.faults import CODES
 from hil.session.build import Job, check

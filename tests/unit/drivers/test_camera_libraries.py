@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from hil.config.cameras import CameraSettings
+from hil.config.tables.cameras import CameraSettings
 from hil.drivers.cameras.interfaces import open_camera
 from hil.errors import DeviceError
 

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.checks.compatibility import check_flight_computer
-from hil.config.flight_computer import FlightComputer, WordsCan, WordsLine
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
+from hil.config.tables.flight_computer import FlightComputer, WordsCan, WordsLine
 from hil.core.messages import MAX_POSES, POSE, PoseFrame
 from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can, encode, encode_can
 from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder

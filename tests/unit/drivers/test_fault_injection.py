@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from hil.config.faults import EMULATED
+from hil.config.tables.faults import EMULATED
 from hil.drivers.fault_injection import ControlPort, FaultControl, Faults, FaultyWire
 
 PACKET = bytes(range(32))

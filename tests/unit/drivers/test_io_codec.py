@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.drivers.io.codec import Image, LineMap, respond, runs
 
 

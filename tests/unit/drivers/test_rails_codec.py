@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.config.rail_map import RailMap
+from hil.config.tables.rail_map import RailMap
 from hil.drivers.rails.codec import (
     Command,
     ControlFlags,

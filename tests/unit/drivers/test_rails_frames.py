@@ -10,7 +10,7 @@ import pytest
 from pymodbus.framer import FramerRTU
 
 from hil.config.load import load_rig
-from hil.config.rail_map import RailMap
+from hil.config.tables.rail_map import RailMap
 from hil.drivers.rails.codec import DriveIdentity, RegisterMap, State, Status
 from hil.drivers.rails.frames import (
     READ,

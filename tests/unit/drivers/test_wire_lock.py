@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.config.driver_registry import Wire
 from hil.config.load import load_rig
 from hil.config.rig import Rig
+from hil.config.tables.driver_registry import Wire
 from hil.drivers import wire_lock
 from hil.errors import BadInput
 

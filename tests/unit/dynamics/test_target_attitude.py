@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hil.config.load import load_scenario
-from hil.config.target import MovingTarget
+from hil.config.tables.target import MovingTarget
 from hil.core.messages import MAX_THRUSTERS, new
 from hil.dynamics import truth as kernels
 from hil.dynamics.target_attitude import TARGET_ATTITUDE, limit_cycle, tumble

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from hil.config.scenario import Scenario
 from hil.core.messages import POSE, new
-from hil.gnc import akf
+from hil.gnc.estimation import akf
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 from tests.support.hill_steps import on_circle

@@ -6,13 +6,13 @@ import numpy as np
 
 from hil.config.load import load_scenario
 from hil.core.messages import IMU, REFERENCE, new
-from hil.gnc import body_frame, fusion, target_motion
-from hil.gnc.akf import AKF_STATE
-from hil.gnc.body_frame import AXES_STEP
-from hil.gnc.error_state import FILTER_ERRORS, FILTERS
-from hil.gnc.fusion import FUSION_STATE
-from hil.gnc.step_memory import new_memory
-from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
+from hil.gnc.estimation import body_frame, fusion, target_motion
+from hil.gnc.estimation.akf import AKF_STATE
+from hil.gnc.estimation.body_frame import AXES_STEP
+from hil.gnc.estimation.error_state import FILTER_ERRORS, FILTERS
+from hil.gnc.estimation.fusion import FUSION_STATE
+from hil.gnc.estimation.step_memory import new_memory
+from hil.gnc.estimation.target_orbit import HILL_STEP, move_hill_frame
 from hil.models.rotating_frame import frame_acceleration, tumble_rate
 from hil.params import gnc as gnc_params
 from hil.params.target import known_tumble

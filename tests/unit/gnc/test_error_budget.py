@@ -14,10 +14,10 @@ from hil.checks.compatibility import check_budget
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import IMU, POSE, Array, new
 from hil.errors import BadInput
-from hil.gnc import fusion
-from hil.gnc.error_state import FILTER_ERRORS
-from hil.gnc.step_memory import STEP, memory_steps, new_memory
-from hil.gnc.thrust_model import MEASURED, QUIET
+from hil.gnc.estimation import fusion
+from hil.gnc.estimation.error_state import FILTER_ERRORS
+from hil.gnc.estimation.step_memory import STEP, memory_steps, new_memory
+from hil.gnc.estimation.thrust_model import MEASURED, QUIET
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 from hil.sensors.mounting import camera_pose, chaser_pose

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import Event
-from hil.gnc.filter_monitor import FilterMonitor, NisMonitor, nis_band
+from hil.gnc.estimation.filter_monitor import FilterMonitor, NisMonitor, nis_band
 from hil.params import gnc as gnc_params
 from hil.safety.alarms import LOW, AlarmLog
 from hil.safety.condition_alarms import HealthAlarms

@@ -11,8 +11,8 @@ import pytest
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, new
 from hil.dynamics.hill import input_response, transition
-from hil.gnc import fusion
-from hil.gnc.step_memory import new_memory
+from hil.gnc.estimation import fusion
+from hil.gnc.estimation.step_memory import new_memory
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 

@@ -13,6 +13,7 @@ from hil.config.load import load_scenario
 from hil.core.messages import NAVIGATION, REFERENCE, new
 from hil.errors import BadInput
 from hil.gnc import guidance
+from hil.gnc.estimation.target_orbit import TARGET_ORBIT
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.guidance_transfer import (
     TRANSFER_PLAN,
@@ -21,7 +22,6 @@ from hil.gnc.guidance_transfer import (
     plan_transfer,
 )
 from hil.gnc.impulses import TRANSFER_WORK, least_impulses
-from hil.gnc.target_orbit import TARGET_ORBIT
 from hil.maths.kepler import mean_anomaly
 from hil.models.elliptic_motion import transition_into
 from hil.params import gnc as gnc_params

@@ -10,10 +10,10 @@ import pytest
 from hil.config.scenario import Scenario
 from hil.core.gnc_records import GncHealth
 from hil.core.messages import NAVIGATION, POSE, new
-from hil.gnc import integrity
-from hil.gnc.fusion import FUSION_STATE
-from hil.gnc.integrity import INTEGRITY_STATE
-from hil.gnc.sensor_fusion import SENSOR_FUSION_PARAMS
+from hil.gnc.estimation import integrity
+from hil.gnc.estimation.fusion import FUSION_STATE
+from hil.gnc.estimation.integrity import INTEGRITY_STATE
+from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.params import gnc as gnc_params
 
 

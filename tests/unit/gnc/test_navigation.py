@@ -13,11 +13,11 @@ from hil.config.load import load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, MAX_POSES, NAVIGATION, POSE, TRUTH, new
-from hil.gnc import navigation
-from hil.gnc.error_state import FILTERS
-from hil.gnc.navigation import VISION_ALONE
-from hil.gnc.step_memory import new_memory
-from hil.gnc.target_orbit import TARGET_ORBIT
+from hil.gnc.estimation import navigation
+from hil.gnc.estimation.error_state import FILTERS
+from hil.gnc.estimation.navigation import VISION_ALONE
+from hil.gnc.estimation.step_memory import new_memory
+from hil.gnc.estimation.target_orbit import TARGET_ORBIT
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 from hil.sensors.mounting import camera_pose, chaser_pose

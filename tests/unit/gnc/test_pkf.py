@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from hil.config.scenario import Scenario
 from hil.core.messages import POSE, new
-from hil.gnc import akf, joint_filter
-from hil.gnc.error_state import BIAS, ROTATION, R, V
+from hil.gnc.estimation import akf, joint_filter
+from hil.gnc.estimation.error_state import BIAS, ROTATION, R, V
 from hil.maths import quat
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params

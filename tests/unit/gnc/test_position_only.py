@@ -7,8 +7,8 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import IMU, NAVIGATION, POSE, POSITION_ONLY, UNKNOWN_ATTITUDE_RAD, new
-from hil.gnc import navigation
-from hil.gnc.step_memory import new_memory
+from hil.gnc.estimation import navigation
+from hil.gnc.estimation.step_memory import new_memory
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 

@@ -10,9 +10,9 @@ from hil.core.gnc_records import GncHealth
 from hil.core.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, SUPERVISION, new
 from hil.gnc import guidance, step
 from hil.gnc.approach_monitor import CORRIDOR, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, NOT_ABORTED, UNPROTECTED
+from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.reactions import ABORT, COAST, CONTINUE, HOLD, RETREAT
 from hil.gnc.step import APPROACH_STATE
-from hil.gnc.step_memory import new_memory
 from hil.params import gnc as gnc_params
 
 STEP_S = 0.02

@@ -8,11 +8,11 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE, IMU, TRUTH, new
 from hil.errors import BadInput
-from hil.gnc import fusion, navigation, target_motion
-from hil.gnc.error_state import FILTERS, ROTATION, R, V
-from hil.gnc.fusion import FUSION_STATE
-from hil.gnc.step_memory import new_memory
-from hil.gnc.target_orbit import HILL_STEP
+from hil.gnc.estimation import fusion, navigation, target_motion
+from hil.gnc.estimation.error_state import FILTERS, ROTATION, R, V
+from hil.gnc.estimation.fusion import FUSION_STATE
+from hil.gnc.estimation.step_memory import new_memory
+from hil.gnc.estimation.target_orbit import HILL_STEP
 from hil.maths import quat
 from hil.models.rotating_frame import tumble_rate
 from hil.monte_carlo.case_runner import CaseRunner

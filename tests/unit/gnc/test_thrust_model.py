@@ -10,10 +10,10 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import IMU, POSE, Array, new
-from hil.gnc import fusion, thrust_model
-from hil.gnc.error_state import BIAS, DRIFT
-from hil.gnc.step_memory import new_memory, step_at
-from hil.gnc.thrust_model import COMMANDED, MEASURED, QUIET, REGAINED
+from hil.gnc.estimation import fusion, thrust_model
+from hil.gnc.estimation.error_state import BIAS, DRIFT
+from hil.gnc.estimation.step_memory import new_memory, step_at
+from hil.gnc.estimation.thrust_model import COMMANDED, MEASURED, QUIET, REGAINED
 from hil.maths import quat
 from hil.params import gnc as gnc_params
 from tests.support.plain_filters import THRUST_OFF

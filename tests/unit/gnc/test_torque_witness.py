@@ -9,8 +9,8 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core.messages import new
-from hil.gnc import torque_witness
-from hil.gnc.torque_witness import TORQUE_STATE
+from hil.gnc.estimation import torque_witness
+from hil.gnc.estimation.torque_witness import TORQUE_STATE
 from hil.params.gnc import gnc as gnc_params
 
 DT_S = 0.02

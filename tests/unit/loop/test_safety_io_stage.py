@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.config.io import Io
+from hil.config.tables.io import Io
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import IoOutputs
 from hil.drivers.io.mock import MockIo

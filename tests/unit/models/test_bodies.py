@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from hil.config.guard import BenchBody, SpacecraftBody
+from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.maths import quat
 from hil.models.bodies import CLOSING, DISTANCE, PAIR, STOPPING, WHICH, clearance
 from hil.params.bench import bodies

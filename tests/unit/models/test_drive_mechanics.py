@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_rig
-from hil.config.mechanics import RailMechanics
+from hil.config.tables.mechanics import RailMechanics
 from hil.core.clock import WallClock
 from hil.drivers.axes import MechanicalAxes, ServoAxes
 from hil.drivers.emulated_axes import EmulatedAxes

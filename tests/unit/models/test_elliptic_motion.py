@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 from hil.config.scenario import Scenario
 from hil.core.messages import new
 from hil.dynamics import hill, orbit
-from hil.gnc import pkf
-from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
+from hil.gnc.estimation import pkf
+from hil.gnc.estimation.target_orbit import HILL_STEP, move_hill_frame
 from hil.maths.kepler import mean_anomaly, true_anomaly
 from hil.models import elliptic_motion
 from hil.params import gnc as gnc_params

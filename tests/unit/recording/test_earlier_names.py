@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_geometry, load_rig, load_scenario, load_scene, shipped
-from hil.config.model import ConfigModel
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.scene import Scene
+from hil.config.tables.model import ConfigModel
 from hil.config.vmu_geometry import VmuGeometry
 from hil.errors import BadInput
 from hil.recording import read

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from hil.config.load import load_scenario, shipped
-from hil.config.required_parts import PART_COLUMNS, required_parts
 from hil.config.scenario import Scenario
+from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.errors import BadInput
 from hil.monte_carlo.outcome import FLAGS
 from hil.report.table import PART_TEXTS

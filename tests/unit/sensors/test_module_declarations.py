@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.config.sensors import by_name
+from hil.config.tables.sensors import by_name
 from hil.sensors import check
 from hil.sensors.module import checked
 

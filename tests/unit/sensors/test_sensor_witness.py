@@ -8,8 +8,8 @@ import pytest
 from hil.config.load import load_scenario
 from hil.core.messages import NAVIGATION, new
 from hil.core.sensor_records import ACCEPTED, LATE, NOT_USED, REJECTED, SENSOR_SAMPLE
-from hil.gnc.sensor_fusion import SENSOR_FUSION_STATE
-from hil.gnc.sensor_witness import compare_witnesses
+from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_STATE
+from hil.gnc.estimation.sensor_witness import compare_witnesses
 from hil.maths import quat
 from hil.monitor.kernels.quantities import of_chaser
 from hil.monitor.results import QUANTITIES, Portion

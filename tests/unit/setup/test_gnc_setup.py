@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from hil.config.load import load_scenario
 from hil.core.messages import Array, new
-from hil.gnc.target_orbit import HILL_STEP, move_hill_frame
+from hil.gnc.estimation.target_orbit import HILL_STEP, move_hill_frame
 from hil.models.rotating_frame import tumble_rate
 from hil.params import gnc as gnc_params
 from hil.setup.gnc_setup import gnc_setup

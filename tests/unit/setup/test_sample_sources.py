@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.config.sensors import SensorConfig
+from hil.config.tables.sensors import SensorConfig
 from hil.errors import BadInput
 from hil.setup.sample_sources import UdpSamples
 

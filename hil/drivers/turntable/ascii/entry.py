@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.load import load_protocol
 from hil.config.rig import AsciiTurntableLine, Turntable
+from hil.config.tables.driver_registry import DriverEntry, WireKey
 
 _BITS_PER_BYTE: Final = 10
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.config.driver_registry import DriverEntry, WireKey
 from hil.config.rig import Cia402, RotaryAxes, check_ids
+from hil.config.tables.driver_registry import DriverEntry, WireKey
 
 _PDO_BITS: Final = 111  # of a data frame of 8 bytes with the space after it, without stuff bits (ISO 11898-1)
 _SYNC_BITS: Final = 47  # of one without data

@@ -1,0 +1,339 @@
+"""Registry of device drivers: the drivers that a rig file can select, and what each of them provides.
+
+A driver is described by one ``DriverEntry``. Entries of this package are listed in ``_BUILT_IN``. Entries of other
+packages are found by entry points of the group ``hil.drivers``, named ``DEVICE.DRIVER``:
+
+    [project.entry-points."hil.drivers"]
+    "rails.acme" = "acme_rails.entry:ENTRY"
+
+An entry is imported when a rig file selects its driver, its driver and emulator when one is made.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, ClassVar, Final, Literal, Self, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator, model_validator
+
+from hil.config.tables.model import ConfigModel
+from hil.errors import BadInput
+
+Device = Literal["rails", "turntable", "vmu", "io"]
+WireKind = Literal["serial", "tcp", "can", "camera", "other"]
+
+GROUP: Final = "hil.drivers"
+_PACKAGE: Final = "hil"
+_BUILT_IN: Final = {
+    "rails.modbus": "hil.drivers.rails.entry:TCP",
+    "rails.modbus_rtu": "hil.drivers.rails.entry:RTU",
+    "turntable.cia402": "hil.drivers.turntable.cia402.entry:ENTRY",
+    "turntable.ascii": "hil.drivers.turntable.ascii.entry:ENTRY",
+    "vmu.rs422": "hil.drivers.vmu.entry:ENTRY",
+    "vmu.cameras": "hil.drivers.vmu.entry:CAMERAS",
+    "io.modbus": "hil.drivers.io.entry:ENTRY",
+}
+_SERIAL_CAN: Final = ("serial", "slcan")  # interfaces of python-can that are serial ports
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """One wire of a rig. address: path, host:port or CAN channel; None if the rig file does not give it."""
+
+    key: str
+    kind: WireKind
+    address: str | None
+
+    @property
+    def required_key(self) -> str:
+        """The key that must be given for the driver to open this wire."""
+        return f"{self.key}.port" if self.kind == "tcp" else self.key
+
+
+@dataclass(frozen=True, slots=True)
+class WireKey:
+    """Key of a device's table that holds the address of one wire, and what an emulator sets there.
+
+    key: of a serial port, CAN channel or camera, for "tcp" of the table with ``host`` and ``port``. name: of the
+    address that the emulator reports, ``DEVICE.NAME``, ``DEVICE`` if empty. emulated: further keys of the same table
+    that are set for an emulator.
+    """
+
+    key: str
+    kind: Literal["serial", "tcp", "can", "camera"]
+    name: str = ""
+    emulated: Mapping[str, Any] = field(default_factory=dict)
+
+    def wire(self, table: ConfigModel) -> Wire:
+        """Return the wire as ``table`` configures it."""
+        *parents, last = self.key.split(".")
+        if self.kind == "tcp":
+            model = _inner(table, [key for key in (*parents, last) if key])
+            port = getattr(model, "port", None)
+            return Wire(self.key, "tcp", None if port is None else f"{getattr(model, 'host', '')}:{port}")
+        model = _inner(table, parents)
+        kind: WireKind = "camera" if self.kind == "camera" else "serial"
+        if self.kind == "can":
+            interface = getattr(model, "interface", "socketcan")
+            kind = "can" if interface == "socketcan" else "serial" if interface in _SERIAL_CAN else "other"
+        return Wire(self.key, kind, getattr(model, last, None))
+
+    def connected(self, table: Any, address: str) -> Any:
+        """Return ``table`` with the address that the emulator reports."""
+        *parents, last = self.key.split(".")
+        if self.kind == "tcp":
+            host, _, port = address.rpartition(":")
+            path = [key for key in (*parents, last) if key]
+            return _updated(table, path, {"host": host, "port": int(port), **self.emulated})
+        return _updated(table, parents, {last: address, **self.emulated})
+
+
+@dataclass(frozen=True)
+class DriverEntry:
+    """One driver of one device.
+
+    driver, emulator: import paths, ``module:factory``. Factories of axis groups: ``driver(table, clock, name)`` and
+    ``emulator(table, clock, shared_state, seed=, name=)``; docs/how-to/write-a-driver.md lists the other devices'.
+    settings: model of the table ``[DEVICE.NAME]``, None if the device's table has the keys itself.
+    wires: keys of the addresses that the driver opens.
+    check: raises ValueError if the keys of the table contradict each other.
+    check_files: returns a line per protection that the files named in the table leave out; raises BadInput for a file
+    that the driver cannot use.
+    identity: what the driver requires the device to report, by name; empty: any device is accepted.
+    has_processes: whether the driver, of a vision unit, has processes of its own: the loop reads their memory, without
+    the I/O process between.
+    emulated_parts: parts of the device that are emulated in a process each; none: the device in one.
+    setpoints_hz: most setpoints per second that the wire of an axis group carries, or frames that of a vision unit; inf
+    if its speed does not matter.
+    axes: numbers of axes that driver and emulator of an axis group serve, those of ``table.axis_names``.
+    keeps_bench_time: whether driver and emulator wait by the clock that they are given, and count the bytes of their
+    wires by it: required in lock-step.
+    """
+
+    device: Device
+    name: str
+    driver: str
+    emulator: str | None = None
+    settings: type[ConfigModel] | None = None
+    wires: Sequence[WireKey] = ()
+    check: Callable[[Any], None] = lambda table: None
+    check_files: Callable[[Any], list[str]] = lambda table: []
+    identity: Callable[[Any], Mapping[str, str]] = lambda table: {}
+    has_processes: bool = False
+    emulated_parts: Sequence[str] = ()
+    setpoints_hz: Callable[[Any], float] = lambda table: math.inf
+    axes: range = range(3, 4)
+    keeps_bench_time: Callable[[Any], bool] = lambda table: False
+
+
+@cache
+def driver_entry(device: str, name: str) -> DriverEntry:
+    """Return the entry of the driver ``name``; raise ValueError, one line, if there is no usable one."""
+    key = f"{device}.{name}"
+    if key in _BUILT_IN:
+        entry: DriverEntry = _imported(_BUILT_IN[key])
+        return entry
+    found = [point for point in entry_points(group=GROUP) if point.name == key]
+    if not found:
+        raise ValueError(f'"{name}": unknown {device} driver, known: {_listed(device)}')
+    if len(found) > 1:
+        raise ValueError(f'"{name}": {device} driver of several packages: {", ".join(map(_package, found))}')
+    (point,) = found
+    what = f'"{name}": {device} driver of package {_package(point)}: {point.value}'
+    try:
+        loaded = point.load()
+    except Exception as cause:
+        raise ValueError(f"{what} cannot be imported: {type(cause).__name__}: {cause}") from cause
+    if not isinstance(loaded, DriverEntry):
+        raise ValueError(f"{what} is of type {type(loaded).__name__}, expected DriverEntry")
+    if (loaded.device, loaded.name) != (device, name):
+        raise ValueError(f"{what} is the entry of {loaded.device}.{loaded.name}, expected {key}")
+    return loaded
+
+
+def check_axes(key: str, device: str, name: str, axes: Sequence[str], all_names: Sequence[str]) -> None:
+    """Raise ValueError, one line that begins with ``key``, if the driver ``name`` cannot drive ``axes``.
+
+    all_names: of the axes that the device may have; a driver of one number of axes drives the first ones.
+    """
+    known = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
+    allowed, n = driver_entry(device, name).axes, len(axes)
+    if n in allowed and (len(allowed) > 1 or [*axes] == [*all_names[:n]]):
+        return
+    others = [other for other in known if n in (found := driver_entry(device, other).axes) and len(found) > 1]
+    drives = ", ".join(all_names[: allowed[0]]) if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]} axes"
+    raise ValueError(f'{key} "{name}": drives {drives}, here {", ".join(axes)}; allowed: {", ".join(others)}')
+
+
+def registered_drivers() -> dict[str, str]:
+    """Return the package of each driver of wires, by the setting that selects it: ``rig.rails.driver=modbus``."""
+    keys = [(key, _PACKAGE) for key in _BUILT_IN] + [(p.name, _package(p)) for p in entry_points(group=GROUP)]
+    return {f"rig.{key.partition('.')[0]}.driver={key.partition('.')[2]}": package for key, package in keys}
+
+
+def _listed(device: str) -> str:
+    own = [key.removeprefix(f"{device}.") for key in _BUILT_IN if key.startswith(f"{device}.")]
+    others = [
+        f"{point.name.removeprefix(f'{device}.')} ({_package(point)})"
+        for point in entry_points(group=GROUP)
+        if point.name.startswith(f"{device}.") and point.name not in _BUILT_IN
+    ]
+    return ", ".join([", ".join(["mock", *own]) + f" ({_PACKAGE})", *sorted(others)])
+
+
+def _package(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
+
+
+def _imported(path: str) -> Any:
+    module, _, name = path.partition(":")
+    return getattr(import_module(module), name)
+
+
+class DeviceTable(ConfigModel):
+    """Table of a device in a rig file. ``driver`` selects the driver, whose own settings are in ``[DEVICE.DRIVER]``.
+
+    The table of a driver of another package is validated by the model in that driver's entry.
+    """
+
+    model_config = ConfigDict(extra="allow")  # tables of drivers; ``_validate_drivers`` rejects all others
+
+    device: ClassVar[Device]
+    without_wires: ClassVar[tuple[str, ...]] = ("mock",)
+
+    driver: str
+    """Name of the driver, shipped or of an installed package."""
+
+    @property
+    def has_wires(self) -> bool:
+        """Whether the device is reached by a driver, rather than simulated in memory or absent."""
+        return self.driver not in self.without_wires
+
+    @property
+    def entry(self) -> DriverEntry:
+        """The entry of the selected driver; ValueError for a device without one."""
+        return driver_entry(self.device, self.driver)
+
+    @property
+    def settings(self) -> Any:
+        """The table of the selected driver."""
+        return getattr(self, self.driver)
+
+    def make_driver(self, *args: Any, **kwargs: Any) -> Any:
+        """Return the selected driver for this table; Raises BadInput if a wire has no address."""
+        for wire in self.wires(self.device):
+            if wire.address is None:
+                raise BadInput.single("rig", wire.required_key, "is missing: the wire to the device")
+        return _imported(self.entry.driver)(self, *args, **kwargs)
+
+    def make_emulator(self, *args: Any, **kwargs: Any) -> Any:
+        """Return the emulator of the selected driver for this table; imports it. Raises BadInput if there is none."""
+        if self.entry.emulator is None:
+            raise BadInput.single("rig", f"{self.device}.driver", f'"{self.driver}": this driver has no emulator')
+        return _imported(self.entry.emulator)(self, *args, **kwargs)
+
+    @property
+    def wire_keys(self) -> list[WireKey]:
+        """Keys of the wires that the selected driver opens."""
+        return list(self.entry.wires)
+
+    def check_driver(self) -> None:
+        """Raise ValueError if the selected driver cannot work with this table."""
+        if self.has_wires:
+            self.entry.check(self)
+
+    def wires(self, prefix: str = "") -> list[Wire]:
+        """Return the wires that the selected driver opens; prefix: key of this table."""
+        found = [key.wire(self) for key in self.wire_keys] if self.has_wires else []
+        return [Wire(".".join(filter(None, (prefix, wire.key))), wire.kind, wire.address) for wire in found]
+
+    def connected(self, name: str, addresses: Mapping[str, str]) -> Self:
+        """Return the table with the addresses that the emulator of the device ``name`` reports."""
+        table = self
+        for key in self.wire_keys:
+            table = key.connected(table, addresses[".".join(filter(None, (name, key.name)))])
+        return table
+
+    @classmethod
+    def model_of(cls, key: str) -> type[BaseModel] | None:
+        """Return the model of the table ``key``: a field's, or that of a registered driver; None for other keys."""
+        if key in cls.model_fields:
+            return model_of_field(cls, key)
+        try:
+            return driver_entry(cls.device, key).settings
+        except ValueError:
+            return None
+
+    @classmethod
+    def unknown_keys(cls, keys: Iterable[str]) -> list[str]:
+        """Return those of ``keys`` that are neither fields nor tables of registered drivers."""
+        return [key for key in keys if key not in cls.model_fields and cls.model_of(key) is None]
+
+    @field_validator("driver")
+    @classmethod
+    def _driver_is_registered(cls, value: str) -> str:
+        if value not in cls.without_wires:
+            driver_entry(cls.device, value)
+        return value
+
+    @model_validator(mode="after")
+    def _validate_drivers(self) -> Self:
+        tables = self.__pydantic_extra__
+        assert tables is not None
+        unknown = self.unknown_keys(tables)
+        if unknown:
+            faults: list[Any] = [{"type": "extra_forbidden", "loc": (key,), "input": tables[key]} for key in unknown]
+            raise ValidationError.from_exception_data(type(self).__name__, faults)
+        if self.has_wires and self.entry.settings is not None:
+            tables.setdefault(self.driver, {})
+        for key, table in tables.items():
+            tables[key] = self._validated(key, table)
+        self.check_driver()
+        return self
+
+    @classmethod
+    def _validated(cls, key: str, table: Any) -> BaseModel:
+        if isinstance(table, BaseModel):
+            return table
+        model = cls.model_of(key)
+        assert model is not None
+        try:
+            return model.model_validate_json(json.dumps(table))  # as strict as the rig file itself
+        except ValidationError as error:
+            faults: list[Any] = [{**fault, "loc": (key, *fault["loc"])} for fault in error.errors(include_url=False)]
+            raise ValidationError.from_exception_data(cls.__name__, faults) from error
+
+
+def model_of_field(model: type[BaseModel], key: str) -> type[BaseModel] | None:
+    """Return the model of the table in the field ``key``, None if there is no such field or it is no table."""
+    if key not in model.model_fields:
+        return None
+    annotation = model.model_fields[key].annotation
+    candidates = [annotation, *get_args(annotation)]
+    return next((each for each in candidates if isinstance(each, type) and issubclass(each, BaseModel)), None)
+
+
+def _inner(table: ConfigModel, path: Sequence[str]) -> object:
+    found: object = table
+    for key in path:
+        found = getattr(found, key, None)
+    return found
+
+
+def _updated(table: Any, path: Sequence[str], values: Mapping[str, Any]) -> Any:
+    """Return ``table`` with ``values`` in the table at ``path``, which is made if it is missing."""
+    if not path:
+        return table.model_copy(update=dict(values))
+    key, *rest = path
+    inner = getattr(table, key, None)
+    if inner is None:
+        model = table.model_of(key) if isinstance(table, DeviceTable) else model_of_field(type(table), key)
+        assert model is not None
+        inner = model()
+    return table.model_copy(update={key: _updated(inner, rest, values)})
