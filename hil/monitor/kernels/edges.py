@@ -15,7 +15,8 @@ from hil.core.jit import kernel
 from hil.maths import cholesky
 from hil.monitor.kernels.edge_samples import BAR
 
-_ROOT_2PI = math.sqrt(2.0 * math.pi)
+_DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
+_ROOT_HALF = math.sqrt(0.5)
 _FLAT = 4.5  # blur widths from an edge beyond which the image is taken as uniform
 MOST_PIXELS = 400
 WHITE = 255.0  # full scale
@@ -33,10 +34,10 @@ _LESS = 0.5  # of that misfit, which it then must not exceed
 def _normal_cdf(z):
     """Return the normal distribution function and its density, to 1e-7 (Abramowitz and Stegun 7.1.26): one exp."""
     bell = math.exp(-0.5 * z * z)
-    t = 1.0 / (1.0 + 0.3275911 * 0.7071067811865476 * abs(z))
+    t = 1.0 / (1.0 + 0.3275911 * _ROOT_HALF * abs(z))
     tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
     tail *= 0.5 * bell
-    return 1.0 - tail if z > 0.0 else tail, bell / _ROOT_2PI
+    return 1.0 - tail if z > 0.0 else tail, bell * _DENSITY
 
 
 @kernel
@@ -56,6 +57,7 @@ def gather(image, first_line, line_step, sample, s, grey):
     bottom = int(min(math.floor((sample.v + reach_v - first_line) / line_step), image.shape[0] - 1.0))
     left = int(max(math.ceil(sample.u - reach_u), 0.0))
     right = int(min(math.floor(sample.u + reach_u), image.shape[1] - 1.0))
+    radius = 1.0 / sample.curvature if sample.curvature > 0.0 else 0.0
     count = 0
     for row in range(top, bottom + 1):
         dv = first_line + line_step * row - sample.v
@@ -64,8 +66,7 @@ def gather(image, first_line, line_step, sample, s, grey):
             t = du * tu + dv * tv
             n = du * nu + dv * nv
             if sample.curvature > 0.0:
-                radius = 1.0 / sample.curvature
-                distance = math.hypot(t, n + radius)
+                distance = math.sqrt(t * t + (n + radius) * (n + radius))
                 t *= radius / distance
                 n = distance - radius
             if -half <= t < half and -sample.inside <= n <= sample.outside and count < s.shape[0]:
@@ -101,27 +102,25 @@ def _middle(s, grey, count, reach):
 
 
 @kernel
-def _step_row(s, blur, x, row):
-    """Write the derivatives of an edge's model to (inside, outside, shift, blur); return its value."""
-    z = (x[2] - s) / blur
-    if abs(z) > _FLAT:
-        row[0], row[1], row[2], row[3] = (1.0, 0.0, 0.0, 0.0) if z > 0.0 else (0.0, 1.0, 0.0, 0.0)
-        return x[0] if z > 0.0 else x[1]
+def _step_row(s, sharpness, x):
+    """Return the value of an edge's model and its derivatives to (inside, outside, shift, blur)."""
+    z = (x[2] - s) * sharpness
+    if z > _FLAT:
+        return x[0], 1.0, 0.0, 0.0, 0.0
+    if z < -_FLAT:
+        return x[1], 0.0, 1.0, 0.0, 0.0
     share, bell = _normal_cdf(z)
-    bell *= (x[0] - x[1]) / blur
-    row[0], row[1], row[2], row[3] = share, 1.0 - share, bell, -bell * z
-    return x[1] + (x[0] - x[1]) * share
+    bell *= (x[0] - x[1]) * sharpness
+    return x[1] + (x[0] - x[1]) * share, share, 1.0 - share, bell, -bell * z
 
 
 @kernel
-def _bar_row(s, half, blur, x, row):
-    """Write the derivatives of a bar's model to (bar, outside, shift, other side); return its value."""
-    z1, z2 = (s + half - x[2]) / blur, (s - half - x[2]) / blur
-    g1, bell_1 = _normal_cdf(z1)
-    g2, bell_2 = _normal_cdf(z2)
-    row[0], row[1], row[3] = g1 - g2, g2, 1.0 - g1
-    row[2] = -((x[0] - x[3]) * bell_1 + (x[1] - x[0]) * bell_2) / blur
-    return x[0] * row[0] + x[1] * row[1] + x[3] * row[3]
+def _bar_row(s, half, sharpness, x):
+    """Return the value of a bar's model and its derivatives to (bar, outside, shift, other side)."""
+    g1, bell_1 = _normal_cdf((s + half - x[2]) * sharpness)
+    g2, bell_2 = _normal_cdf((s - half - x[2]) * sharpness)
+    shift = -((x[0] - x[3]) * bell_1 + (x[1] - x[0]) * bell_2) * sharpness
+    return x[0] * (g1 - g2) + x[1] * g2 + x[3] * (1.0 - g1), g1 - g2, g2, shift, 1.0 - g1
 
 
 @kernel
@@ -133,7 +132,7 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
     Gauss-Newton step in the blur.
     """
     s, grey = np.empty(MOST_PIXELS), np.empty(MOST_PIXELS)
-    normal, right, step, x, row = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    normal, right, step, x = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4)
     factor = np.empty((4, 4))
     sums[0] = sums[1] = 0.0
     for c in range(count):
@@ -160,14 +159,14 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
             continue
         known = 4 if bar else 3
         misfit, clear = _fit_profile(
-            s, grey, n, half, blur, bar, noise, known, turns, x, row, normal, right, factor, step
+            s, grey, n, half, blur, bar, noise, known, turns, x, normal, right, factor, step
         )  # fmt: skip
         if clear >= known and abs(x[2]) < 4.0 * blur + 1.0:
             _keep(sample, x, normal, factor, known, misfit, clear, 0.0 if bar else 1.0)
             if not bar:
                 _add_blur_sums(normal, right, factor, step, sums, sample)
         if bar and not (sample.good == 1 and sample.misfit <= _MISFIT * allowed_pixels(sample)):
-            _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor, step, sample)
+            _fit_one_border(s, grey, n, half, blur, noise, x, normal, right, factor, step, sample)
 
 
 @kernel
@@ -177,7 +176,7 @@ def allowed_pixels(sample):
 
 
 @kernel
-def _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor, step, sample):
+def _fit_one_border(s, grey, n, half, blur, noise, x, normal, right, factor, step, sample):
     """Measure a bar by one of its borders if that fits much better: a shadow or a glare is next to the other one."""
     least = sample.misfit / allowed_pixels(sample) if sample.good == 1 else math.inf
     own, levels = np.empty(n), np.empty(n)
@@ -193,7 +192,7 @@ def _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor
             continue
         x[0], x[1], x[2], x[3] = inner, outer, 0.0, outer
         misfit, clear = _fit_profile(
-            own, levels, count, half, blur, True, noise, 3, 4, x, row, normal, right, factor, step
+            own, levels, count, half, blur, True, noise, 3, 4, x, normal, right, factor, step
         )  # fmt: skip
         if clear < 8 or not abs(x[2]) < 4.0 * blur + 1.0:
             continue
@@ -205,7 +204,7 @@ def _fit_one_border(s, grey, n, half, blur, noise, x, row, normal, right, factor
 
 
 @kernel
-def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, row, normal, right, factor, step):
+def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, normal, right, factor, step):
     """Improve the first ``known`` parameters ``x`` (4,) of a profile by its pixels.
 
     Return the weighted square sum of the residuals, and the number of pixels that are not clipped or -1 without a
@@ -218,7 +217,7 @@ def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, row, norma
             x[i], cut = _CLIPPED_START * WHITE, True
     misfit, clear = 0.0, 0
     for _ in range(max(turns, _CLIPPED_TURNS) if cut else turns):
-        misfit, clear = _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right)
+        misfit, clear = _accumulate(s, grey, n, half, blur, bar, noise, x, normal, right)
         for i in range(4):
             for j in range(4):
                 factor[i, j] = normal[i, j]
@@ -240,7 +239,7 @@ def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, row, norma
 
 
 @kernel
-def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
+def _accumulate(s, grey, n, half, blur, bar, noise, x, normal, right):
     """Set up the normal equations of one Gauss-Newton step.
 
     Return the weighted square sum of the residuals, and the number of pixels that are not clipped.
@@ -248,24 +247,20 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
     sigma, dark = math.sqrt(noise[0] + noise[1] * WHITE), math.sqrt(noise[0])
     clipped = WHITE - 3.0 * sigma
     nearly_black = 3.0 * dark if min(x[0], x[1]) > _BLACK * dark and not (bar and x[3] < _BLACK * dark) else -math.inf
-    clear = n
-    for i in range(4):
-        right[i] = 0.0
-        for j in range(4):
-            normal[i, j] = 0.0
-    total = 0.0
+    clear, sharpness, total = n, 1.0 / blur, 0.0
+    r0 = r1 = r2 = r3 = 0.0  # sums in registers
+    n00 = n10 = n11 = n20 = n21 = n22 = n30 = n31 = n32 = n33 = 0.0
     for k in range(n):
         if bar:
-            model = _bar_row(s[k], half, blur, x, row)
+            model, d0, d1, d2, d3 = _bar_row(s[k], half, sharpness, x)
         else:
-            model = _step_row(s[k], blur, x, row)
+            model, d0, d1, d2, d3 = _step_row(s[k], sharpness, x)
         weight = 1.0 / (noise[0] + noise[1] * min(max(model, 0.0), WHITE))
         if model > clipped and grey[k] > clipped:  # mean of a noisy value that is cut off at full scale
             z = (WHITE - model) / sigma
             below, bell = _normal_cdf(z)
             model = WHITE - sigma * (z * below + bell)
-            for i in range(4):
-                row[i] *= below
+            d0, d1, d2, d3 = below * d0, below * d1, below * d2, below * d3
             if below < 0.5:
                 clear -= 1
         elif model < nearly_black:  # the same at zero
@@ -273,15 +268,17 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, row, normal, right):
             mean = model * above + dark * bell
             weight = 1.0 / (model * mean + dark * dark * above - mean * mean)
             model = mean
-            for i in range(4):
-                row[i] *= above
+            d0, d1, d2, d3 = above * d0, above * d1, above * d2, above * d3
         left = grey[k] - model
         total += weight * left * left
-        for i in range(4):
-            scaled = weight * row[i]
-            right[i] += scaled * left
-            for j in range(i + 1):
-                normal[i, j] += scaled * row[j]
+        w0, w1, w2, w3 = weight * d0, weight * d1, weight * d2, weight * d3
+        r0, r1, r2, r3 = r0 + w0 * left, r1 + w1 * left, r2 + w2 * left, r3 + w3 * left
+        n00, n10, n11, n20, n21 = n00 + w0 * d0, n10 + w1 * d0, n11 + w1 * d1, n20 + w2 * d0, n21 + w2 * d1
+        n22, n30, n31, n32, n33 = n22 + w2 * d2, n30 + w3 * d0, n31 + w3 * d1, n32 + w3 * d2, n33 + w3 * d3
+    right[0], right[1], right[2], right[3] = r0, r1, r2, r3
+    normal[:] = 0.0
+    normal[0, 0], normal[1, 0], normal[1, 1], normal[2, 0], normal[2, 1] = n00, n10, n11, n20, n21
+    normal[2, 2], normal[3, 0], normal[3, 1], normal[3, 2], normal[3, 3] = n22, n30, n31, n32, n33
     return total, clear
 
 

@@ -48,8 +48,10 @@ def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, c
     agree, count = 0, 0
     for turn in range(2 if reach <= 4.0 else 3):
         width = max(reach / (1.0 + 1.5 * turn), 2.0)
+        wide_bar = 2.0 * width + 4.0  # px, of which a search across the bar does not see both sides
         a = docking_view.attitude(x[3:6])
-        count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16, 1e9, 3.0, samples)
+        count = place_edge_samples(lens, a, x[:3], circles, lines, borders, camera.blur, 8.0, 16,
+                          wide_bar, 3.0, samples)  # fmt: skip
         displace_samples(lens, samples, count, x)
         search_edge_samples(image, first_line, line_step, samples, count, width, least)
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
