@@ -200,7 +200,7 @@ NEAR = {
 @pytest.mark.slow
 def test_importance_sampling_agrees_with_plain_cases_and_its_cases_fly_again(tmp_path: Path) -> None:
     event, threshold = "position_m_y > 0.006", 0.006
-    found = hil.rare_event("scheme-1", event, tmp_path / "two", "importance", 800, overrides=NEAR, workers=2)
+    found = hil.rare_event("scheme-1", event, tmp_path / "two", "importance", 1200, overrides=NEAR, workers=2)
     rare = found.summary["rare"]
     plain = hil.campaign("scheme-1", 2000, overrides=NEAR)
     interval = wilson(int(np.count_nonzero(plain.column("position_m_y") > threshold)), 2000)
@@ -211,7 +211,7 @@ def test_importance_sampling_agrees_with_plain_cases_and_its_cases_fly_again(tmp
     worst = found.run_case(failing["case"]).verdict.worst
     assert worst is not None
     assert worst["position_m"][1] == failing["value"]
-    again = hil.rare_event("scheme-1", event, tmp_path / "one", "importance", 800, overrides=NEAR, workers=1)
+    again = hil.rare_event("scheme-1", event, tmp_path / "one", "importance", 1200, overrides=NEAR, workers=1)
     assert again.summary == found.summary
     assert (tmp_path / "one" / "cases.parquet").read_bytes() == (tmp_path / "two" / "cases.parquet").read_bytes()
 
