@@ -8,6 +8,7 @@ does not fit, a disc. A spot's covariance is that of the fit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import median
 from typing import Final
 
 import numpy as np
@@ -62,6 +63,7 @@ class SpotDetector:
         self._queue = np.empty(shape[0] * shape[1], dtype=np.int32)
         self._spots = np.zeros(2 * _MOST_COMPONENTS, SPOT)
         self._noise = np.zeros((_MOST_COMPONENTS, 2))
+        self._last = self._spots[:0].copy()
         self._given_per_level = 1.0 / sensor.electrons_per_level if sensor else None
         self._noise_sums = np.zeros(2)
         self.overfull = False
@@ -104,8 +106,9 @@ class SpotDetector:
             limits["sigmas"] = (chosen.weak_sigmas if weak else chosen.threshold_sigmas) * 2.0**attempt
             self._noise[:] = 0.0
             count = detect(
-                image, windows, limits, self.variance_per_level, self._label, self._queue, self._spots, self._noise
-            )
+                image, windows, limits, self.variance_per_level, self._label, self._queue,
+                self._last if len(windows) else self._last[:0], self._spots, self._noise,
+            )  # fmt: skip
             if count != TOO_MANY:
                 break
         self.overfull = count == TOO_MANY
@@ -113,6 +116,7 @@ class SpotDetector:
         if len(found) > chosen.most_spots:
             brightest = np.argsort(found["flux"])[-chosen.most_spots :]
             found = found[np.sort(brightest)]
+        self._last = found.copy()
         return found
 
     def _update_noise(self) -> bool:
@@ -121,7 +125,7 @@ class SpotDetector:
         if self._given_per_level is not None or not len(sums):
             return False
         each = sums[:, 0] / sums[:, 1]
-        apart = np.abs(each - np.median(each))
-        usual = apart <= _UNUSUAL * np.median(apart)  # excludes irregular shapes, which would appear as noise
+        apart = np.abs(each - median(each.tolist()))
+        usual = apart <= _UNUSUAL * median(apart.tolist())  # excludes irregular shapes, which would appear as noise
         self._noise_sums = _FORGETTING * self._noise_sums + sums[usual].sum(axis=0)
         return True

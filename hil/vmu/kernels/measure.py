@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.vmu.kernels.components import CLIPPED, END, FIRST, U0, U1, V0, V1
-from hil.vmu.kernels.fit import DISC, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit
+from hil.vmu.kernels.fit import DISC, FLUX, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit
 from hil.vmu.kernels.peaks import find_peaks, mark_hot, start_points, sum_patch
 from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
 from hil.vmu.kernels.residuals import SHAPE_TERMS, drop_outliers, light_noise, misfit, shape_chi_square, signal_to_noise
@@ -29,6 +29,7 @@ _NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a ligh
 _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
 _APART_PX = 1.5  # of a second light from the first
+_BLURS = 3.6  # sigmas of the blur beyond the edge of a disc, from which on there is no light
 _LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
 
@@ -82,6 +83,28 @@ def disc_start(p, disc):
     radius = 2.0 * math.sqrt(max(total * total - blur * blur, 0.04))
     disc[PLANE + SIGMA] = blur
     disc[PLANE + WIDTH], disc[PLANE + SHEAR], disc[PLANE + HEIGHT] = radius, 0.0, radius
+
+
+@kernel
+def disc_of_last(last, u, v, flux, disc):
+    """Write initial parameters of a disc of the shape of the nearest spot of ``last``; False if that is no disc."""
+    nearest, least = -1, np.inf
+    for k in range(last.shape[0]):
+        distance = math.hypot(last[k].u - u, last[k].v - v)
+        if distance < least:
+            nearest, least = k, distance
+    if nearest < 0 or not last[nearest].blur > 0.0:
+        return False
+    spot = last[nearest]
+    extent, along, diagonal = spot.size**2 - spot.blur**2, spot.elongation[0], spot.elongation[1]
+    if not extent > abs(along):
+        return False
+    height = 2.0 * math.sqrt(extent - along)
+    shear = 4.0 * diagonal / height
+    disc[PLANE + FLUX], disc[PLANE + U], disc[PLANE + V], disc[PLANE + SIGMA] = flux, u, v, spot.blur
+    disc[PLANE + WIDTH] = math.sqrt(max(4.0 * (extent + along) - shear * shear, 0.0))
+    disc[PLANE + SHEAR], disc[PLANE + HEIGHT] = shear, height
+    return True
 
 
 @kernel
@@ -199,6 +222,7 @@ def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, s
                 peak = max(peak, excess)
     spot.flux = above if component[CLIPPED] > 0 else flux
     spot.peak, spot.size, spot.pixels = peak, size, component[END] - component[FIRST]
+    spot.blur = p[a + SIGMA] if is_disc else 0.0
     edge = min(min(u, columns - 1.0 - u), min(v, rows - 1.0 - v))
     spot.flags = 0
     if component[CLIPPED] > 0:
@@ -211,11 +235,12 @@ def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, s
 
 
 @kernel
-def measure(image, label, name, queue, component, level, dark, per_level, limits, spots, count, noise):
+def measure(image, label, name, queue, component, level, dark, per_level, limits, last, spots, count, noise):
     """Append the lights of a component to ``spots`` and return the new count.
 
     level: of the background, of a sum of 3 x 3. dark: variance of a pixel without light. per_level: variance
-    per level of light. noise: (2,), numerator and denominator as from ``light_noise``, written here.
+    per level of light. last: SPOT of the image before, or none. noise: (2,), numerator and denominator as from
+    ``light_noise``, written here.
     """
     noise[0] = noise[1] = 0.0
     background, deviation = level / 9.0, math.sqrt(dark)
@@ -233,13 +258,52 @@ def measure(image, label, name, queue, component, level, dark, per_level, limits
     p = np.empty(PLANE + POINT * found)
     if not start_points(image, label, queue, component, background, peaks, found, p):
         return count
-    return _fit_and_write(
-        image, label, name, component, dark, per_level, limits, p, background, spots, count, noise
-    )  # fmt: skip
+    if found == 1 and last.shape[0] > 0:
+        disc = np.empty(PLANE + DISC)
+        disc[:PLANE] = p[:PLANE]
+        if disc_of_last(last, p[PLANE + U], p[PLANE + V], p[PLANE + FLUX], disc) and _follow_disc(
+            image, label, name, component, dark, per_level, limits, disc, spots, count, noise
+        ):  # fmt: skip
+            return count + 1
+    return _fit_and_write(image, label, name, component, dark, per_level, limits, p, spots, count, noise)
 
 
 @kernel
-def _fit_and_write(image, label, name, component, dark, per_level, limits, p, background, spots, count, noise):
+def _follow_disc(image, label, name, component, dark, per_level, limits, disc, spots, count, noise):
+    """Write a single strong light as the disc that fits from the start ``disc`` (10,); return False if none does."""
+    if count >= spots.shape[0]:
+        return False
+    around = disc[: PLANE + POINT].copy()  # a point of light whose window holds the disc and its blur
+    around[PLANE + SIGMA] += max(disc[PLANE + WIDTH] + abs(disc[PLANE + SHEAR]), disc[PLANE + HEIGHT]) / _BLURS
+    box, covariance = np.empty(4, dtype=np.int64), np.empty((PLANE + DISC, PLANE + DISC))
+    window_box(image.shape, around, _BLURS, component, box)
+    size = (box[2] - box[0]) * (box[3] - box[1])
+    pixels, weighed, model, light = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    slopes = np.empty((PLANE + DISC, size))
+    if size > 4.0 * limits.largest**2 or read_window(image, label, name, box, pixels, weighed) <= PLANE + DISC + 2:
+        return False
+    total = fit(True, box, pixels, weighed, dark, per_level, _MOST_STEPS, disc, covariance, model, light, slopes)
+    chi2, allowed = clean(
+        True, box, pixels, weighed, dark, per_level, disc, covariance, model, light, slopes, total
+    )  # fmt: skip
+    snr = signal_to_noise(pixels, weighed, dark, per_level, light)
+    if not chi2 <= allowed or not snr > _STRONG:
+        return False
+    spot = spots[count]
+    if not write_spot(
+        image, box, disc, PLANE, True, covariance, 1.0, snr, component, False, pixels, weighed, limits, spot
+    ):  # fmt: skip
+        return False
+    elongation = np.empty(3)
+    disc_elongation(disc, covariance, elongation)
+    spot.elongation[0], spot.elongation[1], spot.shape_sigma[0] = elongation[0], elongation[1], elongation[2]
+    spot.shape_sigma[1] = math.sqrt(size_variance(disc, covariance, PLANE, True))
+    noise[0], noise[1] = light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance)
+    return True
+
+
+@kernel
+def _fit_and_write(image, label, name, component, dark, per_level, limits, p, spots, count, noise):
     n = p.shape[0]
     found = (n - PLANE) // POINT
     box = np.empty(4, dtype=np.int64)

@@ -25,6 +25,7 @@ SPOT = np.dtype(
         ("flux", "f8"),  # grey levels, sum above the background (a lower bound when saturated)
         ("peak", "f8"),  # grey levels above the background
         ("size", "f8"),  # px, RMS extent along one axis: a Gaussian's sigma
+        ("blur", "f8"),  # px, sigma of the blur of a disc; 0 for a point of light
         ("pixels", "i8"),  # above the threshold
         ("flags", "i8"),
         ("elongation", "f8", 2),  # px^2, half of the variance along u minus that along v, and their covariance; NaN

@@ -125,11 +125,12 @@ def _typical(level, dark, k):
 
 
 @kernel
-def detect(image, windows, limits, per_level, label, queue, spots, noise):
+def detect(image, windows, limits, per_level, label, queue, last, spots, noise):
     """Write the spots of an image (h, w) of uint8 to ``spots``; return how many, or TOO_MANY.
 
     windows: (k, 4) of int64, u and v of the first pixel and after the last; (0, 4) for the whole image.
     label: (h, w) of int16, all zero before and after. queue: (h * w,) of int32, scratch.
+    last: SPOT of the image before, whose discs are where the fits of discs begin; or none.
     noise: (most components, 2), per component as from ``light_noise``; zero without an estimate.
     """
     columns = image.shape[1]
@@ -143,8 +144,8 @@ def detect(image, windows, limits, per_level, label, queue, spots, noise):
     count = 0
     for k in range(max(known, 0)):
         count = measure(
-            image, label, k + 1, queue, components[k], lights[k, 0], lights[k, 1], per_level, limits, spots, count,
-            noise[k],
+            image, label, k + 1, queue, components[k], lights[k, 0], lights[k, 1], per_level, limits, last, spots,
+            count, noise[k],
         )  # fmt: skip
     for k in range(most):
         for at in range(components[k, FIRST], components[k, END]):

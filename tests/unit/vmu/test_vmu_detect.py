@@ -176,6 +176,42 @@ def test_one_image_leaves_nothing_behind_for_the_next(pair: CameraPair) -> None:
     assert np.array_equal(first, detector.spots(image))
 
 
+def test_a_disc_followed_from_the_image_before_is_the_one_found_anew(pair: CameraPair) -> None:
+    sensor, rng = Sensor(electrons_per_level=100.0, read_noise_levels=0.8), np.random.default_rng(5)
+    following, windows = SpotDetector((SIZE, SIZE), sensor=sensor), np.column_stack([GRID - 30.0, GRID + 30.0])
+    shifts, variances = [], []
+    for range_m in np.linspace(1.0, 0.7, 8):
+        leds = nine_leds(range_m, rng)
+        image = RingRenderer(pair, leds, LOOK).image(0, np.zeros(3), STRAIGHT, None, rng)
+        if not len(shifts):
+            following.spots(image)
+        here = following.spots(image, windows)
+        anew = SpotDetector((SIZE, SIZE), sensor=sensor).spots(image, windows)
+        assert len(here) == len(anew) == 9
+        assert (here["blur"] > 0.0).all()
+        for name in ("u", "v"):
+            shifts += list((here[name] - anew[name]) / np.sqrt(anew[f"var_{name}"]))
+            variances += list(here[f"var_{name}"] / anew[f"var_{name}"])
+        assert np.abs(here["size"] - anew["size"]).max() < 0.5 * anew["shape_sigma"][:, 1].max()
+        assert np.abs(here["elongation"] - anew["elongation"]).max() < anew["shape_sigma"][:, 0].max()
+        assert here["shape_sigma"] == pytest.approx(anew["shape_sigma"], rel=0.2)
+    assert np.abs(shifts).max() < 1.0
+    assert np.sqrt(np.mean(np.square(shifts))) < 0.3
+    assert np.mean(variances) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_point_of_light_after_a_disc_is_measured_as_well_as_anew(pair: CameraPair) -> None:
+    sensor, windows = Sensor(electrons_per_level=100.0, read_noise_levels=0.8), np.array([[60, 60, 140, 140]])
+    image, detector = shown(pair, LOOK, Reflection(0, 100.2, 100.3)), SpotDetector((SIZE, SIZE), sensor=sensor)
+    anew = SpotDetector((SIZE, SIZE), sensor=sensor).spots(image, windows)
+    disc = RingRenderer(pair, nine_leds(0.7, np.random.default_rng(1))[:1], LOOK)
+    assert detector.spots(disc.image(0, np.zeros(3), STRAIGHT, None, np.random.default_rng(2)))["blur"] > 0.0
+    found = detector.spots(image, windows)
+    assert len(found) == len(anew) == 1
+    assert abs(found["u"] - anew["u"]) < 0.5 * np.sqrt(anew["var_u"])
+    assert found["var_u"] == pytest.approx(anew["var_u"], rel=0.3)
+
+
 def test_images_of_another_size_are_rejected() -> None:
     detector = SpotDetector((240, 320))
     with pytest.raises(BadInput, match=r"image: shape: uint8 \(320, 240\), must be uint8 \(240, 320\)"):
