@@ -21,7 +21,7 @@ from hil.drivers.base import AxisGroup
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, SafetyTrip
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
-from hil.loop.safety_io_stage import SAFETY_CHAIN, SafetyIo
+from hil.loop.safety_io_stage import SAFETY_CHAIN
 from hil.safety.alarms import Alarm, speed_text
 
 REACTION_S: Final = 0.12
@@ -238,7 +238,7 @@ class RootCause:
         torque_is_off = isinstance(fault, DriveFault) and fault.kind is FaultKind.TORQUE_OFF
         wait_s = _COUPLER_LOSS_DETECTED_S if torque_is_off else _ESTOP_DETECTED_S
         self._end_s = rate.now_s() + wait_s
-        self._found = not powered or type(loop.safety_io) is SafetyIo or not rate.paced
+        self._found = not powered or not loop.safety_io.has_chain or not rate.paced
 
     def poll(self, now_s: float, chain_opened: bool) -> BenchError | None:
         """Return the root cause, which may be the fault itself; None until it is found.

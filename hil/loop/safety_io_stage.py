@@ -27,6 +27,8 @@ _PULSE_PERIOD_S: Final = 0.01
 class SafetyIo:
     """Digital lines of the bench, as used by cycle and runner; those of a bench without any."""
 
+    has_chain = False
+    """Whether there is a safety chain, whose opening stops the bench."""
     thrusters_s = math.nan
     """Bench time at which the coupler received the present thruster lines, s; NaN if unknown."""
 
@@ -65,6 +67,8 @@ class SafetyIoStage(SafetyIo):
     on: view of the thruster commands in COMMAND, integers 0 or 1, one per line. tested_pump_s: time-out of the safety
     relay for the charge pump, s of wall time, if each opening tests it.
     """
+
+    has_chain = True
 
     def __init__(self, io: DiscreteIo, on: np.ndarray, tested_pump_s: float | None = None) -> None:
         self.io = io

@@ -40,7 +40,7 @@ def cause_found(
             raise cause
 
     loop: Any = SimpleNamespace(
-        safety_io=SimpleNamespace(check=check),
+        safety_io=SimpleNamespace(check=check, has_chain=True),
         bench=SimpleNamespace(
             poll_safety_inputs=lambda now_s: None,
             safety=SimpleNamespace(interlock_power=lambda now_s: None),
