@@ -35,10 +35,9 @@ From the top layer to the bottom one; a package imports those of lower layers on
 
 def _section(name: str) -> str:
     folder = PACKAGE / name
-    modules = sorted(path for path in folder.glob("*.py") if path.stem != "__init__")
-    inner = sorted(path for path in folder.glob("*/__init__.py"))
-    rows = [f"| `{path.parent.name}/` | {summary(path)} |" for path in inner]
-    rows += [f"| `{path.name}` | {summary(path)} |" for path in modules]
+    found = sorted(folder.rglob("*.py"), key=lambda path: (path.parent, path.name != "__init__.py", path.name))
+    names = {path: path.relative_to(folder).as_posix().removesuffix("__init__.py") for path in found}
+    rows = [f"| `{names[path]}` | {summary(path)} |" for path in found if names[path]]
     facts = [text for text in (_tests(name), _decisions(name)) if text]
     return (
         f"### hil/{name}\n\n{docstring(folder / '__init__.py')}\n\n"
