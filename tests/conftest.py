@@ -49,16 +49,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup() -> None:
-    """Begin to watch for pauses of the computer."""
-    _PAUSED.begin()
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Begin to watch for pauses of the computer, if the test depends on them."""
+    if item.get_closest_marker("wires"):
+        _PAUSED.begin()
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add the longest pause of the computer to the report of a test that failed."""
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Add the longest pause of the computer to the report of a test on wires that failed."""
     report = yield
-    if report.failed and (paused_s := _PAUSED.longest_s()):
+    if report.failed and item.get_closest_marker("wires") and (paused_s := _PAUSED.longest_s()):
         report.sections.append(("pause of the computer", f"{1e3 * paused_s:.0f} ms, the longest of this test"))
     return report
 
