@@ -27,7 +27,12 @@ from tests.support.plain_filters import PLAIN as PLAIN_FILTERS
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-_ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "monte_carlo": "campaign"}
+_ONE_WORKER = {
+    "vmu": "vision unit",
+    "monitor": "docking monitor",
+    "monte_carlo": "campaign",
+    "pytest_plugin": "test campaigns",
+}
 """Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
 
