@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: the workers share the cores, and idle threads spin
+gc.set_threshold(50_000)  # as the command line does: what the tests import stays, and searches for garbage are in vain
 
 import shutil
 import subprocess
