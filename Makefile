@@ -28,6 +28,9 @@ ARAVIS_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no
 # the console's page is tested in Chromium; without it those tests are skipped
 CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --no-install-recommends chromium; }
 
+# hundreds of processes start, and each worker of the tests rewrites the assertions of all tests that have no bytecode
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test slow oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
@@ -40,7 +43,6 @@ test: .venv/ready
 	command -v chromium > /dev/null || $(CHROMIUM_MISSING) || true
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/python -m compileall -q hil  # hundreds of processes start, also where Python may not write bytecode itself
 	$(BIN)/hil warm-up & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
 	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: the workers share the cores, and idle threads spin
+gc.set_threshold(50_000)  # as the command line does: what the tests import stays, and searches for garbage are in vain
 
 import shutil
 import subprocess
@@ -27,7 +29,12 @@ from tests.support.plain_filters import PLAIN as PLAIN_FILTERS
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
 settings.load_profile("hil")
 
-_ONE_WORKER = {"vmu": "vision unit", "monitor": "docking monitor", "monte_carlo": "campaign"}
+_ONE_WORKER = {
+    "vmu": "vision unit",
+    "monitor": "docking monitor",
+    "monte_carlo": "campaign",
+    "pytest_plugin": "test campaigns",
+}
 """Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
 
@@ -49,16 +56,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup() -> None:
-    """Begin to watch for pauses of the computer."""
-    _PAUSED.begin()
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Begin to watch for pauses of the computer, if the test depends on them."""
+    if item.get_closest_marker("wires"):
+        _PAUSED.begin()
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add the longest pause of the computer to the report of a test that failed."""
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Add the longest pause of the computer to the report of a test on wires that failed."""
     report = yield
-    if report.failed and (paused_s := _PAUSED.longest_s()):
+    if report.failed and item.get_closest_marker("wires") and (paused_s := _PAUSED.longest_s()):
         report.sections.append(("pause of the computer", f"{1e3 * paused_s:.0f} ms, the longest of this test"))
     return report
 

@@ -43,6 +43,7 @@ def test_hold(bench):
 """
 
 
+@pytest.mark.xdist_group("test campaigns")
 def test_same_file_on_mock_and_in_lock_step_is_one_page_with_twins(tmp_path: Path) -> None:
     (tmp_path / "test_bench.py").write_text(TESTS)
     for rig in ("mock", "emulated"):

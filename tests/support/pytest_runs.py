@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -65,6 +66,8 @@ def _serve() -> None:
 
     hil.run("scheme-1", duration_s=0.1)  # loads the kernels
     assert threading.active_count() == 1  # a fork has no other
+    gc.collect()
+    gc.freeze()  # no fork collects what it has not made
     for line in sys.stdin:
         request = json.loads(line)
         if (child := os.fork()) == 0:
@@ -74,7 +77,10 @@ def _serve() -> None:
             os.chdir(request["folder"])
             sys.path[0] = ""
             sys.argv = ["pytest", *request["options"]]
-            sys.exit(pytest.main(request["options"]))
+            code = pytest.main(request["options"])
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)  # the exit of an interpreter that has loaded kernels takes longer than most requests
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)  # noqa: T201
 
 

@@ -24,6 +24,9 @@ FINE = 8
 _TURNS = 5  # the lattice's generator
 _FINER = (89, 55)  # samples and generator of the finer one
 _COARSE = 4  # rows and columns of a plain grid
+_KEPT = 20  # of a portion with fields
+_LAST: dict[tuple[str, TvCamera, tuple[float, ...]], Array] = {}
+"""Light of the last exposures: monitors with several scene files see the same images."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class TvTarget:
 
     def __init__(self, scene: Scene, camera: TvCamera) -> None:
         self._scene, self._camera = scene, camera
+        self._seen = scene.camera.model_dump_json(exclude={"tolerances"}) + scene.target.model_dump_json()
 
     def frame(self, pose_at: Callable[[float], tuple[Array, Array]], t_s: float, rng: np.random.Generator) -> Image:
         """Return the image of the exposure at ``t_s``; pose_at returns d (3,), m, and phi (3,), rad."""
@@ -66,11 +70,16 @@ class TvTarget:
 
         def light_at(t: float) -> Array:
             d, phi = pose_at(t)
-            return self._light(d, phi + shaken)
+            at = tuple(map(float, (*d, *(phi + shaken))))
+            if (found := _LAST.get(key := (self._seen, self._camera, at))) is None:
+                found = _LAST[key] = self._light(d, phi + shaken)
+                if len(_LAST) > _KEPT:
+                    del _LAST[next(iter(_LAST))]
+            return found
 
         light = light_at(t_s)
         if self._camera.fields:
-            later = light_at(t_s + 0.5 / self._scene.fps)
+            light, later = light.copy(), light_at(t_s + 0.5 / self._scene.fps)
             second = 1 if self._camera.fields == "upper_first" else 0
             light[second::2] = later[second::2]
         return self._sensor(light, rng)
@@ -109,7 +118,7 @@ class TvTarget:
         f = known.f * (1.0 + camera.f_share)
         a, b = (u - known.cx) / f, -(v - known.cy) / (f * (1.0 + camera.aspect))
         x, y = a, b
-        for _ in range(4):
+        for _ in range(4 if camera.distortion else 0):
             swell = 1.0 + camera.distortion * (x * x + y * y)
             x, y = a / swell, b / swell
         to_target = np.diag([1.0, -1.0, -1.0]) @ Rotation.from_rotvec(phi).as_matrix()

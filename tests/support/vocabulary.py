@@ -90,6 +90,7 @@ WORDS = {
 Line = tuple[int, str, str]  # number, kind of text, text
 
 PATTERNS = {word: re.compile(rf"(?<![\w/-])(?:{pattern})(?![\w-])", re.IGNORECASE) for word, pattern in WORDS.items()}
+ANY = re.compile(rf"(?<![\w/-])(?:{'|'.join(WORDS.values())})(?![\w-])", re.IGNORECASE)
 
 # legitimate uses of these words, removed from a line before it is checked: terms of the field, titles, physical objects
 ALLOWED = re.compile(r"rate keeper|hand-eye|in other words|beside the (?:recording|file)", re.IGNORECASE)
@@ -118,6 +119,8 @@ def findings(paths: Iterable[Path]) -> list[Finding]:
 def _check(path: Path) -> Iterator[Finding]:
     for number, kind, text in READERS[path.suffix](path):
         prose = ALLOWED.sub("", text)
+        if not ANY.search(prose):
+            continue
         for word, pattern in PATTERNS.items():
             if pattern.search(prose):
                 yield Finding(path, number, kind, word, text.strip())
@@ -145,10 +148,10 @@ def _python(path: Path) -> Iterator[Line]:
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
             yield token.start[0], "comment", CODE.sub("", token.string)
-    tree = ast.parse(source)
+    nodes = list(ast.walk(ast.parse(source)))
     # a string that is a statement is a docstring: of a module, class, function or attribute
-    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    for node in nodes:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
             kind = "docstring" if id(node) in docstrings else "text"
             for offset, text in enumerate(node.value.splitlines()):

@@ -30,7 +30,7 @@ from tests.support.run_settings import make_job
 pytestmark = pytest.mark.xdist_group("campaign")
 
 LATE = ("vmu.latency_s=0.07", "vmu.loss_probability=0.2", "rig.vmu.timeout_s=2.0")
-SHORT_S = 12.0
+SHORT_S = 8.0
 
 
 def named(navigation: str = "", control: str = "") -> tuple[str, ...]:

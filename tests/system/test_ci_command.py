@@ -19,6 +19,8 @@ from hil.cli.main import execute
 from tests.support.pytest_runs import pytest_run
 from tests.support.run_settings import without_pictures
 
+pytestmark = pytest.mark.xdist_group("test campaigns")
+
 RUN = ("--runs", "50")  # enough for the requirements
 SHORT = 'extends = "approach.toml"\nduration_s = 40.0\nrequirements.required_ready_s = 1.0\n'
 PARKED_NEAR = {"rig.rails.x.park_m": 0.7}

@@ -6,7 +6,7 @@ import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from hil.cli.main import execute
 from hil.config.scenario import Scenario
 from hil.core.messages import new
+from hil.monte_carlo import fusion
 from hil.monte_carlo.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_batch, run_fusion
 from hil.monte_carlo.fusion_interval import largest_ratio
 from hil.monte_carlo.fusion_kernel import STUDY_RESULT
@@ -24,19 +25,32 @@ AXES = ("position_rmse_m", "position_bound_m", "position_ratio", "position_max_m
         "attitude_rmse_deg", "attitude_bound_deg", "attitude_ratio", "attitude_max_deg")  # fmt: skip
 
 
+class Studies(NamedTuple):
+    """Sixty runs of each reading: what is reported of them, and the result of each."""
+
+    reported: dict[Reading, dict[str, Any]]
+    results: dict[Reading, np.ndarray]
+
+
 @pytest.fixture(scope="module")
-def studies() -> dict[Reading, dict[str, Any]]:
-    """Return sixty runs of each reading, done side by side: the kernels let go of the interpreter."""
-    with ThreadPoolExecutor(2) as pool:
-        done = pool.map(lambda reading: run_fusion(reading, 60, 0, (), 1, lambda n: None), READINGS)
-        return dict(zip(READINGS, done, strict=True))
+def studies() -> Studies:
+    """Return the runs of both readings, done side by side: the kernels let go of the interpreter."""
+    results: dict[Reading, list[np.ndarray]] = {reading: [] for reading in READINGS}
+
+    def kept(settings: tuple[str, ...], reading: Reading, *more: int) -> np.ndarray:
+        results[reading].append(run_batch(settings, reading, *more))
+        return results[reading][-1]
+
+    with pytest.MonkeyPatch.context() as patched, ThreadPoolExecutor(2) as pool:
+        patched.setattr(fusion, "run_batch", kept)
+        done = list(pool.map(lambda reading: run_fusion(reading, 60, 0, (), 1, lambda n: None), READINGS))
+    whole = {reading: np.concatenate(batches) for reading, batches in results.items()}
+    return Studies(dict(zip(READINGS, done, strict=True)), whole)
 
 
 @pytest.mark.parametrize("reading", READINGS)
-def test_errors_sit_on_the_bound_and_covariances_are_honest(
-    studies: dict[Reading, dict[str, Any]], reading: Reading
-) -> None:
-    found = studies[reading]
+def test_errors_sit_on_the_bound_and_covariances_are_honest(studies: Studies, reading: Reading) -> None:
+    found = studies.reported[reading]
     assert (found["vmu_noise"], found["runs"], found["seed"]) == (reading, 60, 0)
     for quantity, unit in (("position", "m"), ("attitude", "deg")):
         ratio = np.array(found[f"{quantity}_ratio"])
@@ -226,16 +240,17 @@ def test_bound_does_not_move_with_the_filters_that_it_judges() -> None:
     assert np.all(worse[:3] > 1.2 * shipped[:3])
 
 
-def test_limit_of_the_ratio_is_that_of_the_scatter_of_the_runs(studies: dict[Reading, dict[str, Any]]) -> None:
+def test_limit_of_the_ratio_is_that_of_the_scatter_of_the_runs(studies: Studies) -> None:
     """The mean square errors of sixty runs scatter as the degrees of freedom say that the limit is made of."""
     for reading in READINGS:
-        results = run_batch((), reading, 0, 0, 60)
+        results = studies.results[reading]
+        assert len(results) == 60
         for freedom, axes in zip(Study((), reading, 0).degrees_of_freedom(), (slice(0, 3), slice(3, 6)), strict=True):
             squares = results["square_error"][:, axes]
             found = 2.0 * squares.mean() ** 2 / squares.var(axis=0, ddof=1).mean()
             assert found == pytest.approx(freedom, rel=0.5)
     limits = [largest_ratio(2.4, runs, 6, 0.999) for runs in (1, 100, 10_000)]
     assert limits[0] > limits[1] > limits[2] > 1.0
-    assert studies["swapped"]["attitude_ratio_limit"] == largest_ratio(
+    assert studies.reported["swapped"]["attitude_ratio_limit"] == largest_ratio(
         Study((), "swapped", 0).degrees_of_freedom()[1], 60, 6, 0.999
     )

@@ -26,7 +26,7 @@ from tests.support.run_settings import make_job
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
-LENGTH_S = 120.0
+LENGTH_S = 60.0
 SIGMAS = ("sigma_r_m", "sigma_v_mps", "sigma_attitude_rad")
 EXACT = (
     "verdict", "thrusters", "stop", "accepted", "passed", "ready_time_s", "ready_phase", "events", "navigation",
@@ -39,12 +39,12 @@ def summary_of(folder: Path | None, *settings: str, compiled: bool = True) -> di
     return runs.run_job(runs.RunRequest(job, "mock", folder)).summary
 
 
-@pytest.mark.parametrize("settings", [(), ("gnc.abort.at_s=70.0",)], ids=["approach", "abort in the middle"])
+@pytest.mark.parametrize("settings", [(), ("gnc.abort.at_s=35.0",)], ids=["approach", "abort in the middle"])
 def test_numbers_of_a_long_run_are_those_of_its_rows(
     monkeypatch: pytest.MonkeyPatch, settings: tuple[str, ...]
 ) -> None:
     expected = summary_of(None, *settings)
-    monkeypatch.setattr(assembly, "ROWS_MAX", 700)
+    monkeypatch.setattr(assembly, "ROWS_MAX", 350)
     found = summary_of(None, *settings)
     for name in EXACT:
         assert found[name] == expected[name], name
@@ -52,8 +52,8 @@ def test_numbers_of_a_long_run_are_those_of_its_rows(
 
 
 def test_recording_in_parts_replays_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(assembly, "ROWS_MAX", 700)
-    monkeypatch.setattr(parts, "PART_CYCLES", 2000)
+    monkeypatch.setattr(assembly, "ROWS_MAX", 350)
+    monkeypatch.setattr(parts, "PART_CYCLES", 1000)
     summary_of(tmp_path, "imu.rate_hz=100.0")
     files = sorted(path.name for path in tmp_path.glob("*.mcap"))
     assert len(files) == 4
@@ -87,7 +87,7 @@ def test_replay_in_batches_is_the_replay_of_all_rows(tmp_path: Path, monkeypatch
 
 
 def test_later_part_alone_is_rejected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(parts, "PART_CYCLES", 4000)
+    monkeypatch.setattr(parts, "PART_CYCLES", 2000)
     summary_of(tmp_path)
     (later,) = tmp_path.glob("*.part2.mcap")
     with pytest.raises(BadInput, match="part 2 of a recording: open its first part"):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 import os
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -20,7 +18,6 @@ pytestmark = pytest.mark.xdist_group("campaign")
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "scripts"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
 LINES_MOST = 10
-OF_THEIR_OWN = ("on_dask",)  # its cluster starts processes, which import the script
 LIBRARIES = {"to_pandas": "pandas", "to_polars": "polars", "to_xarray": "xarray", "on_dask": "distributed"}
 
 
@@ -34,16 +31,8 @@ def test_script_is_short_and_works(
     comment = ast.get_docstring(ast.parse(text), clean=False) or ""
     code = [line for line in text.replace(f'"""{comment}"""', "").splitlines() if line.strip()]
     assert len(code) <= LINES_MOST
-    if script.stem in OF_THEIR_OWN:
-        environment = os.environ | {"MPLBACKEND": "agg"}
-        command = [sys.executable, str(script)]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        printed = done.stdout
-    else:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})  # cases run in this process, with its kernels
-        runpy.run_path(str(script), run_name="__main__")
-        plt.close("all")
-        printed = capsys.readouterr().out
-    assert printed or list(tmp_path.iterdir())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})  # cases run in this process, with its kernels
+    runpy.run_path(str(script), run_name="__main__")
+    plt.close("all")
+    assert capsys.readouterr().out or list(tmp_path.iterdir())
