@@ -48,11 +48,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     Tests marked ``wires`` run one after the other. A module may name its own group by ``xdist_group``; any other
     module is a group of its own.
     """
-    for item in items:
-        if item.get_closest_marker("wires"):
-            item.add_marker(pytest.mark.xdist_group("wires"))
-        elif not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group(_ONE_WORKER.get(item.path.parent.name, item.path.stem)))
+    groups = {item: "wires" if item.get_closest_marker("wires") else _group(item) for item in items}
+    for node in {node for item in items for node in item.listchain()}:  # xdist would join the groups of all nodes
+        node.own_markers[:] = [marker for marker in node.own_markers if marker.name != "xdist_group"]
+    for item, group in groups.items():
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
+def _group(item: pytest.Item) -> str:
+    """Return the group that the module names, or that of its folder, or the module's name."""
+    named = item.get_closest_marker("xdist_group")
+    return str(named.args[0]) if named else _ONE_WORKER.get(item.path.parent.name, item.path.stem)
 
 
 @pytest.hookimpl(tryfirst=True)
