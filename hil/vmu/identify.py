@@ -210,6 +210,8 @@ class Identifier:
 
         That is of two lights, which displaces it by up to half their distance.
         """
+        if rest.counts.min() < _SECOND:
+            return np.zeros(0, FIT)
         bright, plain = [], np.zeros_like(rest.spots)
         counts = np.zeros_like(rest.counts)
         for c, n in enumerate(rest.counts):
