@@ -79,18 +79,22 @@ def test_long_sample_gives_the_pose_that_single_faint_pairs_do_not() -> None:
 
 
 @pytest.mark.slow
-def test_faint_images_are_acquired_within_a_second() -> None:
-    rng, acquired = np.random.default_rng(5), 0
-    for _ in range(40):
+@pytest.mark.parametrize(("snr", "least_first", "least"), [(4.0, 5, 14), (5.0, 17, 21), (6.0, 20, 22), (8.0, 20, 22)])
+def test_faint_images_are_acquired_within_a_second(snr: float, least_first: int, least: int) -> None:
+    rng, first, acquired = np.random.default_rng(5), 0, 0
+    for _ in range(24):
         unit, range_m, solved = VisionUnit(known_geometry(EXACT)), rng.uniform(2.0, 10.0), 0
-        scene = replace(real_bench(EXACT, rng, PixelOptics()), optics=faint(5.0))
+        scene = replace(real_bench(EXACT, rng, PixelOptics()), optics=faint(snr))
         for k, truth in enumerate(slow_motion(rng, range_m, 11)):
             solution = unit.solve(*scene.pair(truth.turn, truth.t_v, rng), 0.1 * k)
             if solution.status == "ok":
+                first += k == 0
                 solved += 1
-                assert (np.abs(truth.error(solution)) < 5.5 * np.sqrt(np.diag(solution.covariance))).all()
+                assert (np.abs(truth.error(solution)) < 6.0 * np.sqrt(np.diag(solution.covariance))).all()
         acquired += solved > 0
-    assert acquired >= 37
+    print(f"SNR {snr}: {first} of 24 by the first pair, {acquired} within a second")  # noqa: T201
+    assert first >= least_first
+    assert acquired >= least
 
 
 @pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
