@@ -42,6 +42,8 @@ class DetectorSettings:
     weak_sigmas: float = 4.0
     weak_snr: float = 4.0
     """the same two of weak lights: in a whole image noise alone would exceed them"""
+    faint_snr: float = 5.0
+    """of weak lights in a whole image"""
     largest_px: float = 96.0
     """diameter of the largest spot"""
     most_spots: int = 64
@@ -99,7 +101,7 @@ class SpotDetector:
     def _search(self, image: np.ndarray, windows: np.ndarray, weak: bool) -> np.ndarray:
         chosen = self._settings
         limits = np.zeros(1, LIMITS)[0]
-        limits["least_snr"] = chosen.weak_snr if weak else chosen.least_snr
+        limits["least_snr"] = (chosen.weak_snr if len(windows) else chosen.faint_snr) if weak else chosen.least_snr
         limits["narrowest"] = chosen.narrowest_sigma_px
         limits["largest"] = chosen.largest_px
         for attempt in range(_MOST_TRIES):

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import in_image, project
-from hil.vmu.kernels.records import FIT, View
+from hil.vmu.kernels.records import FIT, MAX_SPOTS, View
 from hil.vmu.pose import (
     OPTICS_PX,
     Prediction,
@@ -117,7 +117,8 @@ class Identifier:
         mature: the prediction is that of a long track, which a single pair of images does not overrule.
         """
         found = self._by_hypotheses(view, prediction, mature)
-        if found.status in (NO_MATCH, GEOMETRY, TOO_FEW) and (apart := self._each_alone(view)) != OK:
+        unknown = found.status in (NO_MATCH, GEOMETRY, TOO_FEW) and view.counts.max() < MAX_SPOTS
+        if unknown and (apart := self._each_alone(view)) != OK:
             return LedIdentification(apart)
         return found
 
@@ -210,6 +211,8 @@ class Identifier:
 
         That is of two lights, which displaces it by up to half their distance.
         """
+        if rest.counts.min() < _SECOND:
+            return np.zeros(0, FIT)
         bright, plain = [], np.zeros_like(rest.spots)
         counts = np.zeros_like(rest.counts)
         for c, n in enumerate(rest.counts):
@@ -310,7 +313,7 @@ class Identifier:
         for c in range(2):
             counts = np.zeros_like(view.counts)
             counts[c] = view.counts[c]
-            fits, _ = self._solver.hypotheses(view._replace(counts=counts))
+            fits, _ = self._solver.hypotheses(view._replace(counts=counts), level=_OWN)
             fits = fits[[bool((fit["spot"] >= 0).sum() >= _OWN and self._possible(fit)) for fit in fits]]
             if both is not None:  # a pattern of other lights does not count
                 fits = fits[[shares_spots(fit, both) for fit in fits]]

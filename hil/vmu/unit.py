@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +30,7 @@ from hil.vmu.kernels.hypotheses import difference
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import SPOT, RingScene, View
 from hil.vmu.kernels.refine import place_when_seen
+from hil.vmu.long_sample import LongSample
 from hil.vmu.partial import PartialPose, partial_pose
 from hil.vmu.pose import Prediction, Solver, SolverSettings
 from hil.vmu.reflections import Doubt, doubt_of_lights
@@ -47,6 +48,7 @@ _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
 _BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # of the pixels: more than LEDs cover
 _WINDOW_LIMIT = 0.6  # of the image: larger windows are no faster than the whole image
+_FAINT_SNR = 25.0  # of a light, beyond which no other of its kind is lost in the noise
 _USUAL_SHIFT = 2.0  # sigmas between the two images
 _USUAL_SCALE = 2.3  # sigmas of the residuals' scale, which one good pair in a hundred exceeds
 _LARGEST_SCALE = 4.0  # of the residuals: beyond it cameras or ring are not those of the geometry file
@@ -173,6 +175,7 @@ class VisionUnit:
         self.solver = Solver(geometry, settings or SolverSettings())
         self.track = Track(track or TrackSettings())
         self._jump = Track(self.track.settings)
+        self._sample = LongSample()
         self._identifier = Identifier(self.solver, geometry.marked_led)
         self._consistency = Consistency(self.solver.scene, geometry.tolerances.sync_s)
         self._shapes = tuple((camera.height, camera.width) for camera in (geometry.left, geometry.right))
@@ -270,14 +273,40 @@ class VisionUnit:
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
     ) -> Solution:
         spots = self._detect(images, (None, None), weak=False)
-        if not any(len(found) for found in spots):
-            overfull = CROWDED if any(detector.overfull for detector in self._detectors) else DARK
-            return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else overfull)
+        overfull = CROWDED if any(detector.overfull for detector in self._detectors) else DARK
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
+        if overfull == DARK and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
+            verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
+        if not any(len(found) for found in spots):
+            return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else overfull)
         if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):
             return self._no_pose(t_s, BRIGHT)
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
+
+    def _by_faint_lights(
+        self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
+    ) -> tuple[LedIdentification, View, tuple[np.ndarray, np.ndarray]] | None:
+        """Return identification, view and spots with weak lights too, or without a track by a long sample.
+
+        None if no pose fits them.
+        """
+        spots = self._detect(images, (None, None), weak=True)
+        view = self.solver.view(*spots)
+        verdict = self._identifier.search(view, expected, self.track.is_mature)
+        if verdict.fit is None and expected is None and (lights := self._sample.add(t_s, spots)) is not None:
+            long = self.solver.view(*lights)
+            found = self._identifier.search(long, None)
+            if found.fit is not None:
+                return replace(found, fit=self._sample.accelerated(found.fit)), long, lights
+        return (verdict, view, spots) if verdict.status in (OK, AMBIGUOUS) else None
+
+    def _may_be_faint(self, spots: tuple[np.ndarray, np.ndarray]) -> bool:
+        """Return whether LEDs are missing in an image, and the few lights that it shows are weak."""
+        n, both = len(self._none), np.concatenate(spots)
+        if min(map(len, spots)) >= n or max(map(len, spots)) > 2 * n:
+            return False
+        return not len(both) or float(np.median(2.0 * both["size"] ** 2 / both["var_u"])) < _FAINT_SNR**2
 
     def _detect(
         self,
@@ -317,6 +346,7 @@ class VisionUnit:
                 return Solution(t_s, verdict.status, None, spots, (self._none, self._none))
             expected = self._predicted(t_s, verdict.status, spots)
             return expected if expected.pose is not None else self._partly(verdict, view, spots, t_s)
+        self._sample.clear()
         fit = with_strained_tolerances(verdict.fit)
         self.track.update(t_s, fit)
         doubt = doubt_of_lights(self.solver.scene, view, fit)

@@ -41,6 +41,7 @@ _EDGE_PX = 4.0  # an LED nearer to the image's edge may not be detected
 _LOG_2PI = math.log(2.0 * math.pi)
 _SHIFT_PX = 3.0
 _HOPELESS = 20.0  # of the score
+_UNDETERMINED = 1e4  # m^2 or rad^2
 _USUAL_SIGMA = 1.0  # chi-square up to this above its mean needs no other floor
 _FIRST_RIGHT, _FIRST_STEREO = 9, 18
 
@@ -395,7 +396,7 @@ def weigh(scene, view, density, clean, fit):
     fit.score = likelihood - (m - 3.0) * _LOG_2PI
     add_lights(scene, view, density, fit)
     for a in range(6):
-        if not (math.isfinite(fit.covariance[a, a]) and fit.covariance[a, a] > 0.0):
+        if not 0.0 < fit.covariance[a, a] < _UNDETERMINED:
             return
     fit.valid = 1
 

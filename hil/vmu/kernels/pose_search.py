@@ -48,7 +48,7 @@ of one that passes its test without a floor."""
 STATE_WIDTH: Final = 6
 
 _MOST_STARTS = 400
-_MOST_TRIPLES = 40_000  # of three spots and three LEDs: the time budget of an image pair
+_MOST_TRIPLES = 20_000  # of three spots and three LEDs: the time budget of an image pair
 _CLOSE_SCORE = 15.0  # within which a hypothesis without some of the spots is one of its own
 _SLACK = 2  # fits with up to this many spots fewer than the best are kept
 

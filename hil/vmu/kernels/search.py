@@ -11,6 +11,10 @@ from hil.vmu.kernels.components import (
     COMPONENT_WIDTH,
     END,
     FIRST,
+    U0,
+    U1,
+    V0,
+    V1,
     collect_hits,
     fill_background_grid,
     fill_threshold,
@@ -25,6 +29,8 @@ _TILE = 64  # px
 _SAMPLES = 36  # of a tile
 _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
+_FRINGE, _LARGE = 12, 300  # pixels above the threshold
+_BESIDE = 3  # px
 
 
 @kernel
@@ -125,6 +131,19 @@ def _typical(level, dark, k):
 
 
 @kernel
+def is_fringe(label, components, k):
+    """Return whether component ``k`` is a few pixels next to a large light: noise of that light's edge."""
+    if components[k, END] - components[k, FIRST] > _FRINGE:
+        return False
+    for i in range(max(components[k, V0] - _BESIDE, 0), min(components[k, V1] + _BESIDE + 1, label.shape[0])):
+        for j in range(max(components[k, U0] - _BESIDE, 0), min(components[k, U1] + _BESIDE + 1, label.shape[1])):
+            other = label[i, j] - 1
+            if other >= 0 and components[other, END] - components[other, FIRST] > _LARGE:
+                return True
+    return False
+
+
+@kernel
 def detect(image, windows, limits, per_level, label, queue, last, spots, noise):
     """Write the spots of an image (h, w) of uint8 to ``spots``; return how many, or TOO_MANY.
 
@@ -143,6 +162,8 @@ def detect(image, windows, limits, per_level, label, queue, last, spots, noise):
         known = components_of_windows(image, windows, limits, label, queue, components, lights)
     count = 0
     for k in range(max(known, 0)):
+        if is_fringe(label, components, k):
+            continue
         count = measure(
             image, label, k + 1, queue, components[k], lights[k, 0], lights[k, 1], per_level, limits, last, spots,
             count, noise[k],

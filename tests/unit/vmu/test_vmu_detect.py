@@ -10,8 +10,11 @@ import pytest
 from hil.config.vmu_geometry import Sensor
 from hil.errors import BadInput
 from hil.vmu.detect import SpotDetector
+from hil.vmu.kernels.components import COMPONENT_WIDTH, END, FIRST, U0, U1, V0, V1
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
+from hil.vmu.kernels.residuals import drop_outliers
+from hil.vmu.kernels.search import is_fringe
 from hil.vmu.render import Extras, HotPixel, Reflection, RingAppearance, RingRenderer, projections
 
 SIZE, FOCAL = 320, 1200.0
@@ -232,3 +235,27 @@ def test_small_and_oblong_images_are_searched_to_their_edges() -> None:
 def test_noise_that_is_all_lights_is_survived() -> None:
     image = np.random.default_rng(1).choice(np.array([0, 255], dtype=np.uint8), size=(SIZE, SIZE), p=[0.97, 0.03])
     assert len(SpotDetector((SIZE, SIZE)).spots(image)) <= 64
+
+
+def test_few_pixels_beside_a_large_light_are_noise_of_its_edge() -> None:
+    label = np.zeros((64, 64), np.int16)
+    label[20:40, 20:40] = 1
+    label[30, 42] = 2
+    label[30, 50] = 3
+    components = np.zeros((3, COMPONENT_WIDTH), np.int64)
+    for k, pixels in enumerate((400, 1, 1)):
+        rows, columns = np.nonzero(label == k + 1)
+        components[k, [FIRST, END]] = 0, pixels
+        components[k, [U0, V0, U1, V1]] = columns.min(), rows.min(), columns.max(), rows.max()
+    assert [is_fringe(label, components, k) for k in range(3)] == [False, True, False]
+    components[0, END] = 100
+    assert not is_fringe(label, components, 1)
+
+
+@pytest.mark.parametrize(("off", "dropped"), [(2, 2), (20, 1), (100, 0)])
+def test_many_pixels_off_the_model_are_another_shape(off: int, dropped: int) -> None:
+    model, weighed = np.full(400, 20.0), np.ones(400)
+    pixels = model.copy()
+    pixels[:off] += 50.0 + np.arange(off)
+    assert drop_outliers(pixels, weighed, 1.0, 0.01, model, np.zeros(400)) == dropped
+    assert weighed.sum() == 400 - dropped

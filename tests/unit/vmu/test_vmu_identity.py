@@ -7,6 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
+from hil.vmu.identify import OK, Identifier
+from hil.vmu.kernels.records import MAX_SPOTS, SPOT
 from hil.vmu.unit import VisionUnit
 from tests.support.vmu_scene import ring, somewhere, spots_of
 
@@ -169,3 +171,18 @@ def test_a_spot_that_is_off_is_left_out(raised: VisionUnit, rng: np.random.Gener
         assert solution.pose is not None
         assert 3 not in solution.leds[0]
         assert truth.nees(solution.pose) < RIGHT
+
+
+def test_images_of_more_lights_than_are_used_are_not_searched_one_by_one(
+    raised: VisionUnit, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pattern in one of them proves nothing, and to look for it costs as much as for the pose."""
+    calls = []
+    monkeypatch.setattr(Identifier, "_each_alone", lambda *_: calls.append(1) or OK)
+    for lights in (MAX_SPOTS - 1, MAX_SPOTS):
+        images = np.zeros((2, lights), SPOT)
+        images["u"], images["v"] = rng.uniform(50.0, 950.0, (2, 2, lights))
+        images["var_u"] = images["var_v"] = 0.01
+        raised.track.drop()
+        assert raised.solve_spots(*images, 0.0).pose is None
+    assert len(calls) == 1
