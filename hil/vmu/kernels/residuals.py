@@ -13,12 +13,11 @@ from hil.vmu.kernels.fit import FULL_SCALE, PLANE, SIGMA, U, V, gather, invert
 SHAPE_TERMS = 3  # extra parameters of ``shape_chi_square``
 _OUTLIER = 6.0  # sigma
 _MOST_OUTLIERS = 3
-_OTHER_SHAPE = 60  # outliers, beyond which it is not single pixels that are off, but the shape
 
 
 @kernel
 def drop_outliers(pixels, weighed, dark, per_level, model, light):
-    """Exclude the pixels that are far off the model, of some only the worst, of many none. Return how many."""
+    """Exclude the pixels that are far off the model, only the worst if there are many. Return how many."""
     found = np.empty(_MOST_OUTLIERS, dtype=np.int64)
     count, worst, most = 0, 0, 0.0
     for at in range(pixels.shape[0]):
@@ -32,8 +31,6 @@ def drop_outliers(pixels, weighed, dark, per_level, model, light):
             count += 1
             if square > most:
                 worst, most = at, square
-    if count > _OTHER_SHAPE:
-        return 0
     if count > _MOST_OUTLIERS:
         weighed[worst] = 0.0
         return 1
