@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.vmu.kernels.components import CLIPPED, END, FIRST, U0, U1, V0, V1
-from hil.vmu.kernels.fit import DISC, FLUX, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit
+from hil.vmu.kernels.fit import DISC, HEIGHT, PLANE, POINT, SHEAR, SIGMA, WIDTH, U, V, fit
 from hil.vmu.kernels.peaks import find_peaks, mark_hot, start_points, sum_patch
 from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
 from hil.vmu.kernels.residuals import SHAPE_TERMS, drop_outliers, light_noise, misfit, shape_chi_square, signal_to_noise
@@ -74,6 +74,13 @@ def clean(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, 
 
 
 @kernel
+def fit_and_clean(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, model, light, slopes):
+    """Fit ``p`` to the pixels, and again without the few outliers; return as ``misfit``, or NaN."""
+    total = fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, model, light, slopes)
+    return clean(is_disc, box, pixels, weighed, dark, per_level, p, covariance, model, light, slopes, total)
+
+
+@kernel
 def disc_start(p, disc):
     """Write initial parameters of a disc of the same width as the point of light ``p``."""
     for i in range(PLANE + SIGMA):
@@ -86,11 +93,14 @@ def disc_start(p, disc):
 
 
 @kernel
-def disc_of_last(last, u, v, flux, disc):
-    """Write initial parameters of a disc of the shape of the nearest spot of ``last``; False if that is no disc."""
+def disc_of_last(last, p, disc):
+    """Write initial parameters of a disc at the point of light ``p``, with the shape of the nearest spot of ``last``.
+
+    Return False if that is no disc.
+    """
     nearest, least = -1, np.inf
     for k in range(last.shape[0]):
-        distance = math.hypot(last[k].u - u, last[k].v - v)
+        distance = math.hypot(last[k].u - p[PLANE + U], last[k].v - p[PLANE + V])
         if distance < least:
             nearest, least = k, distance
     if nearest < 0 or not last[nearest].blur > 0.0:
@@ -101,7 +111,9 @@ def disc_of_last(last, u, v, flux, disc):
         return False
     height = 2.0 * math.sqrt(extent - along)
     shear = 4.0 * diagonal / height
-    disc[PLANE + FLUX], disc[PLANE + U], disc[PLANE + V], disc[PLANE + SIGMA] = flux, u, v, spot.blur
+    for i in range(PLANE + SIGMA):
+        disc[i] = p[i]
+    disc[PLANE + SIGMA] = spot.blur
     disc[PLANE + WIDTH] = math.sqrt(max(4.0 * (extent + along) - shear * shear, 0.0))
     disc[PLANE + SHEAR], disc[PLANE + HEIGHT] = shear, height
     return True
@@ -186,7 +198,9 @@ def _variance(slope, covariance, a, n):
 
 
 @kernel
-def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, split, pixels, weighed, limits, spot):
+def write_spot(
+    image, box, p, a, is_disc, covariance, elongation, stretch, snr, component, split, pixels, weighed, limits, spot
+):
     """Write a light as SPOT; return False if it is too weak, too narrow, too large or outside the image.
 
     The centroid of a large disc is not the image of its centre: in perspective the nearer half is larger. The shift
@@ -223,6 +237,9 @@ def write_spot(image, box, p, a, is_disc, covariance, stretch, snr, component, s
     spot.flux = above if component[CLIPPED] > 0 else flux
     spot.peak, spot.size, spot.pixels = peak, size, component[END] - component[FIRST]
     spot.blur = p[a + SIGMA] if is_disc else 0.0
+    spot.elongation[0], spot.elongation[1] = elongation[0], elongation[1]
+    spot.shape_sigma[0] = math.sqrt(stretch) * elongation[2]
+    spot.shape_sigma[1] = math.sqrt(stretch * size_variance(p, covariance, a, is_disc))
     edge = min(min(u, columns - 1.0 - u), min(v, rows - 1.0 - v))
     spot.flags = 0
     if component[CLIPPED] > 0:
@@ -260,8 +277,7 @@ def measure(image, label, name, queue, component, level, dark, per_level, limits
         return count
     if found == 1 and last.shape[0] > 0:
         disc = np.empty(PLANE + DISC)
-        disc[:PLANE] = p[:PLANE]
-        if disc_of_last(last, p[PLANE + U], p[PLANE + V], p[PLANE + FLUX], disc) and _follow_disc(
+        if disc_of_last(last, p, disc) and _follow_disc(
             image, label, name, component, dark, per_level, limits, disc, spots, count, noise
         ):  # fmt: skip
             return count + 1
@@ -282,22 +298,19 @@ def _follow_disc(image, label, name, component, dark, per_level, limits, disc, s
     slopes = np.empty((PLANE + DISC, size))
     if size > 4.0 * limits.largest**2 or read_window(image, label, name, box, pixels, weighed) <= PLANE + DISC + 2:
         return False
-    total = fit(True, box, pixels, weighed, dark, per_level, _MOST_STEPS, disc, covariance, model, light, slopes)
-    chi2, allowed = clean(
-        True, box, pixels, weighed, dark, per_level, disc, covariance, model, light, slopes, total
+    chi2, allowed = fit_and_clean(
+        True, box, pixels, weighed, dark, per_level, _MOST_STEPS, disc, covariance, model, light, slopes
     )  # fmt: skip
     snr = signal_to_noise(pixels, weighed, dark, per_level, light)
     if not chi2 <= allowed or not snr > _STRONG:
         return False
-    spot = spots[count]
-    if not write_spot(
-        image, box, disc, PLANE, True, covariance, 1.0, snr, component, False, pixels, weighed, limits, spot
-    ):  # fmt: skip
-        return False
     elongation = np.empty(3)
     disc_elongation(disc, covariance, elongation)
-    spot.elongation[0], spot.elongation[1], spot.shape_sigma[0] = elongation[0], elongation[1], elongation[2]
-    spot.shape_sigma[1] = math.sqrt(size_variance(disc, covariance, PLANE, True))
+    if not write_spot(
+        image, box, disc, PLANE, True, covariance, elongation, 1.0, snr, component, False, pixels, weighed, limits,
+        spots[count],
+    ):  # fmt: skip
+        return False
     noise[0], noise[1] = light_noise(pixels, weighed, dark, per_level, light, model, slopes, covariance)
     return True
 
@@ -377,13 +390,9 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, sp
         disc_weighed = np.empty(size)
         disc_start(p, disc)
         read_window(image, label, name, box, pixels, disc_weighed)
-        disc_total = fit(
+        disc_chi2, disc_allowed = fit_and_clean(
             True, box, pixels, disc_weighed, dark, per_level, _MOST_STEPS, disc, disc_covariance, disc_model,
             disc_light, disc_slopes,
-        )  # fmt: skip
-        disc_chi2, disc_allowed = clean(
-            True, box, pixels, disc_weighed, dark, per_level, disc, disc_covariance, disc_model, disc_light,
-            disc_slopes, disc_total,
         )  # fmt: skip
         if shape_chi2 > _NOT_GAUSSIAN and not disc_chi2 <= disc_allowed:  # then not the shape, but single pixels
             chi2, allowed = clean(
@@ -414,13 +423,9 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, sp
             pair_model, pair_light, pair_slopes = np.empty(size), np.empty(size), np.empty((PLANE + 2 * POINT, size))
             pair_weighed = np.empty(size)
             read_window(image, label, name, box, pixels, pair_weighed)
-            pair_total = fit(
+            pair_chi2, pair_allowed = fit_and_clean(
                 False, box, pixels, pair_weighed, dark, per_level, 2 * _MOST_STEPS, pair, pair_covariance, pair_model,
                 pair_light, pair_slopes,
-            )  # fmt: skip
-            pair_chi2, pair_allowed = clean(
-                False, box, pixels, pair_weighed, dark, per_level, pair, pair_covariance, pair_model, pair_light,
-                pair_slopes, pair_total,
             )  # fmt: skip
             if pair_chi2 <= pair_allowed and are_two_lights(pair):
                 is_disc, p, covariance, chi2, allowed, found = False, pair, pair_covariance, pair_chi2, pair_allowed, 2
@@ -434,12 +439,9 @@ def _fit_and_write(image, label, name, component, dark, per_level, limits, p, sp
     before = count
     for k in range(found):
         if count < spots.shape[0] and write_spot(
-            image, box, p, PLANE + POINT * k, is_disc, covariance, stretch, snr, component, split, pixels, weighed,
-            limits, spots[count],
+            image, box, p, PLANE + POINT * k, is_disc, covariance, elongation, stretch, snr, component, split, pixels,
+            weighed, limits, spots[count],
         ):  # fmt: skip
-            spots[count].elongation[0], spots[count].elongation[1] = elongation[0], elongation[1]
-            spots[count].shape_sigma[0] = math.sqrt(stretch) * elongation[2]
-            spots[count].shape_sigma[1] = math.sqrt(stretch * size_variance(p, covariance, PLANE + POINT * k, is_disc))
             count += 1
     if count > before and chi2 < 4.0 * allowed:
         if is_disc:
