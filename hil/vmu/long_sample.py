@@ -42,7 +42,11 @@ class LongSample:
         """
         if self._pairs and not t_s > self._times[-1]:
             self.clear()
-        if self._pairs and all(_are_equal(a, b) for a, b in zip(spots, self._pairs[-1], strict=True)):
+        if self._pairs and all(
+            np.array_equal(here[name], last[name])
+            for here, last in zip(spots, self._pairs[-1], strict=True)
+            for name in ("u", "v")
+        ):
             return None
         first = next((k for k, at in enumerate(self._times) if t_s - at <= _LONGEST_S), len(self._times))
         self._times, self._pairs = [*self._times[first:], t_s], [*self._pairs[first:], spots]
@@ -107,7 +111,3 @@ def line_of(
     for name in ("var_u", "var_v", "cov_uv"):
         light[name] = part**2 @ spots[name]
     return light, square
-
-
-def _are_equal(spots: np.ndarray, others: np.ndarray) -> bool:
-    return len(spots) == len(others) and bool((spots["u"] == others["u"]).all() and (spots["v"] == others["v"]).all())

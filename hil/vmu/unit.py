@@ -273,15 +273,15 @@ class VisionUnit:
         self, images: tuple[np.ndarray | None, np.ndarray | None], t_s: float, expected: Prediction | None
     ) -> Solution:
         spots = self._detect(images, (None, None), weak=False)
-        overfull = CROWDED if any(detector.overfull for detector in self._detectors) else DARK
+        is_overfull = any(detector.overfull for detector in self._detectors)
         view = self.solver.view(*spots)
         verdict = self._identifier.search(view, expected, self.track.is_mature)
-        if overfull == DARK and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
+        if not is_overfull and verdict.fit is None and not verdict.jump and self._may_be_faint(spots):
             verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
-        if not any(len(found) for found in spots):
-            return self._no_pose(t_s, BRIGHT if any(is_bright(image) for image in images) else overfull)
         if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):
             return self._no_pose(t_s, BRIGHT)
+        if not any(len(found) for found in spots):
+            return self._no_pose(t_s, CROWDED if is_overfull else DARK)
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
 
     def _by_faint_lights(
