@@ -19,11 +19,19 @@ from hil.core.jit import kernel
 from hil.fmi.binary import LOG_BYTES
 
 
+def field_of(dtype: np.dtype, name: str) -> tuple[np.dtype, int]:
+    """Return type and offset, bytes, of a field; ``name``: dotted for one of a nested record."""
+    offset = 0
+    for part in name.split("."):
+        assert dtype.fields is not None
+        dtype, at = dtype.fields[part][:2]
+        offset += at
+    return dtype, offset
+
+
 def offset_of(dtype: np.dtype, name: str) -> int:
     """Return the offset of a field, bytes."""
-    assert dtype.fields is not None
-    offset: int = dtype.fields[name][1]
-    return offset
+    return field_of(dtype, name)[1]
 
 
 CODES: Final = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
@@ -60,7 +68,7 @@ CALL: Final = np.dtype(
 GROUP: Final = np.dtype([("copies", "i8"), ("n_copies", "i8"), ("calls", "i8"), ("n_calls", "i8")], align=True)
 """Copies and calls that go together: addresses and lengths."""
 
-NESTED_MAX: Final = 2
+NESTED_MAX: Final = 4
 NESTED: Final = np.dtype(
     [
         ("groups", "i8"),  # address of GROUP for each record

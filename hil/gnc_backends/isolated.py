@@ -11,6 +11,7 @@ import shutil
 import socket
 import tempfile
 import weakref
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -23,9 +24,10 @@ from numba.extending import intrinsic
 from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode
+from hil.core.settings import Setting
 from hil.errors import BadInput, DeviceError
 from hil.fmi.step import offset_of
-from hil.gnc_backends.shared_library import Instance
+from hil.gnc_backends.backend import NO_SETTINGS, BackendInstance
 
 _MODULE: Final = "hil.processes.isolated_fmu"
 _START_S: Final = 60.0
@@ -118,27 +120,30 @@ def _step_function() -> Any:
 
 
 class IsolatedFmu:
-    """The FMU of ``gnc`` in a process of its own. Raises BadInput if it cannot be used. source: for messages."""
+    """The FMU of ``gnc`` in a process of its own, a backend of a whole GNC. Raises BadInput, made by ``refuse``."""
 
-    def __init__(self, gnc: GncConfig, source: str = "--set") -> None:
+    settings: tuple[Setting, ...] = ()
+
+    def __init__(self, gnc: GncConfig, refuse: Callable[[str], BadInput]) -> None:
         assert gnc.fmu is not None
-        self.path = Path(gnc.fmu).absolute()
-        self.name = self.path.name
-        self._gnc, self._source = gnc, source
+        self.name = Path(gnc.fmu).name
+        self._gnc, self._refuse = gnc, refuse
         self._child: _Child | None = None
         self._opened = False
-        self._start()
-        self.step_address: int = _step_function().address
+        self.receives_measurements = self._start().receives_measurements
 
-    def open(self, setup: np.record) -> Instance:
-        """Return a GNC set up with ``setup`` (GNC_SETUP). Raises BadInput if the FMU does not allow it."""
-        if self._child is None or (self._opened and self._child.only_once):
-            self._start()
+    def check(self, setup: np.record) -> None:
+        """Open and close an instance. Raises BadInput if the FMU does not allow it."""
+        self.open(setup).close()
+
+    def open(self, setup: np.record, values: np.ndarray = NO_SETTINGS) -> BackendInstance:
+        """Return an instance. Raises BadInput if the FMU does not allow it."""
         child = self._child
-        assert child is not None
+        if child is None or (self._opened and child.only_once):
+            child = self._start()
         self._opened = True
         self._check(child.ask({"open": np.asarray(setup).tobytes().hex()}, _OPEN_S))
-        return Instance(lambda _: self._close(child), child.link.ctypes.data)
+        return BackendInstance(_step_function().address, child.link.ctypes.data, free=lambda _: self._close(child))
 
     def _close(self, child: _Child) -> None:
         if child.link["failed"][0]:
@@ -147,29 +152,29 @@ class IsolatedFmu:
         else:
             child.ask({"close": True}, _OPEN_S)
 
-    def _start(self) -> None:
+    def _start(self) -> _Child:
         if self._child is not None:
             self._child.close()
         self._opened = False
-        self._child = _Child(f"fmu {self.name}", self._gnc, self._source)
+        self._child = _Child(f"fmu {self.name}", self._gnc)
         self._check(self._child.ready)
         weakref.finalize(self, self._child.close)
+        return self._child
 
     def _check(self, answer: dict[str, Any]) -> None:
         if problem := answer.get("problem"):
-            raise BadInput.single(self._source, "gnc.fmu", problem)
+            raise self._refuse(problem)
 
 
 class _Child:
     """The process, its socket and the record that the step reads."""
 
-    def __init__(self, name: str, gnc: GncConfig, source: str) -> None:
+    def __init__(self, name: str, gnc: GncConfig) -> None:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._folder = tempfile.mkdtemp(prefix="hil-fmu-")
             configuration = {
                 "gnc": gnc.model_dump(mode="json"),
-                "source": source,
                 "descriptor": theirs.fileno(),
                 "folder": self._folder,
             }
@@ -185,6 +190,7 @@ class _Child:
             self.link[field][0, : len(text)] = np.frombuffer(text.encode(), np.uint8)
         self.ready = self._answer(_START_S, "starts")
         self.only_once = bool(self.ready.get("only_once"))
+        self.receives_measurements = bool(self.ready.get("receives_measurements"))
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         """Return the answer to ``request``; of a process that gives none, the problem."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.scenario import GncConfig
+from hil.errors import BadInput
 from hil.gnc_backends import fmu, shared_library
+from hil.gnc_backends.backend import WHOLE, Backend
 from hil.gnc_backends.backend_registry import backend_file
-from hil.gnc_backends.shared_library import GncLibrary, Library, digest_of
+from hil.gnc_backends.python_backend import PythonBackend
+from hil.gnc_backends.shared_library import LibraryBackend, digest_of
 
 _KEYS: Final = {True: fmu.KEY, False: shared_library.KEY}
 
@@ -17,15 +20,28 @@ def key_of(gnc: GncConfig) -> str:
     return _KEYS[gnc.fmu is not None]
 
 
-def open_library(gnc: GncConfig, source: str = "--set") -> GncLibrary | None:
-    """Return the binary that ``gnc`` names, None for the built-in GNC. source: for messages. Raises BadInput."""
-    if gnc.fmu is not None:
-        if gnc.fmu_process:
-            from hil.gnc_backends.isolated import IsolatedFmu
+def open_library(
+    gnc: GncConfig, source: str = "--set", own: object | None = None, copies: bool = False
+) -> Backend | None:
+    """Return the whole GNC that is elsewhere, None for the built-in one. Raises BadInput. source: for messages.
 
-            return IsolatedFmu(gnc, source)
-        return fmu.FmuLibrary(gnc, source)
-    return None if gnc.library is None else Library(gnc.library, source)
+    It is ``own``, an object of the caller, of which each instance is a copy if ``copies``, or the binary of ``gnc``.
+    """
+
+    def refuse(what: str) -> BadInput:
+        return BadInput.single(source, key_of(gnc), f'"{gnc.binary}": {what}')
+
+    if own is not None:
+        return PythonBackend(own, WHOLE, refuse, copies)
+    if gnc.binary is None:
+        return None
+    if gnc.fmu is None:
+        return LibraryBackend(gnc.binary, WHOLE, refuse)
+    if gnc.fmu_process:
+        from hil.gnc_backends.isolated import IsolatedFmu
+
+        return IsolatedFmu(gnc, refuse)
+    return fmu.FmuBackend(gnc.fmu, WHOLE, refuse, gnc)
 
 
 def binary_digest(gnc: GncConfig) -> str:

@@ -125,7 +125,7 @@ def test_unit_of_the_fmu_is_converted(fmu: Path, tmp_path: Path) -> None:
     )
     scenario = load_scenario("scheme-1", [f"gnc.fmu={made}"]).value
     found = open_library(scenario.gnc)
-    elements = {(e.field.name, e.index, e.variable.name): e for e in found._steps.outputs}  # type: ignore[union-attr]
+    elements = {(e.field.name, e.index, e.variable.name): e for e in found.outputs}  # type: ignore[union-attr]
     assert next(e for key, e in elements.items() if key[0] == "r_CT_H_m").factor == 1e-3
 
 

@@ -16,7 +16,7 @@ from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.frmn.authentication import link_key
 from hil.gnc_backends.library import open_library
-from hil.processes.binary_gnc_server import OFFERS, BinaryGncServer
+from hil.processes.binary_gnc_server import BINARY_WANTS, OFFERS, BinaryGncServer
 from hil.processes.gnc_server import gnc_side
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 from tests.support.fmu import example_fmu
@@ -74,7 +74,7 @@ def test_server_of_a_library_flies_as_the_library_does(tmp_path: Path) -> None:
     library = f"gnc.library={c_example(tmp_path)}"
     execute(["run", "scheme-1", "--duration", "2", "--set", library, "--json", str(numbers)])
     scenario = load_scenario("scheme-1", [library]).value
-    link = gnc_side("test gnc", None, ("127.0.0.1", port), link_key(None), OFFERS)
+    link = gnc_side("test gnc", None, ("127.0.0.1", port), link_key(None), OFFERS, BINARY_WANTS)
     binary = open_library(scenario.gnc)
     assert binary is not None
     server = BinaryGncServer(binary, scenario, link)
