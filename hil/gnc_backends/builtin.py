@@ -83,11 +83,6 @@ class BuiltinGnc(CompiledGnc):
         if self.fuses:
             self.filter_monitor.add_innovations(cycle, nis_position, nis_attitude)
 
-    def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
-        """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) and new texts of backends."""
-        self.log_progress(t_s, before, supervision)
-        self.log_texts(t_s)
-
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Take the bound on the position error by the docking monitor, 0 for none, for the protection levels."""
         known = self.state.navigation.integrity

@@ -149,9 +149,13 @@ class CompiledGnc(Approach):
         inbox.arrived = len(arrivals)
         inbox.arrival[: len(arrivals)] = arrivals
 
+    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
+        """Check the NIS of ``cycle``, in which poses arrived; those of filters elsewhere are not monitored."""
+
     def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
         """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) and new texts of backends."""
-        raise NotImplementedError
+        self.log_progress(t_s, before, supervision)
+        self.log_texts(t_s)
 
     def log_texts(self, t_s: float) -> None:
         """Log the new texts of backends."""

@@ -34,9 +34,6 @@ class WholeGnc(CompiledGnc):
         if self.state["backends"]["asks_for_hold"]:
             self.hold_as_asked()
 
-    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
-        """Do nothing: the filters of a GNC elsewhere are not monitored."""
-
     def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
         """Log the progress since ``before`` (bytes of APPROACH_PROGRESS) in guidance, the text, and what followed."""
         guided = self.state["guided"]

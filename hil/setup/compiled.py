@@ -8,8 +8,7 @@ from typing import Literal
 from hil.cameras.pose_sensor import PoseModel
 from hil.core.jit import mark_of, prepare_kernel_cache, processor, remove_unused_kernels
 from hil.drivers.io.mock import MockIo
-from hil.gnc_backends.builtin import BuiltinGnc
-from hil.gnc_backends.whole import WholeGnc
+from hil.gnc_backends.open_backends import CompiledGnc
 from hil.loop.compiled.cycles import CompiledCycles, MockSources
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.rate_keeper import SimulatedRate
@@ -70,7 +69,7 @@ def _mark(group: Kernels) -> Path:
 def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:
     """Return the compiled cycles of ``runner``, made of ``mocks`` for ``job``."""
     gnc, sensor, io = runner.loop.gnc, mocks.sensor, mocks.devices.io
-    assert isinstance(gnc, BuiltinGnc | WholeGnc)
+    assert isinstance(gnc, CompiledGnc)
     assert isinstance(sensor, PoseModel)
     assert io is None or isinstance(io, MockIo)
     sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)
