@@ -85,11 +85,6 @@ def compile_call(given, out):
     call.compile((types.int64, types.int64, typeof(given), typeof(out)))
 
 
-def compile_hold(backends):
-    """Compile ``hold_step`` without calling anything."""
-    hold_step.compile((typeof(backends),))
-
-
 @kernel
 def take_apart(out, cycle, n_thrusters, navigation, control):
     """Write the outputs of navigation and control from ``out`` (GNC_OUTPUT); return (fault, index), (FINE, 0) for none.

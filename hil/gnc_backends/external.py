@@ -19,7 +19,7 @@ from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.output_texts import fault_text, hold_reason, printable, reported_fault
 
 _MESSAGES_MAX: Final = 200  # logged in a run: a text that changes in each cycle must not fill the log
-_NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
+NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 
 
 class BackendSetup(NamedTuple):
@@ -121,9 +121,7 @@ class ExternalGnc(Approach):
 
     def _write_input(self, t_s: float, mode: GncMode, orders: GncOrder, now: Records, inbox: Poses | None) -> None:
         """Write ``input``. inbox: None if no poses and measurements are to be sent."""
-        (poses, n), arrived = (
-            ((inbox.poses, inbox.arrived), self._arrived) if inbox is not None else ((_NO_POSES, 0), 0)
-        )
+        (poses, n), arrived = ((inbox.poses, inbox.arrived), self._arrived) if inbox is not None else ((NO_POSES, 0), 0)
         whole_step.write_input(
             self.cycle, t_s, int(mode), int(orders), now.imu, now.reference, poses, n, self.input
         )  # fmt: skip
@@ -135,10 +133,10 @@ class ExternalGnc(Approach):
         """Call each kernel once: nothing compiles once the bench is powered."""
         navigation, command, output, reference = new(NAVIGATION), new(COMMAND), new(GNC_OUTPUT), new(REFERENCE)
         whole_step.write_input(
-            -1, 0.0, int(GncMode.STANDBY), 0, new(IMU), reference, _NO_POSES, 0, self.input
+            -1, 0.0, int(GncMode.STANDBY), 0, new(IMU), reference, NO_POSES, 0, self.input
         )  # fmt: skip
         backend_step.write_measured(
-            self.params, -1, np.zeros(1, IMU), _NO_POSES, 0, self._arrivals, 0, self.input.measured
+            self.params, -1, np.zeros(1, IMU), NO_POSES, 0, self._arrivals, 0, self.input.measured
         )  # fmt: skip
         whole_step.clear_output(output, 0)
         whole_step.take_apart(output, 0, self._n, *self._parts)

@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.config.tables.host import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
-from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
+from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.core.observable import ObservableList
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.link import Link
@@ -28,7 +28,7 @@ from hil.gnc.estimation import navigation
 from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends import udp_records
 from hil.gnc_backends.base import Poses, Records
-from hil.gnc_backends.external import BackendSetup, ExternalGnc
+from hil.gnc_backends.external import NO_POSES, BackendSetup, ExternalGnc
 from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, LinkStats, ReceiveBuffers, ReplyReceiver
 
 NAME: Final = "gnc"
@@ -37,7 +37,6 @@ _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
 _BUSY_S: Final = 0.1  # wall time between two idle cycles after which the bench itself may have been silent
 _SILENT_S: Final = 0.35  # wall time after which another GNC may replace a silent one: three heartbeats
 _IDLE_S: Final = 0.01  # wall time of a cycle of a hold in simulated time
-_NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 _A_POSE: Final = np.zeros(1, POSE).view(np.recarray)
 _IDLE_IMU: Final = new(IMU)
 
@@ -188,7 +187,7 @@ class UdpGnc(ExternalGnc):
         if self._read_reply(now, t_s) and (
             math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude)
         ):
-            self.filter_monitor.update(self._replies.used, now.samples, _A_POSE, now.navigation, _NO_POSES)
+            self.filter_monitor.update(self._replies.used, now.samples, _A_POSE, now.navigation, NO_POSES)
 
     def _read_reply(self, now: Records, t_s: float) -> bool:
         """Write NAVIGATION and COMMAND; return whether they are those of a GNC server."""
@@ -241,7 +240,7 @@ class UdpGnc(ExternalGnc):
         """Send an input without measurements: the loop is open."""
         t_s = max(0.0, self.cycle * float(self.setup.step_s))
         whole_step.write_input(
-            self.cycle, t_s, int(mode), int(GncOrder.NONE), _IDLE_IMU, self._reference, _NO_POSES, 0, self.input
+            self.cycle, t_s, int(mode), int(GncOrder.NONE), _IDLE_IMU, self._reference, NO_POSES, 0, self.input
         )
         self._send()
 

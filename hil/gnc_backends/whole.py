@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import ctypes
+from typing import Final
+
 import numpy as np
 
 from hil.core.gnc_records import GncMode
-from hil.core.messages import Array
-from hil.gnc import whole_step
+from hil.core.kernel_record import kernel_record
+from hil.core.messages import CYCLE, IMU, Array, new
+from hil.gnc import guidance, whole_step
+from hil.gnc.step import GNC_STATE
 from hil.gnc_backends.backend import WHOLE, Backend
 from hil.gnc_backends.base import Poses, Records
-from hil.gnc_backends.external import BackendSetup
+from hil.gnc_backends.external import NO_POSES, BackendSetup
 from hil.gnc_backends.open_backends import CompiledGnc, OpenBackends
+
+_NOTHING: Final = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(lambda *_: 0)
 
 
 class WholeGnc(CompiledGnc):
@@ -20,7 +27,7 @@ class WholeGnc(CompiledGnc):
         super().__init__(setup.params, OpenBackends({WHOLE: backend}, setup.setup), setup.event_log, state)
         self.name = self._backends.name(WHOLE)
         self._nees = np.full(2, np.nan)
-        whole_step.compile_hold(self.state.backends)
+        self._compile()
 
     def step(self, t_s: float, now: Records, inbox: Poses) -> None:
         """Run stages 4 to 7 of the cycle; log what has changed."""
@@ -48,6 +55,14 @@ class WholeGnc(CompiledGnc):
             return
         if not whole_step.hold_step(self.state.backends):
             raise self._backends.failure(backends)
+
+    def _compile(self) -> None:
+        """Call the kernels once with a GNC that does nothing: nothing compiles once the bench is powered."""
+        state, now = kernel_record(new(GNC_STATE)), kernel_record(new(CYCLE))
+        guidance.start(self.params.approach.guidance, state.approach.guidance)
+        state.backends.gnc.step = ctypes.cast(_NOTHING, ctypes.c_void_p).value
+        whole_step.whole_step(self.params, state, now, np.zeros(1, IMU), NO_POSES, 0, 0, 0.0)
+        whole_step.hold_step(state.backends)
 
     def consistency(self, truth: np.record, imu: np.record) -> Array:
         """Return nan, (2,): the estimate has no covariance."""
