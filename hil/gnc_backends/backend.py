@@ -6,6 +6,7 @@ Kinds: a kernel (``kernel_backend``), a Python class or object (``python_backend
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple, Protocol, Self
 
@@ -25,6 +26,13 @@ ANY_PART: Final = (*PARTS, WHOLE)
 
 
 NO_SETTINGS: Final = np.zeros(0)
+C_STEP: Final = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+"""Type of a step in C, with which a Python function becomes one."""
+
+
+def address_of(function: object) -> int:
+    """Return the address of a C function of ctypes."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0  # type: ignore[arg-type]
 
 
 class BackendInstance:

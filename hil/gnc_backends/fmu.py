@@ -100,6 +100,7 @@ class FmuBackend:
             self.settings = () if part == WHOLE else self._declared()
         except (FmuError, ValueError) as error:
             raise refuse(str(error)) from error
+        self.step_address: int = (step.step_function() if part == WHOLE else step.step_function_of_part()).address
 
     @property
     def only_once(self) -> bool:
@@ -215,8 +216,7 @@ class _FmuInstance(BackendInstance):
     def __init__(self, backend: FmuBackend, setup: np.record, values: np.ndarray) -> None:
         self._backend, self._names = backend, [setting.name for setting in backend.settings]
         self._component, self._tables = backend.begin(setup, dict(zip(self._names, map(float, values), strict=False)))
-        function = step.step_function() if backend.layout is _LAYOUTS[WHOLE] else step.step_function_of_part()
-        super().__init__(function.address, self._tables.address, free=self._free_component)
+        super().__init__(backend.step_address, self._tables.address, free=self._free_component)
 
     def set_settings(self, values: np.ndarray) -> None:
         """Set the tunable parameters. Raises DeviceError if the FMU refuses one."""

@@ -1,7 +1,6 @@
 """FMU in a process of its own: one that hangs or crashes stops the bench, and nothing else.
 
-Records travel through a socket, a datagram per direction and step. The step is a compiled function that calls the C
-library, so that the compiled loop can call it as well.
+Records travel through a socket, a datagram per direction and step.
 """
 
 from __future__ import annotations
@@ -12,111 +11,26 @@ import socket
 import tempfile
 import weakref
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from llvmlite import ir
-from numba import carray, cfunc, types  # type: ignore[attr-defined]
-from numba.extending import intrinsic
 
 from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, TEXT_BYTES, GncMode
 from hil.core.settings import Setting
 from hil.errors import BadInput, DeviceError
 from hil.fmi.step import offset_of
-from hil.gnc_backends.backend import NO_SETTINGS, BackendInstance
+from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, BackendInstance, address_of
 
 _MODULE: Final = "hil.processes.isolated_fmu"
 _START_S: Final = 60.0
 _OPEN_S: Final = 10.0
-_TEXT: Final = 64
-_NO_SIGNAL: Final = 0x4000  # MSG_NOSIGNAL
-_POLLIN: Final = 1
-_RUNNING: Final = GncMode.RUNNING.value
-_TEXT_OFFSET: Final = offset_of(GNC_OUTPUT, "text")
-_INPUT_BYTES: Final = GNC_INPUT.itemsize
-_OUTPUT_BYTES: Final = GNC_OUTPUT.itemsize
-_ENDED, _SILENT = 102, 103  # returned by the step
-
-_LINK = np.dtype(
-    [
-        ("descriptor", "i4"),  # begins a pollfd
-        ("events", "i2"),
-        ("revents", "i2"),
-        ("send", "i8"),
-        ("poll", "i8"),
-        ("receive", "i8"),
-        ("timeout_ms", "i8"),
-        ("failed", "i8"),
-        ("ended_text", "u1", _TEXT),
-        ("silent_text", "u1", _TEXT),
-    ],
-    align=True,
-)
-_HEAD = np.dtype([("cycle", "i8"), ("t_s", "f8"), ("mode", "i4"), ("orders", "i4")], align=True)
-
-
-_machine_code: Any = intrinsic  # under this name: these functions are compiled at each start, outside the cache
-
-
-@_machine_code
-def _call_libc(_typing, function, descriptor, pointer, size, flags):
-    """Call ``send`` or ``recv``."""
-
-    def generate(_context, builder, _signature, arguments):
-        word, whole, pointer = ir.IntType(64), ir.IntType(32), ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(word, [whole, pointer, word, whole])
-        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
-
-    return types.int64(types.int64, types.int32, types.voidptr, types.int64, types.int32), generate
-
-
-@_machine_code
-def _poll(_typing, function, pointer, timeout_ms):
-    """Call ``poll`` for one pollfd."""
-
-    def generate(_context, builder, _signature, arguments):
-        word, whole, pointer = ir.IntType(64), ir.IntType(32), ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(whole, [pointer, word, whole])
-        callee = builder.inttoptr(arguments[0], kind.as_pointer())
-        return builder.call(callee, [arguments[1], word(1), builder.trunc(arguments[2], whole)])
-
-    return types.int32(types.int64, types.voidptr, types.int64), generate
-
-
-def _step(instance, gnc_input, gnc_output):
-    link = carray(instance, (1,), _LINK)[0]
-    if carray(gnc_input, (1,), _HEAD)[0].mode != _RUNNING:
-        return 0
-    output = carray(gnc_output, (_OUTPUT_BYTES,), np.uint8)
-    sent = _call_libc(link.send, link.descriptor, gnc_input, _INPUT_BYTES, np.int32(_NO_SIGNAL))
-    ready = np.int32(1)
-    received = 0
-    if sent == _INPUT_BYTES:
-        ready = _poll(link.poll, instance, link.timeout_ms)
-        if ready > 0:
-            received = _call_libc(link.receive, link.descriptor, gnc_output, _OUTPUT_BYTES, np.int32(0))
-    if ready > 0 and received > 4:
-        return 0
-    if ready > 0 and received == 4:  # a failed step: its code, and its text in the next datagram
-        code = carray(gnc_output, (1,), np.int32)[0]
-        text = carray(gnc_output, (_OUTPUT_BYTES,), np.uint8)
-        _call_libc(link.receive, link.descriptor, gnc_output, _OUTPUT_BYTES, np.int32(0))
-        for i in range(_TEXT):
-            output[_TEXT_OFFSET + i] = text[i]
-        return code
-    link.failed = 1
-    for i in range(_TEXT):
-        output[_TEXT_OFFSET + i] = link.silent_text[i] if ready == 0 else link.ended_text[i]
-    return _SILENT if ready == 0 else _ENDED
-
-
-@cache
-def _step_function() -> Any:
-    return cfunc(types.int32(types.voidptr, types.voidptr, types.voidptr))(_step)
+_MODE: Final = offset_of(GNC_INPUT, "mode")
+_TEXT: Final = offset_of(GNC_OUTPUT, "text")
+_CODE_BYTES: Final = 4  # of the datagram with which a failed step answers, before one with its text
+_INTERRUPTED, _ENDED, _SILENT = 101, 102, 103  # returned by the step
 
 
 class IsolatedFmu:
@@ -143,10 +57,10 @@ class IsolatedFmu:
             child = self._start()
         self._opened = True
         self._check(child.ask({"open": np.asarray(setup).tobytes().hex()}, _OPEN_S))
-        return BackendInstance(_step_function().address, child.link.ctypes.data, free=lambda _: self._close(child))
+        return _IsolatedInstance(child, self._close)
 
     def _close(self, child: _Child) -> None:
-        if child.link["failed"][0]:
+        if child.failed:
             child.close()
             self._child = None
         else:
@@ -166,8 +80,22 @@ class IsolatedFmu:
             raise self._refuse(problem)
 
 
+class _IsolatedInstance(BackendInstance):
+    def __init__(self, child: _Child, close: Callable[[_Child], None]) -> None:
+        self._child = child
+        self._callback = C_STEP(self._step)
+        super().__init__(address_of(self._callback), 1, free=lambda _: close(child))
+
+    def _step(self, _instance: int, given: int, output: int) -> int:
+        try:
+            return self._child.step(given, output)
+        except BaseException as error:
+            self.error, self._child.failed = error, True
+            return _INTERRUPTED
+
+
 class _Child:
-    """The process, its socket and the record that the step reads."""
+    """The process and its socket."""
 
     def __init__(self, name: str, gnc: GncConfig) -> None:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -179,18 +107,37 @@ class _Child:
                 "folder": self._folder,
             }
             self._process = ChildProcess(name, _MODULE, configuration, (theirs.fileno(),))
-        libc = ctypes.CDLL(None)
-        send, poll, receive = (ctypes.cast(f, ctypes.c_void_p).value for f in (libc.send, libc.poll, libc.recv))
-        self.link = np.zeros(1, _LINK)
-        self.link["descriptor"], self.link["events"] = self._ours.fileno(), _POLLIN
-        self.link["send"], self.link["poll"], self.link["receive"] = send, poll, receive
-        self.link["timeout_ms"] = max(1, round(1e3 * gnc.fmu_timeout_s))
-        ended, silent = "its process has ended", f"no answer within {gnc.fmu_timeout_s:g} s"
-        for field, text in (("ended_text", ended), ("silent_text", silent)):
-            self.link[field][0, : len(text)] = np.frombuffer(text.encode(), np.uint8)
+        self._timeout_s = gnc.fmu_timeout_s
+        self._ours.settimeout(self._timeout_s)
+        self.failed = False
+        """Whether a step had no answer."""
         self.ready = self._answer(_START_S, "starts")
         self.only_once = bool(self.ready.get("only_once"))
         self.receives_measurements = bool(self.ready.get("receives_measurements"))
+
+    def step(self, given: int, output: int) -> int:
+        """Send the input at ``given``, and write the answer to ``output``; return 0, or the code of a failed step."""
+        if ctypes.c_int32.from_address(given + _MODE).value != GncMode.RUNNING:
+            return 0
+        out, text = np.zeros(GNC_OUTPUT.itemsize, np.uint8), ""
+        try:
+            self._ours.send(ctypes.string_at(given, GNC_INPUT.itemsize))
+            n = self._ours.recv_into(out.data)
+            if n == _CODE_BYTES:
+                code = int(out[:_CODE_BYTES].view(np.int32)[0])
+                ctypes.memmove(output + _TEXT, self._ours.recv(TEXT_BYTES), TEXT_BYTES)
+                return code
+            if n:
+                ctypes.memmove(output, out.ctypes.data, GNC_OUTPUT.itemsize)
+                return 0
+            code, text = _ENDED, "its process has ended"
+        except TimeoutError:
+            code, text = _SILENT, f"no answer within {self._timeout_s:g} s"
+        except OSError:
+            code, text = _ENDED, "its process has ended"
+        self.failed = True
+        ctypes.memmove(output + _TEXT, text.encode().ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
+        return code
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         """Return the answer to ``request``; of a process that gives none, the problem."""

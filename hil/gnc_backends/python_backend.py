@@ -18,10 +18,9 @@ from hil.core.gnc_records import INPUTS, OBJECTS, OUTPUT_FIELDS, OUTPUTS, TEXT_B
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError, ProtocolError
 from hil.fmi.step import offset_of
-from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance
+from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, BackendInstance, address_of
 from hil.gnc_backends.output_texts import raised_text
 
-_STEP: Final = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 _RAISED: Final = 1
 _LARGE: Final = 1000  # of demands, states and health
 _ESTIMATE: Final = {
@@ -119,8 +118,8 @@ class PythonInstance(BackendInstance):
         for method, arguments in (("reset", ()), ("start", start)):
             if (function := getattr(made, method, None)) is not None:
                 _called(name, method, function, *arguments)
-        self._callback = _STEP(self._step_of_whole if part == WHOLE else self._step)
-        super().__init__(ctypes.cast(self._callback, ctypes.c_void_p).value or 0, 0)
+        self._callback = C_STEP(self._step_of_whole if part == WHOLE else self._step)
+        super().__init__(address_of(self._callback), 0)
 
     def set_settings(self, values: np.ndarray) -> None:
         """Write the settings as attributes of the object that ``start`` was given."""

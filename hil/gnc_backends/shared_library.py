@@ -21,7 +21,7 @@ from hil.core.gnc_records import (
 )
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput
-from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance
+from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance, address_of
 from hil.gnc_backends.output_texts import printable
 
 KEY: Final = "gnc.library"
@@ -61,7 +61,7 @@ class LibraryBackend:
         values = () if part == WHOLE else (ctypes.c_void_p,)
         self._open.argtypes, self._open.restype = (ctypes.c_void_p, *values, ctypes.c_char_p), ctypes.c_void_p
         self._close.argtypes, self._close.restype = (ctypes.c_void_p,), None
-        self._step_address = ctypes.cast(step, ctypes.c_void_p).value or 0
+        self._step_address = address_of(step)
         self.settings = self._declared(loaded)
         self.receives_measurements: bool = part != WHOLE or loaded.hil_gnc_protocol() >= MEASURED_PROTOCOL
 

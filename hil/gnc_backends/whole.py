@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from typing import Final
 
 import numpy as np
@@ -12,12 +11,12 @@ from hil.core.kernel_record import kernel_record
 from hil.core.messages import CYCLE, IMU, Array, new
 from hil.gnc import guidance, whole_step
 from hil.gnc.step import GNC_STATE
-from hil.gnc_backends.backend import WHOLE, Backend
+from hil.gnc_backends.backend import C_STEP, WHOLE, Backend, address_of
 from hil.gnc_backends.base import Poses, Records
 from hil.gnc_backends.external import NO_POSES, BackendSetup
 from hil.gnc_backends.open_backends import CompiledGnc, OpenBackends
 
-_NOTHING: Final = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)(lambda *_: 0)
+_NOTHING: Final = C_STEP(lambda *_: 0)
 
 
 class WholeGnc(CompiledGnc):
@@ -60,7 +59,7 @@ class WholeGnc(CompiledGnc):
         """Call the kernels once with a GNC that does nothing: nothing compiles once the bench is powered."""
         state, now = kernel_record(new(GNC_STATE)), kernel_record(new(CYCLE))
         guidance.start(self.params.approach.guidance, state.approach.guidance)
-        state.backends.gnc.step = ctypes.cast(_NOTHING, ctypes.c_void_p).value
+        state.backends.gnc.step = address_of(_NOTHING)
         whole_step.whole_step(self.params, state, now, np.zeros(1, IMU), NO_POSES, 0, 0, 0.0)
         whole_step.hold_step(state.backends)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import select
 import socket
 import sys
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +16,8 @@ from hil.core.child_process import Parent
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP, GncState
 from hil.core.messages import new
 from hil.errors import BadInput
-from hil.gnc_backends.backend import WHOLE, BackendInstance
+from hil.gnc_backends.backend import C_STEP, WHOLE, BackendInstance
 from hil.gnc_backends.fmu import FmuBackend
-
-_STEP: Final = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class _Server:
@@ -42,7 +39,7 @@ class _Server:
             setup = new(GNC_SETUP)
             np.asarray(setup)[...] = np.frombuffer(bytes.fromhex(request["open"]), GNC_SETUP)[0]
             self._instance = self._library.open(setup)
-            self._step = _STEP(self._instance.step_address)
+            self._step = C_STEP(self._instance.step_address)
         return {}
 
     def step(self) -> bool:
