@@ -33,8 +33,10 @@ import llvmlite.binding
 import numba
 from numba import njit
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
+from hil.core.formulas import compile_formulas_by
 from hil.core.kernel_digest import NotDigestible, digest_of
 from hil.core.kernel_library import EntryCompiler, InlineCompiler, StaleCaller, WrappedCompiler
 from hil.errors import BadInput
@@ -48,6 +50,7 @@ _NOT_INLINED = (
     "hil.gnc.estimation.joint_filter",
     "hil.gnc.estimation.pose_model",
     "hil.gnc.backend_step",
+    "hil.maths.elementary",
 )
 _UNUSED_MAX_S: Final = 60 * 86_400.0
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
@@ -194,7 +197,9 @@ class KernelCache:
         except NotDigestible:
             return None
         types = tuple(getattr(signature, "args", signature))
-        key = hashlib.sha256(f"{types} {codegen.magic_tuple()} {self._kind}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(
+            f"{types} {codegen.magic_tuple()} {_numba_config.USING_SVML} {self._kind}".encode()
+        ).hexdigest()[:16]
         name = self._function.__qualname__.replace("<locals>", "")
         return kernel_cache_folder() / self._function.__module__ / f"{name}-{digest}-{key}.nbc"
 
@@ -236,6 +241,13 @@ def kernel(function: _Function) -> _Function:
     called.get_overload = inside.get_overload
     called.inside = inside
     return cast(_Function, called)
+
+
+def _compile_formula(function: Callable[..., Any]) -> None:
+    """Let kernels call a formula by its compiled form."""
+    compiled = cast(Any, kernel(function))
+    cpu_target.typing_context.insert_global(function, numba.types.Dispatcher(compiled))
+    cast(Any, function).compiled = compiled  # numba holds it weakly
 
 
 def entry(function: _Function) -> _Function:
@@ -293,3 +305,4 @@ def _compile_for_baseline() -> None:
 
 
 _compile_for_baseline()
+compile_formulas_by(_compile_formula)
