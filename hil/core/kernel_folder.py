@@ -9,18 +9,19 @@ import os
 import shutil
 import time
 import uuid
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Final
 
-from hil.core.surroundings import lock, user_folders, why_unsafe
+from hil.core.surroundings import lock, user_folders, users_own_folder, why_unsafe
 from hil.errors import BadInput
 
 _SHIPPED: Final = Path(__file__).parent.parent / "kernels"
 _UNUSED_MAX_S: Final = 60 * 86_400.0
-_FREE_BYTES: Final = 64 << 20  # of all kernels, with room
+_FREE_BYTES: Final = 32 << 20  # of all kernels, with room
 _REMEDY: Final = "set HIL_CACHE_DIR to a folder of your own"
 _ENVIRONMENT: Final = ("HIL_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "TMPDIR")
 
@@ -101,26 +102,30 @@ def remove_unused_kernels() -> None:
                 path.unlink()
 
 
-def _folders(create: bool = False) -> list[Path]:
-    """Return the folders of kernels, best first: that of the package, if it has one and no other is asked for."""
+def _folders(create: bool = False) -> Iterator[Path]:
+    """Yield the folders of kernels, best first: that of the package, if it has one and no other is asked for."""
     if given := os.environ.get("HIL_CACHE_DIR"):
-        return [Path(given) / "kernels"]
-    shipped = [_SHIPPED] if _SHIPPED.is_dir() else []
-    return [*shipped, *(folder / "kernels" for folder in user_folders("cache", create))]
+        yield Path(given) / "kernels"
+        return
+    if _SHIPPED.is_dir():
+        yield _SHIPPED
+    for folder in user_folders("cache", create):
+        yield folder / "kernels"
 
 
 @cache
 def _choice(*_environment: str | None) -> tuple[Path | None, str]:
     """Return the folder to write to, and why it is another one than the user's own."""
-    first = ""
+    own = os.environ.get("HIL_CACHE_DIR") or users_own_folder("cache")
+    reasons = [] if own is not None else ["this user has no home"]
     for folder in _folders(create=True):
         if not (reason := _why_not(folder)):
-            return folder, first
+            return folder, "" if folder == _SHIPPED else "".join(reasons[:1])
         if os.environ.get("HIL_CACHE_DIR"):
             raise _refusal(reason)
         if folder != _SHIPPED:
-            first = first or f"{folder.parent}: {reason}"
-    return None, first or "no folder for the files of this user"
+            reasons.append(f"{folder.parent}: {reason}")
+    return None, reasons[0]
 
 
 def _why_not(folder: Path) -> str:
@@ -142,5 +147,5 @@ def _why_unsafe(path: Path, found: os.stat_result) -> str:
 
 
 def _refusal(reason: str) -> BadInput:
-    folder = os.environ.get("HIL_CACHE_DIR") or next(iter(user_folders("cache")), "")
+    folder = os.environ.get("HIL_CACHE_DIR") or users_own_folder("cache")
     return BadInput.single("kernel cache", str(folder), f"{reason}; {_REMEDY}")

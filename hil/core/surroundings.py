@@ -39,14 +39,17 @@ _KEPT_S: Final = 10 * 86_400.0  # a folder of another boot or container, whose p
 _NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
 
-def user_folders(kind: Literal["cache", "config"], create: bool = False) -> Iterator[Path]:
-    """Yield the folders for files of this user that stay, best first; the last ones are private, unless ``create``
-    only those that exist.
-    """
+def users_own_folder(kind: Literal["cache", "config"]) -> Path | None:
+    """Return the folder for files of this user that stay, which need not exist; None if the user has no home."""
     given, home = Path(os.environ.get(f"XDG_{kind.upper()}_HOME", "")), Path(os.path.expanduser("~"))
-    standard = given if given.is_absolute() else home / f".{kind}"
-    if standard.is_absolute():
-        yield standard / "hil"
+    folder = (given if given.is_absolute() else home / f".{kind}") / "hil"
+    return folder if folder.is_absolute() else None
+
+
+def user_folders(kind: Literal["cache", "config"], create: bool = False) -> Iterator[Path]:
+    """Yield the user's own folder, then the private ones that replace it: those that exist, or that can be created."""
+    if (own := users_own_folder(kind)) is not None:
+        yield own
     for folder in _places():
         private = folder / f"hil-{os.geteuid()}"
         with suppress(OSError):
