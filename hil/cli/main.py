@@ -190,6 +190,8 @@ def _host_limit(error: BaseException | None) -> str:
         if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
             most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
             return f"host: this process may open {most} files: raise the limit, ulimit -n 1024"
+        if isinstance(error, FileNotFoundError) and error.filename is None:
+            return "host: the working directory has been removed: change to another one"
         if "can't start new thread" in str(error) or (isinstance(error, OSError) and error.errno == errno.EAGAIN):
             return "host: no further thread or process can be started: raise the limit, ulimit -u"
         error = error.__cause__ or error.__context__

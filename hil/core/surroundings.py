@@ -95,10 +95,16 @@ def temporary_folder_in(folder: Path, what: str) -> TemporaryDirectory[str]:
 
 
 @cache
-def place_multiprocessing_sockets() -> None:
-    """Let multiprocessing make its sockets in a temporary folder of this process. Raises BadInput."""
-    from multiprocessing.util import get_temp_dir  # slow import
+def prepare_worker_processes() -> None:
+    """Let multiprocessing make its sockets in a temporary folder of this process. Raises BadInput if it cannot work."""
+    from multiprocessing import Lock  # slow imports
+    from multiprocessing.util import get_temp_dir
 
+    try:
+        Lock()
+    except (OSError, ImportError) as error:
+        text = f"need semaphores in /dev/shm ({getattr(error, 'strerror', '') or error}): give --workers 1"
+        raise BadInput.single("worker processes", "", text) from error
     folder = temporary_folder("workers")
     atexit.register(folder.cleanup)
     before, tempfile.tempdir = tempfile.tempdir, folder.name

@@ -26,7 +26,7 @@ from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
 from hil.core.child_process import die_with_parent
-from hil.core.surroundings import leave_process, place_multiprocessing_sockets, remove_temporary_folders
+from hil.core.surroundings import leave_process, prepare_worker_processes, remove_temporary_folders
 from hil.errors import BadInput, CampaignStopped
 from hil.monte_carlo.batch import Batch, Case, Rows, Spec, run_batch, worker_count
 from hil.monte_carlo.dispersions import case_seed
@@ -175,7 +175,7 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     """Return worker processes, forked from one that has imported what they need."""
     for library in ("OPENBLAS", "OMP", "MKL"):  # one core per worker; libraries already loaded are not affected
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    place_multiprocessing_sockets()
+    prepare_worker_processes()
     context = _WorkerContext()
     context.set_forkserver_preload(["hil.monte_carlo.engines"])
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_init_worker)
