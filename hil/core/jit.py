@@ -93,7 +93,7 @@ class KernelCache:
             held.close()
 
     def _name(self, signature: Any, codegen: Any) -> str | None:
-        """Return the name of the file of the code for ``signature``; None if what the kernel depends on has no digest."""
+        """Return the name of the code for ``signature``; None if the kernel depends on what has no digest."""
         try:
             digest = digest_of(self._function)
         except NotDigestible:
