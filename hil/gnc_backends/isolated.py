@@ -6,9 +6,7 @@ Records travel through a socket, a datagram per direction and step.
 from __future__ import annotations
 
 import ctypes
-import shutil
 import socket
-import tempfile
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +18,7 @@ from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, TEXT_BYTES, GncMode
 from hil.core.settings import Setting
+from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
 from hil.fmi.step import offset_of
 from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, BackendInstance, address_of
@@ -100,11 +99,11 @@ class _Child:
     def __init__(self, name: str, gnc: GncConfig) -> None:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            self._folder = tempfile.mkdtemp(prefix="hil-fmu-")
+            self._folder = temporary_folder("fmu", executable=True)
             configuration = {
                 "gnc": gnc.model_dump(mode="json"),
                 "descriptor": theirs.fileno(),
-                "folder": self._folder,
+                "folder": self._folder.name,
             }
             self._process = ChildProcess(name, _MODULE, configuration, (theirs.fileno(),))
         self._timeout_s = gnc.fmu_timeout_s
@@ -155,4 +154,4 @@ class _Child:
         """End the process; idempotent."""
         self._process.close()
         self._ours.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.cleanup()
