@@ -93,6 +93,11 @@ class _IsolatedInstance(BackendInstance):
             return _INTERRUPTED
 
 
+def _write_text(output: int, text: bytes) -> None:
+    """Write ``text`` to the GNC_OUTPUT at the address ``output``."""
+    ctypes.memmove(output + _TEXT, text.ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
+
+
 class _Child:
     """The process and its socket."""
 
@@ -118,14 +123,13 @@ class _Child:
         """Send the input at ``given``, and write the answer to ``output``; return 0, or the code of a failed step."""
         if ctypes.c_int32.from_address(given + _MODE).value != GncMode.RUNNING:
             return 0
-        out, text = np.zeros(GNC_OUTPUT.itemsize, np.uint8), ""
+        out = np.zeros(GNC_OUTPUT.itemsize, np.uint8)
         try:
             self._ours.send(ctypes.string_at(given, GNC_INPUT.itemsize))
             n = self._ours.recv_into(out.data)
             if n == _CODE_BYTES:
-                code = int(out[:_CODE_BYTES].view(np.int32)[0])
-                ctypes.memmove(output + _TEXT, self._ours.recv(TEXT_BYTES), TEXT_BYTES)
-                return code
+                _write_text(output, self._ours.recv(TEXT_BYTES))
+                return int(out[:_CODE_BYTES].view(np.int32)[0])
             if n:
                 ctypes.memmove(output, out.ctypes.data, GNC_OUTPUT.itemsize)
                 return 0
@@ -135,7 +139,7 @@ class _Child:
         except OSError:
             code, text = _ENDED, "its process has ended"
         self.failed = True
-        ctypes.memmove(output + _TEXT, text.encode().ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
+        _write_text(output, text.encode())
         return code
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
