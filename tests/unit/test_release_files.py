@@ -21,7 +21,7 @@ NOT_IN_LOCK_STEP = {
         test_child_process test_controlled_stop test_datagram_flood test_emergency_stop test_fork_server
         test_failing_surroundings test_flight_computer test_hanging_gnc test_io_processes
         test_killed_in_each_mode test_killed_processes test_realtime test_stop_in_each_phase
-        test_two_controllers
+        test_two_controllers test_undecided
     """,
     "they test the time-outs of a driver, or a program of another maker is at the other end of the wire": """
         test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
