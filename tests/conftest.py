@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 
+OF_USERS = re.compile(r"FORCE_COLOR|NO_COLOR|CLICOLOR.*|COLUMNS|LINES|TTY_.*|PYTHON(WARNINGS|OPTIMIZE)|NUMBA_.*|MPL.*")
+"""Variables by which a user changes what programs print or compile, for instance in a test's child processes."""
+for _name in filter(OF_USERS.fullmatch, tuple(os.environ)):
+    del os.environ[_name]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: the workers share the cores, and idle threads spin
 gc.set_threshold(50_000)  # as the command line does: what the tests import stays, and searches for garbage are in vain
 
