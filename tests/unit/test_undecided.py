@@ -131,7 +131,7 @@ def test_work_of_50_ms():
     finally:
         for hog in hogs: hog.kill(); hog.wait()
 """
-HOGS = 4 * len(os.sched_getaffinity(0))
+HOGS = 8 * len(os.sched_getaffinity(0))
 
 
 @pytest.mark.wires
