@@ -20,8 +20,8 @@ BY_THE_WALL_CLOCK = {
     "they test time itself: watchdogs, the relay's 50 ms, kills, time to rest, lateness": """
         test_child_process test_datagram_flood test_emergency_stop test_failing_surroundings test_flight_computer
         test_fork_server test_hanging_gnc test_io_processes test_killed_in_each_mode test_killed_processes
-        test_preflight_command test_realtime test_runs_on_wires test_stop_in_each_phase test_two_controllers
-        test_undecided
+        test_preflight_command test_realtime test_record_command test_runs_on_wires
+        test_stop_in_each_phase test_two_controllers test_undecided
     """,
     "they test the time-outs of a driver, or a program of another maker is at the other end of the wire": """
         test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
@@ -37,6 +37,7 @@ BY_THE_WALL_CLOCK = {
     """,
     "processes of cameras, of the vision unit or of the docking monitor run at their own pace": """
         test_calibrate_command test_cameras_in_the_loop test_images_on_wires test_live_monitor
+        test_monitor_beside
     """,
 }
 """Modules with tests of the marker ``wires``, by the reason; all others are in lock-step or in simulated time."""
