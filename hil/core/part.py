@@ -1,0 +1,127 @@
+"""Parts: capabilities of a bench in addition to its core, each declared by one ``Part``.
+
+The core imports no part. It asks for what it needs by the setting that needs it, as ``vmu.source=rendered``, or by a
+place where every part may add something, as the checks of a job. Parts of this package are listed in ``hil.parts``,
+those of other packages are found by entry points of the group ``hil.parts``, named as the part:
+
+    [project.entry-points."hil.parts"]
+    tracker = "acme_tracker.part:PART"
+
+A declaration names functions by their import paths, ``module:function``. A module is imported when its function is
+called, so that a session loads those parts alone that its scenario and rig use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Final, NamedTuple
+
+from hil.core.build_info import VERSION
+from hil.errors import BadInput, one_line
+
+GROUP: Final = "hil.parts"
+_OURS: Final = "hil.parts:PARTS"
+
+
+class PartCommand(NamedTuple):
+    """Command of a part. path: of a function, or of an App with commands of its own. summary: of ``hil --help``."""
+
+    path: str
+    summary: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Declaration of a part. Unless stated otherwise, values are import paths, ``module:function``.
+
+    commands: commands of ``hil`` by name. tables: models of its tables in scenario and rig files, by key: "tracker",
+    "rig.tracker". provides: what the core needs for a setting, by the setting: ``rig.kind=emulated``. modules: packages
+    and modules that it is made of, for the import contract.
+    """
+
+    name: str
+    summary: str
+    commands: Mapping[str, PartCommand] = field(default_factory=dict)
+    tables: Mapping[str, str] = field(default_factory=dict)
+    provides: Mapping[str, str] = field(default_factory=dict)
+    modules: Sequence[str] = ()
+
+    def claims(self) -> Iterator[str]:
+        """Yield what no other part may have as well."""
+        yield f"name {self.name}"
+        yield from (f"command {name}" for name in self.commands)
+        yield from (f"table [{key}]" for key in self.tables)
+        yield from (f"setting {key}" for key in self.provides)
+
+
+class InstalledPart(NamedTuple):
+    """A usable part. origin: the package that it is from."""
+
+    part: Part
+    version: str
+    origin: str
+
+
+class Parts(NamedTuple):
+    """The parts of an installation by name, and one line for each that cannot be used."""
+
+    usable: dict[str, InstalledPart]
+    problems: list[str]
+
+
+@cache
+def parts() -> Parts:
+    """Return the parts of this installation: those in ``hil.parts``, then those of other packages."""
+    own = [InstalledPart(part, VERSION, "hil") for part in imported(_OURS)]
+    return joined(own, entry_points(group=GROUP))
+
+
+def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
+    """Return ``own`` and the parts of ``points``, of which none may claim what an earlier one has."""
+    found = Parts({}, [])
+    owners: dict[str, str] = {}
+
+    def add(new: InstalledPart) -> None:
+        what = f"part {new.part.name} of package {new.origin}"
+        if taken := [claim for claim in new.part.claims() if claim in owners]:
+            found.problems.append(f"{what}: {taken[0]} is that of {owners[taken[0]]}: the part is left out")
+            return
+        owners.update(dict.fromkeys(new.part.claims(), what))
+        found.usable[new.part.name] = new
+
+    for each in own:
+        add(each)
+    for point in points:
+        name = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
+        what = f"part {point.name} of package {name}: {point.value}"
+        try:
+            loaded = point.load()
+        except Exception as error:
+            found.problems.append(f"{what} cannot be imported: {one_line(f'{type(error).__name__}: {error}', 200)}")
+            continue
+        if not isinstance(loaded, Part):
+            found.problems.append(f"{what} is of type {type(loaded).__name__}, expected Part")
+        elif loaded.name != point.name:
+            found.problems.append(f"{what} declares part {loaded.name}, expected {point.name}")
+        else:
+            add(InstalledPart(loaded, point.dist.version if point.dist else "", point.dist.name if point.dist else ""))
+    return found
+
+
+def provided(setting: str, source: str = "hil") -> Any:
+    """Return what a part provides for ``setting``. source: for messages. Raises BadInput if no usable part has it."""
+    for each in parts().usable.values():
+        if setting in each.part.provides:
+            return imported(each.part.provides[setting])
+    reasons = "".join(f"; {problem}" for problem in parts().problems)
+    raise BadInput.single(source, setting, f"needs a part that is not installed, see hil list parts{reasons}")
+
+
+def imported(path: str) -> Any:
+    """Return what the import path ``module:name`` names."""
+    module, _, name = path.partition(":")
+    return getattr(import_module(module), name)
