@@ -12,12 +12,15 @@ from pathlib import Path
 import pytest
 
 import hil
+from tests.support import structure
 
 PACKAGE = Path(hil.__file__).parent
 ROOT = PACKAGE.parent
 LOOSE = {"__init__.py", "__main__.py", "errors.py"}
 LAYERS_MOST = 12
 PARAMETERS_MOST = 8
+CORE_IMPORTS_MOST = 50
+"""Imports of the core from parts that are still to be inverted."""
 KERNELS = {"kernel", "entry"}
 
 
@@ -48,6 +51,15 @@ def test_only_three_modules_are_loose() -> None:
 
 def test_layers_are_few() -> None:
     assert len(layers()) <= LAYERS_MOST
+
+
+def test_core_imports_no_further_part() -> None:
+    assert len(structure.core_imports()) <= CORE_IMPORTS_MOST
+
+
+def test_parts_are_made_of_modules_that_exist() -> None:
+    named = {name for part in structure.PARTS for name in part.modules}
+    assert named <= set(structure.modules())
 
 
 @pytest.mark.parametrize("inner", ["config/tables", "gnc/estimation"])
