@@ -17,6 +17,7 @@ from hil.config.scenario import Scenario
 from hil.core.clock import utc_ns
 from hil.core.files import write_text
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event
+from hil.core.part import provided
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.runner import Outcome
@@ -227,9 +228,7 @@ class Run:
 
     def to_parquet(self, path: str | Path) -> None:
         """Write all cycles to ``path``, one column per number (``truth.r_CT_H[0]``). Raises BadInput."""
-        from hil.recording.export import write_cycles  # slow import
-
-        write_cycles(self.history, Path(path))
+        provided("table of cycles")(self.history, Path(path))
 
     def _group(self, name: str) -> RecordGroup:
         return RecordGroup(self.history[name], self.t_s)

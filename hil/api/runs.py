@@ -25,6 +25,7 @@ from hil.checks.go_level import go_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
+from hil.core.part import provided
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
@@ -127,16 +128,12 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
         if folder is not None:
             raise BadInput.single("campaign", "", "needs case")
         return job, {}
-    from hil.api.campaign_results import job_of_case, job_of_stored_case  # slow import
-
     if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
         raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")
-    if folder is None:
-        return job_of_case(job, int(case)), {"campaign_seed": job.seed, "case": int(case)}
-    chosen, seed, note = job_of_stored_case(job, Path(folder), int(case))
+    chosen, more, note = provided("case")(job, int(case), folder)
     if note:
         log.warning(note)
-    return chosen, {"campaign_seed": seed, "case": int(case)}
+    return chosen, more
 
 
 def run_or_raise(request: RunRequest) -> Run:

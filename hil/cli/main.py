@@ -23,7 +23,7 @@ from cyclopts import App
 from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
-from hil.core.part import parts
+from hil.core.part import commands_of, parts
 from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
@@ -32,7 +32,7 @@ PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
 
-COMMANDS: Final = {name: command for each in parts().usable.values() for name, command in each.part.commands.items()}
+COMMANDS: Final = commands_of()
 
 _EXTRAS: Final = {
     "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",

@@ -13,7 +13,7 @@ called, so that a session loads those parts alone that its scenario and rig use.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
@@ -36,11 +36,13 @@ class PartCommand(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Declaration of a part. Unless stated otherwise, values are import paths, ``module:function``.
+    """Declaration of a part. Functions and models are named by import paths, ``module:name``.
 
-    commands: commands of ``hil`` by name. tables: models of its tables in scenario and rig files, by key: "tracker",
-    "rig.tracker". provides: what the core needs for a setting, by the setting: ``rig.kind=emulated``. modules: packages
-    and modules that it is made of, for the import contract.
+    commands: commands of ``hil`` by name, "recordings place" within a command that has others. tables: models of its
+    tables in scenario and rig files by key, "tracker" or "rig.tracker". provides: functions that the core needs, by the
+    setting or the option that needs them. uses: whether a run of a scenario on a rig uses the part; the functions below
+    are called for such runs alone. check_rig, check_run: return the problems of a scenario on a rig, both as loaded,
+    that prevent any motion, or the run. modules: packages and modules of which it is made, for the import contract.
     """
 
     name: str
@@ -48,6 +50,9 @@ class Part:
     commands: Mapping[str, PartCommand] = field(default_factory=dict)
     tables: Mapping[str, str] = field(default_factory=dict)
     provides: Mapping[str, str] = field(default_factory=dict)
+    uses: Callable[[Any, Any], bool] = lambda scenario, rig: False
+    check_rig: str = ""
+    check_run: str = ""
     modules: Sequence[str] = ()
 
     def claims(self) -> Iterator[str]:
@@ -112,6 +117,13 @@ def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
     return found
 
 
+def commands_of(group: str = "") -> dict[str, PartCommand]:
+    """Return the commands of all parts, or those that parts add to the commands of ``group``: "recordings place"."""
+    every = {name: command for each in parts().usable.values() for name, command in each.part.commands.items()}
+    within = {name: command for name, command in every.items() if name.rpartition(" ")[0] == group}
+    return {name.rpartition(" ")[2]: command for name, command in within.items()}
+
+
 def provided(setting: str, source: str = "hil") -> Any:
     """Return what a part provides for ``setting``. source: for messages. Raises BadInput if no usable part has it."""
     for each in parts().usable.values():
@@ -119,6 +131,13 @@ def provided(setting: str, source: str = "hil") -> Any:
             return imported(each.part.provides[setting])
     reasons = "".join(f"; {problem}" for problem in parts().problems)
     raise BadInput.single(source, setting, f"needs a part that is not installed, see hil list parts{reasons}")
+
+
+def hooks(name: str, scenario: Any, rig: Any) -> Iterator[Any]:
+    """Yield the function that each part which a run of ``scenario`` on ``rig`` uses has for ``name``, if it has one."""
+    for each in parts().usable.values():
+        if (path := getattr(each.part, name)) and each.part.uses(scenario, rig):
+            yield imported(path)
 
 
 def imported(path: str) -> Any:

@@ -63,10 +63,13 @@ VISION: Final = Part(
             "Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.",
         ),
     },
+    provides={"replay of images": "hil.cli.replay_images:replay_images"},
+    uses=lambda scenario, rig: bool(rig.vmu.drift_check.views),
+    check_run="hil.checks.drift_views:check_drift_views",
     modules=(
-        "hil.vmu", "hil.cli.vmu", "hil.cli.calibrate", "hil.cli.calibrate_tables", "hil.cli.replay_images",
-        "hil.commission.calibration_drive", "hil.commission.view_plan", "hil.drivers.vmu.cameras",
-        "hil.processes.vision_unit", "hil.recording.replay_images",
+        "hil.vmu", "hil.checks.drift_views", "hil.cli.vmu", "hil.cli.calibrate", "hil.cli.calibrate_tables",
+        "hil.cli.replay_images", "hil.commission.calibration_drive", "hil.commission.view_plan",
+        "hil.drivers.vmu.cameras", "hil.processes.vision_unit", "hil.recording.replay_images",
     ),
 )  # fmt: skip
 
@@ -102,11 +105,20 @@ CAMPAIGNS: Final = Part(
             "Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the "
             "base.",
         ),
+        "recordings place": PartCommand(
+            "hil.cli.campaign_recordings:place_recordings", "Place recorded runs in the distribution of a campaign."
+        ),
+    },
+    provides={
+        "case": "hil.api.campaign_results:campaign_case",
+        "report of a campaign": "hil.monte_carlo.page:write_page",
+        "evidence of recordings": "hil.cli.campaign_recordings:add_to_evidence",
     },
     modules=(
-        "hil.monte_carlo", "hil.pytest_plugin", "hil.api.benchmark", "hil.api.campaign_request",
+        "hil.monte_carlo", "hil.pytest_plugin", "hil.api.bench", "hil.api.benchmark", "hil.api.campaign_request",
         "hil.api.campaign_results", "hil.api.campaigns", "hil.api.margins", "hil.api.requirements",
-        "hil.cli.benchmark", "hil.cli.campaign", "hil.cli.ci", "hil.cli.explain", "hil.cli.fusion", "hil.cli.margins",
+        "hil.cli.benchmark", "hil.cli.campaign", "hil.cli.campaign_recordings",
+        "hil.cli.ci", "hil.cli.explain", "hil.cli.fusion", "hil.cli.margins",
         "hil.report.benchmark_page", "hil.report.requirements_page",
     ),
 )  # fmt: skip
@@ -114,14 +126,21 @@ CAMPAIGNS: Final = Part(
 WIRES: Final = Part(
     name="wires",
     summary="Drivers of rails, turntables, digital I/O and sensors on wires, their I/O process and its watchdog.",
+    provides={
+        "rig.kind=hardware: locks": "hil.drivers.wire_lock:locked_wires",
+        "rig.kind=hardware: preflight": "hil.preflight.devices:hardware_checks",
+    },
+    uses=lambda scenario, rig: rig.kind != "mock",
+    check_rig="hil.checks.clock:check_clock",
+    check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
         "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.io.codec", "hil.drivers.io.coupler",
         "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor",
         "hil.drivers.loop_thread", "hil.drivers.modbus_tcp", "hil.drivers.ptp", "hil.drivers.rails",
         "hil.drivers.remote", "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable",
         "hil.drivers.vmu.codec", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry", "hil.drivers.vmu.frame_codec",
-        "hil.drivers.vmu.sender", "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock", "hil.processes.io_server",
-        "hil.processes.watchdog",
+        "hil.drivers.vmu.sender", "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock", "hil.preflight.devices",
+        "hil.processes.io_server", "hil.processes.watchdog", "hil.checks.clock",
     ),
 )  # fmt: skip
 
@@ -166,6 +185,10 @@ EMULATION: Final = Part(
             "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
         ),
     },
+    provides={
+        "rig.kind=emulated: preflight": "hil.preflight.emulated:emulated_checks",
+        "rig.host.time=lock_step": "hil.core.lock_step:LockStepClock",
+    },
     modules=(
         "hil.cli.emulate", "hil.core.lock_step", "hil.core.lock_step_asyncio", "hil.core.lock_step_page",
         "hil.drivers.cameras.emulator", "hil.drivers.emulated_axes", "hil.drivers.emulated_devices",
@@ -173,7 +196,7 @@ EMULATION: Final = Part(
         "hil.drivers.pty_line", "hil.drivers.rails.emulator", "hil.drivers.rails.modbus_server",
         "hil.drivers.serial_urls", "hil.drivers.shared_state", "hil.drivers.turntable.ascii.emulator",
         "hil.drivers.turntable.cia402.emulator", "hil.drivers.vmu.emulated_camera", "hil.drivers.vmu.emulator",
-        "hil.processes.emulators", "hil.setup.emulated_cameras", "hil.setup.emulated_vision",
+        "hil.preflight.emulated", "hil.processes.emulators", "hil.setup.emulated_cameras", "hil.setup.emulated_vision",
     ),
 )  # fmt: skip
 
@@ -250,6 +273,7 @@ EXPORT: Final = Part(
             "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
         ),
     },
+    provides={"table of cycles": "hil.recording.export:write_cycles"},
     modules=("hil.cli.export", "hil.recording.export", "hil.recording.export_images", "hil.recording.ros2"),
 )
 

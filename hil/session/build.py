@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from hil.checks import compatibility
 from hil.checks.abort import check_abort
 from hil.checks.bodies import check_bodies
-from hil.checks.clock import check_clock, check_drift_views, check_lock_step
 from hil.checks.faults import check_faults, check_sensors
+from hil.checks.lock_step import check_lock_step
 from hil.checks.signed_record import check_preflight
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
@@ -20,6 +20,7 @@ from hil.core.clock import BenchClock, SimulatedClock, WallClock
 from hil.core.lock_step import LockStepConductor
 from hil.core.messages import CYCLE
 from hil.core.operator_commands import Operator
+from hil.core.part import hooks
 from hil.core.realtime import REAL_TIME, DefaultScheduling, RealTime, SchedulingPolicy, short_turns, speed_held
 from hil.drivers.emulated_devices import EmulatedDevices
 from hil.drivers.remote.processes import IoProcesses
@@ -44,10 +45,9 @@ TELEMETRY_ROWS = 2048  # 41 s at 50 Hz: a reader that comes later misses rows
 
 
 def check(job: Job) -> None:
-    """Raise BadInput if another process has the rig, else with every problem of the scenario on it."""
-    with locked_wires(job.rig.value):
-        pass
+    """Raise BadInput with every problem of the scenario on the rig."""
     problems = [
+        *_found_by_parts("check_run", job),
         *(check_truth(job.scenario) or compatibility.check_plan(job.scenario, job.rig)),
         *(compatibility.check_approach(job.scenario) or check_abort(job.scenario)),
         *compatibility.check_scenario_limits(job.scenario, job.rig),
@@ -55,7 +55,6 @@ def check(job: Job) -> None:
         *compatibility.check_monitor(job.scenario, job.rig),
         *check_faults(job.scenario, job.rig),
         *check_sensors(job.scenario, job.rig),
-        *check_drift_views(job.rig),
         *_rig_problems(job),
     ]
     problems = problems or library_problems(job.scenario, job.own) or compatibility.check_sign_off(job.rig)
@@ -72,11 +71,17 @@ def check_rig(job: Job) -> None:
         raise BadInput(problems)
 
 
+def _found_by_parts(name: str, job: Job) -> list[Problem]:
+    """Return the problems that the check ``name`` of each part that ``job`` uses has found."""
+    scenario, rig = job.scenario, job.rig
+    return [each for check in hooks(name, scenario.value, rig.value) for each in check(scenario, rig)]
+
+
 def _rig_problems(job: Job) -> list[Problem]:
     problems = [
         *compatibility.check_ports(job.rig),
         *compatibility.check_host(job.rig),
-        *check_clock(job.rig),
+        *_found_by_parts("check_rig", job),
         *compatibility.check_io(job.scenario, job.rig),
         *compatibility.check_rates(job.scenario, job.rig),
         *compatibility.check_memory(job.scenario, job.rig),

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.checks.clock import check_drift_views
+from hil.checks.drift_views import check_drift_views
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import SimulatedClock
 from hil.errors import BadInput, SafetyTrip
@@ -21,11 +21,11 @@ VIEWS = "rig.vmu.drift_check.views=6"
 
 def test_it_needs_cameras_of_this_host_and_their_calibration() -> None:
     rig = load_rig("emulated", [VIEWS])
-    assert [str(problem) for problem in check_drift_views(rig)] == [
+    assert [str(problem) for problem in check_drift_views(load_scenario("scheme-1"), rig)] == [
         '--set: rig.vmu.drift_check.views: 6: needs the images of vmu.source = "cameras", allowed 0 without'
     ]
     rig = with_cameras(load_scenario("scheme-1", ["vmu.source=cameras"]), rig)
-    (problem,) = check_drift_views(rig)
+    (problem,) = check_drift_views(load_scenario("scheme-1"), rig)
     assert str(problem).endswith("rig.vmu.geometry_file: is missing: a file of hil calibrate, for vmu.drift_check")
 
 
