@@ -92,7 +92,7 @@ def dss(
     from hil.frmn.udp import shown
     from hil.gnc_backends.udp import gnc_link
     from hil.session import build
-    from hil.setup.gnc_setup import make_udp_gnc, mirror_of
+    from hil.setup.udp_gnc import make_udp_gnc, mirror_of
 
     paced = is_mock and not lock_step
     job = replace(make_job(loaded, bench, options.seed, options.duration, options.speed), paced=paced)

@@ -42,7 +42,8 @@ class Part:
     tables in scenario and rig files by key, "tracker" or "rig.tracker". provides: functions that the core needs, by the
     setting or the option that needs them. uses: whether a run of a scenario on a rig uses the part; the functions below
     are called for such runs alone. check_rig, check_run: return the problems of a scenario on a rig, both as loaded,
-    that prevent any motion, or the run. modules: packages and modules of which it is made, for the import contract.
+    that prevent any motion, or the run. attachments: returns texts of a recording by their names, for a scenario and
+    a rig. modules: packages and modules of which it is made, for the import contract.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Part:
     uses: Callable[[Any, Any], bool] = lambda scenario, rig: False
     check_rig: str = ""
     check_run: str = ""
+    attachments: str = ""
     modules: Sequence[str] = ()
 
     def claims(self) -> Iterator[str]:

@@ -18,7 +18,7 @@ from hil.frmn.ring import Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
-from hil.params.monitor import MONITOR
+from hil.params.sensors import MONITOR
 from hil.safety.alarms import LOW, Alarm, AlarmLog
 from hil.safety.condition_alarms import Disagreement
 from hil.sensors.measurement import deliver, is_any_due, log_arrivals, measure, put_sample

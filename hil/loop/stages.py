@@ -65,10 +65,14 @@ class RunZero:
             self.on_change(run_zero_s)
 
 
+FrameUsed = Callable[[PoseFrame, float], None]
+"""Called with each used frame and its time of exposure in the run's time."""
+
+
 class VisionStage:
     """Frames of the vision unit on their way to the poses of the cycle."""
 
-    def __init__(self, source: PoseSource, memory: CoreMemory) -> None:
+    def __init__(self, source: PoseSource, memory: CoreMemory, on_frame_used: FrameUsed | None = None) -> None:
         self.source = source
         self._simulated = source if isinstance(source, Exposes) else None
         self._memory, self._params, self._state = memory, memory.params, memory.state
@@ -78,8 +82,7 @@ class VisionStage:
         """Poses of the present cycle."""
         self.frame_sink: Telemetry | None = None
         """Receives each frame, as a row of ARRIVAL."""
-        self.on_frame_used: Callable[[PoseFrame, float], None] | None = None
-        """Called with each used frame and its time of exposure in the run's time."""
+        self._on_frame_used = on_frame_used
         self._frames = np.zeros(len(memory.frames), memory.frames.dtype).view(np.recarray)
 
     def receive(self, bench_s: float) -> None:
@@ -89,7 +92,7 @@ class VisionStage:
         for i, frame in enumerate(received):
             frame.write_to(self._frames[i : i + 1])
         arrivals = _NO_ARRIVALS
-        if waiting and (self.frame_sink is not None or self.on_frame_used is not None):
+        if waiting and (self.frame_sink is not None or self._on_frame_used is not None):
             arrivals = np.zeros(waiting, ARRIVAL).view(np.recarray)
             self._reception.logged = 0
         self.arrived = core.receive_poses(
@@ -110,8 +113,8 @@ class VisionStage:
     def _tell(self, arrivals: np.ndarray) -> None:
         """Report the frames of this cycle."""
         for i, arrival in enumerate(arrivals):
-            if self.on_frame_used is not None and arrival["cycle"] >= 0:
-                self.on_frame_used(PoseFrame.from_record(arrival["frame"]), float(arrival["pose"]["t_s"]))
+            if self._on_frame_used is not None and arrival["cycle"] >= 0:
+                self._on_frame_used(PoseFrame.from_record(arrival["frame"]), float(arrival["pose"]["t_s"]))
             if self.frame_sink is not None:
                 self.frame_sink.put(arrivals[i : i + 1])
 

@@ -153,6 +153,9 @@ MONITOR: Final = Part(
             "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
         ),
     },
+    provides={"monitor.source": "hil.params.monitor:monitor_sensor"},
+    uses=lambda scenario, rig: scenario.monitor.has_images,
+    attachments="hil.session.with_docking_monitor:attachments",
     modules=(
         "hil.monitor", "hil.cameras.docking", "hil.cli.monitor", "hil.params.monitor", "hil.processes.docking_monitor",
         "hil.report.docking_monitor", "hil.sensors.docking_monitor", "hil.session.with_docking_monitor",
@@ -208,6 +211,9 @@ CAMERAS: Final = Part(
             "hil.cli.cameras:app", "Cameras of the vision unit: find them, show their images, focus their lenses."
         ),
     },
+    provides={"vmu.source=rendered": "hil.cameras.pose_sensor:rendered_pose_sensor"},
+    uses=lambda scenario, rig: scenario.vmu.source in ("rendered", "cameras"),
+    attachments="hil.cameras.pose_sensor:attachments",
     modules=("hil.cameras", "hil.cli.camera_aid", "hil.cli.cameras", "hil.drivers.cameras", "hil.processes.camera"),
 )
 
@@ -225,11 +231,13 @@ LINKS: Final = Part(
             "Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.",
         ),
     },
+    provides={"rig.flight_computer.command_words": "hil.gnc_backends.command_words:command_word_gnc"},
     modules=(
         "hil.cli.dss", "hil.cli.gnc", "hil.cli.gnc_check", "hil.drivers.command_words", "hil.frmn.authentication",
         "hil.frmn.link", "hil.frmn.link_statistics", "hil.frmn.mirror", "hil.frmn.udp",
         "hil.gnc_backends.command_words", "hil.gnc_backends.udp", "hil.gnc_backends.udp_receiver",
         "hil.gnc_backends.udp_records", "hil.gnc_check", "hil.processes.binary_gnc_server", "hil.processes.gnc_server",
+        "hil.setup.udp_gnc",
     ),
 )  # fmt: skip
 
@@ -242,6 +250,13 @@ FMI: Final = Part(
             "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
         ),
     },
+    provides={
+        "gnc.fmu": "hil.gnc_backends.isolated:open_fmu",
+        "backend in an FMU": "hil.gnc_backends.fmu:FmuBackend",
+        "models": "hil.setup.plant_models:model_stage",
+    },
+    uses=lambda scenario, rig: bool(scenario.models),
+    check_run="hil.setup.plant_models:check_models",
     modules=(
         "hil.fmi", "hil.cli.fmu_export", "hil.gnc_backends.fmu", "hil.gnc_backends.isolated", "hil.loop.model_stage",
         "hil.monte_carlo.plant_fmu", "hil.processes.isolated_fmu", "hil.setup.plant_models",

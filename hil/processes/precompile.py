@@ -99,8 +99,8 @@ def _compile_study() -> None:
 
 
 def _compile_vision_unit() -> None:
-    from hil.cameras.pose_sensor import make_pose_sensor
     from hil.setup.assembly import start_axes
+    from hil.setup.pose_model import make_pose_sensor
     from hil.vmu.geometry import geometry_of_rig
     from hil.vmu.unit import VisionUnit
 

@@ -48,9 +48,8 @@ during which it happened, -1 before the run. kind: event, alarm, alarm state, mo
 operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as of
 ``audit``."""
 
-GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE = "vmu_geometry.json", "monitor_scene.json", "sensors.json"
-"""Attachments: cameras and targets as assumed by vision unit and docking monitor; further sensors by name, with kind
-and the components of a measurement: their names and units."""
+SENSORS_FILE: Final = "sensors.json"
+"""Attachment: further sensors by name, with kind and the components of a measurement: their names and units."""
 HELD_FILE: Final = "held_axes.json"
 """Attachment: groups of axes that are held during a run, by name, with the names of their axes and their unit."""
 

@@ -7,7 +7,9 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from hil.config.load import load_scene
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.camera_images import SCENE_FILE
 from hil.core.clock import WallClock
 from hil.core.operator_commands import Operator
 from hil.errors import DeviceError
@@ -17,8 +19,7 @@ from hil.frmn.search_region import SearchRegion
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import Outcome, Runner
 from hil.monitor.results import PORTION
-from hil.params.monitor import MONITOR
-from hil.params.sensors import sensors_of
+from hil.params.sensors import MONITOR, sensors_of
 from hil.recording.sinks import RecordingSinks
 from hil.session import build
 from hil.setup.portion_samples import PortionSamples, PortionSource
@@ -151,6 +152,11 @@ def runner(
         prepare(bench, made)
         results.attach(made)
         yield made, results
+
+
+def attachments(scenario: Scenario, _: Rig) -> dict[str, str]:
+    """Return the attachment of a recording: camera and target as the docking monitor assumes them."""
+    return {SCENE_FILE: load_scene(scenario.monitor.scene).value.model_dump_json()}
 
 
 def _number(scenario: Scenario) -> int | None:

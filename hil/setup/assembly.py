@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.bench.manipulator import relative_axes
-from hil.cameras.pose_sensor import PoseSensor, make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
@@ -20,10 +19,9 @@ from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
 from hil.core.operator_commands import Operator
+from hil.core.part import provided
 from hil.core.realtime import DefaultScheduling, SchedulingPolicy
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
-from hil.drivers.cameras.base import SIDES
-from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
@@ -34,21 +32,19 @@ from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
-from hil.gnc_backends.command_words import CommandWordGnc
 from hil.gnc_backends.library import key_of, open_library
 from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.bench_stage import BenchStage
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
 from hil.loop.cycle import Loop
-from hil.loop.model_stage import ModelDssStage
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
 from hil.loop.safety_io_stage import SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
-from hil.loop.stages import DssStage, VisionStage
+from hil.loop.stages import DssStage, FrameUsed, VisionStage
 from hil.loop.target_axes import TargetAxes
 from hil.loop.target_stage import AxesTogether, HeldAxes, RotatedTarget
 from hil.maths.random_streams import NormalRows, noise_source
@@ -61,7 +57,7 @@ from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
-from hil.setup.plant_models import plant_models
+from hil.setup.pose_model import PoseSensor, make_pose_sensor, transport
 from hil.setup.sample_sources import sample_sources, wired_sensors
 
 ROWS_MAX = 100_000
@@ -176,7 +172,7 @@ def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
     if rig.value.kind == "emulated" and interface != "genicam":
         key = "vmu.cameras.interface"
         raise BadInput.single(rig.where(key), f"rig.{key}", f'"{interface}": emulated cameras have "genicam"')
-    missing = [side for side in SIDES if getattr(selected.settings, side) is None]
+    missing = [side for side in ("left", "right") if getattr(selected.settings, side) is None]
     if missing and rig.value.kind == "hardware":
         keys = " and ".join(f"vmu.cameras.{side}" for side in missing)
         raise BadInput.single(rig.source, keys, 'is missing: needed for vmu.source = "cameras"')
@@ -188,7 +184,7 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
     scenario = job.scenario.value
     gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s, scenario.bench)
     params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
-    set_truth(params, job.truth, job.seed, dss_as_built(job.truth, job.seed))
+    set_truth(params, job.truth, job.seed, dynamics_params.dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
     memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, memory.now.imu)
@@ -214,12 +210,13 @@ def assemble(
     sensors = _sensors(job, rig, devices, stage, memory, context.clock)
     if sensors is not None:
         sensors.alarms = safety.alarms
+    gnc, on_frame_used = _backend(job, rig, rate, memory)
     loop = Loop(
         memory=memory,
         dss=_dss(job.truth, job.seed, memory),
         bench=stage,
-        vision=VisionStage(source, memory),
-        gnc=_backend(job, rig, rate, memory),
+        vision=VisionStage(source, memory, on_frame_used),
+        gnc=gnc,
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
         telemetry=context.telemetry or NoTelemetry(),
         bench_now_s=rate.now_s,
@@ -241,8 +238,6 @@ def assemble(
         loop.safety_io = lines
         loop.bench.emergency_input = lines.emergency_input
         loop.bench.local_enable = lines.local_enable
-    if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
-        loop.vision.on_frame_used = loop.gnc.forwarder.put
     loop.target = AxesTogether([*([] if moved is None else [moved]), *standing.values()])
     overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
     overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
@@ -328,20 +323,16 @@ def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array,
     return axes
 
 
-def _backend(job: Job, rig: Rig, rate: Rate, memory: CoreMemory) -> GncBackend:
-    """Return the GNC backend: the job's, the rig's flight computer, or the scenario's, in this order."""
+def _backend(job: Job, rig: Rig, rate: Rate, memory: CoreMemory) -> tuple[GncBackend, FrameUsed | None]:
+    """Return the GNC backend, of the job, the rig's flight computer or the scenario, and what each used frame calls."""
     scenario, computer = job.scenario.value, rig.flight_computer
     if job.make_backend is not None:
-        return job.make_backend(scenario)
+        return job.make_backend(scenario), None
     if computer.command_words == "none":
-        return make_backend(scenario, job.own, memory)
-    return CommandWordGnc(
-        computer,
-        CommandWordReceiver(computer, rate.now_s),
-        PoseForwarder(computer.poses) if computer.poses.port is not None else None,
-        rate.now_s,
-        backend_setup(scenario),
-    )
+        return make_backend(scenario, job.own, memory), None
+    make = provided("rig.flight_computer.command_words", rig.name)
+    backend: tuple[GncBackend, FrameUsed | None] = make(computer, rate.now_s, backend_setup(scenario))
+    return backend
 
 
 def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMemory | None = None) -> BuiltinGnc:
@@ -370,10 +361,9 @@ def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: Cor
 
 
 def library_problems(scenario: Loaded[Scenario], own: OwnBackends = NO_BACKENDS) -> list[Problem]:
-    """Return why a binary or a backend of the GNC of ``scenario``, or a part of the plant in an FMU, cannot be used."""
+    """Return why a binary or a backend of the GNC of ``scenario`` cannot be used."""
     gnc = scenario.value.gnc
     try:
-        plant_models(scenario.value, dss_as_built(scenario.value, 0), scenario)
         library = open_library(gnc, scenario.where(key_of(gnc)))
         if library is not None:
             library.open(gnc_setup(scenario.value)).close()
@@ -420,14 +410,10 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
 def _dss(scenario: Scenario, seed: int, memory: CoreMemory) -> DssStage:
     """Return the dynamics simulation with this run's thruster errors. Raises BadInput for an FMU that is unsuitable."""
     parts = memory, dynamics_params.field(scenario), NormalRows(noise_source(seed, "imu"), IMU_NOISE)
-    models = plant_models(scenario, memory.params.dss)
-    return DssStage(*parts) if models is None else ModelDssStage(models, *parts)
-
-
-def dss_as_built(scenario: Scenario, seed: int) -> np.record:
-    """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
-    draws = noise_source(seed, "thrusters").standard_normal(dynamics_params.thruster_draws_shape(scenario))
-    return dynamics_params.dss(scenario, draws, seed)
+    if not scenario.models:
+        return DssStage(*parts)
+    stage: DssStage = provided("models", "scenario")(scenario, *parts)
+    return stage
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:

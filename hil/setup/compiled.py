@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from hil.cameras.pose_sensor import PoseModel
 from hil.core.jit import mark_of, prepare_kernel_cache, processor, remove_unused_kernels
 from hil.drivers.io.mock import MockIo
 from hil.gnc_backends.builtin import BuiltinGnc
@@ -15,6 +14,7 @@ from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.setup.assembly import Job, Mocks
+from hil.setup.pose_model import PoseModel
 
 Kernels = Literal["loop", "cycle"]
 """Groups of kernels: those of the compiled loop, and those that the cycle in Python calls one by one."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.monitor.results import NO_TARGET, Portion
-from hil.params.monitor import MONITOR
+from hil.params.sensors import MONITOR
 from hil.sensors.docking_monitor import UNOBSERVED_RAD
 
 

@@ -22,7 +22,7 @@ from hil.loop.runner import Outcome
 from hil.processes.gnc_server import GncServer, gnc_side, wants_of
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.setup.gnc_setup import make_udp_gnc, mirror_of
+from hil.setup.udp_gnc import make_udp_gnc, mirror_of
 
 LOCAL: Address = (LOOPBACK, 0)
 

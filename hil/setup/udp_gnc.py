@@ -1,0 +1,28 @@
+"""GNC on another computer in a loop: its backend over a link, and the records that the link mirrors to it."""
+
+from __future__ import annotations
+
+from hil.config.scenario import Scenario
+from hil.config.tables.host import GncLink
+from hil.frmn.link import Link
+from hil.frmn.mirror import Mirror
+from hil.gnc.estimation.filter_monitor import FilterMonitor
+from hil.gnc_backends.udp import UdpGnc
+from hil.loop.runner import Runner
+from hil.params import gnc as gnc_params
+from hil.setup.gnc_setup import backend_setup
+
+
+def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:
+    """Return the backend of ``scenario`` over ``link``. period_s: wall time of a cycle, None in simulated time."""
+    monitor = FilterMonitor(gnc_params.navigation(scenario), None)
+    return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))
+
+
+def mirror_of(runner: Runner, link: Link, cycles: int = 1) -> Mirror:
+    """Return the telemetry of ``runner`` that sends the other side the mailboxes that it wants.
+
+    cycles: per row that is sent.
+    """
+    modes, rate = runner.safety.modes, runner.rate
+    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns, cycles)
