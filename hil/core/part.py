@@ -34,6 +34,19 @@ class PartCommand(NamedTuple):
     summary: str
 
 
+class PartSink(NamedTuple):
+    """Rows that a run sends to its recording for a part. slots: rows of the ring between them, in real time.
+
+    topic, schema: of the channel in the file. fields: import path of the field table of a row, which begins with the
+    time ``t_s`` of the run. Without these the rows are images, IMAGE, whose topics are those of their cameras.
+    """
+
+    slots: int
+    topic: str = ""
+    schema: str = ""
+    fields: str = ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """Declaration of a part. Functions and models are named by import paths, ``module:name``.
@@ -43,7 +56,9 @@ class Part:
     setting or the option that needs them. uses: whether a run of a scenario on a rig uses the part; the functions below
     are called for such runs alone. check_rig, check_run: return the problems of a scenario on a rig, both as loaded,
     that prevent any motion, or the run. attachments: returns texts of a recording by their names, for a scenario and
-    a rig. modules: packages and modules of which it is made, for the import contract.
+    a rig. sinks: what it adds to recordings, by name. attach: returns the context in which the part of a session acts,
+    for a ``Job`` and the ``SessionParts`` to which it adds. lines: return the text of a table of the summary, by its
+    name. modules: packages and modules of which it is made, for the import contract.
     """
 
     name: str
@@ -55,6 +70,9 @@ class Part:
     check_rig: str = ""
     check_run: str = ""
     attachments: str = ""
+    sinks: Mapping[str, PartSink] = field(default_factory=dict)
+    attach: str = ""
+    lines: Mapping[str, str] = field(default_factory=dict)
     modules: Sequence[str] = ()
 
     def claims(self) -> Iterator[str]:
@@ -63,6 +81,9 @@ class Part:
         yield from (f"command {name}" for name in self.commands)
         yield from (f"table [{key}]" for key in self.tables)
         yield from (f"setting {key}" for key in self.provides)
+        yield from (f"sink {name}" for name in self.sinks)
+        yield from (f"table {name} of the summary" for name in self.lines)
+        yield from (f"topic {sink.topic}" for sink in self.sinks.values() if sink.topic)
 
 
 class InstalledPart(NamedTuple):
@@ -135,10 +156,26 @@ def provided(setting: str, source: str = "hil") -> Any:
     raise BadInput.single(source, setting, f"needs a part that is not installed, see hil list parts{reasons}")
 
 
+def used_parts(scenario: Any, rig: Any) -> list[InstalledPart]:
+    """Return the parts that a run of ``scenario`` on ``rig`` uses."""
+    return [each for each in parts().usable.values() if each.part.uses(scenario, rig)]
+
+
+@cache
+def part_sinks() -> dict[str, PartSink]:
+    """Return the sinks of all parts by name."""
+    return {name: sink for each in parts().usable.values() for name, sink in each.part.sinks.items()}
+
+
+def part_lines() -> dict[str, str]:
+    """Return the import paths of what writes tables of the summary as text, by their names, of all parts."""
+    return {table: path for each in parts().usable.values() for table, path in each.part.lines.items()}
+
+
 def hooks(name: str, scenario: Any, rig: Any) -> Iterator[Any]:
     """Yield the function that each part which a run of ``scenario`` on ``rig`` uses has for ``name``, if it has one."""
-    for each in parts().usable.values():
-        if (path := getattr(each.part, name)) and each.part.uses(scenario, rig):
+    for each in used_parts(scenario, rig):
+        if path := getattr(each.part, name):
             yield imported(path)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hil.core.part import Part, PartCommand
+from hil.core.part import Part, PartCommand, PartSink
 
 CORE: Final = Part(
     name="core",
@@ -66,6 +66,7 @@ VISION: Final = Part(
     provides={"replay of images": "hil.cli.replay_images:replay_images"},
     uses=lambda scenario, rig: bool(rig.vmu.drift_check.views),
     check_run="hil.checks.drift_views:check_drift_views",
+    attach="hil.commission.calibration_drive:attach",
     modules=(
         "hil.vmu", "hil.checks.drift_views", "hil.cli.vmu", "hil.cli.calibrate", "hil.cli.calibrate_tables",
         "hil.cli.replay_images", "hil.commission.calibration_drive", "hil.commission.view_plan",
@@ -127,6 +128,7 @@ WIRES: Final = Part(
     name="wires",
     summary="Drivers of rails, turntables, digital I/O and sensors on wires, their I/O process and its watchdog.",
     provides={
+        "rig.kind=hardware": "hil.session.wired:wired_bench",
         "rig.kind=hardware: locks": "hil.drivers.wire_lock:locked_wires",
         "rig.kind=hardware: preflight": "hil.preflight.devices:hardware_checks",
     },
@@ -140,7 +142,8 @@ WIRES: Final = Part(
         "hil.drivers.remote", "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable",
         "hil.drivers.vmu.codec", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry", "hil.drivers.vmu.frame_codec",
         "hil.drivers.vmu.sender", "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock", "hil.preflight.devices",
-        "hil.processes.io_server", "hil.processes.watchdog", "hil.checks.clock",
+        "hil.processes.io_server", "hil.processes.watchdog", "hil.checks.clock", "hil.session.wired",
+        "hil.setup.line_sensors", "hil.setup.meters",
     ),
 )  # fmt: skip
 
@@ -156,6 +159,12 @@ MONITOR: Final = Part(
     provides={"monitor.source": "hil.params.monitor:monitor_sensor"},
     uses=lambda scenario, rig: scenario.monitor.has_images,
     attachments="hil.session.with_docking_monitor:attachments",
+    attach="hil.session.with_docking_monitor:attach",
+    lines={"monitor": "hil.report.docking_monitor:monitor_lines"},
+    sinks={
+        "portions": PartSink(64, "/monitor/portions", "hil.Portion", "hil.monitor.results:PORTION_FIELDS"),
+        "monitor_images": PartSink(16),
+    },
     modules=(
         "hil.monitor", "hil.cameras.docking", "hil.cli.monitor", "hil.params.monitor", "hil.processes.docking_monitor",
         "hil.report.docking_monitor", "hil.sensors.docking_monitor", "hil.session.with_docking_monitor",
@@ -189,6 +198,7 @@ EMULATION: Final = Part(
         ),
     },
     provides={
+        "rig.kind=emulated": "hil.session.emulated:emulated_bench",
         "rig.kind=emulated: preflight": "hil.preflight.emulated:emulated_checks",
         "rig.host.time=lock_step": "hil.core.lock_step:LockStepClock",
     },
@@ -199,7 +209,8 @@ EMULATION: Final = Part(
         "hil.drivers.pty_line", "hil.drivers.rails.emulator", "hil.drivers.rails.modbus_server",
         "hil.drivers.serial_urls", "hil.drivers.shared_state", "hil.drivers.turntable.ascii.emulator",
         "hil.drivers.turntable.cia402.emulator", "hil.drivers.vmu.emulated_camera", "hil.drivers.vmu.emulator",
-        "hil.preflight.emulated", "hil.processes.emulators", "hil.setup.emulated_cameras", "hil.setup.emulated_vision",
+        "hil.preflight.emulated", "hil.processes.emulators", "hil.session.emulated",
+        "hil.setup.true_axes", "hil.setup.emulated_cameras", "hil.setup.emulated_vision",
     ),
 )  # fmt: skip
 

@@ -21,7 +21,8 @@ from hil.core.operator_keys import read_operators
 from hil.drivers.remote.io_layout import WATCHDOG
 from hil.errors import BenchError
 from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Runner
-from hil.session.build import Job, WiredBench
+from hil.session.build import Job
+from hil.session.wired import WiredBench
 
 
 def main() -> None:

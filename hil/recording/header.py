@@ -13,10 +13,10 @@ from hil.config.scenario import Scenario
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
-from hil.core.part import hooks
+from hil.core.part import hooks, used_parts
 from hil.params.sensors import sensors_of
 from hil.recording import audit
-from hil.recording.schema import HELD_FILE, SENSORS_FILE, VERSION
+from hil.recording.schema import HELD_FILE, PARTS_FILE, SENSORS_FILE, VERSION
 from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
 
@@ -57,6 +57,17 @@ def _calibrations(job: Job) -> dict[str, str]:
     """Return what parts assume of cameras and targets, and what the rows of sensors and held axes mean."""
     scenario, rig = job.scenario.value, job.rig.value
     files: dict[str, str] = {}
+    if used := used_parts(scenario, rig):
+        files[PARTS_FILE] = json.dumps(
+            {
+                each.part.name: {
+                    "version": each.version,
+                    "origin": each.origin,
+                    "topics": [sink.topic for sink in each.part.sinks.values() if sink.topic],
+                }
+                for each in used
+            }
+        )
     for attachments in hooks("attachments", scenario, rig):
         files |= attachments(scenario, rig)
     if sensors_of(scenario):

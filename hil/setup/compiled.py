@@ -11,8 +11,8 @@ from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.compiled.cycles import CompiledCycles, MockSources
 from hil.loop.compiled.run_cycles import run_cycles
+from hil.loop.cycle import Cycles, CyclesOf, Loop
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.runner import Runner
 from hil.setup.assembly import Job, Mocks
 from hil.setup.pose_model import PoseModel
 
@@ -67,11 +67,17 @@ def _mark(group: Kernels) -> Path:
     return loop if group == "loop" else loop.with_name(f"{loop.name}-{group}")
 
 
-def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:
-    """Return the compiled cycles of ``runner``, made of ``mocks`` for ``job``."""
-    gnc, sensor, io = runner.loop.gnc, mocks.sensor, mocks.devices.io
-    assert isinstance(gnc, BuiltinGnc | SharedLibraryGnc)
-    assert isinstance(sensor, PoseModel)
-    assert io is None or isinstance(io, MockIo)
-    sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)
-    return CompiledCycles(runner.loop, rate, sources, gnc, runner.cycles, job.cycles)
+def compiled_cycles(job: Job, rate: SimulatedRate, mocks: Mocks) -> CyclesOf | None:
+    """Return what makes the compiled cycles of a loop of ``job`` on ``mocks``, None if they cannot run it."""
+    if not runs_compiled(job):
+        return None
+
+    def made(loop: Loop, python: Cycles) -> CompiledCycles:
+        gnc, sensor, io = loop.gnc, mocks.sensor, mocks.devices.io
+        assert isinstance(gnc, BuiltinGnc | SharedLibraryGnc)
+        assert isinstance(sensor, PoseModel)
+        assert io is None or isinstance(io, MockIo)
+        sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)
+        return CompiledCycles(loop, rate, sources, gnc, python, job.cycles)
+
+    return made

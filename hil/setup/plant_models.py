@@ -15,6 +15,7 @@ from hil.core.messages import Array
 from hil.errors import BadInput, Problem
 from hil.fmi.archive import FmuError
 from hil.fmi.plant_model import ModelSource, PlantModel
+from hil.frmn.ring import Telemetry
 from hil.loop.core_memory import CoreMemory
 from hil.loop.model_stage import RECORDS, ModelDssStage, PlantModels
 from hil.maths.random_streams import NormalRows
@@ -46,11 +47,13 @@ def plant_models(scenario: Scenario, params: np.record, loaded: Loaded[Scenario]
     return PlantModels(**made)
 
 
-def model_stage(scenario: Scenario, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> ModelDssStage:
+def model_stage(
+    scenario: Scenario, memory: CoreMemory, field: Array, imu_noise: NormalRows, sample_sink: Telemetry | None
+) -> ModelDssStage:
     """Return the dynamics simulation of a run of ``scenario`` whose parts in FMUs replace built-in ones."""
     models = plant_models(scenario, memory.params.dss)
     assert models is not None
-    return ModelDssStage(models, memory, field, imu_noise)
+    return ModelDssStage(models, memory, field, imu_noise, sample_sink)
 
 
 def check_models(scenario: Loaded[Scenario], _: Loaded[Rig]) -> list[Problem]:

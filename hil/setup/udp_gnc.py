@@ -9,6 +9,7 @@ from hil.frmn.mirror import Mirror
 from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends.udp import UdpGnc
 from hil.loop.runner import Runner
+from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
 from hil.setup.gnc_setup import backend_setup
 
@@ -19,10 +20,16 @@ def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: boo
     return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))
 
 
-def mirror_of(runner: Runner, link: Link, cycles: int = 1) -> Mirror:
-    """Return the telemetry of ``runner`` that sends the other side the mailboxes that it wants.
+def mirror_to(link: Link, parts: SessionParts, cycles: int = 1) -> None:
+    """Let the session of ``parts`` send the other side of ``link`` the mailboxes that it requests.
 
     cycles: per row that is sent.
     """
-    modes, rate = runner.safety.modes, runner.rate
-    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns, cycles)
+    mirror = Mirror(link, cycles)
+    parts.layers.append(mirror.over)
+
+    def begin(runner: Runner) -> None:
+        modes, rate = runner.safety.modes, runner.rate
+        mirror.begin(lambda: modes.mode.value, lambda: rate.overruns)
+
+    parts.on_built.append(begin)

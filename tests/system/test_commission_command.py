@@ -23,8 +23,8 @@ from hil.drivers.fault_injection import FaultControl
 from hil.errors import DeviceError
 from hil.loop.runner import Runner
 from hil.session import build
-from hil.session.build import WiredBench
 from hil.session.warm_up import warm_up
+from hil.session.wired import WiredBench
 
 pytestmark = pytest.mark.wires
 

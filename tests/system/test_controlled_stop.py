@@ -18,6 +18,7 @@ from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
 from hil.loop.runner import Outcome, Runner
 from hil.session import build
 from hil.session.warm_up import warm_up
+from hil.session.wired import WiredBench
 from tests.support.run_settings import UNHURRIED, make_job
 
 pytestmark = pytest.mark.wires
@@ -41,7 +42,7 @@ BUSY_S = 0.15
 class Session:
     """A run in a thread, its emulators, and what has happened to its axes."""
 
-    bench: build.WiredBench
+    bench: WiredBench
     runner: Runner
     operator: Operator
     thread: threading.Thread

@@ -19,7 +19,7 @@ ROOT = PACKAGE.parent
 LOOSE = {"__init__.py", "__main__.py", "errors.py"}
 LAYERS_MOST = 12
 PARAMETERS_MOST = 8
-CORE_IMPORTS_MOST = 15
+CORE_IMPORTS_MOST = 0
 """Imports of the core from parts that are still to be inverted."""
 KERNELS = {"kernel", "entry"}
 

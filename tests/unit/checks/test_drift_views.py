@@ -11,6 +11,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.clock import SimulatedClock
 from hil.errors import BadInput, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.session_parts import SessionParts
 from hil.session.build import in_memory
 from hil.setup.assembly import with_cameras
 from hil.vmu.calibration.job import DriftCheck, DriftLimits
@@ -61,7 +62,6 @@ def test_a_drift_is_significant_and_large(chance: float, shift_px: float, rms_px
 
 def test_a_run_that_is_refused_opens_no_device() -> None:
     job = make_job(1.0)
-    runner = in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s))
 
     def refuse() -> None:
         raise SafetyTrip("vmu", "drift check:", "left moved, 0.2 px RMS", "0.03 px")
@@ -69,7 +69,8 @@ def test_a_run_that_is_refused_opens_no_device() -> None:
     def open_bench(now_s: float) -> None:
         raise AssertionError("a device was opened")
 
-    runner.before_open = refuse
+    parts = SessionParts(before_open=[refuse])
+    runner = in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s), parts)
     runner.loop.bench.open = open_bench  # type: ignore[method-assign]
     outcome = runner.run()
     assert outcome.stop == "vmu: drift check: left moved, 0.2 px RMS, allowed 0.03 px"

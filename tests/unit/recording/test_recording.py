@@ -46,10 +46,10 @@ def cycles_in(path: Path) -> int:
     return len(contents(path).records.get("/cycle", []))
 
 
-@pytest.mark.parametrize("topic", schema.RECORDS)
+@pytest.mark.parametrize("topic", schema.records())
 def test_every_recorded_field_has_unit_frame_and_meaning_in_its_schema(topic: str) -> None:
-    text = schema.describe(*schema.RECORDS[topic])
-    fields, dtype = json.loads(text)["fields"], record_dtype(schema.RECORDS[topic][1])
+    text = schema.describe(*schema.records()[topic])
+    fields, dtype = json.loads(text)["fields"], record_dtype(schema.records()[topic][1])
     assert sum(np.dtype(f["type"]).itemsize * int(np.prod(f["shape"])) for f in fields) == dtype.itemsize
     assert all(f["unit"] and f["description"] for f in fields)
     assert schema.layout_of(text, "x") == schema.flat_dtype(dtype)
