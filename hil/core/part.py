@@ -49,31 +49,35 @@ class PartSink(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Declaration of a part. Functions and models are named by import paths, ``module:name``.
-
-    commands: commands of ``hil`` by name, "recordings place" within a command that has others. tables: models of its
-    tables in scenario and rig files by key, "tracker" or "rig.tracker". provides: functions that the core needs, by the
-    setting or the option that needs them. uses: whether a run of a scenario on a rig uses the part; the functions below
-    are called for such runs alone. check_rig, check_run: return the problems of a scenario on a rig, both as loaded,
-    that prevent any motion, or the run. attachments: returns texts of a recording by their names, for a scenario and
-    a rig. sinks: what it adds to recordings, by name. attach: returns the context in which the part of a session acts,
-    for a ``Job`` and the ``SessionParts`` to which it adds. lines: return the text of a table of the summary, by its
-    name. modules: packages and modules of which it is made, for the import contract.
-    """
+    """Declaration of a part. Functions and models are named by import paths, ``module:name``."""
 
     name: str
     summary: str
     commands: Mapping[str, PartCommand] = field(default_factory=dict)
+    """Commands of ``hil`` by name; "recordings place" is added to the commands of ``hil recordings``."""
     tables: Mapping[str, str] = field(default_factory=dict)
+    """Models of its tables in scenario and rig files, by key: "tracker", "rig.tracker"."""
     provides: Mapping[str, str] = field(default_factory=dict)
+    """Functions that the core needs, by the setting or the option that needs them."""
     uses: Callable[[Any, Any], bool] = lambda scenario, rig: False
+    """Whether a run of a scenario on a rig uses the part. The following functions are called for such runs alone."""
     check_rig: str = ""
     check_run: str = ""
-    attachments: str = ""
-    sinks: Mapping[str, PartSink] = field(default_factory=dict)
+    """Return the problems of a scenario and a rig, as loaded, that prevent any motion, or the run."""
     attach: str = ""
+    """Returns the context in which the part of a session acts, for a ``Job`` and the ``SessionParts`` to add to."""
+    attachments: str = ""
+    """Returns texts for a recording by their names, for a scenario and a rig."""
+    sinks: Mapping[str, PartSink] = field(default_factory=dict)
+    """What it adds to recordings, by name."""
     lines: Mapping[str, str] = field(default_factory=dict)
+    """Return the text of a table of the summary, by the name of the table."""
+    kernels: Mapping[str, str] = field(default_factory=dict)
+    """Compile a group of kernels, by its name in ``hil warm-up``."""
+    opencv: bool = False
+    """Whether its kernels need OpenCV."""
     modules: Sequence[str] = ()
+    """Packages and modules of which it is made, for the import contract."""
 
     def claims(self) -> Iterator[str]:
         """Yield what no other part may have as well."""
@@ -82,6 +86,7 @@ class Part:
         yield from (f"table [{key}]" for key in self.tables)
         yield from (f"setting {key}" for key in self.provides)
         yield from (f"sink {name}" for name in self.sinks)
+        yield from (f"kernels {group}" for group in self.kernels)
         yield from (f"table {name} of the summary" for name in self.lines)
         yield from (f"topic {sink.topic}" for sink in self.sinks.values() if sink.topic)
 
@@ -170,6 +175,16 @@ def part_sinks() -> dict[str, PartSink]:
 def part_lines() -> dict[str, str]:
     """Return the import paths of what writes tables of the summary as text, by their names, of all parts."""
     return {table: path for each in parts().usable.values() for table, path in each.part.lines.items()}
+
+
+def part_kernels() -> dict[str, str]:
+    """Return the import paths of what compiles each group of kernels of all parts."""
+    return {group: path for each in parts().usable.values() for group, path in each.part.kernels.items()}
+
+
+def without_opencv() -> list[str]:
+    """Return the groups of kernels that cannot be compiled without OpenCV."""
+    return [group for each in parts().usable.values() if each.part.opencv for group in each.part.kernels]
 
 
 def hooks(name: str, scenario: Any, rig: Any) -> Iterator[Any]:

@@ -67,10 +67,13 @@ VISION: Final = Part(
     uses=lambda scenario, rig: bool(rig.vmu.drift_check.views),
     check_run="hil.checks.drift_views:check_drift_views",
     attach="hil.commission.calibration_drive:attach",
+    kernels={"vmu": "hil.setup.rendered_vision:compile_kernels"},
+    opencv=True,
     modules=(
         "hil.vmu", "hil.checks.drift_views", "hil.cli.vmu", "hil.cli.calibrate", "hil.cli.calibrate_tables",
         "hil.cli.replay_images", "hil.commission.calibration_drive", "hil.commission.view_plan",
         "hil.drivers.vmu.cameras", "hil.processes.vision_unit", "hil.recording.replay_images",
+        "hil.setup.rendered_vision",
     ),
 )  # fmt: skip
 
@@ -115,6 +118,7 @@ CAMPAIGNS: Final = Part(
         "report of a campaign": "hil.monte_carlo.page:write_page",
         "evidence of recordings": "hil.cli.campaign_recordings:add_to_evidence",
     },
+    kernels={"fusion": "hil.monte_carlo.fusion:compile_kernels"},
     modules=(
         "hil.monte_carlo", "hil.pytest_plugin", "hil.api.bench", "hil.api.benchmark", "hil.api.campaign_request",
         "hil.api.campaign_results", "hil.api.campaigns", "hil.api.margins", "hil.api.requirements",
@@ -160,6 +164,8 @@ MONITOR: Final = Part(
     uses=lambda scenario, rig: scenario.monitor.has_images,
     attachments="hil.session.with_docking_monitor:attachments",
     attach="hil.session.with_docking_monitor:attach",
+    kernels={"monitor": "hil.session.with_docking_monitor:compile_kernels"},
+    opencv=True,
     lines={"monitor": "hil.report.docking_monitor:monitor_lines"},
     sinks={
         "portions": PartSink(64, "/monitor/portions", "hil.Portion", "hil.monitor.results:PORTION_FIELDS"),

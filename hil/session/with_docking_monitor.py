@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.config.load import load_scene
+from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.camera_images import SCENE_FILE
@@ -115,6 +115,14 @@ def _monitor_of(job: build.Job, parts: SessionParts, number: int | None) -> Iter
     in_loop = InLoopMonitor(CameraMonitor(scenario, scene, rig, job.seed, outlets))
     parts.layers.append(in_loop.over)
     yield MonitorResults(lambda _: in_loop.finish(), in_loop)
+
+
+def compile_kernels() -> None:
+    """Call the kernels of the docking monitor once."""
+    from hil.setup.docking_monitor import warm_up
+
+    scenario = load_scenario("scheme-1", ("monitor.source=rendered",)).value
+    warm_up(scenario, load_scene(scenario.monitor.scene).value, load_rig("mock").value)
 
 
 def attachments(scenario: Scenario, _: Rig) -> dict[str, str]:

@@ -21,8 +21,8 @@ from hil.parts import CORE, PARTS
 PACKAGE: Final = Path(hil.__file__).parent
 CYCLE: Final = ("hil.loop.cycle", "hil.loop.compiled.run_cycles")
 """Modules of the cycle, in Python and compiled."""
-ABOVE: Final = ("hil.parts", "hil.processes.precompile")
-"""Modules that are of no part and may import all."""
+ABOVE: Final = "hil.parts"
+"""List of the parts, of none of them."""
 _RUN: Final = "import sys, hil; hil.run('scheme-1', duration_s=2.0); print(*sys.modules)"
 
 
