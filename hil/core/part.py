@@ -55,8 +55,8 @@ class Part:
     summary: str
     commands: Mapping[str, PartCommand] = field(default_factory=dict)
     """Commands of ``hil`` by name; "recordings place" is added to the commands of ``hil recordings``."""
-    tables: Mapping[str, str] = field(default_factory=dict)
-    """Models of its tables in scenario and rig files, by key: "tracker", "rig.tracker"."""
+    tables: Sequence[str] = ()
+    """Its tables in scenario and rig files, by key: "monitor", "rig.gnc_link"; their models are in ``hil.config``."""
     provides: Mapping[str, str] = field(default_factory=dict)
     """Functions that the core needs, by the setting or the option that needs them."""
     uses: Callable[[Any, Any], bool] = lambda scenario, rig: False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.checks import compatibility
 from hil.checks.abort import check_abort
@@ -23,11 +23,13 @@ from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
-from hil.recording.sinks import RecordingSinks
 from hil.setup.assembly import Job as Job
 from hil.setup.assembly import assemble, core_memory, library_problems, mocks
 from hil.setup.compiled import compiled_cycles
 from hil.setup.compiled import runs_compiled as runs_compiled
+
+if TYPE_CHECKING:
+    from hil.recording.sinks import RecordingSinks
 
 
 def check(job: Job) -> None:

@@ -15,7 +15,7 @@ OURS = InstalledPart(
         name="tracker",
         summary="Laser tracker.",
         commands={"track": PartCommand("hil.cli.track:track", "Track.")},
-        tables={"rig.tracker": "hil.tracker.table:Tracker"},
+        tables=("rig.tracker",),
         provides={"rig.tracker.driver=at960": "math:sqrt"},
     ),
     "1.0",
