@@ -6,6 +6,7 @@ The file is read from start to end, so that one without an end can be read, too:
 from __future__ import annotations
 
 import json
+import logging
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -28,12 +29,15 @@ from hil.core.files import MIB, check_regular, parse_json
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
 from hil.core.part import part_sinks
+from hil.core.part import parts as parts_of_program
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
 from hil.recording.schema import present_key, with_present_names
 
 _Model = TypeVar("_Model", bound=ConfigModel)
+
+log = logging.getLogger("hil")
 
 _BROKEN: Final = (
     McapError,
@@ -321,6 +325,8 @@ def load(path: Path) -> Recorded:
 
 def _recorded(found: Contents) -> Recorded:
     _check_version(found)
+    for line in _missing_parts(found):
+        log.warning(line)
     path, summary = found.path, found.files.get(writer.SUMMARY)
     return Recorded(
         path,
@@ -342,6 +348,16 @@ def _recorded(found: Contents) -> Recorded:
         _absent(found, "/cycle"),
         {name: _rows(found, sink.topic) for name, sink in part_sinks().items() if sink.topic},
     )
+
+
+def _missing_parts(found: Contents) -> Iterator[str]:
+    """Yield a line for each part that the run used and that is not installed: its rows are not read."""
+    if schema.PARTS_FILE not in found.files:
+        return
+    for name, part in _table(found.path, schema.PARTS_FILE, found.files[schema.PARTS_FILE]).items():
+        if name not in parts_of_program().usable:
+            origin = f"{part.get('origin')} {part.get('version')}" if isinstance(part, dict) else "unknown"
+            yield f"{found.path}: part {name} of package {origin} is not installed: without its rows, see hil export"
 
 
 def load_without_rows(path: Path) -> Recorded:

@@ -113,7 +113,8 @@ class RunMessages(ABC):
                 self._open_channel(*record_channel(topic))
         for used in json.loads(files.get(schema.PARTS_FILE, "{}")).values():
             for topic in used["topics"]:
-                self._open_channel(*record_channel(topic))
+                if topic in schema.records():
+                    self._open_channel(*record_channel(topic))
         time_ns = self._time_ns(0.0)
         if (scene := foxglove_scene.scene_of(files, time_ns)) is not None:
             self._add(foxglove.SCENE_TOPIC, foxglove.encoded(scene), time_ns)
