@@ -1,4 +1,4 @@
-"""Docking monitor of a session: in a process of its own beside the loop, in the loop, or after a run in memory."""
+"""Docking monitor of a session: in a process of its own next to the loop, in the loop, or after a run in memory."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _ring(parts: SessionParts, name: str) -> Ring | None:
 
 @contextmanager
 def attach(job: build.Job, parts: SessionParts) -> Iterator[None]:
-    """Add the scenario's docking monitor on images to ``parts``: beside the loop, in it, or after a run in memory."""
+    """Add the scenario's docking monitor on images to ``parts``."""
     number = _number(job.scenario.value)
     with _monitor_of(job, parts, number) as results:
         if results.source is not None and number is not None:
