@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.core.child_process import ChildProcess
@@ -23,10 +22,11 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.monitor.results import PORTION
 from hil.recording import recorder
+from hil.recording.recorder import ring_dtypes
 
 _PACKET: Final = 1 << 18
 _MAX_DESCRIPTORS: Final = 16
-_DTYPES: Final = {"telemetry": CYCLE, **RINGS}
+_DTYPES: Final = {"telemetry": CYCLE, **ring_dtypes()}
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # allowed to stop the bench and end its processes
 

@@ -45,7 +45,7 @@ from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.model import VISION_NOISE
-from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
+from hil.setup.assembly import axes_at_start, draw_initial_imu_errors
 from hil.setup.gnc_setup import gnc_setup
 
 _NO_HISTORY = np.zeros(0, CYCLE)
@@ -196,7 +196,7 @@ class CaseRunner:
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        set_truth(params, truth, seed, dss_as_built(truth, seed))
+        set_truth(params, truth, seed, dynamics_params.dss_as_built(truth, seed))
         integrity_params.set_faults(params.stats.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)

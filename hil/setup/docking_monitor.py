@@ -192,16 +192,18 @@ class LiveMonitor:
 
 
 class InLoopMonitor:
-    """Monitor in the process of a loop in simulated time: sink of its rows, source of the results for its interlock.
+    """Monitor in the process of a loop in simulated time: sink of its rows, source of the results for its interlock."""
 
-    telemetry: next sink of the rows.
-    """
-
-    def __init__(self, monitor: CameraMonitor, telemetry: Telemetry) -> None:
+    def __init__(self, monitor: CameraMonitor) -> None:
         self._monitor = monitor
-        self._telemetry = telemetry
+        self._telemetry: Telemetry = NoTelemetry()
         self._rows: list[np.ndarray] = []
         self._polled = 0
+
+    def over(self, rows: Telemetry) -> Telemetry:
+        """Return this sink, which passes each row on to ``rows``."""
+        self._telemetry = rows
+        return self
 
     def put(self, row: np.ndarray) -> None:
         """Take a row of CYCLE, shape (1,)."""

@@ -8,10 +8,12 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import hil
+from tests.support import structure
 
 PACKAGE = Path(hil.__file__).parent
 ROOT = PACKAGE.parent
@@ -21,9 +23,17 @@ PARAMETERS_MOST = 8
 KERNELS = {"kernel", "entry"}
 
 
+def contracts() -> list[dict[str, Any]]:
+    """Return the import contracts."""
+    found: list[dict[str, Any]] = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
+        "contracts"
+    ]
+    return found
+
+
 def layers() -> list[set[str]]:
     """Return the packages of each layer of the import contract, from the top."""
-    (contract,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    contract = contracts()[0]
     assert contract["exhaustive"]
     return [set(re.split(r"\s*[|:]\s*", layer)) for layer in contract["layers"]]
 
@@ -48,6 +58,20 @@ def test_only_three_modules_are_loose() -> None:
 
 def test_layers_are_few() -> None:
     assert len(layers()) <= LAYERS_MOST
+
+
+def test_core_imports_no_part() -> None:
+    assert structure.core_imports() == []
+
+
+def test_contract_of_the_core_names_every_part() -> None:
+    (contract,) = [each for each in contracts() if each["name"] == "the core imports no part"]
+    assert {*contract["importers"], *contract["forbidden"]} == {part.name for part in structure.PARTS}
+
+
+def test_parts_are_made_of_modules_that_exist() -> None:
+    named = {name for part in structure.PARTS for name in part.modules}
+    assert named <= set(structure.modules())
 
 
 @pytest.mark.parametrize("inner", ["config/tables", "gnc/estimation"])
