@@ -21,7 +21,7 @@ _SHOWN: Final = 2  # tests of a function, unless a line is asked for
 class LineMap:
     """The map. Tests that no longer exist are left out."""
 
-    def __init__(self, path: Path = MAP) -> None:
+    def __init__(self, path: Path) -> None:
         found = json.loads(path.read_text())
         self._tests: list[str] = found["tests"]
         self._files: dict[str, dict[str, list]] = found["files"]
@@ -46,14 +46,14 @@ class LineMap:
 def report(target: str) -> tuple[list[str], list[str]]:
     """Return the lines to print for a file or a line of it, and the tests to run. Raises ValueError."""
     file, _, number = target.partition(":")
-    path, line = (ROOT / file).resolve(), int(number) if number else None
-    if not path.is_file() or not path.is_relative_to(ROOT / "hil"):
+    path, line = (ROOT / file).resolve(), int(number) if number.isdecimal() else None
+    if not path.is_file() or not path.is_relative_to(ROOT / "hil") or (number and line is None):
         raise ValueError(f"FILE={target}: not a file of hil/")
     blocks = [block for block in blocks_of(path, ROOT) if line is None or block.first <= line <= block.last]
     if not blocks:
         raise ValueError(f"FILE={target}: no statement")
     lines, run = [], dict[str, None]()
-    known = LineMap()
+    known = LineMap(MAP)
     for block in blocks:
         tests, same = known.tests(block, line)
         shown = tests if line is not None else tests[:_SHOWN]
@@ -66,9 +66,9 @@ def report(target: str) -> tuple[list[str], list[str]]:
 def main(arguments: list[str]) -> int:
     """Print the tests, and the command that runs them; return 0, 1 if there are none, 2 for bad input."""
     try:
-        lines, tests = report(*arguments)
-    except (ValueError, TypeError) as error:
-        print(f"tests-of: {error or 'FILE=hil/... or FILE=hil/...:LINE is required'}", file=sys.stderr)
+        lines, tests = report("".join(arguments))
+    except ValueError as error:
+        print(f"tests-of: {error}", file=sys.stderr)
         return 2
     print("\n".join(lines))
     if tests:
