@@ -117,11 +117,6 @@ class SessionProcess:
     def _read_ring(self, name: str, dtype: np.dtype) -> np.ndarray:
         return self._readers[name].read() if name in self._readers else np.empty(0, dtype)
 
-    @property
-    def lost_rows(self) -> int:
-        """Number of rows overwritten before they were read."""
-        return self._readers["telemetry"].lost if self._readers else 0
-
     def read_status(self) -> tuple[int, np.ndarray]:
         """Return the number of written status records, and the newest one, STATUS (1,)."""
         if self._block is None:

@@ -113,10 +113,6 @@ class CaseRunner:
         if self._backends.kinds:
             self._backends.setup = gnc_setup(self.scenario)
 
-    def set_abort(self, at_s: float) -> None:
-        """Set the time of a simulated abort, s; inf for none."""
-        self._params.gnc.approach.monitor.abort_at_s = at_s
-
     def run(self, truth: Scenario, seed: int, history: np.ndarray | None = None) -> tuple[np.record, str]:
         """Run one case; return its RUN_STATS, valid until the next call, and why it ended.
 

@@ -1,7 +1,7 @@
 """Docking monitor of a run: rendered or live camera and monitor, in this process or in a child process.
 
 Its only input is the measured axis positions in the rows of CYCLE, or the camera. The loop does not wait for it;
-results that arrive while it runs are compared with the navigation (``loop/monitor_stage.py``).
+results that arrive while it runs are compared with the navigation (``loop/sensor_stage.py``).
 """
 
 from __future__ import annotations
