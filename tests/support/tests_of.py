@@ -53,6 +53,8 @@ def report(target: str) -> tuple[list[str], list[str]]:
     if not blocks:
         raise ValueError(f"FILE={target}: no statement")
     lines, run = [], dict[str, None]()
+    if not MAP.is_file():
+        raise ValueError(f"{MAP.relative_to(ROOT)}: is missing; make slow measures it")
     known = LineMap(MAP)
     for block in blocks:
         tests, same = known.tests(block, line)
