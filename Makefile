@@ -1,6 +1,7 @@
 # make demo   installs, without what only tests need, and runs scheme 1
 # make test   installs and runs all checks: format, lint, types, import layers, tests
-# make slow   runs the long tests that "make test" omits
+# make slow   runs the long tests that "make test" omits, and measures again which test runs which line
+# make tests-of FILE=hil/maths/quat.py:41  lists the tests of a line, or of all lines of a file
 # make oracle compares the truth with Basilisk, in a separate environment
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
@@ -31,7 +32,12 @@ CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --
 # hundreds of processes start, and each worker of the tests rewrites the assertions of all tests that have no bytecode
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test slow oracle bench lateness accessibility docs docs-links wheel tidy
+# nor does what else a user has set or installed change the tests
+unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTEST_PLUGINS
+PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
+	-p hil.pytest_plugin.plugin
+
+.PHONY: demo test slow tests-of oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -44,10 +50,14 @@ test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/hil warm-up & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
-	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
+	$(PYTEST) -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
 
 slow: .venv/ready
-	$(BIN)/pytest -m slow --timeout 3600
+	$(PYTEST) -m slow --timeout 3600
+	$(BIN)/python -m tests.support.line_tests
+
+tests-of:
+	@$(PYTHON) -m tests.support.tests_of $(FILE)
 
 oracle: .venv-oracle/ready
 	.venv-oracle/bin/python -m pytest tests/oracle

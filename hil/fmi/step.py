@@ -18,22 +18,6 @@ from hil.core.gnc_records import GncMode
 from hil.core.jit import kernel
 from hil.fmi.binary import LOG_BYTES
 
-
-def field_of(dtype: np.dtype, name: str) -> tuple[np.dtype, int]:
-    """Return type and offset, bytes, of a field; ``name``: dotted for one of a nested record."""
-    offset = 0
-    for part in name.split("."):
-        assert dtype.fields is not None
-        dtype, at = dtype.fields[part][:2]
-        offset += at
-    return dtype, offset
-
-
-def offset_of(dtype: np.dtype, name: str) -> int:
-    """Return the offset of a field, bytes."""
-    return field_of(dtype, name)[1]
-
-
 CODES: Final = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 """Types of staging arrays and records, by their number in the tables."""
 

@@ -193,10 +193,6 @@ class Link:
         for name, record in mailboxes_of(given, self.peer_wants):
             self.send(name, record)
 
-    def drop_peer(self) -> None:
-        """Drop the other side: the next one is accepted."""
-        self.peer = None
-
     def close(self, text: str = "") -> None:
         """Send ``goodbye`` and close the socket; idempotent."""
         if self.peer is not None and self.peer.gone is None:

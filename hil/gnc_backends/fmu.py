@@ -14,7 +14,7 @@ import numpy as np
 from hil.config.load import load_fmu_mapping
 from hil.config.scenario import GncConfig
 from hil.config.tables.fmu_mapping import FmuMapping
-from hil.core.fields import Fields, record_dtype
+from hil.core.fields import Fields, field_of, offset_of, record_dtype
 from hil.core.gnc_records import (
     CONTROL_INPUT_FIELDS,
     GNC_INPUT_FIELDS,
@@ -246,18 +246,18 @@ class _Tables:
         input_of, output_of = record_dtype(layout.inputs), record_dtype(layout.outputs)
         for nested, (name, count) in zip(table.nested, layout.nested.items(), strict=False):
             mine = [element for element in steps.inputs if element.field.name.startswith(f"{name}[")]
-            n = step.field_of(input_of, name)[0].shape[0]
+            n = field_of(input_of, name)[0].shape[0]
             groups = self._keep(np.zeros(n, step.GROUP)).view(np.recarray)
             for i in range(n):
                 self._fill(groups[i], "Set", [element for element in mine if element.field.group == i])
-            nested.groups, nested.n, nested.count_offset = groups.ctypes.data, n, step.offset_of(input_of, count)
+            nested.groups, nested.n, nested.count_offset = groups.ctypes.data, n, offset_of(input_of, count)
         self._fill(table.output, "Get", outputs)
         given = {element.field.name for element in outputs}
-        table.text_offset = step.offset_of(output_of, "text")
+        table.text_offset = offset_of(output_of, "text")
         if "on" in given and "direct" not in given and "force" not in given:
-            table.direct = step.offset_of(output_of, "direct")
+            table.direct = offset_of(output_of, "direct")
         if layout.estimates and given >= layout.estimate and layout.estimates not in given:
-            table.estimate = step.offset_of(output_of, layout.estimates)
+            table.estimate = offset_of(output_of, layout.estimates)
         table.log = ctypes.addressof(fmu.log)
         prefix = f"fmi{version}DoStep"
         table.step_text, table.end_text = _text(f"{prefix} failed"), _text("the FMU requests the end of the simulation")

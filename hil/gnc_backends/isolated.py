@@ -16,12 +16,13 @@ import numpy as np
 
 from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
+from hil.core.fields import offset_of
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, TEXT_BYTES, GncMode
 from hil.core.settings import Setting
 from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
-from hil.fmi.step import offset_of
-from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, BackendInstance, address_of
+from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, Backend, BackendInstance, address_of
+from hil.gnc_backends.fmu import FmuBackend
 
 _MODULE: Final = "hil.processes.isolated_fmu"
 _START_S: Final = 60.0
@@ -96,6 +97,12 @@ class _IsolatedInstance(BackendInstance):
 def _write_text(output: int, text: bytes) -> None:
     """Write ``text`` to the GNC_OUTPUT at the address ``output``."""
     ctypes.memmove(output + _TEXT, text.ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
+
+
+def open_fmu(gnc: GncConfig, refuse: Callable[[str], BadInput]) -> Backend:
+    """Return the FMU of ``gnc``, in a process of its own if it asks for one. Raises BadInput, made by ``refuse``."""
+    assert gnc.fmu is not None
+    return IsolatedFmu(gnc, refuse) if gnc.fmu_process else FmuBackend(gnc.fmu, WHOLE, refuse, gnc)
 
 
 class _Child:

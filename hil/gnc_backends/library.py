@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.scenario import GncConfig
+from hil.core.part import provided
 from hil.errors import BadInput
-from hil.gnc_backends import fmu, shared_library
+from hil.gnc_backends import shared_library
 from hil.gnc_backends.backend import WHOLE, Backend
 from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.python_backend import PythonBackend
 from hil.gnc_backends.shared_library import LibraryBackend, digest_of
 
-_KEYS: Final = {True: fmu.KEY, False: shared_library.KEY}
+_KEYS: Final = {True: "gnc.fmu", False: shared_library.KEY}
 
 
 def key_of(gnc: GncConfig) -> str:
@@ -37,11 +38,8 @@ def open_library(
         return None
     if gnc.fmu is None:
         return LibraryBackend(gnc.binary, WHOLE, refuse)
-    if gnc.fmu_process:
-        from hil.gnc_backends.isolated import IsolatedFmu
-
-        return IsolatedFmu(gnc, refuse)
-    return fmu.FmuBackend(gnc.fmu, WHOLE, refuse, gnc)
+    opened: Backend = provided("gnc.fmu", source)(gnc, refuse)
+    return opened
 
 
 def binary_digest(gnc: GncConfig) -> str:

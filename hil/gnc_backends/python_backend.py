@@ -13,11 +13,10 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from hil.core.fields import described
+from hil.core.fields import described, offset_of
 from hil.core.gnc_records import INPUTS, OBJECTS, OUTPUT_FIELDS, OUTPUTS, TEXT_BYTES, GncMode
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError, ProtocolError
-from hil.fmi.step import offset_of
 from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, BackendInstance, address_of
 from hil.gnc_backends.output_texts import raised_text
 

@@ -9,12 +9,11 @@ import pytest
 
 from hil.api.jobs import IN_LOCK_STEP
 from hil.core.modes import Mode
-from hil.session.build import WiredBench, check, wired_bench
+from hil.session.build import check, wired_bench
 from hil.session.warm_up import warm_up
+from hil.session.wired import WiredBench
 from sims.fault_matrix import CONTINUES, TIGHT, Attendance, FaultCase, matrix, representatives, run_case
 from tests.support.run_settings import PATIENT_RELAY, make_job
-
-pytestmark = pytest.mark.wires
 
 SETTINGS = (*TIGHT, *PATIENT_RELAY)
 
@@ -65,6 +64,7 @@ def test_every_fault_in_every_mode_that_can_have_it(bench: WiredBench, case: Fau
     _check(bench, case)
 
 
+@pytest.mark.wires
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "case", matrix((Mode.RUNNING, Mode.STANDBY, Mode.ARMED, Mode.HOLD)), ids=lambda case: case.name
