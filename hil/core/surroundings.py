@@ -12,7 +12,6 @@ processes. A user may have neither a home nor a name. No folder is used that ano
 
 from __future__ import annotations
 
-import atexit
 import errno
 import fcntl
 import os
@@ -98,7 +97,7 @@ def temporary_folder_in(folder: Path, what: str) -> TemporaryDirectory[str]:
 def prepare_worker_processes() -> None:
     """Let multiprocessing make its sockets in a temporary folder of this process. Raises BadInput if it cannot work."""
     from multiprocessing import Lock  # slow imports
-    from multiprocessing.util import get_temp_dir
+    from multiprocessing.util import Finalize, get_temp_dir
 
     try:
         Lock()
@@ -106,7 +105,7 @@ def prepare_worker_processes() -> None:
         text = f"need semaphores in /dev/shm ({getattr(error, 'strerror', '') or error}): give --workers 1"
         raise BadInput.single("worker processes", "", text) from error
     folder = temporary_folder("workers")
-    atexit.register(folder.cleanup)
+    Finalize(None, folder.cleanup, exitpriority=-101)  # after multiprocessing has removed its own in it
     before, tempfile.tempdir = tempfile.tempdir, folder.name
     try:
         get_temp_dir()

@@ -36,6 +36,7 @@ _LOG2_E: Final = 1.4426950408889634
 _ROOT_HALF: Final = 0.7071067811865476
 _EXP_MAX: Final = 709.782712893384
 _EXP_MIN: Final = -745.1332191019412
+_EXP_NORMAL: Final = 690.0  # neither 2^k nor the result is subnormal
 
 # arc tangents of k / 8, and what their rounding has cut off
 _ATAN: Final = (
@@ -213,7 +214,10 @@ def exp(x: float) -> float:
     high, low = x - k * _LN_2_HIGH, k * _LN_2_LOW
     r = high - low
     low = (high - r) - low
-    return math.ldexp(1.0 + (_expm1_small(r) + low * (1.0 + r)), k)
+    mantissa = 1.0 + (_expm1_small(r) + low * (1.0 + r))
+    if abs(x) < _EXP_NORMAL:
+        return mantissa * float(np.int64((k + 1023) << 52).view(np.float64))  # 2^k by its bits
+    return math.ldexp(mantissa, k)
 
 
 @formula
