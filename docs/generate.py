@@ -29,6 +29,8 @@ from hil.config.tables.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
 from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.alarm_table import ALARMS
+from hil.core.alarms import AlarmKind
 from hil.core.fields import markdown_table
 from hil.core.sensor_records import (
     SENSOR_ESTIMATE_FIELDS,
@@ -250,7 +252,7 @@ What `hil campaign --dispersions NAME` draws, with the source of each size. Pass
 
 
 HAZARD_KEYS: Final = (
-    "id", "losses", "hazard", "cause", "software", "hardware", "category", "alarms", "tests", "remains",
+    "id", "losses", "hazard", "cause", "software", "hardware", "category", "tests", "remains",
 )  # fmt: skip
 """Keys of a row of ``docs/hazards.toml``."""
 
@@ -262,24 +264,49 @@ def hazards() -> str:
 Losses: **P** a person is hurt, **B** bench or specimen is damaged, **V** a verdict is wrong, **A** an act cannot be
 attributed. The category is asked of the hardware barrier, by ISO 13849-1; software of this program has none ([what it
 cannot do](../../explanation/safety-file.md#what-software-cannot-do)). The table is `docs/hazards.toml`; the suite
-checks that each test exists and that each [alarm](../modes-and-alarms.md) of the program has a row.
+checks that each test exists, and [each alarm](alarms.md) names its hazard.
 """
     rows = tomllib.loads((Path(__file__).parent / "hazards.toml").read_text(encoding="utf-8"))["hazards"]
     head = "| | hazard | losses | category asked | tests | alarms |\n|---|---|---|---|---|---|\n"
     lines = [
         f"| {row['id']} | {row['hazard']} | {row['losses']} | {row['category']} | {len(row['tests'])} "
-        f"| {len(row['alarms'])} |"
+        f"| {len(_alarms_of(row['id']))} |"
         for row in rows
     ]
     sections = [
         f"## {row['id']} {row['hazard']}\n\n| | |\n|---|---|\n| cause | {row['cause']} |\n| barrier in software | "
         f"{row['software']} |\n| barrier in hardware | {row['hardware']} |\n| category asked of it | {row['category']} "
-        f"|\n| alarms | {', '.join(row['alarms']) or 'none'} |\n"
+        f"|\n| alarms | {', '.join(_alarms_of(row['id'])) or 'none'} |\n"
         f"| tests | {', '.join(map(_test_link, row['tests']))} |\n"
         f"| what remains | {row['remains']} |\n"
         for row in rows
     ]
     return f"{intro}\n{head}" + "\n".join(lines) + "\n\n" + "\n".join(sections)
+
+
+def _alarms_of(hazard: str) -> list[str]:
+    return [_quantity(kind) for kind in ALARMS.values() if kind.hazard == hazard]
+
+
+def _quantity(kind: AlarmKind) -> str:
+    return kind.quantity.replace("{}", "*")
+
+
+def alarms() -> str:
+    """Return the page of all alarms: device, limit, unit, priority and hazard of each."""
+    intro = """# Alarms
+
+Each alarm has device, quantity, value and limit, as texts and, if they are numbers, in SI units (`measured`, `allowed`,
+`unit` in the [JSON](../json.md)); angles are radians there, and of an axis that rotates m is rad. A * stands for a part
+that varies. [How alarms behave](../modes-and-alarms.md#alarms).
+"""
+    head = "| quantity | code | device | limit, key of the rig file; modes | unit | priority | hazard |"
+    rows = [
+        f"| {_quantity(kind)} | `{kind.code}` | {kind.device} | {kind.allowed} | {kind.unit} | {kind.priority} "
+        f"| [{kind.hazard}](hazards.md) |"
+        for kind in ALARMS.values()
+    ]
+    return f"{intro}\n{head}\n|{'---|' * 7}\n" + "\n".join(rows) + "\n"
 
 
 def _test_link(name: str) -> str:
@@ -294,6 +321,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "limits": limit_table,
     "sensors": sensor_table,
     "hazards": hazards,
+    "alarms": alarms,
     "rig": rig_keys,
     "files": other_files,
     "dispersions": dispersion_sets,

@@ -14,6 +14,7 @@ import numpy as np
 from hil.api import frames
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.alarms import Alarm
 from hil.core.clock import utc_ns
 from hil.core.files import write_text
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event
@@ -24,7 +25,6 @@ from hil.monitor.results import PORTION, portion_row
 from hil.report.limits import why_of
 from hil.report.summary import limits_of
 from hil.report.verdict import Verdict, verdict_of
-from hil.safety.alarms import Alarm
 from hil.sensors.vision_unit import columns as vmu_columns
 from hil.setup.assembly import Job
 

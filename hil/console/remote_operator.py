@@ -28,11 +28,11 @@ from typing import Any, Final
 
 from hil.config.tables.host import OnLoss
 from hil.console.status import StatusWriter
+from hil.core import alarm_table as table
 from hil.core.files import parse_json
 from hil.core.messages import Event
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
-from hil.errors import SafetyTrip
 from hil.frmn.mailbox import Mailbox
 from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
@@ -291,16 +291,18 @@ class RemoteOperator(Operator):
         """Hold or stop a moving bench, once; end the session of a dead console when the bench is at rest."""
         safety = self._runner.safety
         mode = safety.modes.mode
-        source = "console process" if self._disconnected else "operator's page"
-        value = "disconnected" if self._disconnected else f"silent for {max(silent_s, self._lease_s):.1f} s"
+        kind = table.CONSOLE_PROCESS if self._disconnected else table.OPERATORS_PAGE
+        trip = kind.trip(
+            "console", "disconnected" if self._disconnected else max(silent_s, self._lease_s), self._lease_s
+        )
         if not self._reacted and mode not in AT_REST:
             as_set = mode is Mode.RUNNING or self._on_loss != "continue"
             reaction = self._on_loss if as_set else "hold"  # only a run continues without its operator
             if reaction == "stop" or (reaction == "hold" and mode not in _HOLDABLE):
                 self._reacted = True
-                raise SafetyTrip("console", source, value, f"{self._lease_s:g} s of silence while the bench moves")
+                raise trip
             if reaction == "hold":
                 self._reacted = True
-                safety.request_hold(f"console: {source} {value}, allowed {self._lease_s:g} s")
+                safety.request_hold(f"console: {kind.quantity} {trip.alarm.value}, allowed {self._lease_s:g} s")
         if self._disconnected and mode in AT_REST and OperatorCommand.STOP not in self.pending:
             self.submit(OperatorCommand.STOP)

@@ -9,6 +9,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.config.tables.required_parts import PART_COLUMNS
+from hil.core.alarms import Alarm
 from hil.core.messages import Array
 from hil.gnc.decision_verdict import ACCUSED
 from hil.gnc.limits import CLOSING, CORRIDOR
@@ -30,7 +31,6 @@ from hil.report.limits import (
 )
 from hil.report.verdict import control_precision, is_accepted, verdict_of
 from hil.report.verdict_parts import energy_part, navigation_means, propellant_kg, security_part
-from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import is_of_guard
 
 _AXES: Final = ("x", "y", "z")

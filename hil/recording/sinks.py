@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.config.rig import Rig
+from hil.core.alarms import Alarm
 from hil.core.build_info import VERSION
 from hil.core.camera_images import ImageEncoder
 from hil.core.local_user import local_user
@@ -20,7 +21,6 @@ from hil.loop.target_stage import HeldAxes
 from hil.recording.audit import Actor, AuditChain
 from hil.recording.foxglove import log
 from hil.recording.schema import LOG_ENTRY
-from hil.safety.alarms import Alarm
 
 
 class EventRecorder:

@@ -14,6 +14,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.faults import TimedFault
 from hil.config.tables.sign_off import SignOff
+from hil.core.alarm_table import ALARMS
 from hil.core.build_info import build_info
 from hil.core.messages import Event
 from hil.gnc.control import rule_of
@@ -28,7 +29,6 @@ from hil.report.latency import with_exchanges
 from hil.report.limits import RunNumbers, alarms_before, first_violated, margins_of, stop_of_alarm
 from hil.report.tally import Tally
 from hil.report.verdict import Verdict, acceptance, parts_of
-from hil.safety.guard_alarms import GUARD_QUANTITIES
 
 if TYPE_CHECKING:
     from hil.recording.read import Recorded
@@ -158,7 +158,7 @@ def safe_stop(outcome: Outcome, scenario: Scenario) -> SafeStop | None:
     alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
     if alarm is None or not len(outcome.history):
         return None
-    by = "guard" if alarm.quantity.startswith(GUARD_QUANTITIES) else "device"
+    by = "guard" if ALARMS[alarm.code].by_guard else "device"
     return SafeStop(float(outcome.history["t_s"][-1]) + scenario.step_s, by)
 
 
