@@ -300,9 +300,9 @@ Each alarm has device, quantity, value and limit, as texts and, if they are numb
 `unit` in the [JSON](../json.md)); angles are radians there, and of an axis that rotates m is rad. A * stands for a part
 that varies. [How alarms behave](../modes-and-alarms.md#alarms).
 """
-    head = "| quantity | code | device | limit, key of the rig file; modes | unit | priority | hazard |"
+    head = "| code | quantity | device | limit, key of the rig file; modes | unit | priority | hazard |"
     rows = [
-        f"| {_quantity(kind)} | `{kind.code}` | {kind.device} | {kind.allowed} | {kind.unit} | {kind.priority} "
+        f"| `{kind.code}` | {_quantity(kind)} | {kind.device} | {kind.allowed} | {kind.unit} | {kind.priority} "
         f"| [{kind.hazard}](hazards.md) |"
         for kind in ALARMS.values()
     ]
