@@ -15,7 +15,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from docs import benchmark_pages, package_pages, record_pages, wire_pages
+from docs import benchmark_pages, package_pages, record_pages, result_pages, wire_pages
 from hil.cli.main import app
 from hil.config.key_reference import KeyTable, own_keys, tables
 from hil.config.protocol import Protocol
@@ -29,8 +29,6 @@ from hil.config.tables.faults import EMULATED, RESPONSES, TERMS, ErrorTerm
 from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS
 from hil.config.vmu_frame import VmuFrame
 from hil.config.vmu_geometry import VmuGeometry
-from hil.core.alarm_table import ALARMS
-from hil.core.alarms import AlarmKind
 from hil.core.fields import markdown_table
 from hil.core.sensor_records import (
     SENSOR_ESTIMATE_FIELDS,
@@ -270,43 +268,18 @@ checks that each test exists, and [each alarm](alarms.md) names its hazard.
     head = "| | hazard | losses | category asked | tests | alarms |\n|---|---|---|---|---|---|\n"
     lines = [
         f"| {row['id']} | {row['hazard']} | {row['losses']} | {row['category']} | {len(row['tests'])} "
-        f"| {len(_alarms_of(row['id']))} |"
+        f"| {len(result_pages.alarms_of(row['id']))} |"
         for row in rows
     ]
     sections = [
         f"## {row['id']} {row['hazard']}\n\n| | |\n|---|---|\n| cause | {row['cause']} |\n| barrier in software | "
         f"{row['software']} |\n| barrier in hardware | {row['hardware']} |\n| category asked of it | {row['category']} "
-        f"|\n| alarms | {', '.join(_alarms_of(row['id'])) or 'none'} |\n"
+        f"|\n| alarms | {', '.join(result_pages.alarms_of(row['id'])) or 'none'} |\n"
         f"| tests | {', '.join(map(_test_link, row['tests']))} |\n"
         f"| what remains | {row['remains']} |\n"
         for row in rows
     ]
     return f"{intro}\n{head}" + "\n".join(lines) + "\n\n" + "\n".join(sections)
-
-
-def _alarms_of(hazard: str) -> list[str]:
-    return [_quantity(kind) for kind in ALARMS.values() if kind.hazard == hazard]
-
-
-def _quantity(kind: AlarmKind) -> str:
-    return kind.quantity.replace("{}", "*")
-
-
-def alarms() -> str:
-    """Return the page of all alarms: device, limit, unit, priority and hazard of each."""
-    intro = """# Alarms
-
-Each alarm has device, quantity, value and limit, as texts and, if they are numbers, in SI units (`measured`, `allowed`,
-`unit` in the [JSON](../json.md)); angles are radians there, and of an axis that rotates m is rad. A * stands for a part
-that varies. [How alarms behave](../modes-and-alarms.md#alarms).
-"""
-    head = "| code | quantity | device | limit, key of the rig file; modes | unit | priority | hazard |"
-    rows = [
-        f"| `{kind.code}` | {_quantity(kind)} | {kind.device} | {kind.allowed} | {kind.unit} | {kind.priority} "
-        f"| [{kind.hazard}](hazards.md) |"
-        for kind in ALARMS.values()
-    ]
-    return f"{intro}\n{head}\n|{'---|' * 7}\n" + "\n".join(rows) + "\n"
 
 
 def _test_link(name: str) -> str:
@@ -321,7 +294,8 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "limits": limit_table,
     "sensors": sensor_table,
     "hazards": hazards,
-    "alarms": alarms,
+    "alarms": result_pages.alarms,
+    "run-results": result_pages.run_results,
     "rig": rig_keys,
     "files": other_files,
     "dispersions": dispersion_sets,

@@ -23,6 +23,7 @@ from hil.loop.compiled.run_stats import counted
 from hil.loop.runner import Outcome
 from hil.monitor.results import PORTION, portion_row
 from hil.report.limits import why_of
+from hil.report.results import RunResults
 from hil.report.summary import limits_of
 from hil.report.verdict import Verdict, verdict_of
 from hil.sensors.vision_unit import columns as vmu_columns
@@ -143,7 +144,7 @@ class Run:
         found = self.summary
         if "limits" not in found:  # a recording of an earlier version
             outcome = Outcome(self.history, self.stop, alarms=self.alarms)
-            found = found | limits_of(outcome, self._counted, found, self.scenario)
+            found = found | limits_of(outcome, self._counted, RunResults.of(found), self.scenario)
         return why_of(found)
 
     @property

@@ -33,7 +33,7 @@ from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.report.long_run import accumulate
 from hil.report.summary import summarise
-from hil.report.verdict import Verdict
+from hil.report.tally import Tallied
 from hil.session import build, with_docking_monitor
 from hil.session.warm_up import Compilation
 from hil.setup.assembly import Job
@@ -220,7 +220,7 @@ def judged_run(
     rig: str,
     outcome: Outcome,
     watched: MonitorOutcome | None = None,
-    numbers: tuple[dict[str, Any], Verdict] | None = None,
+    numbers: Tallied | None = None,
 ) -> Run:
     """Return the results of ``outcome``. watched: results of the docking monitor. numbers: of a long run."""
     scenario = job.scenario.value

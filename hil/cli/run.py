@@ -126,6 +126,7 @@ def run(
 def run_and_print(request: RunRequest, console: Console, json: str | None) -> int:
     """Run a checked job and print its verdict; return the exit code. json: file for its numbers, - for stdout."""
     from hil.api.runs import run_job
+    from hil.report.results import RunResults
     from hil.report.table import render
 
     announce = partial(say, console=console, style="dim")
@@ -140,7 +141,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     if problem := summary.get("recording", {}).get("problem"):
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
-        render(summary, found.verdict, found.scenario.requirements, Console())
+        render(RunResults.of(summary), found.verdict, found.scenario.requirements, Console())
         if "monitor" in summary:
             from hil.report.docking_monitor import monitor_lines
 

@@ -34,8 +34,9 @@ from hil.recording.audit import Actor
 from hil.recording.session import RunRecorder, recording
 from hil.report.docking_monitor import judge_monitor
 from hil.report.long_run import accumulate
+from hil.report.results import RunResults
 from hil.report.summary import summarise
-from hil.report.verdict import Verdict, parts_of
+from hil.report.tally import Tallied
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 from hil.setup.docking_monitor import MonitorOutcome
@@ -234,7 +235,7 @@ def _result(
     outcome: Outcome,
     watched: MonitorOutcome | None,
     taken: RunRecorder | None,
-    numbers: tuple[dict[str, Any], Verdict] | None,
+    numbers: Tallied | None,
 ) -> dict[str, Any]:
     """Return the result for the console, and close the recording. numbers: of a long run."""
     rate_hz = 1.0 / job.scenario.value.step_s
@@ -249,7 +250,7 @@ def _result(
             "accepted": summary["accepted"],
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],
-            "parts": {name: part["passed"] for name, part in parts_of(summary).items()},
+            "parts": {name: part.passed for name, part in RunResults.of(summary).parts().items()},
             "required_parts": summary["required_parts"],
             "cycles": summary["timing"]["cycles"],
             "timing": summary["timing"],

@@ -24,6 +24,7 @@ from hil.gnc.ready_phase import DEVIATIONS
 from hil.maths.limits import finite_or_none
 from hil.params.ready import all_tolerances
 from hil.report.integrity import mean_nees
+from hil.report.results import Energy
 
 _DIRECTIONS: Final = ("along", "across", "attitude")
 _SHORT_AXES: Final = tuple(name.split(".")[-1] for name in BENCH_AXES)
@@ -172,7 +173,7 @@ class RunNumbers:
     stats: np.record
     parts: Mapping[str, bool]
     view: tuple[float | None, float | None, float | None]
-    energy: Mapping[str, Any]
+    energy: Energy
     end_s: float
     accepted: bool
     stop: Stop | None = None
@@ -267,7 +268,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     if margin is not None:
         lost = (lost_s, margin, 0.0) if margin < 0.0 else ()
         found.append(Margin("field_of_view", margin, at_s, margin, 0.0, "", *lost))
-    used, allowed = run.energy["propellant_kg"], run.energy["factor"] * run.energy["least_propellant_kg"]
+    used, allowed = run.energy.propellant_kg, run.energy.factor * run.energy.least_propellant_kg
     spent = (run.end_s, used, allowed) if used > allowed else ()
     found.append(Margin("propellant", allowed - used, run.end_s, used, allowed, "", *spent))
     decision = integrity.decision

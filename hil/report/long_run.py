@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from hil.loop.runner import Outcome, Runner
-from hil.report.tally import Tally
-from hil.report.verdict import Verdict
+from hil.report.tally import Tallied, Tally
 from hil.setup.assembly import Job
 
 _PAUSE_WALL_S: Final = 0.02  # between two blocks while the loop runs in real time
@@ -52,7 +51,7 @@ def _load_kernels(job: Job, row: np.ndarray) -> None:
         warm.end()
 
 
-def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], tuple[dict[str, Any], Verdict] | None]:
+def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], Tallied | None]:
     """Attach to ``runner`` if the run of ``job`` is longer than its memory of rows.
 
     Return a function that returns the ``numbers`` of the run with an outcome; None if its rows give them.
@@ -72,7 +71,7 @@ def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], tuple[dict[str, 
     part_thread = _PartThread(run, loop.history) if paced else None
     loop.on_full = take if part_thread is None else part_thread.take
 
-    def end(outcome: Outcome) -> tuple[dict[str, Any], Verdict] | None:
+    def end(outcome: Outcome) -> Tallied | None:
         if loop.first == 0:
             return None
         if part_thread is not None:
