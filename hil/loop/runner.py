@@ -18,7 +18,7 @@ from hil.core.clock import pause_text
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
-from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
+from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
@@ -250,7 +250,7 @@ class Runner:
             self._on_progress(self._modes.mode, 0.0)
 
     def _execute(self, command: OperatorCommand) -> None:
-        if command in MOVING and (alarm := self.safety.interlock_power(self.rate.now_s())):
+        if command.moves and (alarm := self.safety.interlock_power(self.rate.now_s())):
             if not self.operator.attended:
                 raise alarm.trip()
             self.operator.rejections.append(alarm.text)
