@@ -31,6 +31,11 @@ CHROMIUM_MISSING := { apt-get update --quiet && apt-get install --quiet --yes --
 # hundreds of processes start, and each worker of the tests rewrites the assertions of all tests that have no bytecode
 unexport PYTHONDONTWRITEBYTECODE
 
+# nor does what else a user has set or installed change the tests
+unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTEST_PLUGINS
+PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
+	-p hil.pytest_plugin.plugin
+
 .PHONY: demo test slow oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
@@ -44,10 +49,10 @@ test: .venv/ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/hil warm-up & kernels=$$!; nice -n 10 $(BIN)/mypy && $(BIN)/lint-imports && wait $$kernels
-	$(BIN)/pytest -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
+	$(PYTEST) -m "not slow" -n $(WORKERS) --dist loadgroup --durations 25
 
 slow: .venv/ready
-	$(BIN)/pytest -m slow --timeout 3600
+	$(PYTEST) -m slow --timeout 3600
 
 oracle: .venv-oracle/ready
 	.venv-oracle/bin/python -m pytest tests/oracle

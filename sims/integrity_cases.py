@@ -132,7 +132,7 @@ def _bench_range_m(runner: Runner) -> float:
 
 
 def run_emulated(settings: tuple[str, ...] = ()) -> list[FaultReaction]:
-    """Return the reactions to stuck rails of the emulated rig with its shipped limits, in real time."""
+    """Return the reactions to stuck rails of the emulated rig with its shipped limits."""
     job = Job(load_scenario("scheme-1", settings), load_rig("emulated", settings), 0, 60.0, 1.0)
     build.check(job)
     warm_up(job)

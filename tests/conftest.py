@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 
+OF_USERS = re.compile(r"FORCE_COLOR|NO_COLOR|CLICOLOR.*|COLUMNS|LINES|TTY_.*|PYTHON(WARNINGS|OPTIMIZE)|NUMBA_.*|MPL.*")
+"""Variables by which a user changes what programs print or compile, for instance in a test's child processes."""
+for _name in filter(OF_USERS.fullmatch, tuple(os.environ)):
+    del os.environ[_name]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: the workers share the cores, and idle threads spin
 gc.set_threshold(50_000)  # as the command line does: what the tests import stays, and searches for garbage are in vain
 
 import shutil
 import subprocess
 import tomllib
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +27,8 @@ import hil
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from tests.support.pauses import Pauses
 from tests.support.plain_filters import PLAIN as PLAIN_FILTERS
+from tests.support.undecided import WiresTests
 
 # examples drawn from a fixed seed; no deadline, because a first call may compile a kernel
 settings.register_profile("hil", deadline=None, derandomize=True, database=None, max_examples=150)
@@ -38,7 +43,9 @@ _ONE_WORKER = {
 """Packages whose unit tests share fixtures or kernels that are expensive to make, and the name of their group."""
 
 
-_PAUSED = Pauses()
+def pytest_configure(config: pytest.Config) -> None:
+    """Repeat tests that pauses of the computer fail."""
+    config.pluginmanager.register(WiresTests())
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
@@ -59,22 +66,6 @@ def _group(item: pytest.Item) -> str:
     """Return the group that the module names, or that of its folder, or the module's name."""
     named = item.get_closest_marker("xdist_group")
     return str(named.args[0]) if named else _ONE_WORKER.get(item.path.parent.name, item.path.stem)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Begin to watch for pauses of the computer, if the test depends on them."""
-    if item.get_closest_marker("wires"):
-        _PAUSED.begin()
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Add the longest pause of the computer to the report of a test on wires that failed."""
-    report = yield
-    if report.failed and item.get_closest_marker("wires") and (paused_s := _PAUSED.longest_s()):
-        report.sections.append(("pause of the computer", f"{1e3 * paused_s:.0f} ms, the longest of this test"))
-    return report
 
 
 @pytest.fixture

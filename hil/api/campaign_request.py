@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from hil.api.campaign_results import Campaign, Comparison, StudyResults, SweepRe
 from hil.api.jobs import BackendArguments, Settings, job_of
 from hil.checks.go_level import go_warnings
 from hil.config.scenario import Scenario
+from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, Problem
 from hil.monte_carlo.campaign import RIG, CampaignJob, Progress, Sweep, Watch, write_summary
 from hil.monte_carlo.engines import DaskEngine, Engine, LocalEngine
@@ -110,7 +110,7 @@ class CampaignRequest:
             held.callback(engine.close)
             out = self.out
             if out is None:
-                out = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-")))
+                out = Path(held.enter_context(temporary_folder("campaign")))
             stores = [
                 held.enter_context(job.store(folder, warn, study.identity, study.columns))
                 for job, folder in zip(jobs, self._folders(out, len(jobs)), strict=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -13,6 +12,7 @@ from hil.config.rig import GIMBAL_NAMES, LEAD_MAX_S, RAIL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.error_models import LAG_MAX_S
 from hil.config.tables.model import DELAY_MAX_S
+from hil.core.surroundings import temporary_folder
 from hil.monte_carlo.campaign import RIG, CampaignJob, write_summary
 from hil.monte_carlo.engines import LocalEngine
 from hil.monte_carlo.margins import DelayedPart, delay_margins, draw_margins
@@ -80,7 +80,7 @@ def search_margins(
 ) -> dict[str, Any]:
     """Return the margins of a scenario on a rig, both checked; see ``margins``."""
     parts = delayed_parts(scenario, rig, seed)
-    temporary = tempfile.TemporaryDirectory(prefix="hil-margins-") if out is None else None
+    temporary = temporary_folder("margins") if out is None else None
     folder = Path(temporary.name if temporary else str(out))
     try:
         parts[0].job(0.0).warm_up()

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.bench.kinematics import pose_of_axes, pose_on_bench
 from hil.core.jit import kernel
-from hil.maths import quat
+from hil.maths import elementary, quat
 from hil.sensors.mounting import camera_pose
 from hil.sensors.vision_unit.camera import view_margin
 
@@ -45,4 +45,4 @@ def camera_errors(params, mounting, rail_m, gimbal_rad, r_CT_H, q_CH, distance, 
         distance[k] = math.sqrt(square)
         turn = quat.multiply(q, quat.conjugate(q_CH[k]))
         sine = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-        angle[k] = 2.0 * math.atan2(sine, abs(turn[3]))
+        angle[k] = 2.0 * elementary.atan2(sine, abs(turn[3]))

@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.bench.kinematics import axes_of_pose, pose_of_axes
 from hil.core.messages import AXES, Array, new
-from hil.maths import euler, quat
+from hil.maths import elementary, euler, linear, quat
 
 MANIPULATOR = np.dtype(
     [
@@ -79,8 +79,8 @@ def wanted_angles(params: np.record, q_CH: Array, w_CH_C: Array, near: Array) ->
     q_hc = quat.conjugate(q_CH)
     angles: Array = euler.from_quaternion(q_hc, params.order)
     rates = np.zeros(3)
-    if abs(math.cos(angles[params.order[1]])) >= _SINGULAR:
-        rates = -euler.rate_jacobian(angles, params.order) @ quat.transform(q_hc, w_CH_C)
+    if abs(elementary.cos(angles[params.order[1]])) >= _SINGULAR:
+        rates = -linear.product(euler.rate_jacobian(angles, params.order), quat.transform(q_hc, w_CH_C))
     return angles + 2.0 * math.pi * np.round((near - angles) / (2.0 * math.pi)), rates
 
 

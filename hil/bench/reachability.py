@@ -13,7 +13,8 @@ import numpy as np
 from hil.bench.field_of_view import view_margins
 from hil.bench.kinematics import axes_of_pose
 from hil.core.messages import AXES, Array, new
-from hil.maths import quat
+from hil.maths import linear, quat
+from hil.maths.elementary import square
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _AT_REST = np.zeros(3)
@@ -98,15 +99,15 @@ def envelope(
     corners = np.array([a.corners for a in attitudes])
     turned = np.abs([a.turned for a in attitudes])
     to_h = np.abs([a.a_CH.T for a in attitudes])
-    own_rate = turned @ control.rate
+    own_rate = linear.product(turned, control.rate)
     planned_rate = np.hstack([np.abs(v_CT_H), np.zeros((n, 3))])
     fastest = planned_rate + own_rate
-    fastest[:, :3] += to_h @ control.speed + control.swing_mps[:, None]
-    hardest = turned @ control.slewing
-    centripetal = np.linalg.norm(params.lever_arm) * float(control.rate @ control.rate)
-    hardest[:, :3] += to_h @ control.acceleration + centripetal + control.swing_mps2[:, None]
-    hardest[:, 3:] += own_rate[:, 3:] ** 2
-    room = fastest**2 / (2.0 * params.acceleration_max)
+    fastest[:, :3] += linear.product(to_h, control.speed) + control.swing_mps[:, None]
+    hardest = linear.product(turned, control.slewing)
+    centripetal = linear.length(params.lever_arm) * float(linear.product(control.rate, control.rate))
+    hardest[:, :3] += linear.product(to_h, control.acceleration) + centripetal + control.swing_mps2[:, None]
+    hardest[:, 3:] += square(own_rate[:, 3:])
+    room = square(fastest) / (2.0 * params.acceleration_max)
     return Envelope(
         planned=at + [a.planned for a in attitudes],
         low=at + corners.min(axis=1) - half - room,

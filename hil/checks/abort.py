@@ -16,6 +16,8 @@ from hil.gnc.allocation import AXES_OF_A_BODY
 from hil.gnc.approach_monitor import closing_limit, closing_margin
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.gnc.guidance_transfer import least_drift_range, plan_transfer
+from hil.maths import linear
+from hil.maths.elementary import square
 from hil.params import gnc as gnc_params
 
 KEY = "gnc.abort.one_thruster_failed"
@@ -37,22 +39,22 @@ class FailedThruster:
     def stopping_m(self, closing_mps: float, found_s: float) -> float:
         """Return the distance in which the chaser stops from ``closing_mps``, if the fault is found after a time."""
         faster = closing_mps + self.push_mps2 * found_s
-        travelled = closing_mps * found_s + 0.5 * self.push_mps2 * found_s**2
-        return travelled + faster**2 / (2.0 * self.braking_mps2)
+        travelled = closing_mps * found_s + 0.5 * self.push_mps2 * square(found_s)
+        return travelled + square(faster) / (2.0 * self.braking_mps2)
 
 
 def failed_thrusters(scenario: Scenario) -> list[FailedThruster]:
     """Return what is left of the thrust along the docking axis, with c parallel to H, for each failure of one."""
     params, thrusters = gnc_params.gnc(scenario), scenario.chaser.thrusters
     n, axis = len(thrusters.position_m), np.array(scenario.gnc.corridor.axis)
-    along = thrusters.force_n * (np.array(thrusters.direction) @ axis) / scenario.chaser.mass_kg
+    along = thrusters.force_n * linear.product(thrusters.direction, axis) / scenario.chaser.mass_kg
     component = int(np.argmax(np.abs(axis)))
     row, sign = AXES_OF_A_BODY + component, int(axis[component] > 0.0)
     found = []
     for j in range(n):
         dead, stuck = params.dead_sets[j, row, sign, :n], params.open_sets[j, row, sign, :n] | params.against[j, :n]
-        found.append(FailedThruster(j + 1, "stuck closed", float(dead @ along)))
-        opened = float(stuck @ along + along[j])
+        found.append(FailedThruster(j + 1, "stuck closed", float(linear.product(dead, along))))
+        opened = float(linear.product(stuck, along) + along[j])
         found.append(FailedThruster(j + 1, STUCK_OPEN, opened, -float(along[j])))
     return found
 
@@ -81,12 +83,12 @@ def _why_not_isolated(scenario: Scenario) -> str:
         return ""
     params, n = gnc_params.gnc(scenario), len(thrusters.position_m)
     wrenches = gnc_params.wrenches_of(thrusters)
-    arm = np.linalg.norm(thrusters.position_m, axis=1).mean()
+    arm = linear.lengths(thrusters.position_m).mean()
     scaled = wrenches / np.array([1.0, 1.0, 1.0, arm, arm, arm])
     for j, axis, sign in np.ndindex(n, AXES_OF_A_BODY, 2):
-        total = params.isolated_sets[j, axis, sign, :n] @ scaled
+        total = linear.product(params.isolated_sets[j, axis, sign, :n], scaled)
         wanted = total[axis] * (2 * sign - 1)
-        if not np.linalg.norm(np.delete(total, axis)) < _UNWANTED_MAX * wanted:
+        if not linear.length(np.delete(total, axis)) < _UNWANTED_MAX * wanted:
             demand = f"{'-+'[sign]}{'FFFTTT'[axis]}{'xyz'[axis % 3]}"
             return f'isolation = "bank" of thruster.{j + 1} leaves no thrusters for the {demand} demand'
     return ""
@@ -101,7 +103,7 @@ def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     found_s = _DETECTION_CYCLES * scenario.step_s
     if failed.kind == STUCK_OPEN:
         found_s += scenario.gnc.integrity.thruster_open_s
-    ready_m, start_m = math.hypot(*scenario.gnc.guidance.ready_point_m), math.hypot(*scenario.initial.position_m)
+    ready_m, start_m = linear.length(scenario.gnc.guidance.ready_point_m), linear.length(scenario.initial.position_m)
     for range_m in np.linspace(ready_m, max(ready_m, start_m), _RANGES):
         closing_mps = float(closing_limit(monitor, float(range_m)))
         stops_m = float(range_m) - failed.stopping_m(closing_mps, found_s)
@@ -169,6 +171,6 @@ def _too_fast(scenario: Scenario, params: np.record, state: np.record) -> str:
         guidance.reference(params, state, t_s, reference)
         margin = float(closing_margin(monitor, reference.r_CT_H, reference.v_CT_H))
         if margin <= 0.0:
-            range_m = float(np.linalg.norm(reference.r_CT_H))
+            range_m = linear.length(reference.r_CT_H)
             return f"closes by {-margin:.3f} m/s faster at {range_m:.2f} m than gnc.corridor allows"
     return ""

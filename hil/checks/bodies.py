@@ -15,7 +15,8 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.errors import Problem
-from hil.maths import quat
+from hil.maths import linear, quat
+from hil.maths.elementary import square
 from hil.models.bodies import PAIR, WHICH, clearance
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
@@ -76,15 +77,15 @@ class _Nearest:
         """Return a lower bound of the distance at each of ``points``, (n,), m, from the spheres about the bodies."""
         centre = points.r - _back(points.q, self._arm)
         fixed, m = self._fixed, int(self._fixed.n)
-        speed = np.linalg.norm(points.v, axis=1)
+        speed = linear.lengths(points.v)
         least = np.full(len(centre), math.inf)
         for moving, turns, band_m in self._moving:
             for i in range(int(moving.n)):
                 at = centre + (_back(points.q, moving.centre[i]) if turns else moving.centre[i])
-                apart = np.linalg.norm(at[:, None] - fixed.centre[:m], axis=2) - fixed.reach[:m]
+                apart = linear.lengths(at[:, None] - fixed.centre[:m]) - fixed.reach[:m]
                 nearest = apart.min(axis=1, initial=_FAR_M) - moving.reach[i] - band_m
                 np.minimum(least, nearest, out=least)
-        bounds: Array = least - speed**2 / (2.0 * self._brake) - points.margin
+        bounds: Array = least - square(speed) / (2.0 * self._brake) - points.margin
         return bounds
 
     def at(self, points: _Points, k: int) -> tuple[float, int]:
@@ -121,10 +122,10 @@ def _points(plan: list[PlanSample], margins: Array) -> _Points:
         numbers += [k] * len(fraction)
         r.append(before.r_CT_H + fraction * (moment.r_CT_H - before.r_CT_H))
         rotation.append(before.rotation + fraction * (moment.rotation - before.rotation))
-        faster = before if np.linalg.norm(before.v_CT_H) > np.linalg.norm(moment.v_CT_H) else moment
+        faster = before if linear.length(before.v_CT_H) > linear.length(moment.v_CT_H) else moment
         v.append(np.broadcast_to(faster.v_CT_H, (len(fraction), 3)))
     q = np.array([quat.from_rotation_vector(each) for each in np.concatenate(rotation)])
-    half = np.linalg.norm(margins, axis=1)[numbers]
+    half = linear.lengths(margins)[numbers]
     return _Points(np.array(numbers), np.concatenate(r), q, np.concatenate(v), half)
 
 

@@ -23,7 +23,7 @@ from hil.config.tables.limits import SCENARIO_LIMITS, excess
 from hil.core.messages import AXES, MAX_THRUSTERS, new
 from hil.errors import BadInput, Problem
 from hil.gnc.approach_monitor import ACROSS, ALONG, ATTITUDE, alert_limits
-from hil.maths import euler
+from hil.maths import euler, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
@@ -79,7 +79,7 @@ def _check_alert_limits(scenario: Loaded[Scenario]) -> list[Problem]:
     if not value.gnc.fuses_imu:
         return []
     settings, vmu = value.integrity, value.vmu
-    distance = math.hypot(*value.gnc.guidance.ready_point_m)
+    distance = linear.length(value.gnc.guidance.ready_point_m)
     scale = max(1.0, distance / vmu.reference_range_m) * _NOISE_SIGMAS
     limits = np.empty(3)
     params = gnc_params.approach_monitor(value)
@@ -110,7 +110,7 @@ def check_keep_out(scenario: Loaded[Scenario]) -> list[Problem]:
     for name in guidance.sequence:
         if (point := guidance.phases[name].point_m) is not None:
             points[f"gnc.guidance.phases.{name}.point_m"] = point
-    distances = {name: math.hypot(*point) for name, point in points.items()}
+    distances = {name: linear.length(point) for name, point in points.items()}
     distances["requirements.axial_distance_m"] = value.requirements.axial_distance_m
     name = min(distances, key=distances.__getitem__)
     if value.keep_out.has_corridor:
@@ -126,7 +126,7 @@ def _beyond_half_space(scenario: Loaded[Scenario], points: Mapping[str, Sequence
     value = scenario.value
     if value.keep_out.inspects:
         return []
-    along = {name: float(np.dot(value.gnc.corridor.axis, point)) for name, point in points.items()}
+    along = {name: float(linear.product(value.gnc.corridor.axis, point)) for name, point in points.items()}
     name = min(along, key=along.__getitem__)
     if along[name] > value.keep_out.radius_m:
         return []

@@ -15,6 +15,8 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.gnc.estimation.missed_fault import largest_missed
+from hil.maths import linear
+from hil.maths.elementary import square
 from hil.params.gnc import integrity
 from hil.params.sensors import sensors_of
 
@@ -40,29 +42,29 @@ def go_warnings(scenario: Scenario, rig: Rig) -> list[str]:
 def least_levels(scenario: Scenario, rig: Rig) -> Array:
     """Return the least levels of a go at the ready point, m, along the docking axis and across it, (3,)."""
     params, vmu, budget = integrity(scenario), scenario.vmu, scenario.gnc.navigation.budget
-    distance = math.hypot(*scenario.gnc.guidance.ready_point_m)
+    distance = linear.length(scenario.gnc.guidance.ready_point_m)
     noise = vmu.sigma_position_m * max(1.0, distance / vmu.reference_range_m)
     walk_mps = scenario.gnc.navigation.thrust.velocity_noise_mps
     variance, gain, gain_speed = _steady(noise, 1.0 / rig.vmu.rate_hz, walk_mps)
     turned = math.radians(budget.vision_misalignment_sigma_deg)
     left = distance * np.array([budget.vision_scale_sigma, turned, turned])
-    known = np.hypot(left, budget.vision_bias_sigma_m)
+    known = linear.lengths(np.stack(np.broadcast_arrays(left, budget.vision_bias_sigma_m), axis=-1))
     poses = params.cusum_go / params.mean_shift
     missed, _ = largest_missed(params, gain, gain_speed, poses, params.cusum_go, 0, np.inf)
-    levels: Array = params.sigmas_go * np.sqrt(variance + known**2) + missed * math.sqrt(noise**2 + variance)
+    levels: Array = params.sigmas_go * np.sqrt(variance + square(known)) + missed * math.sqrt(square(noise) + variance)
     return levels
 
 
 def _steady(noise_m: float, interval_s: float, velocity_noise_mps: float) -> tuple[float, float, float]:
     """Return variance of the position, m^2, and gains of position and velocity of a filter of one axis, converged."""
-    rr, rv, vv = noise_m**2, 0.0, _VELOCITY_MPS**2
+    rr, rv, vv = square(noise_m), 0.0, square(_VELOCITY_MPS)
     gain = speed = 0.0
     for _ in range(_UPDATES):
         before = vv
         rr += interval_s * (2.0 * rv + interval_s * vv)
         rv += interval_s * vv
-        vv += velocity_noise_mps**2 * interval_s
-        innovation = rr + noise_m**2
+        vv += square(velocity_noise_mps) * interval_s
+        innovation = rr + square(noise_m)
         gain, speed = rr / innovation, rv / innovation
         rr, rv, vv = (1.0 - gain) * rr, (1.0 - gain) * rv, vv - speed * rv
         if abs(vv - before) < _SETTLED * before:

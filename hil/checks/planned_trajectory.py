@@ -17,7 +17,7 @@ from hil.core.messages import REFERENCE, Array, new
 from hil.dynamics.mass_properties import MASS_PROPERTIES, set_mass_properties
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
-from hil.maths import quat
+from hil.maths import linear, quat
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params.control_rule import nominal_leads
@@ -79,20 +79,20 @@ def _accelerations(dss: np.record, mass_kg: float, most: Array) -> tuple[Array, 
     if not dss.mass.varies:
         bends = dss.flexible_array and dss.modes.n > 0
         inverse = dss.modes.inertia_inverse if bends else dss.inertia_inverse
-        return most[:3] / mass_kg, np.abs(inverse) @ most[3:]
+        return most[:3] / mass_kg, linear.product(np.abs(inverse), most[3:])
     mass = new(MASS_PROPERTIES)
     set_mass_properties(dss, mass_kg, mass)
-    slewing = np.abs(mass.inertia_inverse) @ (most[3:] + np.abs(mass.lever) @ most[:3])
+    slewing = linear.product(np.abs(mass.inertia_inverse), most[3:] + linear.product(np.abs(mass.lever), most[:3]))
     if not (dss.flexible_array and dss.modes.moves):
         return most[:3] / mass_kg, slewing
-    return np.abs(mass.mass_inverse) @ most[:3] + np.abs(mass.lever.T) @ slewing, slewing
+    return linear.product(np.abs(mass.mass_inverse), most[:3]) + linear.product(np.abs(mass.lever.T), slewing), slewing
 
 
 def _planned_rate(scenario: Scenario) -> float:
     """Return the largest rate of rotation of a phase, rad/s: that of a slew, or of the shortest radius of an arc."""
     settings, rates = scenario.gnc.guidance, [0.0]
-    radii = [math.hypot(*scenario.initial.position_m), math.hypot(*settings.ready_point_m)]
-    radii += [math.hypot(*phase.point_m) for phase in settings.phases.values() if phase.point_m is not None]
+    radii = [linear.length(scenario.initial.position_m), linear.length(settings.ready_point_m)]
+    radii += [linear.length(phase.point_m) for phase in settings.phases.values() if phase.point_m is not None]
     for name in settings.sequence:
         phase = settings.phases[name]
         if phase.kind == "slew":
@@ -171,7 +171,7 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
             key = from_key if _distance(r, state.from_H) < _distance(r, state.to_H) else to_key
             q = reference.q_CH.copy()
             rotation = turned(slew.at(t_s), q)
-            found.append(PlanSample(t_s, None, r, v, rotation, float(np.linalg.norm(r)), key, speed_key, q_CH=q))
+            found.append(PlanSample(t_s, None, r, v, rotation, linear.length(r), key, speed_key, q_CH=q))
         if last:
             return found
         from_key = to_key
@@ -214,7 +214,7 @@ def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample
             r,
             v,
             turned(slew.at(t), start.q_CH),
-            max(start.far_m, float(np.linalg.norm(r))),
+            max(start.far_m, linear.length(r)),
             key,
             "gnc.abort.speed_mps",
         )
@@ -231,4 +231,4 @@ def turned(rotation: Array, q_CH: Array) -> Array:
 
 
 def _distance(a: Array, b: Array) -> float:
-    return float(np.linalg.norm(a - b))
+    return linear.length(a - b)

@@ -19,7 +19,7 @@ from hil.config.rig import BENCH_AXES, GIMBAL_NAMES, Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.errors import Problem
-from hil.maths import quat
+from hil.maths import elementary, linear, quat
 from hil.params import bench as bench_params
 from hil.sensors.vision_unit import parameters as vmu_params
 
@@ -56,7 +56,7 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = position_margin(scenario, np.array([m.far_m for m in plan])) + band * swing[:, None]
     r, v, margin = _shown(bench, r, v, margin)
-    rate, slewing = float(np.linalg.norm(free.rate)), float(np.linalg.norm(free.slewing))
+    rate, slewing = linear.length(free.rate), linear.length(free.slewing)
     free = replace(free, swing_mps=swing * rate, swing_mps2=swing * (slewing + rate * rate))
     axes = reachability.envelope(bench, attitudes, r, v, margin, free)
     return Demands(plan, attitudes, margin, axes, relative, target_rad)
@@ -69,9 +69,9 @@ def _shown(bench: np.record, r: Array, v: Array, margin: Array) -> tuple[Array, 
     places, rates, margins = r.copy(), v.copy(), margin.copy()
     for k in range(len(r)):
         show(bench, r[k], v[k], places[k], rates[k])
-        distance = float(np.linalg.norm(r[k]))
+        distance = linear.length(r[k])
         if distance > 0.0:
-            margins[k] *= float(np.linalg.norm(places[k])) / distance
+            margins[k] *= linear.length(places[k]) / distance
     return places, rates, margins
 
 
@@ -96,7 +96,7 @@ def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list
         motion = manipulator.ChaserMotion(sample.r_CT_H, sample.v_CT_H, q, rate)
         shown = manipulator.shown_motion(params, within, rates, motion)
         left.append(replace(sample, r_CT_H=shown.r, v_CT_H=shown.v, rotation=quat.to_rotation_vector(shown.q)))
-        target_rad[k], arms[k] = within, np.linalg.norm(sample.r_CT_H + params.arm)
+        target_rad[k], arms[k] = within, linear.length(sample.r_CT_H + params.arm)
         near = within if sample.abort_s is None else near
     return left, target_rad, arms
 
@@ -137,8 +137,8 @@ def position_margin(scenario: Scenario, far_m: Array) -> Array:
     """Return half the band of positions (n, 3), m: Table III at the ready point, and a fraction of the cone beyond."""
     wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
     at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])
-    slope = scenario.reachability.corridor_fraction * math.tan(math.radians(corridor.half_angle_deg))
-    beyond = np.maximum(0.0, far_m - math.hypot(*guidance.ready_point_m))
+    slope = scenario.reachability.corridor_fraction * elementary.tan(math.radians(corridor.half_angle_deg))
+    beyond = np.maximum(0.0, far_m - linear.length(guidance.ready_point_m))
     margin: Array = at_ready + slope * beyond[:, None]
     return margin
 
@@ -196,7 +196,7 @@ class _Findings:
     def start_in_motion(self, start: reachability.Attitude) -> None:
         """The bench stands still before the run: each axis has to catch up with a chaser that starts in motion."""
         initial = self._scenario.value.initial
-        own = start.turned @ np.radians(initial.rate_degps)
+        own = linear.product(start.turned, np.radians(initial.rate_degps))
         rate = np.abs(own + np.array([*initial.velocity_mps, 0.0, 0.0, 0.0]))
         takes_s = rate / self._bench.acceleration_max
         allowed_s = self._scenario.value.reachability.startup_lag_s
@@ -254,9 +254,9 @@ class _Findings:
     def _view_key(self, k: int) -> str:
         """Return the key of what moves the ring out of view: the attitude, or the distance from the docking axis."""
         moment = self._plan[k]
-        axial = float(moment.r_CT_H @ np.array(self._scenario.value.gnc.corridor.axis))
-        beside = math.acos(min(1.0, abs(axial) / max(float(np.linalg.norm(moment.r_CT_H)), 1e-9)))
-        return moment.rotation_key if float(np.linalg.norm(moment.rotation)) > beside else moment.point_key
+        axial = float(linear.product(moment.r_CT_H, self._scenario.value.gnc.corridor.axis))
+        beside = elementary.acos(min(1.0, abs(axial) / max(linear.length(moment.r_CT_H), 1e-9)))
+        return moment.rotation_key if linear.length(moment.rotation) > beside else moment.point_key
 
     def _rate_key(self, k: int, axis: int) -> str:
         if axis < 3:

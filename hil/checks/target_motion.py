@@ -13,6 +13,7 @@ from hil.core.messages import REFERENCE, Array, new
 from hil.errors import Problem
 from hil.gnc import guidance
 from hil.gnc.guidance import GUIDANCE_STATE
+from hil.maths import linear
 from hil.models.rotating_frame import tumble_rate
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
@@ -62,7 +63,7 @@ def plan_accelerations(plan: Plan, rates: Array, changes: Array) -> tuple[Array,
     for r, v, a in plan:
         wr = np.cross(rates, r)
         total = np.abs(a + 2.0 * np.cross(rates, v) + np.cross(rates, wr) + np.cross(changes, r)).max(axis=0)
-        ranges = np.where(total > needed, np.linalg.norm(r), ranges)
+        ranges = np.where(total > needed, linear.length(r), ranges)
         needed = np.maximum(needed, total)
     return needed, ranges
 
@@ -70,8 +71,8 @@ def plan_accelerations(plan: Plan, rates: Array, changes: Array) -> tuple[Array,
 def _beyond_rig(scenario: Scenario, rig: Rig, plan: Plan, rates: Array) -> str:
     """Return what the rig cannot show of a chaser that coasts, "" if it can show all."""
     bench = bench_params.bench(rig, scenario.step_s, scenario.bench)
-    far_m = max(float(np.linalg.norm(r)) for r, _, _ in plan)
-    fastest = rate = float(np.linalg.norm(rates, axis=1).max())
+    far_m = max(linear.length(r) for r, _, _ in plan)
+    fastest = rate = float(linear.lengths(rates).max())
     beside = ""
     if rig.rotated_target is not None:
         limits = bench_params.manipulator_limits(rig, scenario.step_s).rate_max[3:]
@@ -96,7 +97,7 @@ def _beyond_thrusters(scenario: Scenario, plan: Plan, rates: Array, changes: Arr
     _, strength = gnc_params.allocation(scenario.chaser)
     inertia = np.array(scenario.chaser.inertia_kg_m2)
     needed, ranges = plan_accelerations(plan, rates, changes)
-    torque = changes @ inertia + np.cross(rates, rates @ inertia)
+    torque = linear.product(changes, inertia) + np.cross(rates, linear.product(rates, inertia))
     asked = np.concatenate([scenario.chaser.mass_kg * needed, np.abs(torque).max(axis=0)]) / strength[:6]
     worst = int(np.argmax(asked))
     if asked[worst] <= THRUST_FRACTION:

@@ -11,6 +11,8 @@ from hil.core.messages import Array
 from hil.dynamics.gravity_file import GravityFileError
 from hil.dynamics.thrusters import STANDARD_GRAVITY_MPS2
 from hil.errors import BadInput, Problem
+from hil.maths import linear
+from hil.maths.elementary import square
 from hil.params import dynamics as dynamics_params
 
 _LOWEST_FRACTION = 0.005  # of the radius of the body: lower orbits meet mountains or an atmosphere
@@ -115,7 +117,7 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     turning, moving = (
         np.array([getattr(mode, name) for mode in modes]) for name in ("coupling", "translation_coupling")
     )
-    smallest = float(np.linalg.eigvalsh(np.array(chaser.inertia_kg_m2) - turning.T @ turning)[0])
+    smallest = linear.eigenvalues(chaser.inertia_kg_m2 - linear.product(turning.T, turning))[0]
     if smallest <= 0.0:
         key = "chaser.solar_array.mode_coupling"
         text = (
@@ -128,7 +130,7 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
     both = np.hstack([moving, turning])
     hub = np.diag([chaser.mass_kg] * 3 + [0.0] * 3)
     hub[3:, 3:] = chaser.inertia_kg_m2
-    smallest = float(np.linalg.eigvalsh(hub - both.T @ both)[0])
+    smallest = linear.eigenvalues(hub - linear.product(both.T, both))[0]
     if smallest > 0.0:
         return []
     key = "chaser.solar_array.mode_translation_coupling"
@@ -151,7 +153,7 @@ def _check_propellant(scenario: Loaded[Scenario]) -> list[Problem]:
     gyration = np.array(chaser.propellant_gyration_m)
     flow = len(chaser.thrusters.position_m) * chaser.thrusters.force_n / chaser.thrusters.specific_impulse_s
     most_kg = min(chaser.mass_kg, scenario.value.duration_s * flow / STANDARD_GRAVITY_MPS2)
-    smallest = float(np.linalg.eigvalsh(np.array(chaser.inertia_kg_m2) - most_kg * np.diag(gyration**2))[0])
+    smallest = linear.eigenvalues(chaser.inertia_kg_m2 - most_kg * np.diag(square(gyration)))[0]
     if smallest > 0.0:
         return []
     key = "chaser.propellant_gyration_m"

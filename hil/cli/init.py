@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from pathlib import Path
 from typing import Final
 
 from hil.core.build_info import VERSION
+from hil.core.surroundings import temporary_folder_in
 from hil.errors import BadInput
 
 _TEMPLATE: Final = "lab"
@@ -36,7 +36,7 @@ def write_repository(folder: Path) -> None:
     _check_empty(folder)
     target = Path(os.path.abspath(folder))
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as temporary:
+        with temporary_folder_in(target.parent, "init") as temporary:
             made = Path(temporary, target.name)
             _copy(made)
             os.replace(made, target)  # of an empty folder, too

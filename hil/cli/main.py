@@ -23,6 +23,7 @@ from cyclopts import App
 from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
+from hil.core.surroundings import leave_process, remove_temporary_folders
 from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
@@ -102,13 +103,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         signal.signal(number, _as_ctrl_c)
     out, err = (_Output(sys.stdout), _Output(sys.stderr))
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
+    remove_temporary_folders()  # of processes that were killed
     code = execute(sys.argv[1:] if arguments is None else arguments)
     out.flush()
     if out.problem and code in (PASSED, FAILED):  # a reader of the exit code alone would take the results as delivered
         code = _fail(f"standard output: cannot be written: {out.problem}", BAD_INPUT)
     err.flush()
     # everything is closed; the interpreter's own exit takes longer than stopping the bench
-    os._exit(code)
+    leave_process(code)
 
 
 class _Output:
@@ -188,6 +190,8 @@ def _host_limit(error: BaseException | None) -> str:
         if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
             most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
             return f"host: this process may open {most} files: raise the limit, ulimit -n 1024"
+        if isinstance(error, FileNotFoundError) and error.filename is None:
+            return "host: the working directory has been removed: change to another one"
         if "can't start new thread" in str(error) or (isinstance(error, OSError) and error.errno == errno.EAGAIN):
             return "host: no further thread or process can be started: raise the limit, ulimit -u"
         error = error.__cause__ or error.__context__

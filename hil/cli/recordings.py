@@ -216,6 +216,7 @@ def verify_recordings(
 
 def _audit(path: Path, quiet: bool) -> dict[str, Any]:
     """Verify and print the audit of the recording at ``path``; return it for JSON."""
+    from hil.core.arithmetic import why_bits_may_differ
     from hil.recording.audit import audit_problems
     from hil.recording.foxglove import LOG_TOPIC
     from hil.recording.read import contents
@@ -236,6 +237,8 @@ def _audit(path: Path, quiet: bool) -> dict[str, Any]:
         print_columns(head, cells, left=(1, 2, 3, 4))
         for problem in problems:
             print(f"{path}: {problem}")  # noqa: T201
+        if note := why_bits_may_differ(found.run):
+            print(f"{path}: {note}")  # noqa: T201
         digest = log[-1].get("digest", "") if log else ""
         print(f"{'FAIL' if problems else 'PASS'} audit of {path.name}: {len(log)} entries, last digest {digest}")  # noqa: T201
     return {"recording": str(path), "entries": len(log), "problems": problems, "acts": acts}

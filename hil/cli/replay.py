@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.cli.options import File, Flag, Group, Settings, refuse
 from hil.cli.output import deliver, print_columns, say
+from hil.core.arithmetic import why_bits_may_differ
 from hil.errors import Problem
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def _as_json(recorded: Recorded, found: Replayed, changed: bool, errors: dict[st
         "intact": recorded.intact,
         "changed": changed,
         "identical": found.identical,
+        "why_bits_may_differ": why_bits_may_differ(recorded.run) or None,
         "cycles_recorded": found.recorded,
         "cycles_replayed": found.cycles,
         "ended": found.ended,
@@ -132,6 +134,8 @@ def _print(recorded: Recorded, scenario: Scenario, found: Replayed, changed: boo
     if found.identical:
         say(f"identical, bit by bit: {of}")
         return
+    if bits := why_bits_may_differ(recorded.run):
+        say(bits)
     if found.differences:
         _print_differences(found.differences)
     for word, events in (("no longer", found.missing_events), ("new", found.new_events)):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from rich.console import Console
 
 from hil.cli.options import refuse
+from hil.core.surroundings import leave_process
 from hil.errors import Problem
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def warm_up(*groups: str) -> int:
     groups
         Compile only these: gnc, stages, loop, verdict, vmu, monitor, fusion.
     """
-    from hil.core.jit import prepare_kernel_cache
+    from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
     from hil.processes.precompile import GROUPS, NEEDS_OPENCV
     from hil.setup.compiled import mark_kernels_cached
 
@@ -48,7 +49,10 @@ def warm_up(*groups: str) -> int:
     )
     left_out = [name for name in NEEDS_OPENCV if importlib.util.find_spec("cv2") is None]
     refuse([Problem("warm-up", "", f"{name}: {_OPENCV}") for name in groups if name in left_out])
-    prepare_kernel_cache()
+    notice = kernel_folder_notice()
+    refuse([Problem("warm-up", "", notice)] if kernel_folder() is None else [])
+    if notice:
+        print(notice)  # noqa: T201
     started_s = time.perf_counter()
     with exit_on_ctrl_c():
         _compile_groups(groups or tuple(name for name in GROUPS if name not in left_out))
@@ -102,7 +106,7 @@ def exit_on_ctrl_c() -> Iterator[None]:
 
     def leave(*_: object) -> None:
         os.write(sys.stderr.fileno(), b"stopped by the operator\n")
-        os._exit(_SAFE_STOPPED)
+        leave_process(_SAFE_STOPPED)
 
     before = {number: signal.signal(number, leave) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

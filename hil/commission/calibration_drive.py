@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import cv2
@@ -21,6 +20,7 @@ from hil.config.load import load_geometry
 from hil.core import alarm_table as table
 from hil.core.clock import WallClock
 from hil.core.messages import Array, Event
+from hil.core.surroundings import temporary_folder
 from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.pairing import Pairing
 from hil.drivers.cameras.processes import CameraProcesses, vision_cameras, vision_pairing
@@ -243,7 +243,7 @@ class CameraDriftCheck:
         request = PlanRequest(chosen.views, chosen.near_m, chosen.far_m, float(np.radians(chosen.turn_deg)))
         plan = plan_drive(self._bench.job, setup, held, request)
         taken = take_views(self._bench, plan, chosen.settle_s, lambda *_: None)
-        with TemporaryDirectory(prefix="hil-views-") as folder:
+        with temporary_folder("views") as folder:
             write_views(Path(folder), taken)
             views = read_views(Path(folder))
             checked = calibration.check(views, known, None, False, _RANGE_M, lambda *_: None)

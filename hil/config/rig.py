@@ -27,6 +27,7 @@ from hil.config.tables.model import ConfigModel, Matrix3, Name, NotNegative, Pos
 from hil.config.tables.rail_map import RailMap
 from hil.config.tables.rail_wires import ModbusRtu
 from hil.config.tables.sign_off import SignOff
+from hil.maths import elementary, linear
 
 RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
@@ -80,14 +81,14 @@ class BenchGeometry(ConfigModel):
     @model_validator(mode="after")
     def _axes_are_right_handed(self) -> Self:
         for name, m in (("camera_axes", self.camera_axes), ("led_ring_axes", self.led_ring_axes)):
-            gram = [[sum(a * b for a, b in zip(p, q, strict=True)) for q in m] for p in m]
+            gram = [[linear.total(a * b for a, b in zip(p, q, strict=True)) for q in m] for p in m]
             identity = all(abs(gram[i][j] - (i == j)) < 1e-9 for i in range(3) for j in range(3))
             cross = (
                 m[0][1] * m[1][2] - m[0][2] * m[1][1],
                 m[0][2] * m[1][0] - m[0][0] * m[1][2],
                 m[0][0] * m[1][1] - m[0][1] * m[1][0],
             )
-            if not identity or sum(a * b for a, b in zip(cross, m[2], strict=True)) < 0.0:
+            if not identity or linear.total(a * b for a, b in zip(cross, m[2], strict=True)) < 0.0:
                 raise ValueError(f"{name} must be three right-handed unit axes at right angles")
         return self
 
@@ -648,7 +649,7 @@ class RigCamera(ConfigModel):
 def _ring(radius_m: float, raised_m: float) -> tuple[Triple, ...]:
     """Return six LEDs evenly spaced on a circle in t, the first one raised towards the camera."""
     angles = [math.tau * k / 6 for k in range(6)]
-    flat = [(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in angles]
+    flat = [(radius_m * elementary.cos(angle), radius_m * elementary.sin(angle), 0.0) for angle in angles]
     return (radius_m, 0.0, -raised_m), *flat[1:]
 
 

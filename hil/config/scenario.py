@@ -35,6 +35,7 @@ from hil.config.tables.truth import Ephemeris, ModelFmu, Orbit, SolarArray, Thru
 from hil.core.backend_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX
+from hil.maths import linear
 
 DURATION_MAX_S = 1e6
 CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
@@ -71,7 +72,7 @@ class Thrusters(ConfigModel):
                 f'isolation = "bank" with {len(self.bank)} bank: needs one per thruster, {len(self.position_m)}'
             )
         for number, vector in enumerate(self.direction, start=1):
-            if abs(math.hypot(*vector) - 1.0) > 1e-6:
+            if abs(linear.length(vector) - 1.0) > 1e-6:
                 raise ValueError(f"direction {number} = {list(vector)} must be a unit vector")
         return self
 
@@ -97,7 +98,7 @@ class Chaser(ConfigModel):
         shown = [list(row) for row in value]
         if np.abs(j - j.T).max() > 1e-9 * np.abs(j).max():
             raise ValueError(f"{shown}: must be symmetric")
-        moments = np.linalg.eigvalsh(j)
+        moments = linear.eigenvalues(j)
         if moments[0] <= 1e-9 * abs(moments[2]):
             raise ValueError(f"{shown}: is singular or not positive definite, every principal moment must be above 0")
         if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
@@ -398,7 +399,7 @@ class Corridor(ConfigModel):
 
     @model_validator(mode="after")
     def _axis_is_a_unit_vector(self) -> Self:
-        if abs(math.hypot(*self.axis) - 1.0) > 1e-6:
+        if abs(linear.length(self.axis) - 1.0) > 1e-6:
             raise ValueError(f"axis = {list(self.axis)} must be a unit vector")
         return self
 

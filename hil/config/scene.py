@@ -14,6 +14,7 @@ from typing import Annotated, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, Name, Positive
+from hil.maths import elementary, linear
 
 LONGEST_M: Final = 100.0  # a longer part was probably given in millimetres
 LABELS_AT_MOST: Final = 16
@@ -159,7 +160,7 @@ class Labels(ConfigModel):
     def _stand_apart(self) -> Self:
         for i, one in enumerate(self.centers_m):
             for j in range(i):
-                if math.dist(one, self.centers_m[j]) <= 2.0 * self.radius_m:
+                if linear.length(a - b for a, b in zip(one, self.centers_m[j], strict=True)) <= 2.0 * self.radius_m:
                     raise ValueError(
                         f"centers_m[{i}] = {list(one)}: must be more than {2.0 * self.radius_m:g} from centers_m[{j}]"
                     )
@@ -187,7 +188,7 @@ class Box(ConfigModel):
         """Distance of the rectangle's nearest point from the axis y3, m; 0 if the axis passes through it."""
         across = max(abs(self.x_m) - 0.5 * self.width_m, 0.0)
         up = max(abs(self.y_m) - 0.5 * self.height_m, 0.0)
-        return math.hypot(across, up)
+        return elementary.hypot(across, up)
 
 
 class Outline(ConfigModel):
@@ -236,7 +237,7 @@ class Outline(ConfigModel):
     @property
     def _doubled_area(self) -> float:
         """Twice the area of the polygon, m^2, negative if its corners run from y2 to y1."""
-        return sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in self._edges)
+        return linear.total(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in self._edges)
 
     @property
     def ordered_corners_m(self) -> tuple[Point, ...]:
@@ -249,7 +250,7 @@ class Outline(ConfigModel):
         if not self.corners_m:
             return self.center_m
         parts = [(one, two, one[0] * two[1] - two[0] * one[1]) for one, two in self._edges]
-        x, y = (sum((one[i] + two[i]) * part for one, two, part in parts) for i in (0, 1))
+        x, y = (linear.total((one[i] + two[i]) * part for one, two, part in parts) for i in (0, 1))
         return x / (3.0 * self._doubled_area), y / (3.0 * self._doubled_area)
 
     @property
@@ -273,7 +274,7 @@ def _from_origin(one: Point, two: Point) -> float:
     """Return the distance of the origin from the straight edge between two points."""
     dx, dy = two[0] - one[0], two[1] - one[1]
     share = min(max(-(one[0] * dx + one[1] * dy) / (dx * dx + dy * dy), 0.0), 1.0)
-    return math.hypot(one[0] + share * dx, one[1] + share * dy)
+    return elementary.hypot(one[0] + share * dx, one[1] + share * dy)
 
 
 def _cross(edge: tuple[Point, Point], other: tuple[Point, Point]) -> bool:
@@ -322,7 +323,7 @@ class Target(ConfigModel):
 
     def _check_disc(self, disc: Disc, cross: Cross) -> None:
         radius = f"disc.radius_m = {disc.radius_m:g}"
-        reach = math.hypot(cross.arm_length_m, 0.5 * cross.arm_width_m)
+        reach = elementary.hypot(cross.arm_length_m, 0.5 * cross.arm_width_m)
         if reach >= disc.radius_m:
             raise ValueError(f"cross.arm_length_m = {cross.arm_length_m:g}: the arms must end inside {radius}")
         if self.plate is not None:
@@ -331,7 +332,7 @@ class Target(ConfigModel):
                     raise ValueError(f"plate.{key} = {side:g}: must be {2.0 * disc.radius_m:g} or more, for {radius}")
         if self.labels is not None:
             for number, centre in enumerate(self.labels.centers_m):
-                if math.hypot(*centre) + self.labels.radius_m > disc.radius_m:
+                if linear.length(centre) + self.labels.radius_m > disc.radius_m:
                     raise ValueError(
                         f"labels.centers_m[{number}] = {list(centre)}: with labels.radius_m = {self.labels.radius_m:g}"
                         f" it must end inside {radius}"
@@ -340,7 +341,7 @@ class Target(ConfigModel):
             if box.clearance_m < disc.radius_m:
                 raise ValueError(f"boxes[{number}] at x_m = {box.x_m:g}, y_m = {box.y_m:g}: must not lie over {radius}")
         if self.outline is not None:
-            inner = math.hypot(*self.outline.center_m) + disc.radius_m
+            inner = linear.length(self.outline.center_m) + disc.radius_m
             if self.outline.corners_m and self.outline.clearance_m <= disc.radius_m:
                 raise ValueError(f"outline.corners_m: must lie around {radius}")
             if self.outline.radius_m is not None and self.outline.radius_m <= inner:

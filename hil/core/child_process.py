@@ -16,13 +16,13 @@ import select
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol, Self
 
 from hil.core.fork_server import ForkedProcess, ForkServer
+from hil.core.surroundings import unnamed_file
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
@@ -59,7 +59,7 @@ class ChildProcess:
     ) -> None:
         self.name = name
         self._ready: Message | None = None
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        self._stderr = unnamed_file()  # lives as long as the child
         self._process: subprocess.Popen[bytes] | ForkedProcess
         try:
             if server is not None:

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final, NoReturn
 
 from hil.core.realtime import fair_share, take_fair_share
+from hil.core.surroundings import leave_process
 
 _PR_SET_NAME: Final = 15  # linux/prctl.h
 _REQUEST_BYTES: Final = 1 << 16
@@ -220,7 +221,7 @@ def _run(request: dict[str, Any], given: Sequence[int]) -> NoReturn:
         with contextlib.suppress(Exception):
             sys.stdout.flush()
             sys.stderr.flush()
-        os._exit(code)
+        leave_process(code)
 
 
 def _adopt(environment: dict[str, str | None], folder: str) -> None:

@@ -7,40 +7,32 @@ alone, and entries compile side by side.
 numba's own cache checks only the file of the function that is called; a change in a kernel that it calls from another
 file goes unnoticed. Here each code has the digest of all that it was compiled from in its name
 (``hil.core.kernel_digest``), and a file of its own, so that several processes may compile at once, and several versions
-and checkouts share what is equal. What was not used for months is removed.
-
-The files are pickles, code that this process runs: a folder or a file that another user owns or may write is refused.
+and checkouts share what is equal (``hil.core.kernel_folder``).
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib
-import os
 import pickle
 import platform
-import stat
-import time
-import uuid
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cache
-from pathlib import Path
-from typing import IO, Any, Final, TypeVar, cast
+from typing import IO, Any, TypeVar, cast
 
 import llvmlite.binding
 import numba
 from numba import njit
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
+from hil.core.formulas import compile_formulas_by
 from hil.core.kernel_digest import NotDigestible, digest_of
+from hil.core.kernel_folder import kernel_folder, lock_kernel_file, read_kernel_file, write_kernel_file
 from hil.core.kernel_library import EntryCompiler, InlineCompiler, StaleCaller, WrappedCompiler
-from hil.errors import BadInput
 
 _numba_config: Any = numba.config
-_PACKAGE = Path(__file__).parent.parent
 _OF_IMAGES = ("hil.vmu.", "hil.monitor.")
 _NOT_INLINED = (
     *_OF_IMAGES,
@@ -48,68 +40,12 @@ _NOT_INLINED = (
     "hil.gnc.estimation.joint_filter",
     "hil.gnc.estimation.pose_model",
     "hil.gnc.backend_step",
+    "hil.maths.elementary",
 )
-_UNUSED_MAX_S: Final = 60 * 86_400.0
 _BASELINES = {"x86_64": ("x86-64-v3", ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe"))}
 """Architecture -> name of its baseline and the features that this requires, in the names of LLVM."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def _cache_root() -> Path:
-    given = os.environ.get("HIL_CACHE_DIR")
-    if given:
-        return Path(given)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "hil"
-
-
-def kernel_cache_folder() -> Path:
-    """Return the folder of the kernels: that of the wheel, if it has one and no other is asked for."""
-    shipped = _PACKAGE / "kernels"
-    if "HIL_CACHE_DIR" not in os.environ and os.access(shipped, os.W_OK):
-        return shipped
-    return _cache_root() / "kernels"
-
-
-def prepare_kernel_cache() -> None:
-    """Create the folder of the compiled kernels. Raises BadInput if it is not writable, or if others may write it."""
-    folder = kernel_cache_folder()
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o755)
-        _check_owner(folder, os.stat(folder))
-        if not os.access(folder, os.W_OK):
-            raise PermissionError(None, "Permission denied")
-    except OSError as error:
-        raise _refusal(f"cannot be written ({error.strerror})") from error
-
-
-def _check_owner(path: Path, found: os.stat_result) -> None:
-    """Raise BadInput if another user than this one or root owns ``path``, or may write it."""
-    if found.st_uid not in (os.geteuid(), 0):
-        raise _refusal(f"{path.name} belongs to another user (uid {found.st_uid}), whose code it would run")
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        mode = stat.S_IMODE(found.st_mode)
-        raise _refusal(f"{path.name} can be written by other users (mode {mode:o}), whose code it would run")
-
-
-def _refusal(reason: str) -> BadInput:
-    text = f"{reason}; set HIL_CACHE_DIR to a folder of your own"
-    return BadInput.single("kernel cache", str(_cache_root()), text)
-
-
-def remove_unused_kernels() -> None:
-    """Remove the kernels that no process has loaded for months."""
-    oldest_s = time.time() - _UNUSED_MAX_S
-    for path in kernel_cache_folder().rglob("*-*.*"):
-        with suppress(FileNotFoundError):
-            if path.stat().st_mtime < oldest_s:
-                path.unlink()
-
-
-def mark_of(kernel: Any) -> Path:
-    """Return the file that marks ``kernel``, and what is used with it, as compiled; its text is ``processor()``."""
-    return kernel_cache_folder() / f"{kernel.py_func.__name__}-{digest_of(kernel)}"
 
 
 class KernelCache:
@@ -121,17 +57,17 @@ class KernelCache:
 
     def __init__(self, function: Callable[..., Any], kind: str) -> None:
         self._function, self._kind = function, kind
-        self._compiling: dict[Path, IO[bytes]] = {}
+        self._held: dict[str, IO[bytes]] = {}
         self.cache_path = None
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Return the code for ``signature``, None if there is none. Raises BadInput if others may have written it."""
-        path = self._path(signature, target_context.codegen())
-        if path is None:
+        name = self._name(signature, target_context.codegen())
+        if name is None:
             return None
-        data = self._read(path)
+        data = read_kernel_file(name)
         if data is None and self._kind == "entry":
-            data = self._read_after_others(path)
+            data = self._read_after_others(name)
         if data is None:
             return None
         _prepare(target_context)
@@ -140,63 +76,37 @@ class KernelCache:
         except (StaleCaller, ModuleNotFoundError):  # the latter: of a user's file that was edited or copied since
             return None
 
-    def _read(self, path: Path) -> bytes | None:
-        try:
-            with path.open("rb") as file:
-                _check_owner(path, os.fstat(file.fileno()))
-                with suppress(OSError):  # a file of root
-                    os.utime(file.fileno())
-                return file.read()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-
-    def _read_after_others(self, path: Path) -> bytes | None:
+    def _read_after_others(self, name: str) -> bytes | None:
         """Return the code that another process is compiling; None if this process is to compile it."""
-        self._make_folder(path)
-        lock = path.with_suffix(".lock").open("wb")
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        data = self._read(path)
-        if data is None:
-            self._compiling[path] = lock  # until it is saved, or this process ends
-        else:
-            lock.close()
+        held = lock_kernel_file(name)
+        data = read_kernel_file(name)
+        if held is not None and data is None:
+            self._held[name] = held  # until it is saved, or this process ends
+        elif held is not None:
+            held.close()
         return data
-
-    def _make_folder(self, path: Path) -> None:
-        prepare_kernel_cache()
-        try:
-            path.parent.mkdir(exist_ok=True, mode=0o755)
-        except OSError as error:
-            raise _refusal(f"cannot be written ({error.strerror})") from error
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Write the code for ``signature``, if it can be used by other processes."""
-        path = self._path(signature, result.codegen)
-        if path is None or result.lifted or result.library.has_dynamic_globals:
+        name = self._name(signature, result.codegen)
+        if name is None or kernel_folder() is None or result.lifted or result.library.has_dynamic_globals:
             return
-        data = dumps(result._reduce())
-        self._make_folder(path)
-        written = path.with_suffix(f".{uuid.uuid4().hex}")
-        try:
-            written.write_bytes(data)
-            written.chmod(0o644)
-            written.replace(path)
-        except OSError as error:
-            written.unlink(missing_ok=True)
-            raise _refusal(f"cannot be written ({error.strerror})") from error
-        if (lock := self._compiling.pop(path, None)) is not None:
-            lock.close()
+        write_kernel_file(name, dumps(result._reduce()))
+        if (held := self._held.pop(name, None)) is not None:
+            held.close()
 
-    def _path(self, signature: Any, codegen: Any) -> Path | None:
-        """Return the file of the code for ``signature``; None if the kernel depends on what has no digest."""
+    def _name(self, signature: Any, codegen: Any) -> str | None:
+        """Return the name of the code for ``signature``; None if the kernel depends on what has no digest."""
         try:
             digest = digest_of(self._function)
         except NotDigestible:
             return None
         types = tuple(getattr(signature, "args", signature))
-        key = hashlib.sha256(f"{types} {codegen.magic_tuple()} {self._kind}".encode()).hexdigest()[:16]
+        key = hashlib.sha256(
+            f"{types} {codegen.magic_tuple()} {_numba_config.USING_SVML} {self._kind}".encode()
+        ).hexdigest()[:16]
         name = self._function.__qualname__.replace("<locals>", "")
-        return kernel_cache_folder() / self._function.__module__ / f"{name}-{digest}-{key}.nbc"
+        return f"{self._function.__module__}/{name}-{digest}-{key}.nbc"
 
 
 @cache
@@ -236,6 +146,13 @@ def kernel(function: _Function) -> _Function:
     called.get_overload = inside.get_overload
     called.inside = inside
     return cast(_Function, called)
+
+
+def _compile_formula(function: Callable[..., Any]) -> None:
+    """Let kernels call a formula by its compiled form."""
+    compiled = cast(Any, kernel(function))
+    cpu_target.typing_context.insert_global(function, numba.types.Dispatcher(compiled))
+    cast(Any, function).compiled = compiled  # numba holds it weakly
 
 
 def entry(function: _Function) -> _Function:
@@ -293,3 +210,4 @@ def _compile_for_baseline() -> None:
 
 
 _compile_for_baseline()
+compile_formulas_by(_compile_formula)

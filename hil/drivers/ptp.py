@@ -9,11 +9,11 @@ import contextlib
 import os
 import socket
 import struct
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from hil.core.surroundings import temporary_folder
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 
 NAME: Final = "ptp4l"
@@ -84,7 +84,7 @@ def read_status(path: str, domain: int = 0) -> PtpStatus:
 
     Raises LinkLost without such a socket, LinkTimeout without an answer, ProtocolError for one that is none.
     """
-    with tempfile.TemporaryDirectory(prefix="hil-ptp-") as folder, _connected(path, folder) as link:
+    with temporary_folder("ptp") as folder, _connected(path, folder) as link:
         port = _ask(link, domain, _PORT_DATA_SET)
         times = _ask(link, domain, _TIME_STATUS_NP)
         current = _ask(link, domain, _CURRENT_DATA_SET)

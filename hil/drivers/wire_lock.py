@@ -6,25 +6,21 @@ ends. It is taken before anything is opened, so that the second controller does 
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import hashlib
 import os
 import socket
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
 from typing import Final
 
 from hil.config.rig import Rig
 from hil.config.tables.driver_registry import Wire
 from hil.core.files import KIB
+from hil.core.surroundings import shared_lock
 from hil.errors import BadInput, Problem, one_line
 
-_PLACES: Final = ("/run/lock", "/tmp")  # of the folder: the first that exists and can be written
 _FOLDER: Final = "hil-wires"
-_ATTEMPTS: Final = 3
 _COMMAND: Final = 200  # characters of the holder's command
 
 
@@ -66,14 +62,11 @@ def normalised(wire: Wire) -> str:
 
 def _lock(name: str) -> tuple[int, str]:
     """Return the descriptor of the lock and "", or -1 and the process that holds it."""
-    path = _folder() / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.lock"
     try:
-        descriptor = _opened(path)
+        descriptor, is_ours = shared_lock(_FOLDER, f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.lock")
     except OSError as error:
-        raise BadInput.single(str(path), "", f"the wire {name} cannot be locked: {error.strerror}") from error
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        raise BadInput.single(str(error.filename), "", f"the wire {name} cannot be locked: {error.strerror}") from error
+    if not is_ours:
         holder = os.pread(descriptor, KIB, 0).decode(errors="replace")
         os.close(descriptor)
         return -1, one_line(holder, _COMMAND) or "another process"
@@ -81,34 +74,3 @@ def _lock(name: str) -> tuple[int, str]:
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, f"process {os.getpid()}: {' '.join(sys.argv)}"[:_COMMAND].encode(errors="replace"), 0)
     return descriptor, ""
-
-
-def _opened(path: Path) -> int:
-    """Return the descriptor of the lock file. All users may lock it, of whatever owner and umask it is."""
-    flags = os.O_NOFOLLOW | os.O_CLOEXEC
-    for _ in range(_ATTEMPTS):
-        with suppress(FileExistsError):  # made by another process since
-            if not path.exists():
-                descriptor = os.open(path, flags | os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-                os.fchmod(descriptor, 0o666)
-                return descriptor
-        with suppress(FileNotFoundError):
-            try:
-                return os.open(path, flags | os.O_RDWR)  # without O_CREAT: sticky folders reject that for other users
-            except PermissionError:
-                return os.open(path, flags | os.O_RDONLY)  # suffices for a lock
-    raise FileNotFoundError(errno.ENOENT, "is made and removed all the time")
-
-
-def _folder() -> Path:
-    for place in _PLACES:
-        folder = Path(place) / _FOLDER
-        try:
-            folder.mkdir(exist_ok=True)
-            if folder.stat().st_uid == os.getuid():
-                folder.chmod(0o1777)  # locks of all users meet here
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return folder
-    raise BadInput.single(", ".join(_PLACES), "", "no folder for the locks of the wires can be written")

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack
+from hil.maths import elementary, stack
 
 GRAVITY_PARAMS = np.dtype(
     [
@@ -136,7 +136,7 @@ def perturbation(params, field, t_s, x, y, z):
     if params.degree < 2:
         return 0.0, 0.0, 0.0
     angle = params.rotation + params.rate * t_s
-    c, s = math.cos(angle), math.sin(angle)
+    c, s = elementary.cos(angle), elementary.sin(angle)
     fixed_x, fixed_y, fixed_z = harmonics(params, field, c * x + s * y, c * y - s * x, z)
     return c * fixed_x - s * fixed_y, s * fixed_x + c * fixed_y, fixed_z
 
@@ -207,7 +207,7 @@ def sample_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
             x, y, z = x + rho[0] + t * rho_rate[0], y + rho[1] + t * rho_rate[1], z + rho[2] + t * rho_rate[2]
         else:
             angle = params.rotation + params.rate * (t_s + t)
-            cosine[row], sine[row] = math.cos(angle), math.sin(angle)
+            cosine[row], sine[row] = elementary.cos(angle), elementary.sin(angle)
         place[row, 0] = cosine[row] * x + sine[row] * y
         place[row, 1] = cosine[row] * y - sine[row] * x
         place[row, 2] = z

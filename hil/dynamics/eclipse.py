@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from hil.core.jit import kernel
+from hil.maths import elementary
 
 
 @kernel
@@ -16,9 +17,9 @@ def visible_sun(radius, sun_angle, r, sun):
     direction is the same everywhere in the orbit.
     """
     distance = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-    a, b = sun_angle, math.asin(min(1.0, radius / distance))
+    a, b = sun_angle, elementary.asin(min(1.0, radius / distance))
     cosine = -(r[0] * sun[0] + r[1] * sun[1] + r[2] * sun[2]) / distance
-    c = math.acos(min(1.0, max(-1.0, cosine)))
+    c = elementary.acos(min(1.0, max(-1.0, cosine)))
     if c >= a + b:
         return 1.0
     if c <= b - a:
@@ -27,6 +28,6 @@ def visible_sun(radius, sun_angle, r, sun):
         return 1.0 - (b / a) ** 2
     x = (c * c + a * a - b * b) / (2.0 * c)
     y = math.sqrt(max(0.0, a * a - x * x))
-    covered = a * a * math.acos(min(1.0, max(-1.0, x / a)))
-    covered += b * b * math.acos(min(1.0, max(-1.0, (c - x) / b))) - c * y
+    covered = a * a * elementary.acos(min(1.0, max(-1.0, x / a)))
+    covered += b * b * elementary.acos(min(1.0, max(-1.0, (c - x) / b))) - c * y
     return 1.0 - covered / (math.pi * a * a)

@@ -5,11 +5,11 @@ H: x along velocity, y = minus orbit normal, z to the central body; ``omega_H = 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths import elementary
+from hil.maths.elementary import square
 
 
 @kernel
@@ -25,7 +25,7 @@ def transition(w0: float, t_s: float) -> np.ndarray:
 
     w0: orbital rate, rad/s, not zero.
     """
-    c, s, a = math.cos(w0 * t_s), math.sin(w0 * t_s), w0 * t_s
+    c, s, a = elementary.cos(w0 * t_s), elementary.sin(w0 * t_s), w0 * t_s
     return np.array(
         [
             [1.0, 0.0, 6.0 * (a - s), 4.0 * s / w0 - 3.0 * t_s, 0.0, 2.0 * (1.0 - c) / w0],
@@ -43,13 +43,13 @@ def input_response(w0: float, t_s: float) -> np.ndarray:
 
     The integral over ``t_s`` of the last three columns of ``transition``.
     """
-    s, a = math.sin(w0 * t_s), w0 * t_s
-    versine = 2.0 * math.sin(0.5 * a) ** 2  # 1 - cos, without its cancellation over a short step
-    xx = 4.0 * versine / w0**2 - 1.5 * t_s**2
-    xz = 2.0 * _angle_less_sine(a) / w0**2
+    s, a = elementary.sin(w0 * t_s), w0 * t_s
+    versine = 2.0 * square(elementary.sin(0.5 * a))  # 1 - cos, without its cancellation over a short step
+    xx = 4.0 * versine / square(w0) - 1.5 * square(t_s)
+    xz = 2.0 * _angle_less_sine(a) / square(w0)
     xdot_x = 4.0 * s / w0 - 3.0 * t_s
     xdot_z = 2.0 * versine / w0
-    zz = versine / w0**2
+    zz = versine / square(w0)
     return np.array(
         [
             [xx, 0.0, xz],
@@ -65,5 +65,5 @@ def input_response(w0: float, t_s: float) -> np.ndarray:
 def _angle_less_sine(a: float) -> float:
     """Return a - sin(a), by its series where the difference would cancel."""
     if abs(a) > 0.1:
-        return a - math.sin(a)
-    return a**3 / 6.0 * (1.0 - a**2 / 20.0 * (1.0 - a**2 / 42.0 * (1.0 - a**2 / 72.0)))
+        return a - elementary.sin(a)
+    return a * square(a) / 6.0 * (1.0 - square(a) / 20.0 * (1.0 - square(a) / 42.0 * (1.0 - square(a) / 72.0)))

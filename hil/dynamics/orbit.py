@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat
+from hil.maths import elementary, quat
+from hil.maths.elementary import square
 
 
 def state_of_elements(
@@ -23,13 +24,13 @@ def state_of_elements(
 
     Source: Vallado, Fundamentals of Astrodynamics and Applications, 4th ed., algorithm 10. An ellipse only.
     """
-    p = semi_major_axis_m * (1.0 - eccentricity**2)
-    c, s = math.cos(true_anomaly), math.sin(true_anomaly)
+    p = semi_major_axis_m * (1.0 - square(eccentricity))
+    c, s = elementary.cos(true_anomaly), elementary.sin(true_anomaly)
     r = p / (1.0 + eccentricity * c)
     speed = math.sqrt(gm / p)
-    co, so = math.cos(raan), math.sin(raan)
-    cw, sw = math.cos(argument_of_periapsis), math.sin(argument_of_periapsis)
-    ci, si = math.cos(inclination), math.sin(inclination)
+    co, so = elementary.cos(raan), elementary.sin(raan)
+    cw, sw = elementary.cos(argument_of_periapsis), elementary.sin(argument_of_periapsis)
+    ci, si = elementary.cos(inclination), elementary.sin(inclination)
     to_periapsis = np.array([co * cw - so * sw * ci, so * cw + co * sw * ci, sw * si])
     ahead = np.array([-co * sw - so * cw * ci, -so * sw + co * cw * ci, cw * si])
     position = r * (c * to_periapsis + s * ahead)
@@ -74,7 +75,7 @@ def hill_rate(r, v, acceleration, a, out):
 @kernel
 def rotate_on_circle(r, v, angle):
     """Rotate ``r`` and ``v`` (3,), orthogonal to each other, by ``angle``, rad, in their plane, in place."""
-    c, s = math.cos(angle), math.sin(angle)
+    c, s = elementary.cos(angle), elementary.sin(angle)
     distance = math.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     for i in range(3):

@@ -12,7 +12,7 @@ import numpy as np
 from hil.core.jit import kernel
 from hil.core.messages import MAX_AIR_LAYERS, MAX_THIRD_BODIES
 from hil.dynamics.central_gravity import central_pull, point_mass_differential
-from hil.maths import stack
+from hil.maths import elementary, stack
 from hil.maths.arrays import fill
 
 ORBIT_FORCES = np.dtype(
@@ -45,7 +45,7 @@ def air_density(params, altitude):
     layer = 0
     while layer + 1 < params.layers and altitude >= params.altitude[layer + 1]:
         layer += 1
-    return params.density[layer] * math.exp(-(altitude - params.altitude[layer]) / params.scale_height[layer])
+    return params.density[layer] * elementary.exp(-(altitude - params.altitude[layer]) / params.scale_height[layer])
 
 
 @kernel
@@ -68,7 +68,7 @@ def add_drag(params, drag, r, v, out):
 @kernel
 def place_third_body(position, pole, angle, out):
     """Write ``position`` (3,), m, rotated by ``angle``, rad, about the unit vector ``pole`` (3,), into ``out`` (3,)."""
-    c, s, p, k = math.cos(angle), math.sin(angle), position, pole
+    c, s, p, k = elementary.cos(angle), elementary.sin(angle), position, pole
     along = (1.0 - c) * (k[0] * p[0] + k[1] * p[1] + k[2] * p[2])
     out[0] = c * p[0] + s * (k[1] * p[2] - k[2] * p[1]) + along * k[0]
     out[1] = c * p[1] + s * (k[2] * p[0] - k[0] * p[2]) + along * k[1]

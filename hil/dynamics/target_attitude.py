@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into
 from hil.models.rotating_frame import euler_acceleration
 
@@ -109,7 +109,7 @@ def add_limit_cycle(params, t_s, q_HI, w_HI_H):
         first, second = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
         size = math.sqrt(square)
-        first, second = (1.0 - math.cos(size)) / square, (size - math.sin(size)) / (square * size)
+        first, second = (1.0 - elementary.cos(size)) / square, (size - elementary.sin(size)) / (square * size)
     product = angle[0] * speed[0] + angle[1] * speed[1] + angle[2] * speed[2]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3

@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_THRUSTERS
+from hil.maths import elementary
 from hil.maths.limits import to_integer
 from hil.models.faults import normal
 
@@ -51,7 +52,7 @@ def _impulse(level, target, constant_s, span_s):
     """Return the integral of a thrust that goes from ``level`` to ``target`` with a time constant, over ``span_s``."""
     if constant_s <= 0.0:
         return target * span_s
-    return target * span_s - (level - target) * constant_s * math.expm1(-span_s / constant_s)
+    return target * span_s - (level - target) * constant_s * elementary.expm1(-span_s / constant_s)
 
 
 @kernel
@@ -61,7 +62,7 @@ def _settled(level, target, constant_s, span_s):
         return level
     if constant_s <= 0.0:
         return target
-    return target + (level - target) * math.exp(-span_s / constant_s)
+    return target + (level - target) * elementary.exp(-span_s / constant_s)
 
 
 @kernel

@@ -6,6 +6,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import Array
+from hil.maths import elementary, linear
 
 STANDARD_GRAVITY_MPS2 = 9.80665
 DRAWS_PER_THRUSTER = 3  # standard normals: two tilts, one force
@@ -52,10 +53,11 @@ def as_built(
     thrust. force_sigma: relative to the nominal force. draws: standard normals, (n, 3). A force is never negative.
     """
     first = np.cross(direction, np.eye(3)[np.abs(direction).argmin(axis=1)])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    first /= linear.lengths(first)[:, None]
     aside = draws[:, 0:1] * first + draws[:, 1:2] * np.cross(direction, first)
-    size = np.linalg.norm(aside, axis=1, keepdims=True)
+    size = linear.lengths(aside)[:, None]
     angle = tilt_sigma * size
-    turned = np.cos(angle) * direction + np.sin(angle) * aside / np.where(size > 0.0, size, 1.0)
+    cosine, sine = elementary.each(elementary.cos, angle), elementary.each(elementary.sin, angle)
+    turned = cosine * direction + sine * aside / np.where(size > 0.0, size, 1.0)
     built = np.where(angle == 0.0, direction, turned)
     return built, force_n * np.maximum(0.0, 1.0 + force_sigma * draws[:, 2])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import platform
-import shutil
 import sys
-import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from hil.core.surroundings import temporary_folder, temporary_folder_in
 from hil.fmi.archive import Archive, FmuError
 from hil.fmi.description import FmiVariable, ModelDescription, parse
 
@@ -86,8 +85,11 @@ class Fmu:
             self.description: ModelDescription = parse(archive.description())
             version = self.description.version
             binary = _binary_name(self.description, archive.names())
-            self.folder = Path(tempfile.mkdtemp(prefix="hil-fmu-", dir=within))
-            weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
+            unpacked = (
+                temporary_folder("fmu", executable=True) if within is None else temporary_folder_in(within, "fmu")
+            )
+            self.folder = Path(unpacked.name)
+            weakref.finalize(self, unpacked.cleanup)
             archive.unpack(self.folder)
         try:
             self._loaded = ctypes.CDLL(str(self.folder / binary))

@@ -7,7 +7,6 @@ import itertools
 import os
 import shutil
 import subprocess
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from hil.core.build_info import VERSION
+from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput
 from hil.fmi.archive import DESCRIPTION
 from hil.fmi.binary import platform_folders
@@ -107,7 +107,7 @@ def build(model: Model, version: int, out: Path) -> None:
 
     Raises BadInput without a C compiler, or if the file cannot be written.
     """
-    with tempfile.TemporaryDirectory(prefix="hil-fmu-") as name:
+    with temporary_folder("fmu") as name:
         folder = Path(name)
         tables = folder / "fmi_tables.c"
         tables.write_text(tables_in_c(model, version))

@@ -93,7 +93,7 @@ COMPONENT: Final = np.dtype(
 
 _INPUT_HEAD = np.dtype([("cycle", "i8"), ("t_s", "f8"), ("mode", "i4"), ("orders", "i4")], align=True)
 _RUNNING = GncMode.RUNNING.value
-_INTEGER_MAX = 2.0**53
+_INTEGER_MAX = float(2**53)
 UNUSABLE: Final = 100
 """Returned for an output that its field cannot hold; failures of FMI functions return their status."""
 ENDS: Final = 101

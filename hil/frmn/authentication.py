@@ -15,10 +15,12 @@ import hmac
 import os
 import secrets
 import struct
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from hil.core.files import KIB, read_private_text
+from hil.core.surroundings import user_folders
 from hil.errors import BadInput
 from hil.frmn import wire
 from hil.frmn.mailboxes import MAILBOXES
@@ -26,6 +28,7 @@ from hil.frmn.udp import Address, UdpSocket
 from hil.frmn.wire import DatagramKind
 
 TAG_BYTES: Final = 16
+_KEY_FILE: Final = "gnc-link.key"
 _KEY_BYTES: Final = 32
 _KEY_FILE_BYTES: Final = 4 * KIB
 _SHORTEST_KEY: Final = 16
@@ -43,20 +46,12 @@ def tag_of(key: bytes, datagram: bytes, receiver: int) -> bytes:
     return hmac.digest(key, _RECEIVER.pack(0 if begins else receiver) + datagram, "sha256")[:TAG_BYTES]
 
 
-def users_key_file() -> Path:
-    """Return the path of the user's own key."""
-    base = os.environ.get("XDG_CONFIG_HOME")
-    return (Path(base) if base else Path.home() / ".config") / "hil" / "gnc-link.key"
-
-
 def link_key(path: str | None = None) -> bytes:
     """Return the key in the file at ``path``, by default the user's own, which is made if there is none.
 
     Raises BadInput for a file that others can read, or that is too short.
     """
     file = users_key_file() if path is None else Path(path)
-    if path is None:
-        _make(file)
     text = read_private_text(file, _KEY_FILE_BYTES).strip()
     if len(text) < _SHORTEST_KEY:
         text = f"{len(text)} characters, at least {_SHORTEST_KEY}: openssl rand -hex 32 > {file}"
@@ -64,27 +59,33 @@ def link_key(path: str | None = None) -> bytes:
     return text.encode()
 
 
+def users_key_file() -> Path:
+    """Return the file of the user's key, which is made in the first folder that can be written if there is none."""
+    for folder in user_folders("config"):
+        if os.path.exists(folder / _KEY_FILE):
+            return folder / _KEY_FILE
+    reason = "no folder for the files of this user"
+    for folder in user_folders("config", create=True):
+        try:
+            _make(folder / _KEY_FILE)
+            return folder / _KEY_FILE
+        except OSError as error:
+            reason = f"{folder}: {error.strerror or error}"
+    raise BadInput.single(_KEY_FILE, "", f"the key of the link cannot be made: {reason}: give --key-file")
+
+
 def _make(file: Path) -> None:
-    """Make the user's key, complete or not at all, unless there is one."""
-    if file.exists():
-        return
+    """Make the user's key, complete or not at all, unless there is one. Raises OSError."""
     partial = file.with_name(f"{file.name}.{os.getpid()}.part")
+    file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
-        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w", encoding="ascii") as out:
             out.write(f"{secrets.token_hex(_KEY_BYTES)}\n")
-        try:
+        with suppress(FileExistsError):  # another process was faster: its key counts
             os.link(partial, file)
-        except FileExistsError:  # another process was faster: its key counts
-            pass
-        finally:
-            partial.unlink()
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise BadInput.single(
-            str(file), "", f"the key of the link cannot be made: {reason}: give --key-file"
-        ) from error
+    finally:
+        partial.unlink()
 
 
 class AuthenticatedSocket:

@@ -14,6 +14,8 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import Array
+from hil.maths import linear
+from hil.maths.elementary import square
 
 AXES_OF_A_BODY = 6  # force x, y, z, torque x, y, z
 ROWS = 9  # of the sets: the six axes, then force x, y, z again with the full-thrust sets
@@ -78,8 +80,8 @@ def opposing_thrusters(wrenches: Array) -> np.ndarray:
     scale = np.array([1.0, 1.0, 1.0, arm, arm, arm])
     found = np.zeros((len(wrenches), len(wrenches)), dtype=np.int64)
     for j, wrench in enumerate(wrenches):
-        size = np.linalg.norm(wrench / scale)
-        left = np.linalg.norm((totals + wrench) / scale, axis=1) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
+        size = linear.length(wrench / scale)
+        left = linear.lengths((totals + wrench) / scale) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
         left[masks[:, j] != 0] = np.inf
         best = _best(left)
         if best >= 0 and left[best] < _OPPOSED_FRACTION:
@@ -90,14 +92,12 @@ def opposing_thrusters(wrenches: Array) -> np.ndarray:
 def _all_sets(wrenches: Array) -> tuple[np.ndarray, Array, float]:
     """Return all sets of up to four thrusters, (m, n) of 0 or 1, their force and torque (m, 6), and the mean arm, m."""
     n = len(wrenches)
-    arm = max(
-        float(np.sqrt(np.mean(np.sum(wrenches[:, 3:] ** 2, axis=1) / np.sum(wrenches[:, :3] ** 2, axis=1)))), 1e-9
-    )
+    arm = max(float(np.sqrt(np.mean(square(linear.lengths(wrenches[:, 3:]) / linear.lengths(wrenches[:, :3]))))), 1e-9)
     members = [list(c) for size in range(1, min(_LARGEST_SET, n) + 1) for c in combinations(range(n), size)]
     masks = np.zeros((len(members), n), dtype=np.int64)
     for row, chosen in enumerate(members):
         masks[row, chosen] = 1
-    return masks, masks @ wrenches, arm
+    return masks, linear.product(masks, wrenches), arm
 
 
 def _candidates(wrenches: Array, full_thrust: bool) -> tuple[np.ndarray, Array, Array]:
@@ -108,7 +108,7 @@ def _candidates(wrenches: Array, full_thrust: bool) -> tuple[np.ndarray, Array, 
     for axis in range(AXES_OF_A_BODY):
         for sign_index, sign in enumerate((-1.0, 1.0)):
             wanted = sign * scaled[:, axis]
-            unwanted = np.sqrt(np.maximum(np.sum(scaled**2, axis=1) - wanted**2, 0.0))
+            unwanted = np.sqrt(np.maximum(np.sum(square(scaled), axis=1) - square(wanted), 0.0))
             useful = wanted > 1e-6
             if not useful.any():
                 continue

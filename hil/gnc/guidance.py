@@ -19,7 +19,7 @@ from hil.core.messages import MAX_PHASES
 from hil.gnc.estimation.target_orbit import TARGET_ORBIT
 from hil.gnc.guidance_transfer import TRANSFER_PLAN, least_drift_range, on_transfer, plan_transfer
 from hil.gnc.impulses import TRANSFER_WORK, size_of
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into, fill
 from hil.models.profile import along_line, duration
 
@@ -190,7 +190,7 @@ def _aim_arc(state):
     a, b, axis = state.from_H, state.to_H, state.axis
     axis[0], axis[1], axis[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = size_of(axis)
-    angle = math.atan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    angle = elementary.atan2(size, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
     for i in range(3):
         axis[i] = axis[i] / size if size > 0.0 else 0.0
     quat.transform_into(state.q_from, axis, state.turn_C)
@@ -441,7 +441,7 @@ def _on_arc(state, length, along, out):
     theta, rate, change = angle * along[0] / length, angle * along[1] / length, angle * along[2] / length
     step = (after - before) / length
     radius, radius_rate, radius_change = before + step * along[0], step * along[1], step * along[2]
-    n, u, s, c = state.axis, state.from_H, math.sin(theta), math.cos(theta)
+    n, u, s, c = state.axis, state.from_H, elementary.sin(theta), elementary.cos(theta)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         side = (n[j] * u[k] - n[k] * u[j]) / before

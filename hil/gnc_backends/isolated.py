@@ -7,9 +7,7 @@ library, so that the compiled loop can call it as well.
 from __future__ import annotations
 
 import ctypes
-import shutil
 import socket
-import tempfile
 import weakref
 from functools import cache
 from pathlib import Path
@@ -23,6 +21,7 @@ from numba.extending import intrinsic
 from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode
+from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
 from hil.fmi.step import offset_of
 from hil.gnc_backends.shared_library import Instance
@@ -166,12 +165,12 @@ class _Child:
     def __init__(self, name: str, gnc: GncConfig, source: str) -> None:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            self._folder = tempfile.mkdtemp(prefix="hil-fmu-")
+            self._folder = temporary_folder("fmu", executable=True)
             configuration = {
                 "gnc": gnc.model_dump(mode="json"),
                 "source": source,
                 "descriptor": theirs.fileno(),
-                "folder": self._folder,
+                "folder": self._folder.name,
             }
             self._process = ChildProcess(name, _MODULE, configuration, (theirs.fileno(),))
         libc = ctypes.CDLL(None)
@@ -202,4 +201,4 @@ class _Child:
         """End the process; idempotent."""
         self._process.close()
         self._ours.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.cleanup()

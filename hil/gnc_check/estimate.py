@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.core.messages import Array
 from hil.gnc_check.test_cases import TrueMotion
-from hil.maths import quat
+from hil.maths import elementary, quat
 
 NEAR_M, NEAR_MPS, NEAR_RAD, NEAR_RADPS = 0.03, 0.01, math.radians(0.3), math.radians(0.05)
 """Tolerances of an estimate: the poses have no noise."""
@@ -92,7 +92,7 @@ def _scaled(q: Array, factor: float) -> Array:
 
 
 def _angle(p: Array, q: Array) -> float:
-    return 2.0 * math.acos(min(1.0, abs(float(p @ q)))) if np.isfinite(p).all() else math.nan
+    return 2.0 * elementary.acos(min(1.0, abs(float(p @ q)))) if np.isfinite(p).all() else math.nan
 
 
 def _triple(values: Array) -> str:

@@ -28,6 +28,7 @@ from hil.fmi.plant_model import PlantModel, PlantRecords
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
 from hil.loop.stages import DssStage
+from hil.maths import linear
 from hil.maths.random_streams import NormalRows
 
 RECORDS: Final = {
@@ -116,7 +117,7 @@ class ModelDssStage(DssStage):
         inputs.force_N, inputs.torque_Nm = self._force, self._torque
         out = self._step("truth", model)
         truth.r_CT_H, truth.v_CT_H, truth.w_CI_C = out.r_CT_H_m[0], out.v_CT_H_mps[0], out.w_CI_C_radps[0]
-        length = np.linalg.norm(out.q_CH[0])
+        length = linear.length(out.q_CH[0])
         if not abs(length - 1.0) < _UNIT:
             raise DeviceError("truth", f"{self._name(model)}: q_CH has length {length:g}, expected 1")
         truth.q_CH = out.q_CH[0] / length

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from functools import cache
 
+from hil.maths import elementary, special
+
 _STEPS = 100
 _PRECISION = 1e-13  # of a step: the next one would be rounding
 
@@ -40,7 +42,7 @@ def limit_of_recent_mean(window: int, dof: int, tail: float) -> float:
 
 def two_sided_tail(sigma: float) -> float:
     """Return the probability that a normal variable is more than ``sigma`` standard deviations from its mean."""
-    return math.erfc(sigma * math.sqrt(0.5))
+    return special.erfc(sigma * math.sqrt(0.5))
 
 
 def _solve(probability: float, dof: int, lower: bool) -> float:
@@ -57,7 +59,7 @@ def _solve(probability: float, dof: int, lower: bool) -> float:
         if found == 0.0:  # overshot to where numbers underflow
             half = 0.5 * (half + before)
             continue
-        step = direction * math.log(found / probability) * found * half / (a * _power_term(half, a))
+        step = direction * elementary.log(found / probability) * found * half / (a * _power_term(half, a))
         before, half = half, max(half - step, 0.5 * half)
         if abs(step) <= _PRECISION * half:
             break
@@ -66,7 +68,7 @@ def _solve(probability: float, dof: int, lower: bool) -> float:
 
 def _power_term(half: float, a: float) -> float:
     """Return half^a exp(-half) / Gamma(a + 1)."""
-    return math.exp(a * math.log(half) - half - math.lgamma(a + 1.0))
+    return elementary.exp(a * elementary.log(half) - half - special.log_gamma(a + 1.0))
 
 
 def _lower_tail(half: float, dof: int) -> float:
@@ -82,7 +84,7 @@ def _lower_tail(half: float, dof: int) -> float:
 
 def _upper_tail(half: float, dof: int) -> float:
     """Return Q(dof / 2, half) by recurrence from Q(1, half) or Q(1/2, half) (DLMF 8.8.6, 8.4)."""
-    least, total = (1.0, math.exp(-half)) if dof % 2 == 0 else (0.5, math.erfc(math.sqrt(half)))
+    least, total = (1.0, elementary.exp(-half)) if dof % 2 == 0 else (0.5, special.erfc(math.sqrt(half)))
     a = 0.5 * dof - 1.0
     term = _power_term(half, a)
     while a >= least and term > 1e-17 * total:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from hil.core.jit import kernel
-from hil.maths import stack
+from hil.maths import elementary, stack
 
 
 @kernel
@@ -27,4 +27,4 @@ def largest_eigenvalue(m):
         - b[0, 1] * (b[1, 0] * b[2, 2] - b[1, 2] * b[2, 0])
         + b[0, 2] * (b[1, 0] * b[2, 1] - b[1, 1] * b[2, 0])
     )
-    return mean + 2.0 * scale * math.cos(math.acos(max(-1.0, min(1.0, half))) / 3.0)
+    return mean + 2.0 * scale * elementary.cos(elementary.acos(max(-1.0, min(1.0, half))) / 3.0)

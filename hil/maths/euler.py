@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 
 YAW_PITCH_ROLL = np.array([2, 1, 0])
 """The order of the 3-2-1 angles."""
@@ -22,8 +22,8 @@ YAW_PITCH_ROLL = np.array([2, 1, 0])
 def _axis_quaternion(axis, angle, q):
     """Write the quaternion of a frame rotated by ``angle``, rad, about its axis ``axis`` into ``q`` (4,)."""
     q[0] = q[1] = q[2] = 0.0
-    q[axis] = math.sin(0.5 * angle)
-    q[3] = math.cos(0.5 * angle)
+    q[axis] = elementary.sin(0.5 * angle)
+    q[3] = elementary.cos(0.5 * angle)
 
 
 @kernel
@@ -74,7 +74,7 @@ def _angle(y, x):
         s = t * t
         series = 1.0 / 9.0 - s * (1.0 / 11.0 - s * (1.0 / 13.0 - s * (1.0 / 15.0)))
         return t * (1.0 - s * (1.0 / 3.0 - s * (1.0 / 5.0 - s * (1.0 / 7.0 - s * series))))
-    return math.atan2(y, x)
+    return elementary.atan2(y, x)
 
 
 @kernel
@@ -88,9 +88,9 @@ def from_matrix_into(a, order, angles):
         angles[j] = _angle(sine, math.sqrt(a[i, i] * a[i, i] + a[j, i] * a[j, i]))
         angles[k] = _angle(-sign * a[j, i], a[i, i])
     else:
-        angles[j] = math.asin(sine)
+        angles[j] = elementary.asin(sine)
         angles[k] = 0.0
-        angles[i] = math.atan2(sign * a[j, k], a[j, j])
+        angles[i] = elementary.atan2(sign * a[j, k], a[j, j])
 
 
 @kernel

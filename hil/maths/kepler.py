@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from hil.core.jit import kernel
+from hil.maths import elementary
 
 _NEWTON_STEPS = 4  # from an error below e^2: it is squared by each
 
@@ -12,9 +13,9 @@ _NEWTON_STEPS = 4  # from an error below e^2: it is squared by each
 def mean_anomaly(eccentricity: float, nu: float) -> float:
     """Return the mean anomaly, rad, within half a turn of zero, at the true anomaly ``nu``, rad."""
     root = math.sqrt((1.0 - eccentricity) / (1.0 + eccentricity))
-    eccentric = 2.0 * math.atan2(root * math.sin(0.5 * nu), math.cos(0.5 * nu))
+    eccentric = 2.0 * elementary.atan2(root * elementary.sin(0.5 * nu), elementary.cos(0.5 * nu))
     eccentric = math.remainder(eccentric, 2.0 * math.pi)
-    return eccentric - eccentricity * math.sin(eccentric)
+    return eccentric - eccentricity * elementary.sin(eccentric)
 
 
 @kernel
@@ -22,9 +23,9 @@ def true_anomaly(eccentricity, mean_anomaly):
     """Return the true anomaly, rad, continuous with the mean anomaly, rad; ``eccentricity`` below 0.1."""
     turns = math.floor(mean_anomaly / (2.0 * math.pi) + 0.5) * 2.0 * math.pi
     m = mean_anomaly - turns
-    e_anomaly = m + eccentricity * math.sin(m)
+    e_anomaly = m + eccentricity * elementary.sin(m)
     for _ in range(_NEWTON_STEPS):
-        excess = e_anomaly - eccentricity * math.sin(e_anomaly) - m
-        e_anomaly -= excess / (1.0 - eccentricity * math.cos(e_anomaly))
+        excess = e_anomaly - eccentricity * elementary.sin(e_anomaly) - m
+        e_anomaly -= excess / (1.0 - eccentricity * elementary.cos(e_anomaly))
     root = math.sqrt((1.0 + eccentricity) / (1.0 - eccentricity))
-    return turns + 2.0 * math.atan(root * math.tan(0.5 * e_anomaly))
+    return turns + 2.0 * elementary.atan(root * elementary.tan(0.5 * e_anomaly))

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack
+from hil.maths import elementary, stack
 
 _SMALL_TURN: Final = 0.01
 """rad^2: below it sine, cosine and arc tangent of half the angle are a few terms of their series."""
@@ -147,8 +147,8 @@ def from_rotation_vector_into(phi, q):
         cosine = 1.0 - x * (0.5 - x * (1.0 / 24.0 - x * (1.0 / 720.0 - x * (1.0 / 40320.0))))
     else:
         angle = math.sqrt(squared)
-        scale = math.sin(0.5 * angle) / angle
-        cosine = math.cos(0.5 * angle)
+        scale = elementary.sin(0.5 * angle) / angle
+        cosine = elementary.cos(0.5 * angle)
     q[0] = scale * phi[0]
     q[1] = scale * phi[1]
     q[2] = scale * phi[2]
@@ -175,7 +175,7 @@ def to_rotation_vector_into(q, phi):
     else:
         sign = 1.0 if q[3] >= 0.0 else -1.0
         norm = math.sqrt(squared)
-        scale = 2.0 * sign * math.atan2(norm, abs(q[3])) / norm
+        scale = 2.0 * sign * elementary.atan2(norm, abs(q[3])) / norm
     phi[0] = scale * q[0]
     phi[1] = scale * q[1]
     phi[2] = scale * q[2]

@@ -12,6 +12,9 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from hil.maths.normals import Generator
+from hil.maths.special import normal_probabilities
+
 _STREAMS = {
     "initial": 0,
     "imu": 1,
@@ -27,10 +30,14 @@ _STREAMS = {
 _NO_MEANS = np.zeros(0)
 
 
-def stream(seed: int, name: str, device: str = "") -> np.random.Generator:
+def generator_of(seed: int, key: tuple[int, ...]) -> Generator:
+    """Return the generator of ``key`` among those of ``seed``."""
+    return Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+def stream(seed: int, name: str, device: str = "") -> Generator:
     """Return the generator of the source ``name`` for a run of ``seed``; each ``device`` has one of its own."""
-    key = (_STREAMS[name], *device.encode())
-    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+    return generator_of(seed, (_STREAMS[name], *device.encode()))
 
 
 class NoiseSource(Protocol):
@@ -110,9 +117,7 @@ class _MixedNoise:
         return total
 
     def random(self, size: Any = None, *, out: Any = None) -> Any:
-        from scipy.special import ndtr  # slow import, for rare-event campaigns only
-
-        return ndtr(self.standard_normal(size, out=out), out=out)
+        return normal_probabilities(self.standard_normal(size, out=out), out)
 
 
 def noise_source(seed: int, name: str) -> NoiseSource:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths import elementary
 from hil.models.faults import AT, KIND, NUMBER, VALUE, is_active
 
 STUCK, SLOW, OFFSET, OSCILLATION = range(4)
@@ -27,8 +28,8 @@ def _set(row, t_s, axes, i, rate_max):
         axes.encoder_offset[i] += row[VALUE]
     elif kind == OSCILLATION:
         phase = 2.0 * math.pi * row[VALUE + 1]
-        axes.disturbance[i] += row[VALUE] * math.sin(phase * (t_s - row[AT]))
-        axes.disturbance_rate[i] += row[VALUE] * phase * math.cos(phase * (t_s - row[AT]))
+        axes.disturbance[i] += row[VALUE] * elementary.sin(phase * (t_s - row[AT]))
+        axes.disturbance_rate[i] += row[VALUE] * phase * elementary.cos(phase * (t_s - row[AT]))
 
 
 @kernel

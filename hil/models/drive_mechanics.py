@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.maths import elementary
 
 SUBSTEP_S: Final = 1e-4
 """Longest step of the integration; frequencies of the model are far below 1 / SUBSTEP_S."""
@@ -72,7 +73,7 @@ def friction_step(bristle, rate, coulomb, breakaway, stribeck, viscous, preslidi
     if breakaway <= 0.0:
         return 0.0, viscous * rate
     ratio = rate / stribeck
-    level = coulomb + (breakaway - coulomb) * math.exp(-ratio * ratio)
+    level = coulomb + (breakaway - coulomb) * elementary.exp(-ratio * ratio)
     stiffness = breakaway / presliding
     after = (bristle + h * rate) / (1.0 + h * abs(rate) * stiffness / level)
     slip = (after - bristle) / h
@@ -119,7 +120,7 @@ def drive_mechanics_step(axes, m, dt):
             if force == asked:
                 integral += h * _INTEGRAL_FRACTION * gain * gain * behind
             if m.cogging[i] > 0.0:
-                force += m.cogging[i] * math.sin(2.0 * math.pi * motor / m.cogging_period[i])
+                force += m.cogging[i] * elementary.sin(2.0 * math.pi * motor / m.cogging_period[i])
             moved = motor_rate if rigid else rate
             mass = 1.0 if rigid else load_mass
             bristle, friction = friction_step(

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import stack
+from hil.maths import elementary, stack
 from hil.maths.kepler import mean_anomaly, true_anomaly
 
 
@@ -29,20 +29,20 @@ def transition(mean_motion: float, eccentricity: float, nu: float, t_s: float) -
 @kernel
 def transition_into(mean_motion, eccentricity, m, t_s, out):
     """Write the matrix of ``transition`` to ``out`` (6, 6); m: mean anomaly at its begin, rad."""
-    e, k_squared = eccentricity, mean_motion / (1.0 - eccentricity * eccentricity) ** 1.5  # h / p^2
+    e, square = eccentricity, 1.0 - eccentricity * eccentricity
+    k_squared = mean_motion / (square * math.sqrt(square))  # h / p^2
     start, end = true_anomaly(e, m), true_anomaly(e, m + mean_motion * t_s)
-    rho, last_rho = 1.0 + e * math.cos(start), 1.0 + e * math.cos(end)
-    s, c = rho * math.sin(start), rho * math.cos(start)
+    rho, last_rho = 1.0 + e * elementary.cos(start), 1.0 + e * elementary.cos(end)
+    s, c = rho * elementary.sin(start), rho * elementary.cos(start)
     scaled, constants, moved = stack.vector(6), stack.vector(4), stack.vector(6)
     for column in range(6):
         for i in range(6):  # rho r, and its derivative by the true anomaly
             scaled[i] = 0.0
         if column < 3:
-            scaled[column], scaled[3 + column] = rho, -e * math.sin(start)
+            scaled[column], scaled[3 + column] = rho, -e * elementary.sin(start)
         else:
             scaled[column] = 1.0 / (k_squared * rho)
         x, z, vx, vz = scaled[0], scaled[2], scaled[3], scaled[5]
-        square = 1.0 - e * e
         constants[0] = (
             x
             + (3.0 * e * s * (1.0 / rho + 1.0 / rho**2) * z - e * s * (1.0 + 1.0 / rho) * vx + (2.0 - e * c) * vz)
@@ -54,12 +54,12 @@ def transition_into(mean_motion, eccentricity, m, t_s, out):
         constants[2] = (-3.0 * (c / rho + e) * z + (c * (1.0 + 1.0 / rho) + e) * vx - s * vz) / square
         constants[3] = ((3.0 * rho + e * e - 1.0) * z - rho**2 * vx + e * s * vz) / square
         _in_plane(e, end, k_squared * t_s, constants, moved)
-        cos, sin = math.cos(end - start), math.sin(end - start)
+        cos, sin = elementary.cos(end - start), elementary.sin(end - start)
         moved[1] = cos * scaled[1] + sin * scaled[4]
         moved[4] = cos * scaled[4] - sin * scaled[1]
         for i in range(3):
             out[i, column] = moved[i] / last_rho
-            out[3 + i, column] = k_squared * (last_rho * moved[3 + i] + e * math.sin(end) * moved[i])
+            out[3 + i, column] = k_squared * (last_rho * moved[3 + i] + e * elementary.sin(end) * moved[i])
 
 
 @kernel
@@ -68,9 +68,9 @@ def _in_plane(e, nu, j, constants, out):
 
     j: h / p^2 times the time since the start.
     """
-    rho = 1.0 + e * math.cos(nu)
-    s, c = rho * math.sin(nu), rho * math.cos(nu)
-    ds, dc = math.cos(nu) + e * math.cos(2.0 * nu), -(math.sin(nu) + e * math.sin(2.0 * nu))
+    rho = 1.0 + e * elementary.cos(nu)
+    s, c = rho * elementary.sin(nu), rho * elementary.cos(nu)
+    ds, dc = elementary.cos(nu) + e * elementary.cos(2.0 * nu), -(elementary.sin(nu) + e * elementary.sin(2.0 * nu))
     k1, k2, k3, k4 = constants[0], constants[1], constants[2], constants[3]
     out[0] = k1 - c * (1.0 + 1.0 / rho) * k2 + s * (1.0 + 1.0 / rho) * k3 + 3.0 * rho**2 * j * k4
     out[2] = s * k2 + c * k3 + (2.0 - 3.0 * e * s * j) * k4

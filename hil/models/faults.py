@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.core.messages import MAX_FAULTS
+from hil.maths import elementary
 from hil.models.camera_timing import TIME_SLACK_S
 
 KIND, NUMBER, AT, UNTIL, VALUE, SIZE, OPTION = 0, 1, 2, 3, 4, 7, 8
@@ -54,8 +55,8 @@ def uniform(seed, number, lane):
 @kernel
 def normal(seed, number, lane):
     """Return a standard normal number that depends on the three integers alone (Box and Muller 1958)."""
-    radius = math.sqrt(-2.0 * math.log(uniform(seed, number, 2 * lane)))
-    return radius * math.cos(2.0 * math.pi * uniform(seed, number, 2 * lane + 1))
+    radius = math.sqrt(-2.0 * elementary.log(uniform(seed, number, 2 * lane)))
+    return radius * elementary.cos(2.0 * math.pi * uniform(seed, number, 2 * lane + 1))
 
 
 @kernel
@@ -66,6 +67,6 @@ def displace_at_random(probability, size, seed, number, lane, position):
     height = 2.0 * uniform(seed, number, lane + 1) - 1.0
     angle = 2.0 * math.pi * uniform(seed, number, lane + 2)
     level = math.sqrt(1.0 - height * height)
-    position[0] += size * level * math.cos(angle)
-    position[1] += size * level * math.sin(angle)
+    position[0] += size * level * elementary.cos(angle)
+    position[1] += size * level * elementary.sin(angle)
     position[2] += size * height

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import fill
 from hil.maths.limits import to_integer
 
@@ -46,7 +46,7 @@ def met_fraction(exponent, radius, distance, cosine):
     if not cosine > 0.0:
         return 0.0
     ratio = min(1.0, radius / distance)
-    return (1.0 - (1.0 - ratio * ratio) ** (0.5 * exponent + 1.0)) * cosine**exponent
+    return (1.0 - elementary.power(1.0 - ratio * ratio, 0.5 * exponent + 1.0)) * elementary.power(cosine, exponent)
 
 
 @kernel

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import scipy  # its parts are imported when they are used
-from scipy.special import ndtr, ndtri
 
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import Scenario
@@ -26,10 +25,13 @@ from hil.config.tables.dispersions import TABLES, FaultDispersion, Number, Sprea
 from hil.config.tables.faults import AXES
 from hil.core.messages import Array
 from hil.errors import BadInput, Problem
-from hil.maths.random_streams import MixedSeed, noise_source
+from hil.maths import linear
+from hil.maths.normals import Generator
+from hil.maths.random_streams import MixedSeed, generator_of, noise_source
+from hil.maths.special import normal_probabilities, normal_probability, normal_quantile
 
 _DESIGN, _CASE, _FAULT = 0, 1, 2
-_SMALLEST = 2.0**-40  # least distance of a unit point from 0 and 1, where the normal's inverse is infinite
+_SMALLEST = 1.0 / 2**40  # least distance of a unit point from 0 and 1, where the normal's inverse is infinite
 
 
 def case_seed(campaign_seed: int, case: int) -> int:
@@ -62,8 +64,8 @@ class DispersedComponent:
             return self.low + unit * (self.high - self.low)
         if self.sigma == 0.0:
             return min(self.high, max(self.low, self.centre))
-        below, above = ndtr((self.low - self.centre) / self.sigma), ndtr((self.high - self.centre) / self.sigma)
-        drawn = self.centre + self.sigma * float(ndtri(below + unit * (above - below)))
+        below, above = (normal_probability((edge - self.centre) / self.sigma) for edge in (self.low, self.high))
+        drawn = self.centre + self.sigma * normal_quantile(below + unit * (above - below))
         return min(self.high, max(self.low, drawn))
 
 
@@ -123,7 +125,7 @@ class Design:
         if unit is not None:
             unit = self._inside(unit)
         else:
-            unit = self._unit(case) if mixed is None else self._inside(ndtr(self.normals(mixed)))
+            unit = self._unit(case) if mixed is None else self._inside(normal_probabilities(self.normals(mixed)))
         return np.array([component.value(float(u)) for component, u in zip(self.components, unit, strict=True)])
 
     def normals(self, seed: int) -> Array:
@@ -169,7 +171,7 @@ class Design:
         elif settings.sampling == "sobol":
             unit = _sobol_point(self._seed, case, n)
         else:
-            unit = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_DESIGN, case))).random(n)
+            unit = generator_of(self._seed, (_DESIGN, case)).random(n)
         return self._inside(unit)
 
     @staticmethod
@@ -180,29 +182,34 @@ class Design:
 
 def drawn_fault(settings: FaultDispersion, thrusters: int, seed: np.random.SeedSequence) -> dict[str, Any] | None:
     """Return a table of ``[[faults]]``, drawn from the kinds of ``settings``; None for no fault."""
-    generator = np.random.default_rng(seed)
+    generator = Generator(np.random.PCG64(seed))
     if generator.random() >= settings.probability:
         return None
     weights = np.array([draw.weight for draw in settings.draw])
     draw = settings.draw[int(generator.choice(len(weights), p=weights / weights.sum()))]
     devices = {"thruster": [f"thruster.{i + 1}" for i in range(thrusters)], "axis": list(AXES)}
     device = str(generator.choice(devices.get(draw.device, [draw.device])))
-    table: dict[str, Any] = {"device": device, "kind": draw.kind, "at_s": float(generator.uniform(*draw.at_s))}
+    table: dict[str, Any] = {"device": device, "kind": draw.kind, "at_s": _uniform(generator, draw.at_s)}
     if draw.value is not None:
-        size = float(generator.uniform(*draw.value))
+        size = _uniform(generator, draw.value)
         if draw.term is not None and draw.term.values == 3:
             direction = generator.standard_normal(3)
-            table["value"] = [float(part) for part in size * direction / np.linalg.norm(direction)]
+            table["value"] = [float(part) for part in size * direction / linear.length(direction)]
         else:
             table["value"] = size
     if draw.lasting_s is not None:
-        table["until_s"] = table["at_s"] + float(generator.uniform(*draw.lasting_s))
+        table["until_s"] = table["at_s"] + _uniform(generator, draw.lasting_s)
     return table | {name: value for name in ("size_m", "sensor") if (value := getattr(draw, name)) is not None}
+
+
+def _uniform(generator: np.random.Generator, interval: tuple[float, float]) -> float:
+    low, high = interval
+    return low + (high - low) * float(generator.random())
 
 
 @lru_cache(maxsize=4)
 def _hypercube(seed: int, block: int, cases: int, n: int) -> Array:
-    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN, block)))
+    generator = generator_of(seed, (_DESIGN, block))
     points: Array = scipy.stats.qmc.LatinHypercube(n, rng=generator).random(cases)
     return points
 
@@ -212,7 +219,7 @@ _SOBOL_BLOCK = 64
 
 @lru_cache(maxsize=4)
 def _sobol_block(seed: int, block: int, n: int) -> Array:
-    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DESIGN,)))
+    generator = generator_of(seed, (_DESIGN,))
     engine = scipy.stats.qmc.Sobol(n, scramble=True, rng=generator)
     if block:
         engine.fast_forward(block * _SOBOL_BLOCK)

@@ -20,11 +20,13 @@ from itertools import islice
 from multiprocessing import parent_process
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
 from queue import Empty, SimpleQueue
 from types import ModuleType
 from typing import Any, Final, Protocol, Self
 
 from hil.core.child_process import die_with_parent
+from hil.core.surroundings import leave_process, prepare_worker_processes, remove_temporary_folders
 from hil.errors import BadInput, CampaignStopped
 from hil.monte_carlo.batch import Batch, Case, Rows, Spec, run_batch, worker_count
 from hil.monte_carlo.dispersions import case_seed
@@ -173,6 +175,7 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     """Return worker processes, forked from one that has imported what they need."""
     for library in ("OPENBLAS", "OMP", "MKL"):  # one core per worker; libraries already loaded are not affected
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    prepare_worker_processes()
     context = _WorkerContext()
     context.set_forkserver_preload(["hil.monte_carlo.engines"])
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_init_worker)
@@ -204,13 +207,14 @@ def _init_worker() -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent()
+    Finalize(None, remove_temporary_folders, exitpriority=0)
     if (campaign := parent_process()) is not None:
         threading.Thread(target=_end_with, args=(campaign,), name="campaign", daemon=True).start()
 
 
 def _end_with(campaign: BaseProcess) -> None:
     campaign.join()
-    os._exit(0)
+    leave_process(0)
 
 
 def died_row(spec: Spec, case: int) -> dict[str, Any]:

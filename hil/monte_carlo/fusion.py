@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, new
+from hil.core.surroundings import prepare_worker_processes
 from hil.errors import BadInput, Problem
 from hil.gnc.estimation.fusion import FUSION_STATE
 from hil.gnc.estimation.step_memory import new_memory
@@ -211,6 +212,7 @@ def run_fusion(
             parts.append(run_batch(settings, reading, seed, first, count))
             watch(first + count)
     else:
+        prepare_worker_processes()
         with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
             waiting = [pool.submit(run_batch, settings, reading, seed, first, count) for first, count in batches]
             done = 0

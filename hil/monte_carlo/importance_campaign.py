@@ -19,6 +19,8 @@ import numpy as np
 from hil.core.files import MIB, read_text
 from hil.core.messages import CYCLE, Array
 from hil.errors import BadInput
+from hil.maths import elementary
+from hil.maths.elementary import square
 from hil.maths.random_streams import MixedSeed
 from hil.monte_carlo import importance_density
 from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
@@ -95,7 +97,7 @@ class ImportanceSettings:
         if density is None:
             return rare | _result(np.zeros(0), np.zeros(0), event.level) | {"verdict": NO_DIRECTION}
         values = event.values(np.asarray(store.column(event.outcome), dtype=float))
-        weights = np.exp(np.asarray(store.column(importance_density.LOG_WEIGHT), dtype=float))
+        weights = elementary.each(elementary.exp, store.column(importance_density.LOG_WEIGHT))
         rare |= _result(values, weights, event.level) | {"distance": density.distance}
         rare["noise"] = importance_density.noise_drivers(density)
         failing = np.flatnonzero(values > event.level)
@@ -117,8 +119,8 @@ def _result(values: Array, weights: Array, level: float) -> dict[str, Any]:
     """Return the estimate from the cases' values and weights, by the keys of ``rare`` in ``summary.json``."""
     terms = np.where(values > level, weights, 0.0)
     found: dict[str, Any] = {"probability": None, "cov": None, "low": None, "high": None, "verdict": TOO_FEW_EFFECTIVE}
-    total, squares = float(terms.sum()), float(terms @ terms)
-    effective = total**2 / squares if squares else 0.0
+    total, squares = float(terms.sum()), float((terms * terms).sum())
+    effective = square(total) / squares if squares else 0.0
     if effective >= _LEAST_EFFECTIVE and terms.max() <= _LARGEST_PART * total:
         probability, cov = importance_estimate(terms)
         low, high = lognormal_interval(probability, cov)

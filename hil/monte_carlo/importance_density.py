@@ -16,10 +16,12 @@ from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
-from scipy.special import logsumexp
 
 from hil.core.messages import Array
-from hil.maths.random_streams import MixedSeed
+from hil.maths import elementary, linear
+from hil.maths.elementary import square
+from hil.maths.random_streams import MixedSeed, generator_of
+from hil.maths.special import log_sum_exp
 from hil.monte_carlo.dispersions import case_seed
 
 LOG_WEIGHT: Final = "log_weight"
@@ -82,11 +84,11 @@ class ImportanceDensity:
     @property
     def distance(self) -> float:
         """Norm of the means, in standard deviations."""
-        return math.sqrt(sum(float((mean**2).sum()) for mean in self.means.values()))
+        return math.sqrt(linear.total(float(square(mean).sum()) for mean in self.means.values()))
 
     def seed(self, campaign_seed: int, case: int) -> MixedSeed:
         """Return the seed of a case: its number determines time and sign of its means."""
-        generator = np.random.default_rng(np.random.SeedSequence(campaign_seed, spawn_key=(_COMPONENT, case)))
+        generator = generator_of(campaign_seed, (_COMPONENT, case))
         fresh = MixedSeed.fresh(case_seed(campaign_seed, case))
         nominal, at, sign = (
             generator.random() < _NOMINAL,
@@ -117,15 +119,17 @@ class ImportanceDensity:
         products, squares = np.zeros(self.blocks), np.zeros(self.blocks)
         for name, mean in self.means.items():
             for channel in np.flatnonzero(mean.any(axis=0)):
-                products += np.convolve(normals[name][: self.blocks, channel], mean[:, channel])[: self.blocks]
+                leads, rows = mean[:, channel], normals[name][: self.blocks, channel]
+                for lead in range(min(len(leads), self.blocks)):
+                    products[lead:] += leads[lead] * rows[: self.blocks - lead]
             power = np.zeros(self.blocks)
-            power[: len(mean)] = (mean**2).sum(axis=1)[: self.blocks]
+            power[: len(mean)] = square(mean).sum(axis=1)[: self.blocks]
             squares += np.cumsum(power)
         products, squares = products[self.first :], squares[self.first :]
-        own = self.dispersions @ dispersions - 0.5 * float(self.dispersions @ self.dispersions)
+        own = float((self.dispersions * dispersions).sum()) - 0.5 * float((self.dispersions * self.dispersions).sum())
         exponents = np.concatenate([products, -products]) + own - 0.5 * np.tile(squares, 2)
-        shifted = float(logsumexp(exponents)) + math.log((1.0 - _NOMINAL) / len(exponents))
-        return -float(np.logaddexp(shifted, math.log(_NOMINAL)))
+        shifted = log_sum_exp(exponents) + elementary.log((1.0 - _NOMINAL) / len(exponents))
+        return -log_sum_exp(np.array([shifted, elementary.log(_NOMINAL)]))
 
 
 def block_length_s(rates_hz: Mapping[str, float]) -> float:
@@ -156,7 +160,7 @@ def fitted_density(
     peaks = pilot.peaks[np.sort(largest)]
     leads = round(LEAD_S / block_s)
     means = {name: _means(normals, peaks, level, leads) for name, normals in pilot.normals.items()}
-    power = sum(float((mean**2).sum()) for mean in means.values())
+    power = linear.total(float(square(mean).sum()) for mean in means.values())
     if power == 0.0:
         return None
     blocks = next(iter(pilot.normals.values())).shape[1]
@@ -174,11 +178,12 @@ def _means(normals: Array, peaks: Array, level: float, leads: int) -> Array:
         before = normals[int(case), max(0, int(block) + 1 - leads) : int(block) + 1][::-1]
         row[: len(before)] = before
     value = peaks[:, 2]
-    per_unit = np.tensordot(value, aligned, axes=1) / (value @ value)
+    power = float((value * value).sum())
+    per_unit = (value[:, None, None] * aligned).sum(axis=0) / power
     scatter = np.zeros((len(normals), leads, width))
     np.add.at(scatter, peaks[:, 0].astype(int), value[:, None, None] * (aligned - value[:, None, None] * per_unit))
-    noise = (scatter**2).sum(axis=(0, 1)) / (value @ value) ** 2
-    signal = np.maximum(0.0, 1.0 - noise / (per_unit**2).sum(axis=0))
+    noise = square(scatter).sum(axis=(0, 1)) / (power * power)
+    signal = np.maximum(0.0, 1.0 - noise / square(per_unit).sum(axis=0))
     found: Array = level * per_unit * np.where(signal < _LEAST_SIGNAL, 0.0, signal)
     return found
 
@@ -196,12 +201,13 @@ def _dispersion_means(pilot: PilotCases, power: float) -> Array:
     if d == 0 or np.count_nonzero(known) < 2 * d:
         return np.zeros(d)
     matrix = np.column_stack([np.ones(np.count_nonzero(known)), pilot.dispersions[known]])
-    inverse = np.linalg.inv(matrix.T @ matrix)
-    slopes = inverse @ (matrix.T @ np.log(largest[known]))
-    residual = np.log(largest[known]) - matrix @ slopes
-    sigmas = np.sqrt(residual @ residual / (len(residual) - d - 1) * np.diag(inverse))
+    inverse = linear.inverse(linear.product(matrix.T, matrix))
+    logarithms = elementary.each(elementary.log, largest[known])
+    slopes = linear.product(inverse, linear.product(matrix.T, logarithms))
+    residual = logarithms - linear.product(matrix, slopes)
+    sigmas = np.sqrt((residual * residual).sum() / (len(residual) - d - 1) * np.diag(inverse))
     slope = np.where(np.abs(slopes) > _LEAST_SIGMAS * sigmas, slopes, 0.0)[1:]
-    found: Array = power * slope / (1.0 + 2.0 * power * float(slope @ slope))
+    found: Array = power * slope / (1.0 + 2.0 * power * float((slope * slope).sum()))
     return found
 
 
@@ -213,15 +219,15 @@ def noise_drivers(density: ImportanceDensity) -> list[dict[str, Any]]:
     is too small for that.
     """
     power = {
-        names[channel]: float((mean[:, channel] ** 2).sum())
+        names[channel]: float(square(mean[:, channel]).sum())
         for source, mean in density.means.items()
         for names in (CHANNELS[source],)
         for channel in np.flatnonzero(mean.any(axis=0))
     }
-    total = sum(power.values())
-    lost = 1.0 - 1.0 / (1.0 + 2.0 * math.log(2.0) / total)  # part of the variance without which it is halved
+    total = linear.total(power.values())
+    lost = 1.0 - 1.0 / (1.0 + 2.0 * elementary.log(2.0) / total)  # part of the variance without which it is halved
     rows = []
     for name, own in sorted(power.items(), key=lambda item: -item[1]):
-        square = 1.0 - lost * total / own
-        rows.append({"noise": name, "part": own / total, "halved_by": math.sqrt(square) if square > 0.0 else None})
+        kept = 1.0 - lost * total / own
+        rows.append({"noise": name, "part": own / total, "halved_by": math.sqrt(kept) if kept > 0.0 else None})
     return rows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -17,6 +16,7 @@ from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_cycles import COMPLETED as COMPLETED_CODE
 from hil.loop.compiled.run_stats import SETTLED
 from hil.loop.runner import COMPLETED
+from hil.maths import linear
 from hil.maths.limits import finite_or_none
 from hil.params.ready import ROW_NAMES
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
@@ -201,7 +201,7 @@ def _fault(truth: Scenario, stats: np.record) -> dict[str, Any]:
         "fault_device": fault.device,
         "fault_kind": fault.kind,
         "fault_at_s": fault.at_s,
-        "fault_size": math.hypot(*fault.values) if fault.values else None,
+        "fault_size": linear.length(fault.values) if fault.values else None,
     }
 
 

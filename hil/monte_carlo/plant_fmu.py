@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GncState
 from hil.core.kernel_library import whole_module
 from hil.core.messages import CYCLE
+from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, Problem
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import Model, ModelVariable, build
@@ -90,7 +90,7 @@ def export_plant(case: PlantCase, version: int, out: Path) -> None:
     runner = CaseRunner(scenario, case.rig, case.duration_s)
     prepared = runner.prepared(case.truth.model_copy(update={"monitor": alone["monitor"]}), case.seed)
     arguments = dict(zip(_PARTS, prepared, strict=False))
-    with tempfile.TemporaryDirectory(prefix="hil-fmu-") as name:
+    with temporary_folder("fmu") as name:
         folder = Path(name)
         loop = _loop_module(prepared)
         (folder / "loop.o").write_bytes(_machine_code(loop))

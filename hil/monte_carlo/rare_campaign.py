@@ -16,10 +16,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from scipy.special import ndtr
 
 from hil.core.messages import Array
+from hil.maths import elementary, linear
+from hil.maths.elementary import square
 from hil.maths.random_streams import MixedSeed
+from hil.maths.special import normal_probabilities
 from hil.monte_carlo import rare_events
 from hil.monte_carlo.campaign import CampaignJob, Progress, Watch, write_summary
 from hil.monte_carlo.dispersions import case_seed
@@ -172,7 +174,7 @@ class RareCampaign:
         if not design.names or not len(estimate.samples):
             return []
         normals = np.array([design.normals(self._seeds[int(number)]) for number in estimate.samples])
-        mean = estimate.weights @ normals
+        mean = linear.product(estimate.weights, normals)
         rows = [
             {
                 "dispersion": component.name,
@@ -191,10 +193,12 @@ def halving_factor(normals: Array, weights: Array, uniform: bool) -> float | Non
     is uniform, and its interval shrinks about the middle. The samples are weighted by the ratio of both densities.
     """
     factors = np.linspace(1.0, _LEAST_FACTOR, _FACTORS)
-    away = np.abs(2.0 * ndtr(normals) - 1.0) if uniform else 0.5 * normals**2
+    away = np.abs(2.0 * normal_probabilities(normals) - 1.0) if uniform else 0.5 * square(normals)
     for factor in factors[1:]:
-        ratio = (away <= factor) if uniform else np.exp(-away * (factor**-2.0 - 1.0))
-        if float(weights @ ratio) <= 0.5 * factor:
+        ratio = (
+            (away <= factor) if uniform else elementary.each(elementary.exp, -away * (1.0 / (factor * factor) - 1.0))
+        )
+        if float((weights * ratio).sum()) <= 0.5 * factor:
             return float(factor)
     return None
 

@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.stats import norm
 
 from hil.core.messages import Array
 from hil.errors import BadInput
-from hil.maths.random_streams import MixedSeed
+from hil.maths import elementary
+from hil.maths.random_streams import MixedSeed, generator_of
+from hil.maths.special import normal_quantile
 from hil.monte_carlo.dispersions import case_seed
 from hil.monte_carlo.outcome import NUMERIC
 from hil.monte_carlo.statistics import CONFIDENCE
@@ -116,8 +117,8 @@ Method = Generator[list[NormalPoint], Array, Estimate]
 
 def lognormal_interval(probability: float, cov: float) -> tuple[float, float]:
     """Return the interval of ``CONFIDENCE`` of an estimate whose logarithm is normally distributed."""
-    width = float(norm.ppf(0.5 * (1.0 + CONFIDENCE))) * math.sqrt(math.log1p(cov * cov))
-    return probability * math.exp(-width), min(1.0, probability * math.exp(width))
+    width = normal_quantile(0.5 * (1.0 + CONFIDENCE)) * math.sqrt(elementary.log1p(cov * cov))
+    return probability * elementary.exp(-width), min(1.0, probability * elementary.exp(width))
 
 
 def chain_correlation(indicator: np.ndarray) -> float:
@@ -144,13 +145,13 @@ def families_cov(shares: Array, size: int, levels: int) -> float:
     A. Lee, N. Whiteley, Biometrika 105 (2018) 609-625. shares: parts of the samples, (n,), that descend from the same
     point of the first level; size: of each level.
     """
-    growth = (size / (size - 1.0)) ** levels
-    return math.sqrt(max(0.0, 1.0 - growth * (1.0 - float(shares @ shares))))
+    growth = elementary.exp(-levels * elementary.log1p(-1.0 / size))
+    return math.sqrt(max(0.0, 1.0 - growth * (1.0 - float((shares * shares).sum()))))
 
 
 def method_generator(seed: int, level: int) -> np.random.Generator:
     """Return the generator of the choices that a method makes in ``level``."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_METHOD, level)))
+    return generator_of(seed, (_METHOD, level))
 
 
 def mixed_seeds(campaign_seed: int, points: Sequence[NormalPoint], known: dict[int, MixedSeed]) -> dict[int, MixedSeed]:

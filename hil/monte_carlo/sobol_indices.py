@@ -23,7 +23,7 @@ def sobol_point(campaign_seed: int, case: int, d: int) -> tuple[Array, MixedSeed
     """Return the point of ``case`` in the unit cube of ``d`` dispersed numbers, (d,), and the seed of its noise."""
     row, place = divmod(case, d + 3)
     sequence = np.random.SeedSequence(campaign_seed, spawn_key=(_ROW, row))
-    a, b = np.random.default_rng(sequence).random((2, d))
+    a, b = np.random.Generator(np.random.PCG64(sequence)).random((2, d))
     seeds = sequence.generate_state(2, np.uint64) >> np.uint64(1)
     of_b = np.full(d + 1, place == 1)
     if place >= 2:

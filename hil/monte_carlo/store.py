@@ -8,7 +8,6 @@ one that is damaged, of another campaign or in the place of another one is run a
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from hil.core.files import CONFIG_BYTES, MIB, check_regular, parse_json, read_text
+from hil.core.surroundings import lock
 from hil.errors import BadInput, CampaignStopped, one_line
 from hil.monte_carlo.outcome import COUNTS, FLAGS, MARGINS, NUMBERS, TEXTS
 
@@ -91,7 +91,7 @@ class Store:
             if not manifest.is_file() and self.folder.is_dir() and any(map(_is_unknown, self.folder.iterdir())):
                 raise BadInput.single("--out", "", f"{self.folder}: is not empty and holds no campaign")
             self.folder.mkdir(parents=True, exist_ok=True)
-            self.close = weakref.finalize(self, os.close, _locked(self.folder / _LOCK))
+            self.close = weakref.finalize(self, os.close, self._locked(self.folder / _LOCK))
             if manifest.is_file():
                 self._check(manifest, identity)
             with atomic_write(manifest) as partial:
@@ -104,6 +104,20 @@ class Store:
         except OSError as error:
             _stop_if_full(error, self.folder)
             raise
+
+    def _locked(self, path: Path) -> int:
+        """Return the descriptor of the file at ``path``, locked until it is closed; raise BadInput if it is in use."""
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            if not lock(descriptor):
+                self._warn(f"{path.parent}: its file system has no locks: start no other campaign in it")
+        except OSError as error:
+            os.close(descriptor)
+            if not isinstance(error, BlockingIOError):
+                raise
+            text = f"{path.parent}: another campaign is running in it, give another folder or wait"
+            raise BadInput.single("--out", "", text) from error
+        return descriptor
 
     def __enter__(self) -> Self:
         return self
@@ -256,21 +270,6 @@ def _stop_if_full(error: OSError, folder: Path) -> None:
 
 def _is_unknown(path: Path) -> bool:
     return path.suffix != ".part" and path.name != _LOCK
-
-
-def _locked(path: Path) -> int:
-    """Return the descriptor of the file at ``path``, locked until it is closed; raise BadInput if it is in use."""
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(descriptor)
-        text = f"{path.parent}: another campaign is running in it, give another folder or wait"
-        raise BadInput.single("--out", "", text) from error
-    except OSError:
-        os.close(descriptor)
-        raise
-    return descriptor
 
 
 def _listed(identity: dict[str, Any], keys: Iterable[str]) -> str:

@@ -18,6 +18,8 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array
+from hil.maths import elementary, linear
+from hil.maths.elementary import square
 from hil.monte_carlo.rare_events import (
     ALWAYS,
     ESTIMATED,
@@ -46,12 +48,12 @@ _FIRST_SCALE: Final = 0.6
 class AdaptiveScale:
     """Scale of the chains' moves, adapted to an acceptance of ``ACCEPTANCE``."""
 
-    log_scale: float = math.log(_FIRST_SCALE)
+    log_scale: float = elementary.log(_FIRST_SCALE)
 
     @property
     def value(self) -> float:
         """The scale, at most 1."""
-        return min(1.0, math.exp(self.log_scale))
+        return min(1.0, elementary.exp(self.log_scale))
 
     def update(self, acceptance: float, step: int) -> None:
         """Adapt to the acceptance of step number ``step`` of a level, from 1."""
@@ -137,7 +139,7 @@ def _estimate(
     probability = math.prod(level.fraction for level in levels)
     _, counts = np.unique(samples.ancestors[met], return_counts=True)
     shares = counts / counts.sum()
-    cov = math.sqrt(sum(level.cov**2 for level in levels))
+    cov = math.sqrt(linear.total(square(level.cov) for level in levels))
     if bound is None:
         rate = wilson(int(np.count_nonzero(met)), met.size)
         low, high = float(rate["low"]), float(rate["high"])
@@ -156,7 +158,7 @@ def _without(
     """Return the estimate of an event that was not reached: an upper limit."""
     met = samples.values > threshold
     reached = math.prod(level.fraction for level in levels)
-    cov = math.sqrt(sum(level.cov**2 for level in levels))
+    cov = math.sqrt(linear.total(square(level.cov) for level in levels))
     if verdict == STUCK:
         reached *= float(wilson(int(np.count_nonzero(met)), met.size)["high"])
     upper = lognormal_interval(reached, cov)[1] if levels else reached

@@ -17,6 +17,7 @@ from hil.config.scenario import Scenario
 from hil.config.tables.bench_scale import FULL_SCALE, BenchScale
 from hil.config.tables.guard import BenchBody, SpacecraftBody
 from hil.core.messages import new
+from hil.maths import linear
 from hil.models.bodies import BODIES
 
 
@@ -33,8 +34,8 @@ def bodies(
         found.number[k], found.vertices[k], found.radius[k] = number, len(points), body.radius_m
         found.vertex[k, : len(points)] = points
         found.centre[k] = centre
-        found.reach[k] = body.radius_m + np.linalg.norm(points - centre, axis=1).max()
-        found.arm[k] = body.radius_m + np.linalg.norm(points, axis=1).max()
+        found.reach[k] = body.radius_m + linear.lengths(points - centre).max()
+        found.arm[k] = body.radius_m + linear.lengths(points).max()
         found.low = np.minimum(found.low, points.min(axis=0) - body.radius_m)
         found.high = np.maximum(found.high, points.max(axis=0) + body.radius_m)
         found.farthest = max(float(found.farthest), float(found.arm[k]))
@@ -124,7 +125,7 @@ def axis_guard(rig: Rig, scenario: Scenario) -> np.record:
     guard.homed, guard.zone = 1, keep_out_zone(scenario)
     if rig.rotated_target is not None or not rig.guard.enabled:
         guard.zone.radius, guard.zone.plane = 0.0, -math.inf
-    guard.arm, guard.arm_length = axes.lever_arm, np.linalg.norm(axes.lever_arm)
+    guard.arm, guard.arm_length = axes.lever_arm, linear.length(axes.lever_arm)
     guard.carriage, guard.lab = bodies(geometry.bodies, "carriage"), bodies(geometry.bodies, "lab")
     guard.turntable = bodies(geometry.bodies, "turntable", geometry.lever_arm_m)
     guard.distance, guard.reaction_s = geometry.bodies_distance_m, rig.guard.reaction_s
@@ -148,7 +149,7 @@ def bench_guard(rig: Rig, scenario: Scenario) -> np.record:
     )
     params.distance = scenario.keep_out.distance_m
     params.turning_deceleration = axes.acceleration_max[3:].min()
-    params.arm = np.linalg.norm(axes.lever_arm)
+    params.arm = linear.length(axes.lever_arm)
     params.position_max, params.attitude_max = config.pose_error_max_m, math.radians(config.pose_error_max_deg)
     params.pose_per_speed_s, params.pose_cycles = config.pose_error_per_speed_s, config.pose_error_cycles
     params.limited_max = max(1, round(config.limited_max_s / axes.dt_s))

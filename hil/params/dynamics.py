@@ -21,7 +21,8 @@ from hil.dynamics.solar_pressure import SOLAR_PRESSURE_PA
 from hil.dynamics.thrusters import DRAWS_PER_THRUSTER, STANDARD_GRAVITY_MPS2, as_built
 from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.errors import BadInput, Problem
-from hil.maths import euler, quat
+from hil.maths import elementary, euler, linear, quat
+from hil.maths.elementary import square
 from hil.params.faults import fault_rows, imu_errors, plume, thruster_errors
 from hil.params.target import start_attitude, target_attitude
 
@@ -55,7 +56,8 @@ def orbit_rate(scenario: Scenario) -> float:
 
 def mean_motion(target: Orbit) -> float:
     """Return the mean orbital rate of ``target`` about a point mass, rad/s."""
-    return math.sqrt(central_body(target).gm_m3ps2 / semi_major_axis_m(target) ** 3)
+    a_m = semi_major_axis_m(target)
+    return math.sqrt(central_body(target).gm_m3ps2 / (a_m * a_m * a_m))
 
 
 def gravity(scenario: Scenario) -> GravityField:
@@ -90,7 +92,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     params.relative_motion = HILL if scenario.truth.relative_motion == "hill" else NONLINEAR
     params.orbit_rate = orbit_rate(scenario)
     params.inertia = np.array(scenario.chaser.inertia_kg_m2)
-    params.inertia_inverse = np.linalg.inv(params.inertia)
+    params.inertia_inverse = linear.inverse(params.inertia)
     params.mass_centre = scenario.truth.centre_of_mass_offset_m
     params.mass_loss = scenario.truth.mass_loss
     params.gravity_gradient = scenario.truth.gravity_gradient
@@ -107,7 +109,7 @@ def dss(scenario: Scenario, thruster_draws: Array | None = None, seed: int = 0) 
     if scenario.chaser.solar_array is not None:
         _set_array(params, scenario, scenario.chaser.solar_array)
     gyration = np.array(scenario.chaser.propellant_gyration_m)
-    params.mass.full_kg, params.mass.gyration_squared = scenario.chaser.mass_kg, gyration**2
+    params.mass.full_kg, params.mass.gyration_squared = scenario.chaser.mass_kg, square(gyration)
     params.mass.varies = gyration.any() or (params.flexible_array and params.modes.moves)
     return params
 
@@ -156,13 +158,13 @@ def _set_gravity(params: np.record, scenario: Scenario) -> None:
 def sun_direction(scenario: Scenario) -> Array:
     """Return the inertial unit vector to the Sun, (3,)."""
     sun: Array = np.array(scenario.truth.sun_direction)
-    return sun / np.linalg.norm(sun)
+    return sun / linear.length(sun)
 
 
 def _set_sun(params: np.record, scenario: Scenario) -> None:
     body = central_body(scenario.orbit)
     params.sun_I = sun_direction(scenario)
-    params.sun_angle = math.asin(SUN_RADIUS_M / (body.sun_distance_au * ASTRONOMICAL_UNIT_M))
+    params.sun_angle = elementary.asin(SUN_RADIUS_M / (body.sun_distance_au * ASTRONOMICAL_UNIT_M))
     params.shadow_radius = body.radius_m
 
 
@@ -183,16 +185,16 @@ def _set_orbit_forces(params: np.record, scenario: Scenario) -> None:
         for k, other in enumerate(body.third_bodies):
             direction = np.array(truth.sun_direction if other.direction is None else other.direction)
             params.body_gm[k] = other.gm_km3ps2 * 1e9
-            params.body_position[k] = other.distance_km * 1e3 * direction / np.linalg.norm(direction)
-            params.body_pole[k] = np.array(other.pole) / np.linalg.norm(other.pole)
+            params.body_position[k] = other.distance_km * 1e3 * direction / linear.length(direction)
+            params.body_pole[k] = np.array(other.pole) / linear.length(other.pole)
             params.body_rate[k] = 2.0 * math.pi / (other.period_d * 86400.0)
     params.acts = params.layers > 0 or params.bodies > 0
 
 
 def _set_array(params: np.record, scenario: Scenario, array: SolarArray) -> None:
     params.plate.area = array.area_m2
-    params.plate.pressure = SOLAR_PRESSURE_PA / central_body(scenario.orbit).sun_distance_au ** 2
-    params.plate.normal = np.array(array.normal) / np.linalg.norm(array.normal)
+    params.plate.pressure = SOLAR_PRESSURE_PA / square(central_body(scenario.orbit).sun_distance_au)
+    params.plate.normal = np.array(array.normal) / linear.length(array.normal)
     params.plate.arm = np.array(array.centre_m) - params.mass_centre
     params.plate.specular = array.specular
     params.plate.diffuse = array.diffuse
@@ -200,7 +202,7 @@ def _set_array(params: np.record, scenario: Scenario, array: SolarArray) -> None
     rigid = np.array(params.inertia)
     for coupling in params.modes.coupling[: params.modes.n]:
         rigid -= np.outer(coupling, coupling)
-    params.modes.inertia_inverse = np.linalg.inv(rigid)
+    params.modes.inertia_inverse = linear.inverse(rigid)
 
 
 def bending_modes(array: SolarArray) -> tuple[BendingMode, ...]:

@@ -11,6 +11,8 @@ from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array, new
 from hil.errors import BadInput
 from hil.gnc.estimation.error_state import ERROR_STATE, ERRORS_MAX, FILTER_ERRORS, LANES, PARAMETER_BLOCKS, BlockMotion
+from hil.maths import elementary
+from hil.maths.elementary import square
 from hil.params.sensors import SensorErrorState, error_states
 
 
@@ -61,22 +63,22 @@ def error_state(scenario: Scenario) -> np.record:
             raise BadInput.single(scenario.name, "gnc.navigation.budget", text)
         here = slice(n, n + size)
         params[block.name] = n
-        params.variance[here] = sigmas[block.name] ** 2
+        params.variance[here] = square(sigmas[block.name])
         params.estimated[here] = block.estimated
         if block.name == "sensor_errors":
-            params.kept[here] = [math.exp(-scenario.sample_s / error.time_s) for error in of_sensors]
+            params.kept[here] = [elementary.exp(-scenario.sample_s / error.time_s) for error in of_sensors]
             params.moves = params.moves or any(math.isfinite(error.time_s) for error in of_sensors)
         elif block.motion is BlockMotion.MARKOV:
-            params.kept[here], params.moves = math.exp(-scenario.sample_s / times_s[block.name]), 1
+            params.kept[here], params.moves = elementary.exp(-scenario.sample_s / times_s[block.name]), 1
         if block.name.startswith(("disturbance", "thrust", "gyro", "accelerometer")) and params.imu == 0:
             params.imu = n
         n += size
     params.n, params.lanes = n, next(lanes for lanes in (16, 24, 32, 40, LANES) if lanes >= n)
     params.imu = params.imu or n
-    params.target_walk = math.radians(scenario.gnc.target.rate_walk_degps) ** 2 * scenario.sample_s / 60.0
+    params.target_walk = square(math.radians(scenario.gnc.target.rate_walk_degps)) * scenario.sample_s / 60.0
     params.fraction = given.vision_correlated_fraction
-    params.bench_variance = given.bench_sigma_m**2, math.radians(given.bench_sigma_deg) ** 2
+    params.bench_variance = square(given.bench_sigma_m), square(math.radians(given.bench_sigma_deg))
     # of the logarithm of the variance
-    params.noise_variance, params.noise_window = (2.0 * given.vision_noise_scale_sigma) ** 2, given.vision_noise_window
+    params.noise_variance, params.noise_window = square(2.0 * given.vision_noise_scale_sigma), given.vision_noise_window
     params.camera_position, params.ring_position = given.camera_position_m, given.led_ring_position_m
     return params

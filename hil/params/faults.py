@@ -14,7 +14,7 @@ from hil.core.messages import Array, new
 from hil.dynamics import imu_faults, target_faults, thruster_faults
 from hil.dynamics.imu_errors import IMU_ERRORS
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
-from hil.maths import quat
+from hil.maths import elementary, linear, quat
 from hil.models import axis_faults
 from hil.models.faults import AT, AT_ARRIVAL, FAULTS, KIND, NUMBER, OPTION, SEED_BITS, SIZE, UNTIL, VALUE
 from hil.models.plume import PLUME_PARAMS
@@ -82,7 +82,7 @@ def imu_errors(scenario: Scenario, seed: int = 0) -> np.record:
     params.accelerometer_gain = _gain(given.accelerometer_scale_error, given.accelerometer_misalignment_deg)
     params.sigma_instability = math.radians(given.gyro_instability_degps), given.accelerometer_instability_mps2
     times = np.array([given.gyro_instability_time_s, given.accelerometer_instability_time_s])
-    params.kept = np.exp(-scenario.sample_s / times)
+    params.kept = elementary.each(elementary.exp, -scenario.sample_s / times)
     params.quantum = math.radians(given.gyro_quantum_degps), given.accelerometer_quantum_mps2
     params.lever_arm = given.lever_arm_m
     sizes = (params.gyro_gain, params.accelerometer_gain, params.sigma_instability, params.quantum, params.lever_arm)
@@ -119,5 +119,5 @@ def _gain(scale_error: Triple, misalignment_deg: Triple) -> Array:
     if not any(scale_error) and not any(misalignment_deg):
         return np.zeros((3, 3))
     axes = quat.to_matrix(quat.from_rotation_vector(np.radians(misalignment_deg)))
-    gain: Array = np.diag(1.0 + np.array(scale_error)) @ axes - np.eye(3)
+    gain: Array = linear.product(np.diag(1.0 + np.array(scale_error)), axes) - np.eye(3)
     return gain

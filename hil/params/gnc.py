@@ -30,7 +30,8 @@ from hil.gnc.guidance import APPROACH, ARC, FINAL, GUIDANCE_PARAMS, HOLD, LINE, 
 from hil.gnc.reactions import REACTION_PARAMS
 from hil.gnc.step import GNC_PARAMS
 from hil.gnc.thruster_monitor import THRUSTER_MONITOR_PARAMS
-from hil.maths import chi_square, euler, quat
+from hil.maths import chi_square, elementary, euler, linear, quat
+from hil.maths.elementary import square
 from hil.maths.kepler import mean_anomaly
 from hil.params.bench import bodies as bodies_on
 from hil.params.control_rule import control_rule
@@ -165,10 +166,10 @@ def _thrust_model(scenario: Scenario) -> np.record:
     params.n, params.dt_s, params.minimum_on_s = len(accelerations), dt_s, thrusters.minimum_on_s
     params.force[: params.n], params.torque[: params.n] = accelerations[:, :3], accelerations[:, 3:]
     params.settle = math.ceil(given.settle_s / dt_s - 1e-9)
-    params.variance = given.velocity_noise_mps**2 / dt_s
+    params.variance = square(given.velocity_noise_mps) / dt_s
     params.fraction, params.measured_fraction = given.scale_sigma, _MEASURED_FRACTION
     params.walk = given.disturbance_walk_mps2 * math.sqrt(dt_s / 60.0)
-    params.rate_variance = math.radians(given.rate_noise_degps) ** 2 * dt_s
+    params.rate_variance = square(math.radians(given.rate_noise_degps)) * dt_s
     params.window = min(max(1, round(_QUIET_WINDOW_S / dt_s)), scenario.memory_steps)
     params.gate = _QUIET_SIGMAS
     params.witness = _torque_witness(accelerations, params, scenario.gnc.pkf.accelerometer_noise_mps2)
@@ -178,7 +179,7 @@ def _thrust_model(scenario: Scenario) -> np.record:
 def _torque_witness(accelerations: Array, thrust: np.record, accelerometer_noise_mps2: float) -> np.record:
     """Return TORQUE_PARAMS. accelerations: of the thrusters, (n, 6). thrust: THRUST_PARAMS."""
     params = new(TORQUE_PARAMS)
-    sizes = [(float(np.linalg.norm(row[:3])), float(np.linalg.norm(row[3:]))) for row in accelerations]
+    sizes = [(linear.length(row[:3]), linear.length(row[3:])) for row in accelerations]
     dt_s = float(thrust.dt_s)
     params.weight, params.delay = dt_s / _TORQUE_MEAN_S, round(STAGES * _TORQUE_MEAN_S / dt_s)
     params.limit, params.bending, params.turning = math.inf, _BENDING, _UNKNOWN_INERTIA
@@ -229,8 +230,8 @@ def thruster_monitor(scenario: Scenario) -> np.record:
     params, thrusters = new(THRUSTER_MONITOR_PARAMS), scenario.chaser.thrusters
     params.n, params.dt_s, params.minimum_on_s = len(thrusters.position_m), scenario.step_s, thrusters.minimum_on_s
     accelerations = _accelerations(scenario.chaser)
-    params.force_unit = float(np.linalg.norm(accelerations[:, :3], axis=1).max())
-    params.torque_unit = max(float(np.linalg.norm(accelerations[:, 3:], axis=1).max()), _TORQUE_MIN)
+    params.force_unit = float(linear.lengths(accelerations[:, :3]).max())
+    params.torque_unit = max(float(linear.lengths(accelerations[:, 3:]).max()), _TORQUE_MIN)
     units = np.repeat([params.force_unit, params.torque_unit], 3).astype(float)
     params.signature[: params.n] = accelerations / units
     signature = params.signature
@@ -252,9 +253,7 @@ def _accelerations(chaser: Chaser) -> Array:
         np.array(thrusters.direction),
         np.full(len(thrusters.position_m), thrusters.force_n),
     )
-    return np.hstack(
-        [wrenches[:, :3] / chaser.mass_kg, np.linalg.solve(np.array(chaser.inertia_kg_m2), wrenches[:, 3:].T).T]
-    )
+    return np.hstack([wrenches[:, :3] / chaser.mass_kg, linear.solve(chaser.inertia_kg_m2, wrenches[:, 3:].T).T])
 
 
 def largest_accelerations(chaser: Chaser) -> tuple[float, float]:
@@ -346,7 +345,7 @@ def guidance(scenario: Scenario) -> np.record:
     params.clear_range = max(scenario.keep_out.radius_m, apart)
     params.orbit = target_orbit(scenario)
     params.axis = scenario.gnc.corridor.axis
-    axial_start = float(np.dot(scenario.initial.position_m, params.axis))
+    axial_start = float(linear.product(scenario.initial.position_m, params.axis))
     # no farther out than the start, which the bench is known to reach
     params.abort_distance = min(abort.hold_distance_m, max(0.0, axial_start))
     params.abort_speed = abort.speed_mps
@@ -359,12 +358,12 @@ def approach_monitor(scenario: Scenario) -> np.record:
     """Return APPROACH_MONITOR_PARAMS."""
     params = new(APPROACH_MONITOR_PARAMS)
     corridor, wanted = scenario.gnc.corridor, scenario.requirements
-    params.cone = math.tan(math.radians(corridor.half_angle_deg))
+    params.cone = elementary.tan(math.radians(corridor.half_angle_deg))
     params.minimum_radius = corridor.minimum_radius_m
     params.closing_floor = corridor.closing_rate_mps
     params.closing_slope = corridor.closing_rate_slope_per_s
     params.closing_greatest = corridor.closing_rate_max_mps
-    params.floor_range = math.hypot(*scenario.gnc.guidance.ready_point_m)
+    params.floor_range = linear.length(scenario.gnc.guidance.ready_point_m)
     params.confidence = corridor.confidence
     params.persistence = max(1, round(corridor.persistence_s / scenario.step_s))
     alert = scenario.integrity
@@ -386,8 +385,8 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.level_sigmas = protection_sigmas(scenario)
     # the built-in navigation watches innovations every 45 deg between the axes
     watches = scenario.gnc.navigation.backend in config.BUILT_IN["navigation"]
-    params.across_share = 1.0 / math.cos(math.pi / 8.0) if watches else math.sqrt(2.0)
-    params.across_sigmas = math.sqrt(-2.0 * math.log(_level_tail(scenario)))
+    params.across_share = 1.0 / elementary.cos(math.pi / 8.0) if watches else math.sqrt(2.0)
+    params.across_sigmas = math.sqrt(-2.0 * elementary.log(_level_tail(scenario)))
     params.go_sigmas = math.sqrt(chi_square.upper_quantile(scenario.gnc.integrity.go_risk_probability, 1))
     params.go_fraction = scenario.gnc.integrity.go_fraction
     return params

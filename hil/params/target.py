@@ -16,7 +16,9 @@ from hil.dynamics.target_attitude import (
     TUMBLE,
     add_limit_cycle,
 )
-from hil.maths import euler, quat
+from hil.maths import elementary, euler, linear, quat
+from hil.maths.elementary import square
+from hil.maths.elliptic import first_kind
 from hil.models import rotating_frame
 from hil.models.rotating_frame import euler_acceleration
 
@@ -60,7 +62,7 @@ def known_rate(scenario: Scenario) -> Array:
 def inertia(target: MovingTarget) -> Array:
     """Return the inertia (3, 3) of the target's body, kg m^2, in its axes."""
     axes = quat.to_matrix(principal_axes(target))
-    found: Array = axes.T @ np.diag(target.moments_kg_m2) @ axes
+    found: Array = linear.product(linear.product(axes.T, np.diag(target.moments_kg_m2)), axes)
     return found
 
 
@@ -71,17 +73,15 @@ def tumble(target: MovingTarget, rate: Array) -> np.record:
     """
     params, axes = new(rotating_frame.TUMBLE), quat.to_matrix(principal_axes(target))
     params.rotates = 1
-    w, moments, change = axes @ rate, np.array(target.moments_kg_m2), np.empty(3)
+    w, moments, change = linear.product(axes, rate), np.array(target.moments_kg_m2), np.empty(3)
     euler_acceleration(moments, w, change)
     if np.abs(change).max() < _STEADY:
         params.amplitude[:, 2] = rate
         return params
     order = np.argsort(moments)
-    momentum_squared, energy = float(((moments * w) ** 2).sum()), float((moments * w * w).sum())  # twice the energy
+    momentum_squared, energy = float(square(moments * w).sum()), float((moments * w * w).sum())  # twice the energy
     if momentum_squared < energy * moments[order[1]]:
         order = order[::-1]
-    from scipy.special import ellipkinc  # slow import, for targets that tumble only
-
     i1, i2, i3 = moments[order]
     w1, w2, w3 = w[order]
     low, high = energy * i3 - momentum_squared, momentum_squared - energy * i1
@@ -90,13 +90,14 @@ def tumble(target: MovingTarget, rate: Array) -> np.record:
     a3 = math.sqrt(high / (i3 * (i3 - i1)))
     third = math.copysign(1.0, w3)
     # an odd order of the axes makes them left-handed
-    second = third * math.copysign(1.0, i3 - i2) * round(float(np.linalg.det(np.eye(3)[order])))
-    params.parameter = min(_SEPARATRIX, max(0.0, (i2 - i1) * low / ((i3 - i2) * high)))
+    second = third * math.copysign(1.0, i3 - i2) * (1.0 if (order[1] - order[0]) % 3 == 1 else -1.0)
+    parameter = float(min(_SEPARATRIX, max(0.0, (i2 - i1) * low / ((i3 - i2) * high))))
+    params.parameter = parameter
     params.frequency = math.sqrt((i3 - i2) * high / (i1 * i2 * i3))
-    params.phase = float(ellipkinc(math.atan2(second * w2 * a1, w1 * a2), params.parameter))
+    params.phase = first_kind(elementary.atan2(second * w2 * a1, w1 * a2), parameter)
     amplitude = np.zeros((3, 3))
     amplitude[order[1], 0], amplitude[order[0], 1], amplitude[order[2], 2] = second * a2, a1, third * a3
-    params.amplitude = axes.T @ amplitude
+    params.amplitude = linear.product(axes.T, amplitude)
     return params
 
 

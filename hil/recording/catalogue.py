@@ -7,7 +7,6 @@ import os
 import shutil
 import socket
 import sqlite3
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput
 
 NAME: Final = "catalogue.sqlite"
@@ -23,7 +23,6 @@ RUNNING, DONE, BROKEN_OFF = "running", "done", "broken off"
 """States of an entry."""
 
 _LOCK_TIMEOUT_S: Final = 20.0  # wait for another writer
-_COPIES: Final = Path("/dev/shm")
 _RETRY_S: Final = 0.02
 _TABLE: Final = """
 CREATE TABLE IF NOT EXISTS runs (
@@ -191,7 +190,7 @@ class Catalogue:
 
     def _rows_of_copy(self) -> list[sqlite3.Row]:
         """Return the rows from a copy elsewhere: SQLite reads none on a disk that is full or read-only."""
-        with tempfile.TemporaryDirectory(prefix="hil-catalogue-", dir=_COPIES if _COPIES.is_dir() else None) as folder:
+        with temporary_folder("catalogue", in_memory=True) as folder:
             for suffix in ("", "-wal"):  # the newest rows may be in the second one only
                 source = self.path.with_name(f"{NAME}{suffix}")
                 if source.is_file():

@@ -12,6 +12,7 @@ from hil.cameras.pose_sensor import calibrated_geometry
 from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.scenario import Scenario
+from hil.core.arithmetic import surroundings
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
@@ -25,7 +26,6 @@ from hil.setup.assembly import Job
 def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHeader:
     """Return the header of the recording ``run`` of ``job``. Raises BadInput for an invalid file that it refers to."""
     scenario, rig = job.scenario.value, job.rig.value
-    versions = {name: importlib.metadata.version(name) for name in ("numpy", "numba", "scipy", "mcap")}
     facts = {
         "schema_version": str(VERSION),
         audit.AUDIT: audit.VERSION,
@@ -47,11 +47,27 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHe
         "host": platform.node(),
         "calibration_motion": motion_digest(rig),
         "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
-        **versions,
+        "mcap": importlib.metadata.version("mcap"),
+        **surroundings(),
+        "without_fixed_bits": ", ".join(_without_fixed_bits(scenario)),
         **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
     }
     files = {"scenario.json": scenario.model_dump_json(), "rig.json": rig.model_dump_json(), **_calibrations(job)}
     return RecordingHeader(facts, files, started_ns)
+
+
+def _without_fixed_bits(scenario: Scenario) -> list[str]:
+    """Return the parts of the run whose arithmetic is not this program's: their last bits depend on the computer."""
+    gnc = scenario.gnc
+    parts = {
+        "shadow filter": gnc.shadow.enabled,
+        "pictures": scenario.vmu.source == "rendered" or scenario.monitor.has_images,
+        "GNC of the user": gnc.binary is not None or bool(gnc.foreign),
+        "sensors of the user": any(
+            not each.kind.module.__module__.startswith("hil.") for each in sensors_of(scenario).values()
+        ),
+    }
+    return [name for name, present in parts.items() if present]
 
 
 def _calibrations(job: Job) -> dict[str, str]:

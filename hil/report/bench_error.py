@@ -16,6 +16,7 @@ from hil.bench.field_of_view import camera_errors
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
+from hil.maths import elementary, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.report.results import RmsMax
@@ -50,7 +51,7 @@ class BenchErrorSums:
             return
         r, q = (np.ascontiguousarray(rows["truth"][name]) for name in ("r_CT_H", "q_CH"))
         fraction = rows["truth"]["thrust_fraction"][:, : len(self._wrenches)]
-        force, torque = fraction @ self._wrenches[:, :3], fraction @ self._wrenches[:, 3:]
+        force, torque = linear.product(fraction, self._wrenches[:, :3]), linear.product(fraction, self._wrenches[:, 3:])
         add_work(self._params, force, torque, rail_m, gimbal_rad, r, q, self._work)
         distance, angle = _camera_errors(self._params, self._mounting, rows, rail_m, gimbal_rad)
         new = rows["t_s"] > self._counted_s
@@ -62,9 +63,9 @@ class BenchErrorSums:
 
     def _add_shares(self, rows: np.ndarray, distance: Array, angle: Array) -> None:
         truth, estimate = rows["truth"], rows["navigation"]
-        offset = np.linalg.norm(truth["r_CT_H"] - estimate["r_CT_H"], axis=1)
+        offset = linear.lengths(truth["r_CT_H"] - estimate["r_CT_H"])
         cosine = np.abs(np.sum(truth["q_CH"] * estimate["q_CH"], axis=1))
-        turned = 2.0 * np.arccos(np.minimum(1.0, cosine))
+        turned = 2.0 * elementary.each(elementary.acos, np.minimum(1.0, cosine))
         known, settled = estimate["valid"] == 1, rows["t_s"] >= self._settled_s
         for span, sums in zip((known & ~settled, known & settled), self._shares, strict=True):
             for (part, whole), error, of in zip(sums, (distance, angle), (offset, turned), strict=True):

@@ -17,6 +17,9 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import VISION_ALONE, Scenario
 from hil.core.messages import Array
+from hil.maths import linear
+from hil.maths.elementary import square
+from hil.report.navigation_bound_step import advance, information_into
 from hil.sensors.vision_unit import columns as vmu_columns
 
 _START_MPS: Final = 1e-3  # standard deviation of the velocity at the first pose: of a hold before the approach
@@ -33,12 +36,12 @@ class NavigationBound:
         imu = scenario.imu
         self._has_imu = scenario.gnc.navigation.backend != VISION_ALONE
         self._settled_s = settled_s
-        self._bench = np.array([rig.vmu.bench_sigma_m, math.radians(rig.vmu.bench_sigma_deg)]) ** 2
-        self._scale = scenario.vmu.reported_sigma_scale**2 if scenario.vmu.source == "model" else 1.0
+        self._bench = square(np.array([rig.vmu.bench_sigma_m, math.radians(rig.vmu.bench_sigma_deg)]))
+        self._scale = square(scenario.vmu.reported_sigma_scale) if scenario.vmu.source == "model" else 1.0
         radians = math.radians
         self._start = (
-            (0.0, _START_MPS**2, imu.accelerometer_bias_initial_sigma_mps2**2),
-            (0.0, radians(imu.gyro_drift_initial_sigma_degps) ** 2, 0.0),
+            (0.0, square(_START_MPS), square(imu.accelerometer_bias_initial_sigma_mps2)),
+            (0.0, square(radians(imu.gyro_drift_initial_sigma_degps)), 0.0),
         )
         noise = (
             (0.0, imu.accelerometer_noise_mps2, imu.accelerometer_bias_noise_mps3),
@@ -63,8 +66,7 @@ class NavigationBound:
         """Return the variances of ``poses`` (n,) of POSE, (n, 2, 3): of each axis of c if the others were known."""
         information = np.empty((len(poses), 2, 3))
         for k, name in enumerate(_KINDS):
-            inverse = np.linalg.inv(poses[name] - self._bench[k] * np.eye(3))
-            information[:, k] = np.diagonal(inverse, axis1=1, axis2=2)
+            information_into(np.ascontiguousarray(poses[name]), self._bench[k], information[:, k])
         variances: Array = 1.0 / (information * poses["fresh"][:, None, None] * self._scale)
         return variances
 
@@ -76,15 +78,11 @@ class NavigationBound:
         elapsed_s = t_s - self._last_s
         if not elapsed_s > 0.0:
             return
-        before = self._p[:, :, 0, 0]
         f, q = _step(round(elapsed_s, 9), tuple(map(tuple, self._noise.tolist())))
-        p = f @ self._p @ f.swapaxes(2, 3) + q
         is_settled = self._last_s >= self._settled_s
-        self._sums[is_settled] += 0.5 * elapsed_s * (before + p[:, :, 0, 0])  # mean between the two poses
+        advance(self._p, f, q, variance, 0.5 * elapsed_s, self._sums[is_settled])
         self._time_s[is_settled] += elapsed_s
-        cross = p[:, :, :, 0]
-        gain = cross / (p[:, :, 0, 0] + variance)[:, :, None]
-        self._p, self._last_s = p - gain[:, :, :, None] * cross[:, :, None, :], t_s
+        self._last_s = t_s
 
     def _root(self, k: int) -> list[float] | None:
         span = self._time_s[True] > 0.0
@@ -104,7 +102,7 @@ class NavigationBound:
 
 @lru_cache(maxsize=64)
 def _step(elapsed_s: float, noise: tuple[tuple[float, ...], ...]) -> tuple[Array, Array]:
-    """Return transitions (2, 1, 3, 3) and noise of both chains over ``elapsed_s``; noise: densities (2, 3).
+    """Return transitions (2, 3, 3) and noise of both chains over ``elapsed_s``; noise: densities (2, 3).
 
     An error of the IMU is subtracted from what it is a part of. The noise enters in mid-interval.
     """
@@ -114,6 +112,6 @@ def _step(elapsed_s: float, noise: tuple[tuple[float, ...], ...]) -> tuple[Array
         f[0, 1], f[1, 2] = elapsed_s * signs[0], elapsed_s * signs[1]
         f[0, 2] = 0.5 * f[0, 1] * f[1, 2]
         middle = 0.5 * (np.eye(3) + f)
-        found.append((f, elapsed_s * middle @ np.diag(densities) @ middle.T))
+        found.append((f, elapsed_s * linear.product(middle * np.array(densities), middle.T)))
     transitions, added = zip(*found, strict=True)
-    return np.array(transitions)[:, None], np.array(added)[:, None]
+    return np.array(transitions), np.array(added)

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.core.messages import Array
+from hil.maths.elementary import square
 
 _SAMPLE_MAX: Final = 100_000
 
@@ -51,7 +52,7 @@ class Squares:
         """Add the next values."""
         if len(values):
             self.n += len(values)
-            self._sum = self._sum + np.sum(values**2, axis=0)
+            self._sum = self._sum + np.sum(square(values), axis=0)
             self._largest = np.maximum(self._largest, np.abs(values).max(axis=0))
 
     def rms(self) -> Any:

@@ -34,6 +34,7 @@ from hil.gnc.impulses import TRANSFER_WORK, least_impulses
 from hil.gnc.limits import CLOSING, CORRIDOR
 from hil.gnc_backends.approach_events import ABORT_CAUSES
 from hil.loop.compiled.run_stats import BEFORE, SETTLED
+from hil.maths import elementary, linear
 from hil.maths.kepler import mean_anomaly, true_anomaly
 from hil.maths.limits import finite_or_none
 from hil.models import elliptic_motion
@@ -115,7 +116,7 @@ def drift(r_CT_H: Array, v_CT_H: Array, orbit: Orbit, nu: float, t_s: Array) -> 
     """
     state, rate, e = np.concatenate([r_CT_H, v_CT_H]), mean_motion(orbit), orbit.eccentricity
     moved = (elliptic_motion.transition(rate, e, nu, float(t)) for t in t_s)
-    return np.array([whole[:3] @ state for whole in moved]).reshape(-1, 3)
+    return np.array([linear.product(whole[:3], state) for whole in moved]).reshape(-1, 3)
 
 
 def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
@@ -125,7 +126,7 @@ def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
     t_s = np.linspace(0.0, period_s, _DRIFT_SAMPLES + 1)
     nu = true_anomaly(e, mean_anomaly(e, math.radians(orbit.true_anomaly_deg)) + rate * float(row["t_s"]))
     path = drift(row["truth"]["r_CT_H"], row["truth"]["v_CT_H"], orbit, nu, t_s)
-    distance = np.linalg.norm(path, axis=1)
+    distance = linear.lengths(path)
     nearest = int(np.argmin(distance))
     return {
         "from_s": float(row["t_s"]),
@@ -175,7 +176,7 @@ class AbortCourse:
                 return
             self._first = rows[0].copy()
         self._last = rows[-1].copy()
-        self._nearest_m = min(self._nearest_m, float(np.linalg.norm(rows["truth"]["r_CT_H"], axis=1).min()))
+        self._nearest_m = min(self._nearest_m, float(linear.lengths(rows["truth"]["r_CT_H"]).min()))
         held = np.flatnonzero(rows["reference"]["phase"] == self._hold)
         if self._hold_since_s is None and len(held):
             self._hold_since_s = float(rows["t_s"][held[0]])
@@ -188,10 +189,10 @@ class AbortCourse:
         return results.Abort(
             cause=ABORT_CAUSES[int(first["supervision"]["aborted"])],
             at_s=float(first["t_s"]),
-            range_m=float(np.linalg.norm(first["truth"]["r_CT_H"])),
+            range_m=linear.length(first["truth"]["r_CT_H"]),
             nearest_m=self._nearest_m,
             hold_since_s=self._hold_since_s,
-            range_at_end_m=float(np.linalg.norm(last["truth"]["r_CT_H"])),
+            range_at_end_m=linear.length(last["truth"]["r_CT_H"]),
             drift_from_trigger=drift_over_an_orbit(first, orbit),
             drift_from_end=drift_over_an_orbit(last, orbit),
         )
@@ -231,17 +232,17 @@ def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> r
     exhaust_speed = scenario.chaser.thrusters.specific_impulse_s * STANDARD_GRAVITY_MPS2
     mass_kg, factor = scenario.chaser.mass_kg, scenario.requirements.propellant_factor
     line, slews = float(stats.reference_delta_v), slew_impulse(scenario) / mass_kg
-    least_kg = mass_kg * -math.expm1(-(line + slews) / exhaust_speed)
+    least_kg = mass_kg * -elementary.expm1(-(line + slews) / exhaust_speed)
     bound = impulsive_bound(stats, scenario)
     return results.Energy(
         passed=bool(stats.cycles and propellant_kg <= factor * least_kg),
         propellant_kg=propellant_kg,
-        delta_v_mps=-exhaust_speed * math.log1p(-propellant_kg / mass_kg),
+        delta_v_mps=-exhaust_speed * elementary.log1p(-propellant_kg / mass_kg),
         least_propellant_kg=least_kg,
         least_line_mps=line,
         least_slews_mps=slews,
         impulsive_bound_mps=bound,
-        impulsive_bound_kg=None if bound is None else mass_kg * -math.expm1(-(bound + slews) / exhaust_speed),
+        impulsive_bound_kg=None if bound is None else mass_kg * -elementary.expm1(-(bound + slews) / exhaust_speed),
         factor=factor,
         firings=int(np.sum(stats.thruster_firings)),
     )
@@ -266,7 +267,7 @@ class FieldOfView:
         worst = int(np.argmin(margins))
         if not self._rows or not margins[worst] >= self._least_px:
             self._least_px, self._at_s = float(margins[worst]), float(rows["t_s"][worst])
-            self._range_m = float(np.linalg.norm(rows["truth"]["r_CT_H"][worst]))
+            self._range_m = linear.length(rows["truth"]["r_CT_H"][worst])
         self._rows += len(rows)
         self._lost += int(np.count_nonzero(margins < 0.0))
 

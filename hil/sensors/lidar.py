@@ -11,7 +11,7 @@ import math
 
 from hil.core.jit import kernel
 from hil.core.settings import Setting
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.sensors.module import FUSED_FAULTS, Component, SensorError, SensorModule
 
 
@@ -76,7 +76,7 @@ class Lidar(SensorModule):
         distance = math.sqrt(x * x + y * y + z * z)
         sigma = settings.sigma_range_m + settings.sigma_range_scale * distance
         bearing = settings.sigma_bearing_rad
-        azimuth, elevation = math.atan2(y, -x), math.atan2(z, flat)
+        azimuth, elevation = elementary.atan2(y, -x), elementary.atan2(z, flat)
         if not settings.range_min_m <= distance <= settings.range_max_m:
             out.valid = 0
         if max(abs(azimuth), abs(elevation)) > settings.half_field_rad:
@@ -98,8 +98,8 @@ class Lidar(SensorModule):
         square, flat_2 = x * x + y * y + z * z, max(1e-18, x * x + y * y)
         distance, flat = math.sqrt(square), math.sqrt(flat_2)
         out.value[0] = out.sample.value[0] - distance
-        out.value[1] = out.sample.value[1] - math.atan2(y, -x)
-        out.value[2] = out.sample.value[2] - math.atan2(z, flat)
+        out.value[1] = out.sample.value[1] - elementary.atan2(y, -x)
+        out.value[2] = out.sample.value[2] - elementary.atan2(z, flat)
         g[0, 0], g[0, 1], g[0, 2] = x / distance, y / distance, z / distance
         g[1, 0], g[1, 1], g[1, 2] = y / flat_2, -x / flat_2, 0.0
         g[2, 0], g[2, 1], g[2, 2] = -x * z / (square * flat), -y * z / (square * flat), flat / square

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from hil.core.settings import Setting
+from hil.maths import elementary, special
 from hil.sensors.module import FUSED_FAULTS, Component, SensorError, SensorModule
 
 _AXES = "xyz"
@@ -46,7 +47,7 @@ class RelativeGnss(SensorModule):
     @staticmethod
     def measure(settings, truth, out):
         """Write position and velocity; ``memory``: 1 once started, then the correlated error of each axis, m."""
-        kept = math.exp(-truth.dt_s / settings.correlation_time_s) if truth.memory[0] != 0.0 else 0.0
+        kept = elementary.exp(-truth.dt_s / settings.correlation_time_s) if truth.memory[0] != 0.0 else 0.0
         fresh = settings.correlated_sigma_m * math.sqrt(1.0 - kept * kept)
         truth.memory[0] = 1.0
         bias = (settings.bias_x_m, settings.bias_y_m, settings.bias_z_m)
@@ -60,7 +61,7 @@ class RelativeGnss(SensorModule):
             out.sample.value[3 + i] = truth.v_CT_H[i] + settings.sigma_mps * truth.normal[6 + i]
             out.sample.covariance[i, i] = settings.sigma_m**2
             out.sample.covariance[3 + i, 3 + i] = settings.sigma_mps**2
-        is_lost = 0.5 * math.erfc(truth.normal[9] / math.sqrt(2.0)) < settings.shadow_probability
+        is_lost = special.normal_probability(-truth.normal[9]) < settings.shadow_probability
         if is_lost or square < settings.range_min_m**2:
             out.valid = 0
 

@@ -16,7 +16,7 @@ from hil.bench.kinematics import MOTION
 from hil.bench.stopping import brake_step
 from hil.core.child_process import ChildProcess
 from hil.core.clock import SimulatedClock
-from hil.core.jit import prepare_kernel_cache
+from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
 from hil.core.sensor_records import SENSOR_SAMPLE
@@ -47,19 +47,26 @@ class Compilation:
         self._job = job
         self._group: Kernels = "loop" if runs_compiled(job) else "cycle"
         self._child: ChildProcess | None = None
+        self._notice = ""
         self._processes = ExitStack()
 
     def __enter__(self) -> Self:
         if not kernels_are_cached(self._group):
-            prepare_kernel_cache()
-            self._child = self._processes.enter_context(_compiler_of_the_gnc())
+            self._notice = kernel_folder_notice()
+            if kernel_folder() is not None:
+                self._child = self._processes.enter_context(_compiler_of_the_gnc())
         return self
 
     def __exit__(self, *_: object) -> None:
         self._processes.close()
 
     def finish(self, announce: Callable[[str], None]) -> None:
-        """Compile the others. announce: receives FIRST_START if there are any, and then the time that they took."""
+        """Compile the others. announce: receives FIRST_START if there are any, and then the time that they took.
+
+        Before that it receives why they are not in the user's folder, if so; those in memory are compiled by the run.
+        """
+        if self._notice:
+            announce(self._notice)
         if self._child is not None:
             announce(FIRST_START)
             started_s = time.perf_counter()

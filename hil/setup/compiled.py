@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Literal
 
 from hil.cameras.pose_sensor import PoseModel
-from hil.core.jit import mark_of, prepare_kernel_cache, processor, remove_unused_kernels
+from hil.core.jit import processor
+from hil.core.kernel_digest import digest_of
+from hil.core.kernel_folder import read_kernel_file, remove_unused_kernels, write_kernel_file
 from hil.drivers.io.mock import MockIo
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.shared_library import SharedLibraryGnc
@@ -51,20 +52,17 @@ def runs_compiled(job: Job) -> bool:
 
 def kernels_are_cached(group: Kernels) -> bool:
     """Return whether an earlier start left the kernels of ``group``, compiled for these very sources and processor."""
-    mark = _mark(group)
-    return mark.exists() and mark.read_text() == processor()
+    return read_kernel_file(_mark(group)) == processor().encode()
 
 
 def mark_kernels_cached(group: Kernels) -> None:
     """Record that every kernel of ``group`` has been compiled once for these sources."""
-    prepare_kernel_cache()
-    _mark(group).write_text(processor())
+    write_kernel_file(_mark(group), processor().encode())
     remove_unused_kernels()
 
 
-def _mark(group: Kernels) -> Path:
-    loop = mark_of(run_cycles)
-    return loop if group == "loop" else loop.with_name(f"{loop.name}-{group}")
+def _mark(group: Kernels) -> str:
+    return f"{run_cycles.__name__}-{digest_of(run_cycles)}{'' if group == 'loop' else f'-{group}'}"
 
 
 def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:

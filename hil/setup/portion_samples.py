@@ -9,6 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from hil.core.sensor_records import SENSOR_SAMPLE
+from hil.maths import elementary, linear
+from hil.maths.elementary import square
 from hil.monitor.results import NO_TARGET, Portion
 from hil.params.monitor import MONITOR
 from hil.sensors.docking_monitor import UNOBSERVED_RAD
@@ -54,17 +56,17 @@ def write_sample(portion: Portion, sample: np.void) -> bool:
     range_m, right, up = (portion.value(name) for name in ("range_m", "los_right_rad", "los_up_rad"))
     if not np.isfinite([range_m, right, up]).all():
         return False
-    sight = np.array([np.tan(right), np.tan(up), 1.0])
-    sight /= np.linalg.norm(sight)
+    sight = np.array([elementary.tan(right), elementary.tan(up), 1.0])
+    sight /= linear.length(sight)
     along, across = portion.sigma("range_m"), np.array([portion.sigma("los_right_rad"), portion.sigma("los_up_rad")])
     covariance = np.zeros((6, 6))
-    covariance[:3, :3] = along**2 * np.outer(sight, sight)
-    covariance[0, 0] += (range_m * across[0]) ** 2
-    covariance[1, 1] += (range_m * across[1]) ** 2
+    covariance[:3, :3] = square(along) * np.outer(sight, sight)
+    covariance[0, 0] += square(range_m * across[0])
+    covariance[1, 1] += square(range_m * across[1])
     phi = np.array([portion.value(name) for name in ("phi1_rad", "phi2_rad", "phi3_rad")])
     sigmas = np.array([portion.sigma(name) for name in ("phi1_rad", "phi2_rad", "phi3_rad")])
     observed = np.isfinite(phi) & np.isfinite(sigmas)
-    covariance[3:, 3:] = np.diag(np.where(observed, sigmas, UNOBSERVED_RAD) ** 2)
+    covariance[3:, 3:] = np.diag(square(np.where(observed, sigmas, UNOBSERVED_RAD)))
     sample["value"][:3], sample["value"][3:] = range_m * sight, np.where(observed, phi, 0.0)
     sample["covariance"] = covariance
     return True

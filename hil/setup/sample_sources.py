@@ -26,6 +26,7 @@ from hil.core.clock import BenchClock
 from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.drivers.line_sensor.driver import LineSensor, LineSettings
 from hil.errors import BadInput, LinkLost, one_line
+from hil.maths import linear
 from hil.params.sensors import sensors_of
 
 _BYTES_MAX: Final = 4096
@@ -115,7 +116,7 @@ class UdpSamples:
         if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
             raise ValueError("a number is not finite")
         if np.abs(covariance - covariance.T).max() > 1e-9 * np.abs(covariance).max() or (
-            np.linalg.eigvalsh(covariance).min() <= 0.0
+            linear.eigenvalues(covariance)[0] <= 0.0
         ):
             raise ValueError("covariance is not symmetric and positive definite")
         if status != 0:

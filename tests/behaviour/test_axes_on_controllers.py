@@ -157,7 +157,6 @@ def split_rails() -> Iterator[tuple[Any, Any, list[Any]]]:
             yield clock, (rails, board), emulators
 
 
-@pytest.mark.wires
 def test_cameras_see_all_axes_of_a_group_on_two_controllers() -> None:
     with split_rails() as (clock, (rails, board), _):
         goal = rails.read(clock.now_s()).position + np.array([-0.02, 0.03, 0.01])
@@ -168,7 +167,6 @@ def test_cameras_see_all_axes_of_a_group_on_two_controllers() -> None:
         assert board.read("rails", clock.now_s())[0] == pytest.approx(goal, abs=1e-4)
 
 
-@pytest.mark.wires
 @pytest.mark.parametrize("dead", [0, 1])
 def test_silence_of_one_controller_stops_the_axes_of_the_other(dead: int) -> None:
     with split_rails() as (clock, (rails, _), emulators):
@@ -374,7 +372,6 @@ def test_further_axes_are_recorded_in_each_cycle_and_exported_with_their_units(t
     assert all(of_sun["position"][i, 1].tobytes() in message for i, message in enumerate(data))
 
 
-@pytest.mark.wires
 @pytest.mark.slow
 def test_run_on_wires_homes_places_and_holds_all_axes(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, CONTROLLER + LAMP.format(driver="modbus") + '[host]\ntime = "lock_step"\n')

@@ -113,7 +113,6 @@ def test_hardware_moves_when_the_operator_confirms(tmp_path: Path) -> None:
     assert [row["step"] for test in day["tests"] for row in test["evidence"]] == ["hardware"]
 
 
-@pytest.mark.wires
 def test_hardware_stays_closed_if_the_operator_does_not_confirm(tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     lab.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\nsign_off.waived = true\n{HARDWARE_WIRES}')

@@ -20,7 +20,7 @@ from hil.core.child_process import ChildProcess
 from hil.drivers.fault_injection import FaultControl
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 
-pytestmark = pytest.mark.wires
+pytestmark = pytest.mark.wires(limit_s=0.05)  # what a process has to end after SIGTERM
 
 CHILD = """
 import sys, time

@@ -21,8 +21,6 @@ from hil.loop.safety_io_stage import SafetyIoStage
 from hil.session import build
 from tests.support.run_settings import make_job
 
-pytestmark = pytest.mark.wires
-
 STEP_S = 0.02
 X, Y, YAW = 0, 1, 5
 OTHERS = (1, 2, 3, 4)

@@ -18,8 +18,6 @@ from hil.loop.motion_sequences import MotionSequencer
 from hil.session import build
 from tests.support.run_settings import make_job
 
-pytestmark = pytest.mark.wires
-
 STEP_S = 0.02
 X, YAW = 0, 5
 

@@ -219,6 +219,7 @@ def test_run_command_refuses_a_scene_that_is_not_there() -> None:
     assert "missing: unknown scene: give atv, bright-cross" in done.stderr
 
 
+@pytest.mark.wires
 @pytest.mark.slow
 def test_monitor_of_an_emulated_bench_holds_the_approach(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
@@ -235,6 +236,7 @@ def test_monitor_of_an_emulated_bench_holds_the_approach(tmp_path: Path) -> None
     assert (fault["detected_by"], fault["reaction"]) == ("monitor", "hold")
 
 
+@pytest.mark.wires
 @pytest.mark.slow
 def test_monitor_beside_an_emulated_bench_agrees_with_the_encoders(tmp_path: Path) -> None:
     path = tmp_path / "run.json"

@@ -23,8 +23,6 @@ from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 from tests.support.lock_step import GRID_S, in_lock_step, serving
 
-pytestmark = pytest.mark.wires
-
 RIGS = ("emulated", "emulated-rtu")
 TIMEOUT_S = 1.2
 INCREMENTAL = {"encoder": "incremental", "homing_rate_mps": 0.2}

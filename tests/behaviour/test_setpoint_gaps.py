@@ -14,8 +14,6 @@ from hil.drivers.base import AxisGroup, LimitsSetpoints
 from tests.behaviour.test_rails_faults import RIGS, bench_of
 from tests.support.turntable_bench import served
 
-pytestmark = pytest.mark.wires
-
 STEP_S = 0.02
 RESERVE = 1.1  # of the limits of a move beyond its speed
 RIPPLE = 1.12  # of the servo: in regular motion 1.07

@@ -9,14 +9,13 @@ import sys
 import numpy as np
 import pytest
 
+from hil.api.jobs import IN_LOCK_STEP
 from hil.core.clock import SimulatedClock
 from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.loop.rate_keeper import SimulatedRate
 from hil.session import build
-from tests.support.run_settings import NEAR, UNHURRIED, make_job
-
-pytestmark = pytest.mark.wires
+from tests.support.run_settings import NEAR, make_job
 
 READER = """
 import json, sys
@@ -28,8 +27,6 @@ while not times or times[-1] < float(sys.argv[2]):
     times += reader.read()["t_s"].tolist()
 print(json.dumps({"times": times, "got": reader.got, "lost": reader.lost}))
 """
-
-WIRES = (*NEAR, *UNHURRIED)
 
 
 def test_reader_gets_the_very_rows_of_the_history() -> None:
@@ -45,15 +42,15 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
 
 @pytest.mark.slow
 def test_another_process_attaches_to_a_run_on_wires_and_accounts_for_every_cycle() -> None:
-    job = make_job(1.0, WIRES, rig="emulated")
-    with build.runner(job) as runner:
-        ring = runner.loop.telemetry
+    job = make_job(1.0, (*NEAR, *IN_LOCK_STEP), rig="emulated")
+    with build.wired_bench(job) as bench:
+        ring = bench.telemetry
         assert isinstance(ring, Ring)
         command = [sys.executable, "-c", READER, str(ring.descriptor), "1.0"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, pass_fds=(ring.descriptor,)) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == "attached\n"
-            outcome = runner.run()
+            outcome = bench.runner().run()
             assert outcome.stop == "completed"
             found = json.loads(process.communicate(timeout=30.0)[0])
     assert found["got"] + found["lost"] == len(outcome.history) == 51

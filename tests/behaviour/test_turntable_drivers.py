@@ -13,8 +13,6 @@ from hil.errors import DriveFault, FaultKind, LinkLost, SafetyTrip
 from tests.support.lock_step import GRID_S
 from tests.support.turntable_bench import DRIVERS, PARK_DEG, error_of, eventually, served, turntable
 
-pytestmark = pytest.mark.wires
-
 
 def watchdog_trips(emulator):
     """Return how many of roll and yaw stopped because their setpoints ceased."""

@@ -9,8 +9,6 @@ from hil.errors import DeviceError, LinkTimeout
 from tests.support.lock_step import GRID_S
 from tests.support.turntable_bench import error_of, eventually, served
 
-pytestmark = pytest.mark.wires
-
 UNNOTICED_DEG = 1.1  # half of the following error: a smaller jump is plausible, without a checksum
 REACHED_DEGPS = 80.0  # a faster one is not, whatever the time since the last sample
 PAUSE_S = 0.01

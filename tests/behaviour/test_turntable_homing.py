@@ -14,8 +14,6 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
 from tests.support.turntable_bench import PARK_DEG, error_of, eventually, served
 
-pytestmark = pytest.mark.wires
-
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 5.0}
 
 

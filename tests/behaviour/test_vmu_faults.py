@@ -18,8 +18,6 @@ from hil.drivers.vmu.emulator import VmuEmulator
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
 from tests.support.lock_step import in_lock_step, serving
 
-pytestmark = pytest.mark.wires
-
 POSE = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
 
 

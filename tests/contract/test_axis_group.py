@@ -45,8 +45,6 @@ from hil.processes.io_server import IoServer
 from tests.support import example_driver
 from tests.support.lock_step import in_lock_step, serving
 
-pytestmark = pytest.mark.wires
-
 RIG = load_rig("emulated").value
 RTU_RAILS = load_rig("emulated-rtu").value.rails
 GATEWAY = RIG.rails.model_copy(

@@ -19,8 +19,6 @@ from hil.drivers.io.mock import MockIo
 from hil.errors import DeviceError, LinkTimeout
 from tests.support.lock_step import in_lock_step, serving
 
-pytestmark = pytest.mark.wires
-
 PUMP_TIMEOUT_S = 0.4  # generous: the machine that tests run on does other things too
 THRUSTERS = bytes((1, 0, 0, 1))
 

@@ -21,8 +21,6 @@ from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, LinkTimeout
 from tests.support.lock_step import in_lock_step, serving
 
-pytestmark = pytest.mark.wires
-
 CONFIG = load_rig("emulated").value.vmu
 COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 4e-7, 5e-7, 6e-7])
 

@@ -2,29 +2,28 @@
 
     python -m tests.support.golden_runs
 
-writes ``tests/data/golden_runs.json`` anew; the commit that changes a digest says which formula has changed.
+writes ``tests/data/golden_runs.json`` anew, or the file that is named; the commit that changes a digest says which
+formula has changed.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import platform
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
 
-import llvmlite
-import numba
 import numpy as np
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.alarms import Alarm
-from hil.core.jit import processor
 from hil.core.messages import CYCLE
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.dispersions import Design, case_seed
@@ -192,20 +191,15 @@ def cases() -> Iterator[tuple[str, Callable[[], str]]]:
 
 
 def platform_of_the_bits() -> dict[str, str]:
-    """Return what else the bits depend on: code generator, processor and C library."""
-    return {
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "llvmlite": llvmlite.__version__,
-        "processor": processor(),
-        "libc": " ".join(platform.libc_ver()),
-    }
+    """Return what else the bits depend on: the packages that generate code and draw random words."""
+    return {name: metadata.version(name) for name in ("numpy", "scipy", "numba", "llvmlite")}
 
 
 def main() -> None:
-    """Write the file."""
+    """Write the file, or that of the argument."""
+    path = Path(sys.argv[1]) if len(sys.argv) > 1 else FILE
     digests = {name: digest() for name, digest in cases()}
-    FILE.write_text(json.dumps({"platform": platform_of_the_bits(), "digests": digests}, indent=2) + "\n")
+    path.write_text(json.dumps({"platform": platform_of_the_bits(), "digests": digests}, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -14,8 +14,6 @@ from hil.session.warm_up import warm_up
 from sims.fault_matrix import CONTINUES, TIGHT, Attendance, FaultCase, matrix, representatives, run_case
 from tests.support.run_settings import PATIENT_RELAY, make_job
 
-pytestmark = pytest.mark.wires
-
 SETTINGS = (*TIGHT, *PATIENT_RELAY)
 
 
@@ -65,6 +63,7 @@ def test_every_fault_in_every_mode_that_can_have_it(bench: WiredBench, case: Fau
     _check(bench, case)
 
 
+@pytest.mark.wires
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "case", matrix((Mode.RUNNING, Mode.STANDBY, Mode.ARMED, Mode.HOLD)), ids=lambda case: case.name

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.wires
-
 
 @pytest.mark.slow
 def test_ctrl_c_in_mid_compilation_ends_the_program_as_a_safe_stop(tmp_path: Path) -> None:

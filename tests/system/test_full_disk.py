@@ -12,8 +12,6 @@ import pytest
 from hil.cli.main import SAFE_STOPPED, execute
 from hil.config.load import load_scenario
 
-pytestmark = pytest.mark.wires
-
 RUNS = 600
 OPTIONS = ("--runs", str(RUNS), "--duration", "0.2", "--workers", "1")
 KILOBYTES = 256

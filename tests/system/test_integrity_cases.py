@@ -6,10 +6,10 @@ import math
 
 import pytest
 
+from hil.api.jobs import IN_LOCK_STEP
 from hil.config.load import load_rig, load_scenario
 from hil.monte_carlo.case_runner import CaseRunner
 from sims.integrity_cases import CASES, IntegrityCase, run, run_emulated
-from tests.support.run_settings import UNHURRIED
 
 KEEP_OUT_M = 0.25
 PUSHED = "GNC that pushes at the target"
@@ -58,11 +58,9 @@ def test_no_case_ends_within_the_keep_out(case: IntegrityCase) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.wires
 def test_stuck_rails_of_the_emulated_rig_are_found_with_its_shipped_limits() -> None:
-    for reaction in run_emulated(
-        UNHURRIED
-    ):  # the approach begins at rest: a rail is found once it should have moved by 0.6 mm
+    # the approach begins at rest: a rail is found once it should have moved by 0.6 mm
+    for reaction in run_emulated(IN_LOCK_STEP):
         assert reaction.as_expected, reaction
         assert f"rails.{reaction.case.line[-1]}: distance from the demand" in reaction.alarm
         assert (reaction.detected_s or math.inf) < 5.0

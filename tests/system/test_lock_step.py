@@ -23,8 +23,6 @@ from hil.session.warm_up import warm_up
 from sims.fault_matrix import TIGHT, FaultCase, FaultReaction, run_case
 from tests.support.run_settings import HARDWARE_WIRES, NEAR, make_job
 
-pytestmark = pytest.mark.wires
-
 LOCK_STEP = {"rig.host.time": "lock_step"}
 RIGS = {
     "emulated": {},

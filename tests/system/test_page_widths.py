@@ -15,7 +15,7 @@ from hil.report import html
 from tests.support.browsers import ChromiumPage, ask_by, chromium, until
 from tests.support.stub_console import stub_console
 
-pytestmark = [pytest.mark.wires, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.wires(limit_s=1.0), pytest.mark.timeout(120)]
 
 SIZES = ((1280, 720), (1024, 768), (768, 1024), (390, 844))
 LONG_ALARM = "turntable.pitch: distance from the demand 3.42 deg, allowed 0.8 deg at rest and 0.05 s of its speed"

@@ -11,8 +11,6 @@ import pytest
 from hil.cli.main import execute
 from tests.support.run_settings import UNHURRIED, typed
 
-pytestmark = pytest.mark.wires
-
 OF_THIS_MACHINE = (
     "clock",
     "PTP",
@@ -59,6 +57,7 @@ def test_preflight_on_mock_prints_a_table_and_its_verdict_is_its_exit_code(
     assert ("PASS" in printed) == found["passed"]
 
 
+@pytest.mark.wires
 def test_preflight_on_emulated_opens_every_device(tmp_path: Path) -> None:
     code, found = _preflight(tmp_path, "--rig", "emulated", "--scenario", "scheme-2", *typed(*UNHURRIED))
     assert code == (0 if found["passed"] else 1)

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import hil
+from hil.api.jobs import IN_LOCK_STEP
 from hil.cli.main import execute
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
-from tests.support.run_settings import NEAR, UNHURRIED, typed
+from tests.support.run_settings import NEAR, typed
 
 pytestmark = pytest.mark.xdist_group("api")
 
@@ -244,9 +245,8 @@ def test_another_thread_stops_the_bench() -> None:
         assert bench.start().stop == "stopped by the operator"
 
 
-@pytest.mark.wires
 def test_procedure_on_emulated_wires() -> None:
-    settings = {name: json.loads(value) for name, value in (text.split("=", 1) for text in (*NEAR, *UNHURRIED))}
+    settings = {name: json.loads(value) for name, value in (text.split("=", 1) for text in (*NEAR, *IN_LOCK_STEP))}
     with hil.Bench("emulated", "scheme-1", overrides=settings) as bench:
         bench.home()
         bench.arm()

@@ -195,6 +195,7 @@ def start_on_wires(folder: Path, duration_s: float) -> tuple[subprocess.Popen[st
 
 
 @pytest.mark.slow
+@pytest.mark.wires
 def test_a_run_on_wires_is_recorded_whole_and_replays_bit_by_bit(tmp_path: Path) -> None:
     process, _ = start_on_wires(tmp_path, 6.0)
     _, err = process.communicate(timeout=120.0)
@@ -209,6 +210,7 @@ def test_a_run_on_wires_is_recorded_whole_and_replays_bit_by_bit(tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.wires
 def test_a_run_on_wires_outlives_its_recorder(tmp_path: Path) -> None:
     process, pids = start_on_wires(tmp_path, 6.0)
     os.kill(pids["recorder"], signal.SIGKILL)
@@ -220,6 +222,7 @@ def test_a_run_on_wires_outlives_its_recorder(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.wires
 def test_a_killed_loop_on_wires_leaves_a_whole_file_that_replays(tmp_path: Path) -> None:
     process, pids = start_on_wires(tmp_path, 60.0)
     end = time.monotonic() + 60.0
@@ -240,7 +243,7 @@ def test_a_killed_loop_on_wires_leaves_a_whole_file_that_replays(tmp_path: Path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", ["mock", "emulated"])
+@pytest.mark.parametrize("rig", ["mock", pytest.param("emulated", marks=pytest.mark.wires)])
 def test_a_full_disk_is_said_and_nothing_that_was_written_is_lost(small_disk: Path, tmp_path: Path, rig: str) -> None:
     if rig == "emulated":
         (small_disk / "other").write_bytes(bytes(1_750_000))

@@ -141,7 +141,6 @@ def test_operator_ends_the_run_as_a_safe_stop_and_nothing_is_left(number: signal
 
 
 @pytest.mark.slow
-@pytest.mark.wires
 def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     with _started(*typed(*NEAR)) as (process, pids):
         time.sleep(1.0)
@@ -150,7 +149,6 @@ def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     assert _none_left(pids)
 
 
-@pytest.mark.wires
 def test_emulate_says_where_each_device_listens_and_ends_on_ctrl_c() -> None:
     command = [sys.executable, "-m", "hil", "emulate"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

@@ -15,8 +15,6 @@ from hil.recording import read
 from hil.session.build import check, wired_bench
 from tests.support.run_settings import HARDWARE_WIRES, make_job
 
-pytestmark = pytest.mark.wires
-
 RANGER = {"sensors.ranger.kind": "range_finder", "rig.host.time": "lock_step"}
 
 

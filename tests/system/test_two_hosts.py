@@ -14,8 +14,6 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.wires
-
 BENCH, GNC = "10.77.0.1", "10.77.0.2"
 
 
@@ -81,6 +79,7 @@ def test_scheme_1_passes_in_lock_step_and_as_in_one_process(tmp_path: Path) -> N
     print(apart["gnc_link"])  # noqa: T201
 
 
+@pytest.mark.wires
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_scheme_1_passes_running_free_with_one_cycle_of_delay(tmp_path: Path) -> None:

@@ -16,33 +16,31 @@ ROOT = Path(__file__).resolve().parents[2]
 USES = sorted((ROOT / "requirements").glob("*.txt"))
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-NOT_IN_LOCK_STEP = {
+BY_THE_WALL_CLOCK = {
     "they test time itself: watchdogs, the relay's 50 ms, kills, time to rest, lateness": """
-        test_child_process test_controlled_stop test_datagram_flood test_emergency_stop test_fork_server
-        test_failing_surroundings test_flight_computer test_hanging_gnc test_io_processes
-        test_killed_in_each_mode test_killed_processes test_realtime test_stop_in_each_phase
-        test_two_controllers
+        test_child_process test_datagram_flood test_emergency_stop test_failing_surroundings test_flight_computer
+        test_fork_server test_hanging_gnc test_io_processes test_killed_in_each_mode test_killed_processes
+        test_preflight_command test_realtime test_record_command test_runs_on_wires
+        test_stop_in_each_phase test_two_controllers test_undecided
     """,
     "they test the time-outs of a driver, or a program of another maker is at the other end of the wire": """
         test_genicam_cameras test_io_modbus test_mbpoll test_rails_middle_man test_rails_modbus
         test_turntable_ascii_noise test_turntable_timeouts test_vmu_rs422
     """,
+    "bench and GNC run free of each other, over a network that loses and delays": """
+        test_gnc_killed test_gnc_link test_two_hosts
+    """,
     "a page, a browser, a viewer or a person keeps the wall clock": """
-        test_commission_at_the_page test_commission_command test_console test_console_crowd test_console_page
-        test_console_strangers test_foxglove test_halt_from_page test_page_widths test_telemetry
+        test_campaign_on_wires test_commission_at_the_page test_commission_command test_console test_console_crowd
+        test_console_page test_console_strangers test_fault_matrix test_foxglove test_halt_from_page
+        test_identify_command test_page_widths
     """,
     "processes of cameras, of the vision unit or of the docking monitor run at their own pace": """
-        test_cameras_in_the_loop test_images_on_wires test_live_monitor
-    """,
-    "whole commands on an emulated rig as a user types them": """
-        test_identify_command test_preflight_command test_python_api
-    """,
-    "simulated time; they only load the computer": """
-        test_calibrate_command test_commissioning test_first_start test_full_disk test_identification
-        test_integrity_cases
+        test_calibrate_command test_cameras_in_the_loop test_images_on_wires test_live_monitor
+        test_monitor_beside
     """,
 }
-"""Modules of the marker ``wires`` that follow the wall clock, by the reason."""
+"""Modules with tests of the marker ``wires``, by the reason; all others are in lock-step or in simulated time."""
 
 
 def pins(path: Path) -> dict[str, str]:
@@ -94,16 +92,11 @@ def test_what_is_installed_has_its_digest_checked() -> None:
     assert [each for each in commands if "--require-hashes" not in each and not any(word in each for word in own)] == []
 
 
-def test_tests_of_wires_that_are_not_in_lock_step_are_listed_with_the_reason() -> None:
-    listed = {name for names in NOT_IN_LOCK_STEP.values() for name in names.split()}
-    found = set()
-    for path in (ROOT / "tests").rglob("test_*.py"):
-        text = path.read_text(encoding="utf-8")
-        if re.search(r"mark\.wires\b", text) and not re.search(
-            r"lock[_-]step|LOCK_STEP|turntable_bench import .*served|bench_of", text
-        ):
-            found.add(path.stem)
-    assert listed == found
+def test_modules_with_tests_by_the_wall_clock_are_listed_with_the_reason() -> None:
+    listed = {name for names in BY_THE_WALL_CLOCK.values() for name in names.split()}
+    tests = (ROOT / "tests").rglob("test_*.py")
+    marker = r"^(@|pytestmark = .*)pytest\.mark\.wires\b|^    +.*pytest\.mark\.wires[],]"
+    assert listed == {path.stem for path in tests if re.search(marker, path.read_text(encoding="utf-8"), re.MULTILINE)}
 
 
 def test_documented_options_of_pytest_exist() -> None:

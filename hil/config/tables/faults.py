@@ -14,6 +14,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hil.config.tables.model import ConfigModel, NotNegative, Positive
 from hil.errors import one_line
+from hil.maths import linear
 
 ALWAYS_S: Final = 1e9
 """End of a fault without ``until_s``."""
@@ -57,7 +58,7 @@ class ErrorTerm:
         shown = f"{value[0]:g}" if len(value) == 1 else str(list(value))
         if len(value) != self.values:
             return f"value = {shown}: must be {self.count}"
-        size = math.hypot(*value) if self.values == 3 else None
+        size = linear.length(value) if self.values == 3 else None
         sizes = value if size is None else (size,)
         if not all(self.low <= entry <= self.high for entry in sizes):
             of = "the magnitude" if size is not None else "each number" if self.values > 1 else "it"

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Final, Self
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, NotNegative, Positive
+from hil.maths.elementary import square
 
 _HIGHEST_HZ: Final = 500.0  # of the model's own frequencies, which is integrated in steps of 0.1 ms
 
@@ -60,7 +61,7 @@ class DriveMechanics(ConfigModel):
                 f"friction_coulomb_{self.force} {self.in_file('friction_coulomb'):g}"
             )
         load = self.load_ratio / (1.0 + self.load_ratio) if self.resonance_hz else 1.0
-        least = breakaway / load / (math.tau * _HIGHEST_HZ) ** 2
+        least = breakaway / load / square(math.tau * _HIGHEST_HZ)
         if self.si("presliding") < least:
             raise ValueError(
                 f"{self.key_of('presliding')} {self.in_file('presliding'):g}: allowed from "

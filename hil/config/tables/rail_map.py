@@ -312,10 +312,10 @@ def _check_bits(table: str, bits: ConfigModel, word: WordRegister, needed: tuple
 
 
 _LIMITS: Final[dict[str, tuple[float, float]]] = {
-    "u16": (0.0, 2.0**16 - 1),
-    "i16": (-(2.0**15), 2.0**15 - 1),
-    "u32": (0.0, 2.0**32 - 1),
-    "i32": (-(2.0**31), 2.0**31 - 1),
+    "u16": (0.0, float(2**16 - 1)),
+    "i16": (-float(2**15), float(2**15 - 1)),
+    "u32": (0.0, float(2**32 - 1)),
+    "i32": (-float(2**31), float(2**31 - 1)),
 }
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import AngleTriple, ConfigModel, NotNegative, Positive, Triple
+from hil.maths import linear
 
 RATE_MAX_DEGPS = 30.0
 Amplitude = Annotated[float, Field(ge=0.0, le=20.0)]
@@ -59,7 +60,7 @@ class MovingTarget(ConfigModel):
     @model_validator(mode="after")
     def _moments_are_those_of_a_body(self) -> Self:
         largest = max(self.moments_kg_m2)
-        others = sum(self.moments_kg_m2) - largest
+        others = linear.total(self.moments_kg_m2) - largest
         if largest > others * (1.0 + 1e-9):
             raise ValueError(f"moments_kg_m2: {largest:.6g} must not exceed the sum of the others, {others:.6g}")
         return self

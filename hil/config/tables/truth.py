@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, NotNegativeTriple, Positive, Triple
 from hil.core.messages import MAX_MODES
+from hil.maths import linear
 
 
 class ModelFmu(ConfigModel):
@@ -34,7 +34,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 def check_direction(name: str, vector: Triple) -> None:
     """Raise ValueError if ``vector`` is no unit vector."""
-    if abs(math.hypot(*vector) - 1.0) > 1e-6:
+    if abs(linear.length(vector) - 1.0) > 1e-6:
         raise ValueError(f"{name} = {list(vector)} must be a unit vector")
 
 

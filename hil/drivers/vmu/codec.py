@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 
 from hil.core.messages import Array, PoseFrame
+from hil.maths import linear
+from hil.maths.elementary import square
 
 STATUS_GOOD: Final = 0
 STATUS_NO_POSE: Final = 1
@@ -50,17 +52,17 @@ def crc16(data: bytes) -> int:
 def _is_covariance(covariance: Array) -> bool:
     """Return whether ``covariance`` (6, 6), finite and symmetric, is one, up to the wire's resolution."""
     variance = covariance.diagonal()
-    if not all(_SIGMA_MIN**2 <= variance[i] <= SIGMA_MAX[i] ** 2 for i in range(6)):
+    if not all(square(_SIGMA_MIN) <= variance[i] <= square(SIGMA_MAX[i]) for i in range(6)):
         return False
     sigma = np.sqrt(variance)
-    return bool(np.linalg.eigvalsh(covariance / np.outer(sigma, sigma))[0] > -_EIGENVALUE_TOLERANCE)
+    return linear.eigenvalues(covariance / np.outer(sigma, sigma))[0] > -_EIGENVALUE_TOLERANCE
 
 
 def checked_pose(pose: PoseFrame) -> Decoded | None:
     """Return ``pose`` as the content of an intact frame, None for an impossible one; its quaternion is a unit one."""
     if not all(np.isfinite(part).all() for part in (pose.t_v, pose.q_vt, pose.covariance)):
         return None
-    if not 0.0 < pose.t_v[2] <= RANGE_MAX_M or math.hypot(*pose.t_v) > RANGE_MAX_M:
+    if not 0.0 < pose.t_v[2] <= RANGE_MAX_M or linear.length(pose.t_v) > RANGE_MAX_M:
         return None  # behind the cameras or farther than any bench is long
     if not _is_covariance(pose.covariance):
         return None

@@ -16,7 +16,7 @@ from hil.config.vmu_frame import FrameField, VmuFrame
 from hil.core.messages import POSITION_ONLY, Array, PoseFrame
 from hil.drivers.checksums import crc16_ccitt, crc16_modbus, sum8, xor8
 from hil.drivers.vmu.codec import STATUS_GOOD, STATUS_NO_POSE, Decoded, ReportedIdentity, checked_pose
-from hil.maths import quat
+from hil.maths import elementary, linear, quat
 
 _TYPES: Final = ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64")
 _STRUCT: Final = dict(zip(_TYPES, "BbHhIiQqfd", strict=True))
@@ -232,7 +232,7 @@ class FrameDecoder:
         else:
             q = values["quaternion"] if frame.quaternion_order == "xyzw" else np.roll(values["quaternion"], -1)
             is_float = next(field for field in frame.fields if field.name == "quaternion").type.startswith("f")
-            length = math.hypot(*q)
+            length = linear.length(q)
             if not abs(length - 1.0) <= (_UNIT_TOLERANCE if is_float else _INTEGER_TOLERANCE):
                 return None
             q = q if is_float else q / length
@@ -310,8 +310,8 @@ def _elementary(axis: str, angle: float) -> Array:
     k = "xyz".index(axis)
     i, j = (k + 1) % 3, (k + 2) % 3
     rotation = np.eye(3)
-    rotation[i, i] = rotation[j, j] = math.cos(angle)
-    rotation[j, i] = math.sin(angle)
+    rotation[i, i] = rotation[j, j] = elementary.cos(angle)
+    rotation[j, i] = elementary.sin(angle)
     rotation[i, j] = -rotation[j, i]
     return rotation
 
@@ -319,7 +319,8 @@ def _elementary(axis: str, angle: float) -> Array:
 def rotation_of(angles: Array, sequence: str) -> Array:
     """Return the active rotation (3, 3) of Euler ``angles`` (3,), rad; sequence: as in ``VmuFrame``."""
     a, b, c = (_elementary(axis, float(angle)) for axis, angle in zip(sequence.lower(), angles, strict=True))
-    product: Array = a @ b @ c if sequence.isupper() else c @ b @ a
+    first, last = (a, c) if sequence.isupper() else (c, a)
+    product: Array = linear.product(linear.product(first, b), last)
     return product
 
 

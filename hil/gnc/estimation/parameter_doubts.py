@@ -10,7 +10,7 @@ import math
 
 from hil.core.jit import kernel
 from hil.gnc.estimation.integrity import SUMS
-from hil.maths import quat
+from hil.maths import elementary, quat
 from hil.maths.arrays import fill
 
 _DOUBTS_MAX = 3
@@ -69,7 +69,7 @@ def doubt_velocity(params, state, errors, fusion):
     quat.transform_back_into(fusion.filters.akf.x[0:4], excess, doubts.velocity)
     # a wrong velocity has moved the chaser, and its innovations the disturbance
     for i in range(3):
-        doubts.position[i] = math.hypot(doubts.position[i], _FOUND_S * doubts.velocity[i])
+        doubts.position[i] = elementary.hypot(doubts.position[i], _FOUND_S * doubts.velocity[i])
     doubts.acts, doubts.across, doubts.disturbance = 1, _ACROSS * size, size / _DISTURBED_S
     fill(excess, 0.0)
     fusion.thrust.spread, state.drags = _UNKNOWN_M2PS2, 0  # corrections are now those of filters that converge

@@ -17,7 +17,7 @@ import math
 from hil.core.jit import kernel
 from hil.gnc.estimation import akf, joint_filter, pkf, target_motion
 from hil.gnc.estimation.error_state import BIAS, DRIFT, FILTER_ERRORS, LANES, ROTATION, R, V
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.sensors.vision_unit.pose import position_in_h
 
@@ -37,7 +37,7 @@ def start_noise(errors, noise):
 @kernel
 def _white(errors, covariance, k, noise, out):
     """Write the white part (3, 3) of a pose's ``covariance`` (3, 3); k: 0 position, 1 rotation."""
-    factor = math.exp(noise.log[k]) * (1.0 - errors.fraction)
+    factor = elementary.exp(noise.log[k]) * (1.0 - errors.fraction)
     for i in range(3):
         for j in range(3):
             out[i, j] = factor * covariance[i, j]
@@ -50,7 +50,7 @@ def _add_correlated(errors, covariance, k, noise, h):
     """Write the sensitivity to the correlated noise, the Cholesky factor of its covariance; k: as of ``_white``."""
     if errors.correlated == 0:
         return
-    first, factor = errors.correlated + 3 * k, math.exp(noise.log[k]) * errors.fraction
+    first, factor = errors.correlated + 3 * k, elementary.exp(noise.log[k]) * errors.fraction
     for i in range(3):
         for j in range(i + 1):
             total = factor * covariance[i, j]

@@ -18,7 +18,7 @@ import numpy as np
 
 from hil.core.jit import kernel
 from hil.gnc.estimation.error_state import ROTATION, V
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into, cross_into, fill_matrix
 from hil.models.rotating_frame import euler_acceleration, tumble_rate
 
@@ -38,7 +38,7 @@ def _estimated_moments(orbit, errors, parameters, moments):
     for i in range(3):
         moments[i] = orbit.moments[i]
         if errors.target_moments != 0:
-            moments[i] *= math.exp(parameters[errors.target_moments + i])
+            moments[i] *= elementary.exp(parameters[errors.target_moments + i])
 
 
 @kernel

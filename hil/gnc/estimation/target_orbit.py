@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import fill
 from hil.maths.kepler import true_anomaly
 from hil.models.rotating_frame import TUMBLE, tumble_rate
@@ -63,7 +63,7 @@ HILL_STEP = np.dtype(
 def _rate(orbit, nu):
     """Return the rate of H, rad/s, at the true anomaly ``nu``."""
     e = orbit.eccentricity
-    rho = 1.0 + e * math.cos(nu)
+    rho = 1.0 + e * elementary.cos(nu)
     return orbit.mean_motion * rho * rho / math.sqrt((1.0 - e * e) ** 3)
 
 
@@ -110,11 +110,11 @@ def move_hill_frame(orbit, start_s, dt, out):
     nu_first, nu_last = true_anomaly(e, first), true_anomaly(e, first + n * dt)
     nu = 0.5 * (nu_first + nu_last)
     w = _rate(orbit, nu)
-    rho = 1.0 + e * math.cos(nu)
+    rho = 1.0 + e * elementary.cos(nu)
     k = n * n * (rho / (1.0 - e * e)) ** 3
     out.turn, out.rate, out.is_elliptic = nu_last - nu_first, _rate(orbit, nu_last), 1
     out.coriolis = 2.0 * (w - n)
-    out.euler = -2.0 * e * math.sin(nu) * w * w / rho
+    out.euler = -2.0 * e * elementary.sin(nu) * w * w / rho
     out.along, out.across, out.down = w * w - k, n * n - k, w * w + 2.0 * k - 3.0 * n * n
 
 

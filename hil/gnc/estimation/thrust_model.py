@@ -24,7 +24,7 @@ from hil.core.messages import MAX_THRUSTERS
 from hil.gnc.estimation import torque_witness
 from hil.gnc.estimation.error_state import BIAS, DRIFT, V
 from hil.gnc.estimation.torque_witness import TORQUE_PARAMS, TORQUE_STATE
-from hil.maths import stack
+from hil.maths import elementary, stack
 from hil.maths.arrays import copy_into, fill, fill_matrix
 from hil.models.valves import step_valves
 
@@ -116,10 +116,10 @@ def _doubt_disturbance(params, state, step):
     more = torque_witness.watch(params.witness, state.thrust.witness, state.thrust.rate_C, step.rate_C, params.dt_s)
     if more > 0.0:
         doubts, late_s = state.doubts, params.witness.delay * params.dt_s
-        doubts.acts, doubts.disturbance = 1, math.hypot(doubts.disturbance, more)
-        doubts.across = math.hypot(doubts.across, more * late_s)
+        doubts.acts, doubts.disturbance = 1, elementary.hypot(doubts.disturbance, more)
+        doubts.across = elementary.hypot(doubts.across, more * late_s)
         for i in range(3):
-            doubts.position[i] = math.hypot(doubts.position[i], 0.5 * more * late_s**2)
+            doubts.position[i] = elementary.hypot(doubts.position[i], 0.5 * more * late_s**2)
         state.thrust.jumped = state.cycle
 
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.maths import quat, stack
+from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into
 from hil.models.faults import displace_at_random, normal, uniform
 from hil.sensors.vision_unit.camera import edge_distance
@@ -51,7 +51,7 @@ def misidentify(places, q_vt):
     copy_into(before, q_vt)
     angle = places * math.pi / 3.0
     turn[0] = turn[1] = 0.0
-    turn[2], turn[3] = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    turn[2], turn[3] = elementary.sin(0.5 * angle), elementary.cos(0.5 * angle)
     quat.multiply_into(before, turn, q_vt)
 
 
@@ -62,7 +62,7 @@ def correlate(errors, memory, t_s, noise, out):
     noise: (6,), the white part, standard normals. memory: VISION_MEMORY, moved on to the exposure at ``t_s``.
     """
     white, correlated = math.sqrt(1.0 - errors.correlated_fraction), math.sqrt(errors.correlated_fraction)
-    kept = 0.0 if memory.exposures == 0 else math.exp(-(t_s - memory.t_s) / errors.correlation_s)
+    kept = 0.0 if memory.exposures == 0 else elementary.exp(-(t_s - memory.t_s) / errors.correlation_s)
     fresh = math.sqrt(1.0 - kept * kept)
     for i in range(6):
         drawn = normal(errors.seed, memory.exposures, _CORRELATED_LANE + i)

@@ -11,6 +11,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.messages import Array, new
 from hil.maths import quat
+from hil.maths.elementary import square
 from hil.models.faults import SEED_BITS
 from hil.sensors.mounting import MOUNTING
 from hil.sensors.vision_unit.camera import CAMERA
@@ -53,8 +54,8 @@ def mounting(rig: Rig) -> np.record:
     params.q_vc = quat.from_matrix(np.array(rig.bench.camera_axes))
     params.led_ring_position = rig.bench.led_ring_position_m
     params.q_th = quat.from_matrix(np.array(rig.bench.led_ring_axes))
-    params.position_variance = rig.vmu.bench_sigma_m**2
-    params.attitude_variance = math.radians(rig.vmu.bench_sigma_deg) ** 2
+    params.position_variance = square(rig.vmu.bench_sigma_m)
+    params.attitude_variance = square(math.radians(rig.vmu.bench_sigma_deg))
     return params
 
 
@@ -76,6 +77,9 @@ def least_light(scenario: Scenario) -> float:
     of read and background noise v per pixel and of shot noise, e electrons per level: the root of F = LEAST_SNR sigma.
     """
     images = scenario.vmu.images
-    per_pixel = images.read_noise_levels**2 + images.background_levels / images.electrons_per_level
-    dark, half = 4.0 * math.pi * images.psf_sigma_px**2 * per_pixel, 0.5 * LEAST_SNR**2 / images.electrons_per_level
-    return (half + math.sqrt(half * half + LEAST_SNR**2 * dark)) / images.led_flux_1m_levels
+    per_pixel = square(images.read_noise_levels) + images.background_levels / images.electrons_per_level
+    dark, half = (
+        4.0 * math.pi * square(images.psf_sigma_px) * per_pixel,
+        0.5 * square(LEAST_SNR) / images.electrons_per_level,
+    )
+    return (half + math.sqrt(half * half + square(LEAST_SNR) * dark)) / images.led_flux_1m_levels

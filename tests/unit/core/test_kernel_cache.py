@@ -147,7 +147,9 @@ def test_kernels_that_nothing_has_used_for_months_are_removed(tmp_path: Path) ->
     old = tmp_path / "kernels" / "hil.maths.limits" / "gone-0123-4567.nbc"
     old.write_bytes(b"")
     os.utime(old, (0.0, time.time() - 70 * 86_400.0))
-    run_with_cache("from hil.core.jit import remove_unused_kernels as remove; remove()", tmp_path, PACKAGE.parent)
+    run_with_cache(
+        "from hil.core.kernel_folder import remove_unused_kernels as remove; remove()", tmp_path, PACKAGE.parent
+    )
     assert not old.exists()
     assert run_with_cache(CALL_ONE_KERNEL, tmp_path, PACKAGE.parent).stdout == "1\n"
 

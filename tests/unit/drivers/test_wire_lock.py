@@ -13,6 +13,7 @@ import pytest
 from hil.config.load import load_rig
 from hil.config.rig import Rig
 from hil.config.tables.driver_registry import Wire
+from hil.core import surroundings
 from hil.drivers import wire_lock
 from hil.errors import BadInput
 
@@ -47,7 +48,7 @@ with locked_wires(load_rig(sys.argv[1]).value):
 def test_lock_of_another_user_is_taken_whatever_his_umask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, before = tmp_path / "a.lock", os.umask(0o077)
     try:
-        os.close(wire_lock._opened(path))
+        os.close(surroundings._opened(path))
     finally:
         os.umask(before)
     assert path.stat().st_mode & 0o777 == 0o666
@@ -59,7 +60,7 @@ def test_lock_of_another_user_is_taken_whatever_his_umask(tmp_path: Path, monkey
         return opened(name, flags, mode)
 
     monkeypatch.setattr(os, "open", of_another_user)
-    os.close(wire_lock._opened(path))
+    os.close(surroundings._opened(path))
 
 
 @pytest.fixture(autouse=True)

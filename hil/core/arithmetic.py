@@ -1,0 +1,29 @@
+"""What the last bits of a run depend on besides configuration and seed, as a recording states it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Mapping
+from typing import Final
+
+FORMULAS: Final = 2
+"""Version of the functions and orders of sums that determine a run; 1: those of the C library, BLAS and LAPACK."""
+_KEY: Final = "formulas"
+_PACKAGES: Final = ("numpy", "scipy", "numba", "llvmlite")  # they draw random words and generate code
+
+
+def surroundings() -> dict[str, str]:
+    """Return the version of the formulas and those of the packages that can matter, by the keys of a recording."""
+    return {_KEY: str(FORMULAS), **{name: importlib.metadata.version(name) for name in _PACKAGES}}
+
+
+def why_bits_may_differ(run: Mapping[str, str]) -> str:
+    """Return why a run with the header ``run`` may have other last bits here, in one line; "" if it has not.
+
+    Headers of versions before 0.3 state no formulas, and not all packages.
+    """
+    here, recorded = surroundings(), {_KEY: "1", **run}
+    other = [
+        f"{name} {recorded[name]} (here {here[name]})" for name in here if recorded.get(name, here[name]) != here[name]
+    ]
+    return f"last bits may differ from this program's: recorded with {', '.join(other)}" if other else ""
