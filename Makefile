@@ -1,6 +1,7 @@
 # make demo   installs, without what only tests need, and runs scheme 1
 # make test   installs and runs all checks: format, lint, types, import layers, tests
-# make slow   runs the long tests that "make test" omits
+# make slow   runs the long tests that "make test" omits, and measures again which test runs which line
+# make tests-of FILE=hil/maths/quat.py:41  lists the tests of a line, or of all lines of a file
 # make oracle compares the truth with Basilisk, in a separate environment
 # make bench  measures the cost of a cycle, and of filterpy and Basilisk, in one run
 # make lateness measures the lateness of the loop and of cyclictest, in about 10 minutes
@@ -36,7 +37,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTE
 PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
 	-p hil.pytest_plugin.plugin
 
-.PHONY: demo test slow oracle bench lateness accessibility docs docs-links wheel tidy
+.PHONY: demo test slow tests-of oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:
 
 demo: .venv/run
@@ -53,6 +54,10 @@ test: .venv/ready
 
 slow: .venv/ready
 	$(PYTEST) -m slow --timeout 3600
+	$(BIN)/python -m tests.support.line_tests
+
+tests-of:
+	@$(PYTHON) -m tests.support.tests_of $(FILE)
 
 oracle: .venv-oracle/ready
 	.venv-oracle/bin/python -m pytest tests/oracle

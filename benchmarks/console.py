@@ -195,7 +195,6 @@ def main() -> None:
         kind = "--browse" if options.browser else "--read"
         found = turns(console, options.clients, kind, options.rounds, options.seconds)
         table(console.service.view.rows.all(), found, options.clients)
-        print(f"rows of the ring that were lost: {console.service.session.lost_rows if console.service.session else 0}")
     finally:
         console.close()
     return None

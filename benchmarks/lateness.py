@@ -30,6 +30,7 @@ from hil.core.messages import CYCLE
 from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.ring import Ring
 from hil.loop.rate_keeper import Tick, WallClockRate
+from hil.loop.session_parts import SessionParts
 from hil.session import build
 from hil.session.warm_up import warm_up
 
@@ -114,7 +115,7 @@ def cycle_block(cycles: int, rate_hz: float, ring: Ring, tally: Tally) -> None:
     job = build.Job(scenario, load_rig("mock"), 0, (cycles - 1) * step_s, 1.0)
     with RealTime() as real_time:
         rate = MeasuredRate(WallClock(speed=rate_hz * step_s), step_s)
-        outcome = build.in_memory(job, rate, scheduling=real_time, telemetry=ring).run()
+        outcome = build.in_memory(job, rate, SessionParts(scheduling=real_time, telemetry=ring)).run()
     tally.late_us.append(1e6 * outcome.history["lateness_s"])
     tally.end_us.append(1e-3 * np.array(rate.ends_ns[-len(outcome.history) + 1 :]))
     tally.missed += outcome.skipped_periods

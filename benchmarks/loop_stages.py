@@ -36,6 +36,7 @@ ROWS = (
 )  # fmt: skip
 READ, CHECK, EXPOSE, RECEIVE, PREDICT, FUSE, COMMAND, COUNT, ADVANCE, SEND = range(len(ROWS))
 FLIGHTS = 15
+HISTORY = 13  # number of the argument of ``run_cycles``
 
 
 @intrinsic
@@ -62,9 +63,10 @@ def timed_cycles(
     params, field, leds, imu_noise, vision_noise, travel_draws, state, samples, memory, poses, frames, delayed, stats,
     history, arrivals, spent,
 ):  # fmt: skip
-    """Run the cycles of one setpoint each, without faults and docking monitor, as ``run_cycles`` does."""
+    """Run the cycles of one setpoint each, without faults and further sensors, as ``run_cycles`` does."""
     transit, now = state.mock.transit, state.now
     shell._open(params, state)
+    first = transit.next_exposure
     at = time_stamp()
     while state.cycle < state.end:
         k = state.cycle
@@ -75,7 +77,7 @@ def timed_cycles(
         at = since(at, CHECK, spent)
         if broken != guards.NOTHING:
             return broken
-        mock_bench.expose(params, state, now_s + TIME_SLACK_S, 0, vision_noise, travel_draws, leds, frames, stats)
+        mock_bench.expose(params, state, now_s + TIME_SLACK_S, first, vision_noise, travel_draws, leds, frames, stats)
         at = since(at, EXPOSE, spent)
         n = mock_bench.receive_frames(params, state, now_s, frames)
         arrived = core.receive_poses(params, state, now_s, frames, n, delayed, poses, arrivals)
@@ -85,7 +87,7 @@ def timed_cycles(
             return shell.GNC_FAILED
         at = since(at, FUSE if arrived > 0 else PREDICT, spent)
         mock_bench.mirror_thrusters(params, state, now_s)
-        core.command(params, state)
+        core.isolate_thrusters(params, state)
         core.check_consistency(params, state)
         now.t_s, now.commanded_s = t_s, now_s
         at = since(at, COMMAND, spent)
@@ -98,6 +100,7 @@ def timed_cycles(
         at = since(at, ADVANCE, spent)
         if not shell._send_setpoint(params, state, now_s):
             return shell.NOT_FINITE
+        core.next_tick(params, state)
         state.cycle = k + 1
         at = since(at, SEND, spent)
     return shell.COMPLETED
@@ -112,20 +115,18 @@ def main() -> None:
     flight = CaseRunner(scenario, load_rig("mock", options.set).value, scenario.duration_s)
     history = np.zeros(flight.cycles, CYCLE)
     flight.run(scenario, 0, history)
-    monitor_noise, end = 6, -4  # numbers of arguments
     timed_history, best, plain_s = np.zeros_like(history), np.full(len(ROWS), np.inf), np.inf
     for _ in range(FLIGHTS):
         arguments = flight.prepared(scenario, 0)
         flight._params.counts = 1
         begun = time.thread_time()
-        shell.run_cycles(*arguments[:end], history, *arguments[end + 1 :])
+        shell.run_cycles(*arguments[:HISTORY], history, *arguments[HISTORY + 1 :])
         plain_s = min(plain_s, time.thread_time() - begun)
         arguments = flight.prepared(scenario, 0)
         flight._params.counts = 1
-        given = (*arguments[:monitor_noise], *arguments[monitor_noise + 1 : end])
         spent = np.zeros(len(ROWS), np.int64)
         stamped, begun = time_stamp_now(), time.perf_counter()
-        code = timed_cycles(*given, timed_history, flight._arrivals, spent)
+        code = timed_cycles(*arguments[:HISTORY], timed_history, arguments[HISTORY + 1], spent)
         ns_per_tick = (time.perf_counter() - begun) * 1e9 / (time_stamp_now() - stamped)
         assert code == shell.COMPLETED
         best = np.minimum(best, spent * ns_per_tick / flight.cycles)

@@ -73,7 +73,7 @@ def measure(rows: np.ndarray, rate_hz: float, seconds: float) -> None:
     with tempfile.TemporaryDirectory() as folder:
         before_s = cpu_s()
         with recording(job, "emulated", Path(folder), lambda _: None) as taken:
-            recorded = paced(rows, rate_hz, seconds, taken.sinks.cycles, taken.sinks.arrivals)
+            recorded = paced(rows, rate_hz, seconds, taken.sinks["cycles"], taken.sinks["arrivals"])
             account = taken.break_off("benchmark")
         used_s = cpu_s() - before_s
     print(f"\n{rate_hz:g} Hz, {seconds:g} s")

@@ -11,10 +11,12 @@ Each name below is imported from its module when it is first used.
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")  # before numba is imported: its functions have bits of their own
+if "numba" not in sys.modules:  # which would reset its configuration
+    os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")  # functions with bits of their own
 
 if TYPE_CHECKING:
     from hil import errors

@@ -39,8 +39,9 @@ from hil.drivers.fault_injection import FaultControl
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import Tick
 from hil.loop.runner import Runner
-from hil.session.build import Job, WiredBench, check, wired_bench
+from hil.session.build import Job, check, wired_bench
 from hil.session.warm_up import warm_up
+from hil.session.wired import WiredBench
 
 
 class Attendance(Enum):

@@ -199,7 +199,7 @@ class Bench:
             gnc_summary(gnc),
             announce=log.info,
             operator=self._operator,
-            attach=self._operator.begin_session,
+            prepare=lambda parts: parts.on_built.append(self._operator.begin_session),
         )
         self._thread = threading.Thread(target=self._session, name="bench", daemon=True)
         self._failure: BaseException | None = None

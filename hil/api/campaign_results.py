@@ -57,6 +57,17 @@ def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str
     return job_of_case(job, case, mixed, unit), stored.seed, note
 
 
+def campaign_case(job: Job, case: int, folder: str | Path | None) -> tuple[Job, dict[str, Any], str]:
+    """Return the job of a case, what the summary of its run has of it, and a note, "" for none. Raises BadInput.
+
+    folder: of the campaign; None for that of the scenario and seed of ``job``.
+    """
+    if folder is None:
+        return job_of_case(job, case), {"campaign_seed": job.seed, "case": case}, ""
+    chosen, seed, note = job_of_stored_case(job, Path(folder), case)
+    return chosen, {"campaign_seed": seed, "case": case}, note
+
+
 class Campaign:
     """Results of a campaign.
 

@@ -57,7 +57,7 @@ class Recording(Run):
             summary_of(recorded),
             [Event(n["t_s"], n["name"], n["message"]) for n in recorded.log if n["kind"] == "event"],
             _alarms(recorded),
-            recorded.portions,
+            recorded.of_parts,
         )
         super().__init__(data, lambda: recorded)
         self.recorded = recorded

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -16,12 +16,13 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.alarms import Alarm
 from hil.core.clock import utc_ns
+from hil.core.fields import record_dtype
 from hil.core.files import write_text
 from hil.core.messages import ARRIVAL, CYCLE, Array, Event
+from hil.core.part import imported, part_sinks, provided
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.runner import Outcome
-from hil.monitor.results import PORTION, portion_row
 from hil.report.limits import why_of
 from hil.report.results import RunResults
 from hil.report.summary import limits_of
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hil.recording.read import Recorded
-    from hil.setup.docking_monitor import MonitorOutcome
 
 _GROUPS: Final = tuple(name for name in CYCLE.names or () if CYCLE[name].names)
 
@@ -73,7 +73,7 @@ class RecordGroup:
 
 @dataclass(frozen=True)
 class RunData:
-    """Content of a run. history: (n,) of CYCLE. portions: (k,) of PORTION."""
+    """Content of a run. history: (n,) of CYCLE. of_parts: rows that parts have added, by the names of their sinks."""
 
     scenario: Scenario
     rig: Rig
@@ -81,7 +81,7 @@ class RunData:
     summary: dict[str, Any]
     events: list[Event]
     alarms: list[Alarm]
-    portions: np.ndarray
+    of_parts: Mapping[str, np.ndarray]
 
 
 class Run:
@@ -98,7 +98,7 @@ class Run:
         self.summary = data.summary
         self.events = data.events
         self.alarms = data.alarms
-        self._portions = data.portions
+        self._of_parts = data.of_parts
         self.as_recorded = as_recorded
         """Returns the run in the form of a recording that was read."""
 
@@ -213,7 +213,19 @@ class Run:
     @property
     def portions(self) -> RecordGroup:
         """Results of the docking monitor, one row per portion; empty without one."""
-        return RecordGroup(self._portions, self._portions["t_s"])
+        return self.rows_of("portions")
+
+    def rows_of(self, name: str) -> RecordGroup:
+        """Return the rows that a part has added, by the name of their sink; empty if the run has none of them.
+
+        Raises BadInput if no installed part has such rows.
+        """
+        sink = part_sinks().get(name)
+        if sink is None or not sink.topic:
+            known = ", ".join(each for each, sink in part_sinks().items() if sink.topic)
+            raise BadInput.single("rows_of", name, f"no such rows of a part, known are {known or 'none'}")
+        rows = self._of_parts.get(name, np.zeros(0, record_dtype(imported(sink.fields))))
+        return RecordGroup(rows, rows["t_s"])
 
     def plot(self) -> Figure:
         """Return a figure of the truth against the ready state (bench paper figures 6 and 7). Raises BadInput."""
@@ -228,9 +240,7 @@ class Run:
 
     def to_parquet(self, path: str | Path) -> None:
         """Write all cycles to ``path``, one column per number (``truth.r_CT_H[0]``). Raises BadInput."""
-        from hil.recording.export import write_cycles  # slow import
-
-        write_cycles(self.history, Path(path))
+        provided("table of cycles")(self.history, Path(path))
 
     def _group(self, name: str) -> RecordGroup:
         return RecordGroup(self.history[name], self.t_s)
@@ -258,18 +268,12 @@ class Run:
         return text + html.image("truth against the ready state", svg_address(self.plot())) if len(self.t_s) else text
 
 
-def run_of(job: Job, rig: str, outcome: Outcome, summary: dict[str, Any], watched: MonitorOutcome | None = None) -> Run:
-    """Return the results of a run of this process. rig: its name. watched: results of the docking monitor."""
-    rows = [portion_row(portion) for portion in watched.portions] if watched else []
-    data = RunData(
-        job.scenario.value,
-        job.rig.value,
-        outcome.history,
-        summary,
-        outcome.events,
-        outcome.alarms,
-        np.concatenate([np.zeros(0, PORTION), *rows]),
-    )
+def run_of(
+    job: Job, rig: str, outcome: Outcome, summary: dict[str, Any], of_parts: Mapping[str, np.ndarray] | None = None
+) -> Run:
+    """Return the results of a run of this process. rig: its name. of_parts: rows that parts have added."""
+    scenario, of_rig = job.scenario.value, job.rig.value
+    data = RunData(scenario, of_rig, outcome.history, summary, outcome.events, outcome.alarms, of_parts or {})
     ended_ns = utc_ns()
     return Run(data, lambda: _recorded(job, rig, data, ended_ns))
 
@@ -289,11 +293,11 @@ def _recorded(job: Job, rig: str, data: RunData, ended_ns: int) -> Recorded:
         rig=data.rig,
         cycles=data.history,
         arrivals=np.zeros(0, ARRIVAL),
-        portions=data.portions,
         log=log,
         summary=data.summary,
         intact=True,
         files=dict(header.files),
+        of_parts=data.of_parts,
     )
 
 

@@ -4,11 +4,11 @@ command line."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -25,21 +25,20 @@ from hil.checks.go_level import go_warnings
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.core.operator_commands import Operator
+from hil.core.part import provided
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.python_object import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.loop.session_parts import PartResult, SessionParts
 from hil.report.long_run import accumulate
 from hil.report.summary import summarise
 from hil.report.tally import Tallied
-from hil.session import build, with_docking_monitor
+from hil.session import build
 from hil.session.warm_up import Compilation
 from hil.setup.assembly import Job
-
-if TYPE_CHECKING:
-    from hil.setup.docking_monitor import MonitorOutcome
 
 log = logging.getLogger("hil")
 """Logger of the API: start of processes (INFO), compilation (WARNING)."""
@@ -127,22 +126,18 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
         if folder is not None:
             raise BadInput.single("campaign", "", "needs case")
         return job, {}
-    from hil.api.campaign_results import job_of_case, job_of_stored_case  # slow import
-
     if isinstance(case, bool) or not isinstance(case, int | np.integer) or case < 0:
         raise BadInput.single("case", "", f"{case!r:.60}: must be an integer, not negative")
-    if folder is None:
-        return job_of_case(job, int(case)), {"campaign_seed": job.seed, "case": int(case)}
-    chosen, seed, note = job_of_stored_case(job, Path(folder), int(case))
+    chosen, more, note = provided("case")(job, int(case), folder)
     if note:
         log.warning(note)
-    return chosen, {"campaign_seed": seed, "case": int(case)}
+    return chosen, more
 
 
 def run_or_raise(request: RunRequest) -> Run:
     """Return the results of ``run_job``; in simulated time raise what an object of the user has raised."""
     runners: list[Runner] = []
-    found = run_job(replace(request, attach=runners.append))
+    found = run_job(replace(request, prepare=lambda parts: parts.on_built.append(runners.append)))
     if request.job.rig.value.kind == "mock" and not request.job.paced:
         for runner in runners:
             raise_user_error(runner.loop.gnc)
@@ -167,7 +162,7 @@ class RunRequest:
     """A checked job and its connections.
 
     record: folder of the recording. more: added to the summary, as is the result of ``link_stats`` after the run.
-    attach: receives the runner before it starts.
+    prepare: receives the parts of the session before its loop is built.
     """
 
     job: Job
@@ -177,7 +172,7 @@ class RunRequest:
     announce: Callable[[str], None] = lambda _: None
     on_progress: ProgressCallback = lambda *_: None
     operator: Operator | None = None
-    attach: Callable[[Runner], None] = lambda _: None
+    prepare: Callable[[SessionParts], None] = lambda _: None
     link_stats: Callable[[], dict[str, Any]] = dict
 
 
@@ -192,15 +187,13 @@ def run_job(request: RunRequest) -> Run:
             from hil.recording.session import recording  # slow imports, for recorded runs only
 
             recorder = stack.enter_context(recording(job, request.rig_name, Path(request.record), request.announce))
-        sinks = recorder.sinks if recorder else None
-        with with_docking_monitor.runner(
-            job, request.on_progress, request.announce, sinks, request.operator, _prepare
-        ) as (runner, look):
-            request.attach(runner)
-            numbers = accumulate(runner, job)
+        parts = SessionParts(request.operator, request.on_progress, request.announce)
+        numbers = accumulate(parts, job)
+        request.prepare(parts)
+        with build.opened(job, parts, recorder.sinks if recorder else None) as runner:
             outcome = runner.run()
-            watched = look(outcome)
-        found = judged_run(job, request.rig_name, outcome, watched, numbers(outcome))
+            results = parts.results_of(outcome)
+        found = judged_run(job, request.rig_name, outcome, results, numbers(outcome))
         found.summary.update(request.more | request.link_stats())
         if recorder:
             kept = recorder.finish(found.summary)
@@ -208,28 +201,19 @@ def run_job(request: RunRequest) -> Run:
     return found
 
 
-def _prepare(bench: build.WiredBench, runner: Runner) -> None:
-    if bench.rig.vmu.drift_check.views:
-        from hil.commission.calibration_drive import request_drift_check  # slow imports
-
-        request_drift_check(bench, runner)
-
-
 def judged_run(
     job: Job,
     rig: str,
     outcome: Outcome,
-    watched: MonitorOutcome | None = None,
+    results: Sequence[PartResult] = (),
     numbers: Tallied | None = None,
 ) -> Run:
-    """Return the results of ``outcome``. watched: results of the docking monitor. numbers: of a long run."""
+    """Return the results of ``outcome``. results: of parts. numbers: of a long run."""
     scenario = job.scenario.value
     rate_hz = 1.0 / scenario.step_s
     summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers)
-    if watched is not None:
-        from hil.report.docking_monitor import judge_monitor  # slow imports
-
-        summary["monitor"] = judge_monitor(watched, outcome.history, scenario, job.rig.value)
-    found = run_of(job, rig, outcome, summary, watched)
+    summary |= {result.table: result.numbers for result in results}
+    rows = {name: rows for result in results for name, rows in result.rows.items()}
+    found = run_of(job, rig, outcome, summary, rows)
     found.verdict = verdict
     return found

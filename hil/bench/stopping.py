@@ -40,14 +40,3 @@ def brake_step(params, motion, out):
     for i in range(3):
         moving += (out.rail_mps[i] != 0.0) + (out.gimbal_radps[i] != 0.0)
     return moving
-
-
-@kernel
-def stopping_distance(rate, acceleration, dt):
-    """Return the length of path that ``brake_step`` needs from ``rate``: at most ``rate^2 / (2 acceleration)``."""
-    distance = 0.0
-    left = slower(abs(rate), acceleration * dt)
-    while left > 0.0:
-        distance += left * dt
-        left = slower(left, acceleration * dt)
-    return distance

@@ -11,8 +11,7 @@ from hil.config.tables.faults import TERMS, TimedFault
 from hil.core.messages import MAX_FAULTS
 from hil.dynamics.thruster_faults import DELAY_STEPS_MAX
 from hil.errors import Problem
-from hil.params.monitor import MONITOR
-from hil.params.sensors import sensors_of
+from hil.params.sensors import MONITOR, sensors_of
 
 KEY, DELAY_KEY = "faults", "chaser.thrusters.errors.delay_s"
 

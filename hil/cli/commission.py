@@ -15,6 +15,7 @@ from rich.console import Console
 from hil.cli.options import Axes, Flag, Group, Integer, Positive, Settings, TomlFile, refuse, refuse_wires_in_use
 from hil.cli.output import base_of, chosen_axes, say
 from hil.core.files import write_text
+from hil.core.part import provided
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def commission(
     from hil.checks.compatibility import check_plan
     from hil.checks.signed_record import write_proof
     from hil.cli.warm_up import compile_kernels_with_notice
-    from hil.commission.prompt import AutoOperator, OperatorPrompt, ScriptedPrompt, StepFailed
+    from hil.commission.prompt import OperatorPrompt, ScriptedPrompt, StepFailed
     from hil.commission.sign_off import as_toml, signed_before
     from hil.commission.steps import Commissioning, CommissioningPlan, Findings
     from hil.config.load import load_rig, load_scenario
@@ -135,7 +136,8 @@ def commission(
     with build.wired_bench(
         job, lambda text: console.print(text, style="dim", highlight=False, soft_wrap=True)
     ) as bench:
-        emulated = AutoOperator(bench.board, bench.addresses) if bench.board is not None else None
+        make = provided("rig.kind=emulated: operator") if bench.board is not None else lambda *_: None
+        emulated = make(bench.board, bench.addresses)
         button = emulated if emulated is not None and loaded_rig.value.has_io else None
         true_position = emulated.position if emulated is not None else None
         plan = CommissioningPlan(chosen, others, limits)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hil.core.operator_commands import TerminalOperator
     from hil.frmn.udp import Address
     from hil.loop.runner import Runner
+    from hil.loop.session_parts import SessionParts
 
 _RUN_DEFAULTS = RunOptions()
 
@@ -92,7 +93,7 @@ def dss(
     from hil.frmn.udp import shown
     from hil.gnc_backends.udp import gnc_link
     from hil.session import build
-    from hil.setup.gnc_setup import make_udp_gnc, mirror_of
+    from hil.setup.udp_gnc import make_udp_gnc, mirror_to
 
     paced = is_mock and not lock_step
     job = replace(make_job(loaded, bench, options.seed, options.duration, options.speed), paced=paced)
@@ -111,16 +112,18 @@ def dss(
             operator = AutoResumeOperator() if link_options.resume_by_gnc else _at_terminal()
 
         def attach(runner: Runner) -> None:
-            cycles = bench.value.telemetry_cycles(loaded.value.step_s)
-            runner.loop.telemetry = mirror_of(runner, link, cycles)
             if isinstance(operator, AutoResumeOperator):
                 operator.mode = lambda: runner.safety.modes.mode
+
+        def prepare(parts: SessionParts) -> None:
+            mirror_to(link, parts, bench.value.telemetry_cycles(loaded.value.step_s))
+            parts.on_built.append(attach)
 
         def link_stats() -> dict[str, Any]:
             return {"gnc_link": backend.stats.as_json()}
 
         job = replace(job, make_backend=lambda _: backend)
-        request = RunRequest(job, rig, record, operator=operator, attach=attach, link_stats=link_stats)
+        request = RunRequest(job, rig, record, operator=operator, prepare=prepare, link_stats=link_stats)
         return run_and_print(request, console, json)
     finally:
         link.close("the bench has ended")

@@ -63,10 +63,9 @@ def _export_images(recording: str, folder: str, out: str | None) -> int:
     if out is not None:
         raise BadInput.single("--out", "", "goes with the numbers of a recording, not with --images")
 
-    from hil.core.camera_images import LEFT, MONITOR
+    from hil.core.camera_images import GEOMETRY_FILE, LEFT, MONITOR, SCENE_FILE
     from hil.recording.export_images import FOLDERS, export_images
     from hil.recording.read import load
-    from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
     recorded = load(Path(recording))
     found = export_images(recorded, Path(folder))

@@ -8,24 +8,28 @@ from typing import Final
 
 from hil.cli.options import File
 from hil.cli.output import print_columns, write_json
+from hil.core.part import parts
 from hil.errors import BadInput
 
 _FILES: Final = ("scenarios", "rigs", "dispersions", "targets", "bodies", "frames", "protocols")
 
 
 def list(kind: str | None = None, /, *, json: File = None) -> int:
-    """List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends, sensors.
+    """List what a command takes by name: scenarios, rigs, dispersions, drivers, backends, sensors, parts.
 
     Parameters
     ----------
     kind
         One of the kinds: scenarios, rigs, dispersions, targets, bodies, frames, protocols, drivers, backends,
-        sensors; by default all.
+        sensors, parts; by default all. Of parts alone: each with its version, the package that it is from, its commands
+        and its tables in scenario and rig files.
     json
         File for the entries, - for standard output.
     """
     kinds: dict[str, Callable[[], dict[str, str]]] = {each: _of_files(each) for each in _FILES}
-    kinds |= {"drivers": _drivers, "backends": _backends, "sensors": _sensors}
+    kinds |= {"drivers": _drivers, "backends": _backends, "sensors": _sensors, "parts": _parts}
+    if kind == "parts":
+        return _list_parts(json)
     if kind is not None and kind not in kinds:
         close = difflib.get_close_matches(kind, kinds, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
@@ -35,6 +39,28 @@ def list(kind: str | None = None, /, *, json: File = None) -> int:
     if json != "-":
         rows = [(name, each, text) for name, entries in found.items() for each, text in entries.items()]
         print_columns(("kind", "name", ""), rows, left=range(3))
+    return 0
+
+
+def _parts() -> dict[str, str]:
+    return {name: each.part.summary for name, each in parts().usable.items()}
+
+
+def _list_parts(json: str | None) -> int:
+    found = [
+        {
+            "name": each.part.name,
+            "version": each.version,
+            "origin": each.origin,
+            "commands": [*each.part.commands],
+            "tables": [*each.part.tables],
+        }
+        for each in parts().usable.values()
+    ]
+    write_json({"parts": found, "problems": parts().problems}, json)
+    if json != "-":
+        shown = [[text if isinstance(text, str) else ", ".join(text) for text in each.values()] for each in found]
+        print_columns([*found[0]], shown, left=range(5))
     return 0
 
 

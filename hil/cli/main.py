@@ -1,7 +1,7 @@
 """``hil``: the command line. Exit codes: 0 done and passed, 1 done but the verdict is fail, 2 invalid input,
 3 safe-stopped by a fault or by the operator, 4 internal error.
 
-Each command is declared in the file of its name; its module is imported only when it is called.
+Each command is declared by its part, see ``hil.core.part``; its module is imported only when it is called.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from cyclopts import App
 from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
+from hil.core.part import commands_of, parts
 from hil.core.surroundings import leave_process, remove_temporary_folders
 from hil.errors import BadInput, BenchError, CampaignStopped
 
@@ -32,48 +33,7 @@ PASSED, FAILED, BAD_INPUT, SAFE_STOPPED, DEFECT = range(5)
 _PIXELS_MAX: Final = 1 << 27
 """Pixels of an image at most, for OpenCV, which reads this once, from its environment."""
 
-COMMANDS: Final = {
-    "run": "Run one closed loop and print its verdict.",
-    "init": "Write a repository: scenario, rig, GNC in C and Python, requirements, test campaign, and pipelines.",
-    "ci": "Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the base.",
-    "fusion": "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
-    "campaign": "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases "
-    "fail.",
-    "explain": "Explain why cases of a campaign fail, or a recorded run: the first violated limit, its drivers and "
-    "thresholds.",
-    "margins": "Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign "
-    "fails.",
-    "benchmark": "Fly all scenarios, dispersion sets and single faults with one GNC, and write one table and one page.",
-    "emulate": "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
-    "preflight": "Check whether this host and a rig can run in real time and reach a scenario; exit code 0 or 1.",
-    "identify": "Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and "
-    "bandwidth.",
-    "commission": "Take a rig from its emergency stop, one axis at a time, to a slow dry run, and sign it off.",
-    "console": "Serve the page that displays and commands a session at the bench, until Ctrl-C.",
-    "dss": "Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.",
-    "vmu": "Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.",
-    "calibrate": "Calibrate the vision unit from views at known bench positions, or check an earlier calibration for "
-    "drift.",
-    "monitor": "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
-    "replay": "Replay the recorded inputs of a run through the present GNC and compare bit by bit.",
-    "recover": "Restore a truncated recording in a new file; the file itself stays unchanged.",
-    "export": "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
-    "fmu-export": "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
-    "warm-up": "Compile all kernels for this computer, and print the time that each group of them takes.",
-    "list": "List what a command takes by name: scenarios, rigs, dispersions, targets, drivers, backends, sensors.",
-    "keys": "List the keys of scenario and rig files that --set takes, with unit, range, default and meaning.",
-    "report": "Write a self-contained HTML report of a run, of a campaign, or a comparison of several runs.",
-}
-"""Command -> summary: the function of that name, with _ for -, in the module of that name."""
-GROUPS: Final = {
-    "cameras": "Cameras of the vision unit: find them, show their images, focus their lenses.",
-    "gnc": "Run the GNC of a scenario for a bench in another process or on another computer, until the bench "
-    "disconnects.",
-    "operators": "Keys of the operators of a console.",
-    "recordings": "Recorded runs.",
-    "sensors": "Sensor modules that a scenario can add: list them, check one.",
-}
-"""Command with commands of its own -> summary: ``app`` in the module of that name."""
+COMMANDS: Final = commands_of()
 
 _EXTRAS: Final = {
     "cv2": "vision", "matplotlib": "report", "fastapi": "console", "uvicorn": "console", "websockets": "console",
@@ -87,11 +47,8 @@ app = App(
     version=VERSION,
     suppress_keyboard_interrupt=False,  # Ctrl-C has the exit code of a safe stop
 )
-for _name, _summary in COMMANDS.items():
-    _module = _name.replace("-", "_")
-    app.command(f"hil.cli.{_module}:{_module}", name=_name, help=_summary)
-for _name, _summary in GROUPS.items():
-    app.command(f"hil.cli.{_name}:app", name=_name, help=_summary)
+for _name, _command in COMMANDS.items():
+    app.command(_command.path, name=_name, help=_command.summary)
 app.register_install_completion_command(name="--install-completion", help="Install completion for this shell.")
 
 
@@ -103,6 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         signal.signal(number, _as_ctrl_c)
     out, err = (_Output(sys.stdout), _Output(sys.stderr))
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
+    for problem in parts().problems:
+        print(problem, file=sys.stderr)  # noqa: T201
     remove_temporary_folders()  # of processes that were killed
     code = execute(sys.argv[1:] if arguments is None else arguments)
     out.flush()

@@ -10,6 +10,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from hil.cli.output import axes_problem, figure_path_problem, file_path_problem, toml_path_problem
+from hil.core.part import provided
 from hil.errors import BadInput, Problem
 
 Settings = Annotated[
@@ -130,7 +131,8 @@ def refuse(problems: Sequence[Problem]) -> None:
 def refuse_wires_in_use(rig: str, settings: Sequence[str]) -> None:
     """Raise BadInput if another controller holds a wire of ``rig``: before the imports of a run, which take seconds."""
     from hil.config.load import load_rig
-    from hil.drivers.wire_lock import locked_wires
 
-    with locked_wires(load_rig(rig, settings).value):
-        pass
+    loaded = load_rig(rig, settings)
+    if loaded.value.kind == "hardware":
+        with provided("rig.kind=hardware: locks", loaded.source)(loaded.value):
+            pass

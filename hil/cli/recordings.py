@@ -11,6 +11,7 @@ from cyclopts import App, Parameter
 
 from hil.cli.options import File, Flag
 from hil.cli.output import deliver, print_columns, write_json
+from hil.core.part import commands_of, provided
 from hil.errors import BadInput
 
 _FOLDER = "recordings"
@@ -124,59 +125,6 @@ def _with_unit(value: float | None, form: str, unit: str) -> str:
     return "-" if value is None else f"{value:{form}} {unit}"
 
 
-@app.command(name="place", help="Place recorded runs in the distribution of a campaign.")
-def place_recordings(
-    recordings: Annotated[list[str], Parameter(negative=())],
-    /,
-    *,
-    campaign: str,
-    json: File = None,
-) -> int:
-    """Place recorded runs in the distribution of a campaign: which outcomes are outside all its cases, by how much.
-
-    Exit code 1 if an outcome of a run is outside.
-
-    Parameters
-    ----------
-    recordings
-        Files of hil run --record.
-    campaign
-        Results folder of a campaign of the same scenario.
-    json
-        File for the numbers, - for standard output.
-    """
-    from hil.api.recordings import open_recording
-    from hil.monte_carlo.placement import place_run
-
-    runs: list[dict[str, Any]] = [
-        {"recording": name, "outcomes": place_run(open_recording(name).summary, Path(campaign))} for name in recordings
-    ]
-    if json != "-":
-        for run in runs:
-            _render_places(run)
-    write_json({"campaign": campaign, "runs": runs}, json)
-    return int(any(_is_outside(cell) for run in runs for cell in run["outcomes"].values()))
-
-
-def _is_outside(cell: dict[str, Any]) -> bool:
-    return cell["percentile"] is not None and cell["outside"] != 0.0
-
-
-def _render_places(run: dict[str, Any]) -> None:
-    head = ("outcome", "value", "percentile", "p", "outside")
-    rows = []
-    for name, cell in sorted(run["outcomes"].items(), key=lambda item: item[1]["p_value"] or 1.0):
-        known = cell["percentile"] is not None
-        beyond = "-" if cell["outside"] is None else f"{cell['outside']:.2f}" if cell["outside"] else ""
-        p = (f"{cell['percentile']:.1f}", f"{cell['p_value']:.3g}") if known else ("-", "-")
-        rows.append((name, f"{cell['value']:.5g}", *p, beyond))
-    outside = sum(_is_outside(cell) for cell in run["outcomes"].values())
-    cases = max((cell["cases"] for cell in run["outcomes"].values()), default=0)
-    expected = 2.0 * len(run["outcomes"]) / (cases + 1)
-    print_columns(head, rows)
-    print(f"{run['recording']}: {outside} of {len(rows)} outcomes outside {cases} cases, {expected:.2g} expected")  # noqa: T201
-
-
 @app.command(name="verify", help="Verify the audits of recorded runs, and add them to a campaign's evidence.")
 def verify_recordings(
     recordings: Annotated[list[str], Parameter(negative=())],
@@ -211,7 +159,8 @@ def verify_recordings(
     if campaign is None or any(found["problems"] for found in audits):
         write_json({"audits": audits}, json)
         return int(any(found["problems"] for found in audits))
-    return _add_to_evidence(recordings, campaign, out, json)
+    status: int = provided("evidence of recordings", "--campaign")(recordings, campaign, out, json)
+    return status
 
 
 def _audit(path: Path, quiet: bool) -> dict[str, Any]:
@@ -244,29 +193,5 @@ def _audit(path: Path, quiet: bool) -> dict[str, Any]:
     return {"recording": str(path), "entries": len(log), "problems": problems, "acts": acts}
 
 
-def _add_to_evidence(recordings: list[str], campaign: str, out: str | None, json: str | None) -> int:
-    """Write the evidence of ``campaign`` and of ``recordings``; return the exit code."""
-    from hil.api.recordings import open_recording
-    from hil.monte_carlo.campaign import scenario_digest, write_evidence
-    from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
-    from hil.report.requirements_page import evidence_json, requirements_verdict, steps_text, with_open_steps
-
-    opened = {Path(name).name: open_recording(name) for name in recordings}
-    runs = {name: RecordedRun(run.rig.kind, run.summary, scenario_digest(run.scenario)) for name, run in opened.items()}
-    scenario, sources, rows = evidence_of_runs(runs, Path(campaign))
-    folder = Path(campaign if out is None else out)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_evidence(folder, scenario, sources, rows)
-    verdict = requirements_verdict(rows)
-    if json != "-":
-        whole = with_open_steps(rows)
-        cells = [(row.id, row.step, row.evidence, row.result, _margin(row.margin), row.status) for row in whole]
-        print_columns(("id", "step", "evidence", "result", "margin", "status"), cells, left=(0, 1, 2, 3, 5))
-        print(f"results in {folder / 'requirements.html'}")  # noqa: T201
-        print(f"{verdict.upper()} requirements of {scenario}: {steps_text(rows)}")  # noqa: T201
-    write_json(evidence_json(scenario, sources, rows), json)
-    return int(verdict == "fail")
-
-
-def _margin(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+for _name, _command in commands_of("recordings").items():
+    app.command(_command.path, name=_name, help=_command.summary)

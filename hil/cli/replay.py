@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hil.cli.options import File, Flag, Group, Settings, refuse
 from hil.cli.output import deliver, print_columns, say
 from hil.core.arithmetic import why_bits_may_differ
+from hil.core.part import provided
 from hil.errors import Problem
 
 if TYPE_CHECKING:
@@ -77,9 +78,8 @@ def replay(
             problems.append(Problem(option, "", "goes with a replay of the GNC, not with --vmu or --monitor"))
     refuse(problems)
 
-    from hil.cli.replay_images import replay_images
-
-    return replay_images(recording, vmu, geometry, monitor, scene, json)
+    status: int = provided("replay of images", "hil replay")(recording, vmu, geometry, monitor, scene, json)
+    return status
 
 
 def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:

@@ -11,11 +11,11 @@ from hil.cli.output import deliver, print_columns, say
 from hil.config.load import load_geometry, load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
+from hil.core.camera_images import GEOMETRY_FILE, SCENE_FILE
 from hil.errors import BadInput
 from hil.monitor.results import QUANTITIES
 from hil.recording.read import Recorded, load
 from hil.recording.replay_images import ImageComponent, ImagesReplayed, replay_monitor, replay_vision_unit
-from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
 _SAME, _DIFFERS = 0, 1
 _SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", 57.29577951308232), "m/s": ("mm/s", 1e3)}

@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from hil.cli.options import Check
 from hil.cli.output import file_path_problem, say
+from hil.core.part import provided
 from hil.errors import BadInput
 
 
@@ -33,13 +34,7 @@ def report(
     if out is None and not folders:
         raise BadInput.single("--out", "", "must be given: the file of the report")
     if folders:
-        from hil.core.files import write_text
-        from hil.monte_carlo.page import page_of, write_page
-
-        path = Path(out) if out is not None else write_page(Path(folders[0]))
-        if out is not None:
-            write_text(page_of(Path(folders[0])), out)
-        say(str(path))
+        say(str(provided("report of a campaign", "hil report")(Path(folders[0]), out)))
         return 0
     assert out is not None
 

@@ -16,6 +16,7 @@ from rich.console import Console
 from hil.cli.options import File, Flag, Group, OptionalCase, RunOptions, refuse, refuse_wires_in_use
 from hil.cli.output import say, write_json
 from hil.cli.progress import ProgressBar
+from hil.core.part import imported, part_lines, provided
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -106,16 +107,9 @@ def run(
     job = replace(job, until_stopped=until_stopped)
     more = {}
     if (case := of_case.case) is not None:
-        from hil.api.campaign_results import job_of_case, job_of_stored_case
-
-        if of_case.campaign is None:
-            more = {"campaign_seed": job.seed, "case": case}
-            job = job_of_case(job, case)
-        else:
-            job, campaign_seed, note = job_of_stored_case(job, Path(of_case.campaign), case)
-            more = {"campaign_seed": campaign_seed, "case": case}
-            if note:
-                say(note, console, "yellow")
+        job, more, note = provided("case", "--case")(job, case, of_case.campaign)
+        if note:
+            say(note, console, "yellow")
     with Compilation(job) as compilation:
         with console.status("checking that the rig can follow the scenario"):
             build.check(job)
@@ -142,10 +136,9 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
         render(RunResults.of(summary), found.verdict, found.scenario.requirements, Console())
-        if "monitor" in summary:
-            from hil.report.docking_monitor import monitor_lines
-
-            print("\n".join(monitor_lines(summary["monitor"])))  # noqa: T201
+        for table, lines in part_lines().items():
+            if table in summary:
+                print("\n".join(imported(lines)(summary[table])))  # noqa: T201
     if summary["faults"]:
         print(f"safe stop: {found.stop}", file=sys.stderr)  # noqa: T201
     if json is not None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 from rich.console import Console
 
 from hil.cli.options import refuse
+from hil.core.part import without_opencv
 from hil.core.surroundings import leave_process
 from hil.errors import Problem
 
@@ -37,17 +38,18 @@ def warm_up(*groups: str) -> int:
     Parameters
     ----------
     groups
-        Compile only these: gnc, stages, loop, verdict, vmu, monitor, fusion.
+        Compile only these: gnc, stages, loop, verdict; of parts: vmu, fusion, monitor.
     """
     from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
-    from hil.processes.precompile import GROUPS, NEEDS_OPENCV
+    from hil.processes.precompile import groups as all_groups
     from hil.setup.compiled import mark_kernels_cached
 
-    allowed = ", ".join(GROUPS)
+    known = all_groups()
+    allowed = ", ".join(known)
     refuse(
-        [Problem("warm-up", "", f"{name}: unknown group, allowed {allowed}") for name in groups if name not in GROUPS]
+        [Problem("warm-up", "", f"{name}: unknown group, allowed {allowed}") for name in groups if name not in known]
     )
-    left_out = [name for name in NEEDS_OPENCV if importlib.util.find_spec("cv2") is None]
+    left_out = without_opencv() if importlib.util.find_spec("cv2") is None else []
     refuse([Problem("warm-up", "", f"{name}: {_OPENCV}") for name in groups if name in left_out])
     notice = kernel_folder_notice()
     refuse([Problem("warm-up", "", notice)] if kernel_folder() is None else [])
@@ -55,7 +57,7 @@ def warm_up(*groups: str) -> int:
         print(notice)  # noqa: T201
     started_s = time.perf_counter()
     with exit_on_ctrl_c():
-        _compile_groups(groups or tuple(name for name in GROUPS if name not in left_out))
+        _compile_groups(groups or tuple(name for name in known if name not in left_out))
         if not groups or {"gnc", "stages"} <= set(groups):
             mark_kernels_cached("cycle")
     for name in left_out:

@@ -6,8 +6,8 @@ The drift check compares its views with the calibration of the cameras.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -28,8 +28,10 @@ from hil.drivers.vmu import NAME
 from hil.errors import BadInput, DeviceError
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
+from hil.loop.session_parts import SessionParts
 from hil.params import bench as bench_params
-from hil.session.build import Job, WiredBench
+from hil.session.build import Job
+from hil.session.wired import WiredBench
 from hil.vmu.calibration import job as calibration
 from hil.vmu.calibration.files import read_back
 from hil.vmu.calibration.model import Setup
@@ -198,26 +200,35 @@ _RANGE_M: Final = 2.0  # at which its effect is stated
 _LED_SIGMA_M: Final = 1e-3
 
 
-def request_drift_check(bench: WiredBench, runner: Runner) -> None:
-    """Let ``runner`` check the cameras of ``bench`` for drift before it opens the devices.
+@contextmanager
+def attach(job: Job, parts: SessionParts) -> Iterator[None]:
+    """Add to ``parts`` the check of the cameras for drift before the devices are opened, if the rig requests it.
 
     Not in an attended session, in which the axes move by command only: an event of the run states that.
     """
-    if runner.operator.attended:
-        runner.events.append(Event(0.0, NAME, f"no {WHAT} in an attended session"))
-        return
-    check = CameraDriftCheck(bench, runner)
-    runner.before_open = check.run
-    runner.meters["drift_check"] = lambda: check.result
+    if job.rig.value.vmu.drift_check.views:
+        if parts.operator is not None and parts.operator.attended:
+            text = f"no {WHAT} in an attended session"
+            parts.on_built.append(lambda runner: runner.events.append(Event(0.0, NAME, text)))
+        else:
+            check = CameraDriftCheck(parts.bench)
+            parts.on_built.append(check.begin)
+            parts.before_open.append(check.run)
+            parts.meters["drift_check"] = lambda: check.result
+    yield
 
 
 class CameraDriftCheck:
     """Takes the views of ``[vmu.drift_check]`` and compares them. result: keys of ``hil calibrate --check --json``."""
 
-    def __init__(self, bench: WiredBench, runner: Runner) -> None:
+    def __init__(self, bench: WiredBench) -> None:
         self.result: dict[str, Any] = {}
         self._bench = bench
-        self._runner = runner
+        self._events: list[Event] = []
+
+    def begin(self, runner: Runner) -> None:
+        """Take the runner to whose events the result is appended."""
+        self._events = runner.events
 
     def run(self) -> None:
         """Check the cameras. Raises SafetyTrip for a drift, DeviceError for views that do not show one or none."""
@@ -231,7 +242,7 @@ class CameraDriftCheck:
         if found:
             raise table.DRIFT_CHECK.trip(NAME, found, limit, since)
         text = f"{WHAT}: {checked.drift.views} views agree with {since}, residuals {checked.drift.rms_px:.3f} px RMS"
-        self._runner.events.append(Event(0.0, NAME, text))
+        self._events.append(Event(0.0, NAME, text))
 
     def _checked(self) -> tuple[calibration.DriftCheck, calibration.DriftLimits]:
         rig, chosen = self._bench.rig, self._bench.rig.vmu.drift_check

@@ -31,13 +31,14 @@ import numpy as np
 from hil.core.child_process import Parent
 from hil.core.clock import WallClock, utc_ns
 from hil.core.files import parse_json
+from hil.core.part import part_sinks
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Reader, Ring
 from hil.recording import foxglove, foxglove_images, schema
 from hil.recording.foxglove import TEXT, number, table
 from hil.recording.foxglove_server import FoxgloveServer, json_service
-from hil.recording.recorder import RING_DTYPES
+from hil.recording.recorder import ring_dtypes
 from hil.recording.run_messages import MessageSchema, RunMessages, fixed_channels, json_schema, record_channel
 
 BENCH_TOPIC: Final = "/bench"
@@ -146,12 +147,13 @@ class LiveSession:
     def __init__(self, server: FoxgloveServer, about: dict[str, Any], shared: dict[str, int]) -> None:
         self._run_time = RunTime(shared["run_time"])
         self._rings = {
-            name: Ring(shared[name], RING_DTYPES[name], slots, name) for name, slots in about["slots"].items()
+            name: Ring(shared[name], ring_dtypes()[name], slots, name) for name, slots in about["slots"].items()
         }
         self._readers: dict[str, Reader] = {name: ring.reader(from_now=True) for name, ring in self._rings.items()}
         self._files = about["files"]
         self.messages = LiveMessages(server, WallClock(*about["clock"]), self._run_time)
-        for topic, sink in schema.OPTIONAL.items():
+        of_parts = {sink.topic: name for name, sink in part_sinks().items() if sink.topic}
+        for topic, sink in (schema.OPTIONAL | of_parts).items():
             if sink in self._rings:
                 server.open_channel(*record_channel(topic))
 

@@ -15,7 +15,7 @@ import json
 import os
 import queue
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -30,16 +30,15 @@ from hil.core.operator_commands import OperatorCommand, StopCommanded
 from hil.errors import BadInput, BenchError
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.runner import Outcome, Runner
+from hil.loop.session_parts import PartResult
 from hil.recording.audit import Actor
 from hil.recording.session import RunRecorder, recording
-from hil.report.docking_monitor import judge_monitor
-from hil.report.long_run import accumulate
 from hil.report.results import RunResults
 from hil.report.summary import summarise
 from hil.report.tally import Tallied
 from hil.session import build
 from hil.session.warm_up import compile_kernels
-from hil.setup.docking_monitor import MonitorOutcome
+from hil.session.wired import WiredBench
 
 
 class CommissioningOperator(RemoteOperator):
@@ -135,7 +134,7 @@ class Choice(ConfigModel):
         return build.Job(scenario, rig, self.seed, duration_s, self.speed, paced=rig.value.kind == "mock")
 
 
-Commission = Callable[[Choice, build.Job, build.WiredBench, Runner, CommissioningOperator], dict[str, Any]]
+Commission = Callable[[Choice, build.Job, WiredBench, Runner, CommissioningOperator], dict[str, Any]]
 """Commissions a rig, and returns the result for the console."""
 
 
@@ -162,18 +161,18 @@ def run_session(choice: Choice, channel: socket.socket, commission: Commission) 
         with _recorded(choice, job, announce) as taken:
             with opened(job, operator, announce, taken.sinks if taken else None) as bench:
                 adjustable = job.scenario.value.console.adjustable
-                operator.attach(bench.runner, bench.event_recorder, adjustable, bench.watched.search)
+                search = bench.runner.parts.controls.get("search")
+                operator.attach(bench.runner, bench.event_recorder, adjustable, search)
                 _send_hello(channel, bench, status, taken)
                 if isinstance(operator, CommissioningOperator):
                     assert bench.wired is not None
                     messages.send(ended=commission(choice, job, bench.wired, bench.runner, operator))
                     return
-                numbers = accumulate(bench.runner, job)
                 outcome = bench.runner.run()
                 operator.publish(bench.runner.now_s())
                 messages.send(word="the loop has ended: evaluating the run and closing its files", closing=True)
-                watched = bench.watched(outcome)
-            messages.send(ended=_result(choice, job, outcome, watched, taken, numbers(outcome)))
+                results = bench.runner.parts.results_of(outcome)
+            messages.send(ended=_result(choice, job, outcome, results, taken, bench.numbers(outcome)))
     except BadInput as error:
         messages.send(refused=[str(problem) for problem in error.problems])
     except BenchError as error:
@@ -233,19 +232,18 @@ def _result(
     choice: Choice,
     job: build.Job,
     outcome: Outcome,
-    watched: MonitorOutcome | None,
+    results: Sequence[PartResult],
     taken: RunRecorder | None,
     numbers: Tallied | None,
 ) -> dict[str, Any]:
-    """Return the result for the console, and close the recording. numbers: of a long run."""
+    """Return the result for the console, and close the recording. results: of parts. numbers: of a long run."""
     rate_hz = 1.0 / job.scenario.value.step_s
     ended: dict[str, Any] = {"stop": outcome.stop, "faults": outcome.faults, "mode": outcome.mode.value}
     ended |= {"accepted": None, "passed": None}
     summary: dict[str, Any] = {}
     if len(outcome.history):
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, choice.rig, job.seed, rate_hz, numbers)
-        if watched is not None:
-            summary["monitor"] = judge_monitor(watched, outcome.history, job.scenario.value, job.rig.value)
+        summary |= {result.table: result.numbers for result in results}
         ended |= {
             "accepted": summary["accepted"],
             "passed": summary["passed"],

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.console.bench import RINGS
 from hil.console.session import Choice
 from hil.console.status import CELLS, empty_status
 from hil.core.child_process import ChildProcess
@@ -23,10 +22,11 @@ from hil.frmn.mailbox import MailboxBlock
 from hil.frmn.ring import Reader, Ring
 from hil.monitor.results import PORTION
 from hil.recording import recorder
+from hil.recording.recorder import ring_dtypes
 
 _PACKET: Final = 1 << 18
 _MAX_DESCRIPTORS: Final = 16
-_DTYPES: Final = {"telemetry": CYCLE, **RINGS}
+_DTYPES: Final = {"telemetry": CYCLE, **ring_dtypes()}
 _ANSWER_WALL_S: Final = 2.0
 _STOP_WALL_S: Final = 5.0  # allowed to stop the bench and end its processes
 
@@ -116,11 +116,6 @@ class SessionProcess:
 
     def _read_ring(self, name: str, dtype: np.dtype) -> np.ndarray:
         return self._readers[name].read() if name in self._readers else np.empty(0, dtype)
-
-    @property
-    def lost_rows(self) -> int:
-        """Number of rows overwritten before they were read."""
-        return self._readers["telemetry"].lost if self._readers else 0
 
     def read_status(self) -> tuple[int, np.ndarray]:
         """Return the number of written status records, and the newest one, STATUS (1,)."""

@@ -14,7 +14,7 @@ from hil.config.live_tunable import BACKEND_SETTINGS, range_of, value_of, within
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
 from hil.console.lease import RequestRejected
-from hil.drivers.fault_injection import FaultControl
+from hil.core.part import provided
 from hil.gnc_backends.backend_registry import declared_setting
 from hil.params import gnc as gnc_params
 from hil.setup.assembly import Job
@@ -151,9 +151,10 @@ class FaultInjectionPanel:
 
 def _send(address: str, line: str) -> str:
     try:
-        control = FaultControl(address, _TIMEOUT_WALL_S)
+        control = provided("rig.kind=emulated: faults")(address, _TIMEOUT_WALL_S)
         try:
-            return control.send(line)
+            answer: str = control.send(line)
+            return answer
         finally:
             control.close()
     except ValueError as refusal:

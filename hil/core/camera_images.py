@@ -30,6 +30,8 @@ Shape = dict[str, Any]
 
 LEFT, RIGHT, MONITOR = "vmu.left", "vmu.right", "monitor"
 CAMERAS: Final = (LEFT, RIGHT, MONITOR)
+GEOMETRY_FILE, SCENE_FILE = "vmu_geometry.json", "monitor_scene.json"
+"""Attachments of a recording: cameras and targets as assumed by vision unit and docking monitor."""
 
 SLOTS: Final = 16
 """Capacity of a ring: 4 s of two pairs per second, or a burst of eight pairs."""

@@ -16,6 +16,8 @@ from datetime import UTC, datetime
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from hil.core.part import provided
+
 if TYPE_CHECKING:
     import asyncio
 
@@ -134,9 +136,8 @@ def clock_of(configuration: Mapping[str, Any]) -> BenchClock:
     """Return the clock of a child process, of its configuration's key ``clock``."""
     if "page" not in configuration["clock"]:
         return WallClock(**configuration["clock"])
-    from hil.core.lock_step import LockStepClock
-
-    return LockStepClock.attach(configuration["clock"])
+    clock: BenchClock = provided("rig.host.time=lock_step").attach(configuration["clock"])
+    return clock
 
 
 @dataclass(slots=True)

@@ -170,6 +170,8 @@ class LockStepClock:
     """
 
     speed: float = 1.0
+    counts_bytes = True
+    """Whether the time advances by the bytes of the wires."""
 
     def __init__(self, page: pages.LockStepPage, order: Order, name: str) -> None:
         self.page = page

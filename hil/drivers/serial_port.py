@@ -1,4 +1,4 @@
-"""Serial ports of the drivers: pyserial's, whose bytes are counted on a bench in lock-step."""
+"""Serial ports of the drivers: pyserial's, or those that a bench in lock-step opens, whose bytes are counted."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any, Final
 import serial
 
 from hil.core.clock import BenchClock
-from hil.core.lock_step import LockStepClock, LockStepWire
+from hil.core.part import provided
 
-_DRIVER: Final = 1
 _HANDLERS: Final = "hil.drivers.serial_urls"
 
 
@@ -20,16 +19,21 @@ def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> ser
     settings: further arguments of pyserial; its time-outs are wall time, bench time in lock-step. Raises OSError,
     ValueError or termios.error.
     """
-    if isinstance(clock, LockStepClock):
-        return CountedSerial(clock, path, baud, **settings)
+    if is_counted(clock):
+        return provided("rig.host.time=lock_step: serial")(clock, path, baud, **settings)
     port = serial.Serial(path, baud, **settings)
     port.reset_input_buffer()
     return port
 
 
+def is_counted(clock: BenchClock) -> bool:
+    """Return whether ``clock`` advances by the bytes of the wires, in lock-step."""
+    return bool(getattr(clock, "counts_bytes", False))
+
+
 def url_of(clock: BenchClock, path: str) -> str:
     """Return the name of a port for a library that opens it by pyserial, in an event loop of ``clock``."""
-    if not isinstance(clock, LockStepClock):
+    if not is_counted(clock):
         return path
     if _HANDLERS not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_HANDLERS)
@@ -38,63 +42,6 @@ def url_of(clock: BenchClock, path: str) -> str:
 
 def wait_readable(port: serial.Serial, wall_s: float) -> bool:
     """Wait at most ``wall_s`` until there is something to read; return whether there is."""
-    if isinstance(port, CountedSerial):
-        return port.wire is not None and port.wire.wait(port.fileno(), wall_s)
+    if (wait := getattr(port, "wait_readable", None)) is not None:
+        return bool(wait(wall_s))
     return bool(select.select([port.fileno()], [], [], wall_s)[0])
-
-
-class CountedSerial(serial.Serial):  # type: ignore[misc]
-    """A serial port in lock-step. wires: of an event loop, by descriptor, in which the port is entered."""
-
-    def __init__(
-        self,
-        clock: LockStepClock,
-        port: str | None = None,
-        baudrate: int = 9600,
-        wires: dict[int, LockStepWire] | None = None,
-        **settings: Any,
-    ) -> None:
-        self.wire: LockStepWire | None = None
-        self._clock = clock
-        self._wires = {} if wires is None else wires
-        super().__init__(port, baudrate, **settings)
-
-    def open(self) -> None:
-        super().open()
-        wire = self._clock.wire(str(self.port), _DRIVER)
-        while wire.pending > 0:
-            wire.read(self.fileno(), wire.pending)
-        self.wire = self._wires[self.fileno()] = wire
-
-    def _reset_input_buffer(self) -> None:
-        """Do nothing: what the kernel discards would not be counted."""
-
-    @property
-    def in_waiting(self) -> int:
-        return self.wire.pending if self.wire is not None else 0
-
-    def read(self, size: int = 1) -> bytes:
-        wire = self.wire
-        if wire is None or not wire.wait(self.fileno(), self.timeout):
-            return b""
-        data = wire.read(self.fileno(), size)
-        if not data:
-            raise serial.SerialException("the device has gone")
-        return data
-
-    def write(self, data: Any) -> int:
-        assert self.wire is not None
-        self.wire.sending(len(data))
-        taken = 0
-        try:
-            taken = super().write(data) or 0
-        finally:
-            self.wire.sending(taken - len(data))
-        return taken
-
-    def close(self) -> None:
-        if self.wire is not None:
-            self.wire.close()
-            self._wires.pop(self.fileno(), None)
-            self.wire = None
-        super().close()

@@ -14,7 +14,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Final
 
+from hil.config.load import Loaded
 from hil.config.rig import Rig
+from hil.config.scenario import Scenario
 from hil.config.tables.driver_registry import Wire
 from hil.core.files import KIB
 from hil.core.surroundings import shared_lock
@@ -22,6 +24,15 @@ from hil.errors import BadInput, Problem, one_line
 
 _FOLDER: Final = "hil-wires"
 _COMMAND: Final = 200  # characters of the holder's command
+
+
+def wires_in_use(_: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
+    """Return a problem for each wire of ``rig`` that another process holds."""
+    try:
+        with locked_wires(rig.value):
+            return []
+    except BadInput as error:
+        return list(error.problems)
 
 
 @contextmanager

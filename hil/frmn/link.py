@@ -182,10 +182,6 @@ class Link:
         if hello is not None and "gnc.orbit" in hello.wants:
             self.send("gnc.orbit", np.frombuffer(block[size:], GNC_ORBIT))
 
-    def drop_peer(self) -> None:
-        """Drop the other side: the next one is accepted."""
-        self.peer = None
-
     def close(self, text: str = "") -> None:
         """Send ``goodbye`` and close the socket; idempotent."""
         if self.peer is not None and self.peer.gone is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.frmn.link import Link
 from hil.frmn.mailboxes import HEALTH
-from hil.frmn.ring import Telemetry
+from hil.frmn.ring import NoTelemetry, Telemetry
 
 _OF_THE_CYCLE: Final = ("truth", "imu", "pose", "command", "setpoint", "feedback")
 MIRRORED: Final = (*_OF_THE_CYCLE, "health")
@@ -17,21 +17,28 @@ MIRRORED: Final = (*_OF_THE_CYCLE, "health")
 
 
 class Mirror:
-    """Passes each row of CYCLE on to ``inner``, and its records to the other side if its hello requested them.
+    """Telemetry that also sends the records of a row of CYCLE to the other side if its hello requested them.
 
-    mode: returns the bench's mode; overruns: returns the number of overruns so far. cycles: per row that is sent.
+    cycles: per row that is sent.
     """
 
-    def __init__(
-        self, inner: Telemetry, link: Link, mode: Callable[[], str], overruns: Callable[[], int], cycles: int = 1
-    ) -> None:
-        self._inner = inner
+    def __init__(self, link: Link, cycles: int = 1) -> None:
+        self._inner: Telemetry = NoTelemetry()
         self._link = link
-        self._mode = mode
-        self._overruns = overruns
+        self._mode: Callable[[], str] = str
+        self._overruns: Callable[[], int] = int
         self._health = np.zeros(1, HEALTH)
         self._cycles = cycles
         self._cycle = -1
+
+    def over(self, rows: Telemetry) -> Telemetry:
+        """Return this telemetry, which passes each row on to ``rows``."""
+        self._inner = rows
+        return self
+
+    def begin(self, mode: Callable[[], str], overruns: Callable[[], int]) -> None:
+        """Take what returns the bench's mode and the number of overruns so far."""
+        self._mode, self._overruns = mode, overruns
 
     def put(self, row: np.ndarray) -> None:
         """Copy ``row``, shape (1,) of CYCLE."""

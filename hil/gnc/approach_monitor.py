@@ -207,20 +207,11 @@ def protection_levels(params, estimate, levels):
 
 
 @kernel
-def is_protected(params, estimate):
-    """Return whether the protection levels of ``estimate`` are within the alert limits; true if it reports none."""
-    return level_share(params, estimate) <= 1.0
+def level_share(params, estimate, levels, limits):
+    """Return the largest of the protection levels of ``estimate`` over its alert limit, 0 if it reports none.
 
-
-@kernel
-def level_share(params, estimate):
-    """Return the largest of the protection levels of ``estimate`` over its alert limit, 0 if it reports none."""
-    return level_share_into(params, estimate, stack.vector(3), stack.vector(3))
-
-
-@kernel
-def level_share_into(params, estimate, levels, limits):
-    """``level_share``, with the levels and their limits (3,)."""
+    levels, limits: (3,), written.
+    """
     alert_limits(params, estimate.r_CT_H, estimate.v_CT_H, estimate.q_CH, limits)
     protection_levels(params, estimate, levels)
     return largest_share(levels, limits)

@@ -67,7 +67,7 @@ REACTION_STATE = np.dtype(
 @kernel
 def acquire(params, monitor, state, t_s, estimate):
     """Take note whether the navigation has converged, and since when it is not protected."""
-    share = approach_monitor.level_share_into(monitor, estimate, state.level, state.limit)
+    share = approach_monitor.level_share(monitor, estimate, state.level, state.limit)
     is_within = share <= 1.0
     # one without a level does not continue without vision
     state.share = share if estimate.protection_level_m[0] >= 0.0 else np.inf

@@ -16,6 +16,7 @@ from hil.config.load import Loaded, check_table
 from hil.config.scenario import BUILT_IN, Scenario
 from hil.core.backend_records import MAX_IMU_SAMPLES
 from hil.core.own_code import import_error, module_of_file
+from hil.core.part import provided
 from hil.core.settings import Setting
 from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import PARTS, Backend, Backends, OwnBackends
@@ -163,9 +164,8 @@ def _of_name(name: str, part: str, refuse: Callable[[str], BadInput]) -> Backend
     if name.endswith(".so"):
         return LibraryBackend(name, part, refuse)
     if name.endswith(".fmu"):
-        from hil.gnc_backends.fmu import FmuBackend
-
-        return FmuBackend(name, part, refuse)
+        backend: Backend = provided("backend in an FMU", f"gnc.{part}.backend")(name, part, refuse)
+        return backend
     where, colon, member = name.rpartition(":")
     if not colon or not where or not member:
         known = ", ".join(f'"{each}"' for each in BUILT_IN[part])

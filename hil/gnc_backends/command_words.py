@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hil.config.tables.flight_computer import FlightComputer
-from hil.core.messages import MAX_THRUSTERS
+from hil.core.messages import MAX_THRUSTERS, PoseFrame
 from hil.drivers.command_words.receiver import NAME, CommandWordReceiver, PoseForwarder
 from hil.errors import LinkTimeout
 from hil.gnc_backends import external_records
@@ -15,6 +15,15 @@ from hil.gnc_backends.base import Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc
 
 _BITS = 1 << np.arange(MAX_THRUSTERS)
+
+
+def command_word_gnc(
+    config: FlightComputer, bench_now_s: Callable[[], float], setup: BackendSetup
+) -> tuple[CommandWordGnc, Callable[[PoseFrame, float], None] | None]:
+    """Return the backend of the flight computer ``config``, and what forwards it each used frame, None for nothing."""
+    forwarder = PoseForwarder(config.poses) if config.poses.port is not None else None
+    gnc = CommandWordGnc(config, CommandWordReceiver(config, bench_now_s), forwarder, bench_now_s, setup)
+    return gnc, forwarder.put if forwarder is not None else None
 
 
 class CommandWordGnc(ExternalGnc):

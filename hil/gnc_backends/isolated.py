@@ -24,6 +24,7 @@ from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode
 from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
 from hil.fmi.step import offset_of
+from hil.gnc_backends.fmu import FmuLibrary
 from hil.gnc_backends.shared_library import Instance
 
 _MODULE: Final = "hil.processes.isolated_fmu"
@@ -157,6 +158,11 @@ class IsolatedFmu:
     def _check(self, answer: dict[str, Any]) -> None:
         if problem := answer.get("problem"):
             raise BadInput.single(self._source, "gnc.fmu", problem)
+
+
+def open_fmu(gnc: GncConfig, source: str = "--set") -> FmuLibrary | IsolatedFmu:
+    """Return the FMU of ``gnc``, in a process of its own if it asks for one. source: for messages. Raises BadInput."""
+    return IsolatedFmu(gnc, source) if gnc.fmu_process else FmuLibrary(gnc, source)
 
 
 class _Child:

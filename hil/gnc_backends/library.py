@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Final
 
 from hil.config.scenario import GncConfig
-from hil.gnc_backends import fmu, shared_library
+from hil.core.part import provided
+from hil.gnc_backends import shared_library
 from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import GncLibrary, Library, digest_of
 
-_KEYS: Final = {True: fmu.KEY, False: shared_library.KEY}
+_KEYS: Final = {True: "gnc.fmu", False: shared_library.KEY}
 
 
 def key_of(gnc: GncConfig) -> str:
@@ -20,11 +21,8 @@ def key_of(gnc: GncConfig) -> str:
 def open_library(gnc: GncConfig, source: str = "--set") -> GncLibrary | None:
     """Return the binary that ``gnc`` names, None for the built-in GNC. source: for messages. Raises BadInput."""
     if gnc.fmu is not None:
-        if gnc.fmu_process:
-            from hil.gnc_backends.isolated import IsolatedFmu
-
-            return IsolatedFmu(gnc, source)
-        return fmu.FmuLibrary(gnc, source)
+        opened: GncLibrary = provided("gnc.fmu", source)(gnc, source)
+        return opened
     return None if gnc.library is None else Library(gnc.library, source)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -27,24 +27,42 @@ if TYPE_CHECKING:
     from hil.loop.target_stage import RotatedTarget
 
 
+class SafetyInputs(NamedTuple):
+    """Inputs of the bench, None for one that it does not have.
+
+    emergency: returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset.
+    local_enable: returns the level of the local enabling input.
+    """
+
+    emergency: Callable[[float], tuple[bool | None, bool]] | None = None
+    local_enable: Callable[[float], bool] | None = None
+
+
+NO_INPUTS: Final = SafetyInputs()
+
+
 class BenchStage:
     """Rails and turntable as one machine that realises the chaser's pose.
 
-    memory: of the core, whose records of encoders and setpoints this stage writes.
+    memory: of the core, whose records of encoders and setpoints this stage writes. manipulator: of the target, which
+    moves with the chaser's rig; None if the target stands still. inputs: for the safety monitor.
     """
 
-    def __init__(self, rails: AxisGroup, turntable: AxisGroup, memory: CoreMemory, safety: SafetyMonitor) -> None:
+    def __init__(
+        self,
+        rails: AxisGroup,
+        turntable: AxisGroup,
+        memory: CoreMemory,
+        safety: SafetyMonitor,
+        manipulator: RotatedTarget | None = None,
+        inputs: SafetyInputs = NO_INPUTS,
+    ) -> None:
         self.rails = rails
         self.turntable = turntable
         self.safety = safety
         self.axis_names = (*rails.axis_names, *turntable.axis_names)
-        self.emergency_input: Callable[[float], tuple[bool | None, bool]] | None = None
-        """Returns, for a bench time, the levels of the emergency stop (None: unknown) and of its reset; None if the
-        bench has no such input."""
-        self.local_enable: Callable[[float], bool] | None = None
-        """Returns the level of the local enabling input; None without one."""
-        self.manipulator: RotatedTarget | None = None
-        """Of the target, which moves with the chaser's rig; None if the target stands still."""
+        self.emergency_input, self.local_enable = inputs
+        self.manipulator = manipulator
         self.feedback: tuple[AxisFeedback, AxisFeedback]
         """Of rails and turntable, from the last ``read``."""
         self.commanded_s = math.nan

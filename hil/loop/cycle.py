@@ -185,3 +185,7 @@ class PythonCycles:
         run_cycle(self._loop, k, k * self._step_s, tick.now_s, tick.run_zero_s + held_s, tick.lateness_s)
         self._loop.done = k + 1
         return tick
+
+
+CyclesOf = Callable[[Loop, Cycles], Cycles]
+"""Returns what runs the cycles of a loop: by itself, or by the cycle in Python that it is given."""

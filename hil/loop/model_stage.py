@@ -25,6 +25,7 @@ from hil.dynamics.thrusters import wrench
 from hil.errors import DeviceError
 from hil.fmi.archive import FmuError
 from hil.fmi.plant_model import PlantModel, PlantRecords
+from hil.frmn.ring import Telemetry
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
 from hil.loop.stages import DssStage
@@ -58,8 +59,15 @@ class PlantModels(NamedTuple):
 class ModelDssStage(DssStage):
     """Dynamics simulation of which ``models`` replace parts. Their failure is a DeviceError, which stops the bench."""
 
-    def __init__(self, models: PlantModels, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> None:
-        super().__init__(memory, field, imu_noise)
+    def __init__(
+        self,
+        models: PlantModels,
+        memory: CoreMemory,
+        field: Array,
+        imu_noise: NormalRows,
+        sample_sink: Telemetry | None = None,
+    ) -> None:
+        super().__init__(memory, field, imu_noise, sample_sink)
         self._models = models
         self._dss, self._imu_params = kernel_record(memory.params.dss), kernel_record(memory.params.imu)
         self._truth_memory, self._imu_memory = memory.view("truth_memory"), memory.view("imu_memory")

@@ -26,7 +26,12 @@ class OverrunMonitor:
     """
 
     def __init__(
-        self, action: Literal["log", "hold", "safe_stop"], allowed: int, window_s: float, ticks: int = 1
+        self,
+        action: Literal["log", "hold", "safe_stop"],
+        allowed: int,
+        window_s: float,
+        ticks: int = 1,
+        on_hold: Callable[[SafetyTrip], None] | None = None,
     ) -> None:
         self._action = action
         self._allowed = allowed
@@ -37,7 +42,7 @@ class OverrunMonitor:
         self._tripped = False
         self._worst_s: float | None = None
         self._broken: tuple[float, float] | None = None
-        self.on_hold: Callable[[SafetyTrip], None] | None = None
+        self.on_hold = on_hold
 
     def restart(self) -> None:
         """Begin the margin of a run; what was lost before still leaks away."""

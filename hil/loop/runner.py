@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -19,14 +19,15 @@ from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
 from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
-from hil.core.realtime import Grant, SchedulingPolicy, no_garbage_collection
+from hil.core.realtime import DefaultScheduling, Grant, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
 from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop, RootCause
-from hil.loop.cycle import Cycles, Loop, PythonCycles
-from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer, ProgressCallback
+from hil.loop.cycle import Cycles, CyclesOf, Loop, PythonCycles
+from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
+from hil.loop.session_parts import SessionParts
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
@@ -83,43 +84,39 @@ class RunPlan:
 class Runner:
     """One session at the bench, with one run.
 
-    on_progress: called every ``PROGRESS_CYCLES`` cycles. overrun_monitor: judges lost periods, from the first motion.
-    operator: issues the commands; without one the run starts automatically, and a fault ends it.
+    overrun_monitor: judges lost periods, from the first motion. parts: whose ``on_progress`` is called every
+    ``PROGRESS_CYCLES`` cycles; without an operator the run starts automatically, and a fault ends it. cycles: makes
+    what runs the cycles of the closed loop; None: one at a time in Python.
     """
 
     def __init__(
         self,
         loop: Loop,
         rate: Rate,
-        scheduling: SchedulingPolicy,
         overrun_monitor: OverrunMonitor,
         plan: RunPlan,
-        on_progress: ProgressCallback,
-        operator: Operator | None = None,
+        parts: SessionParts,
+        cycles: CyclesOf | None = None,
     ) -> None:
         self.loop = loop
         self.rate = rate
-        self.operator = operator or Operator()
+        self.operator = parts.operator or Operator()
         self.safety = loop.bench.safety
         self.overrun_monitor = overrun_monitor
-        self._scheduling = scheduling
+        self._scheduling = parts.scheduling or DefaultScheduling()
         self._plan = plan
-        self._on_progress = on_progress
+        self._on_progress = parts.on_progress
         self._modes = self.safety.modes
         self._sequencer = MotionSequencer(
-            loop, rate, overrun_monitor, plan.tick_s, self.operator, on_progress, plan.ticks
+            loop, rate, overrun_monitor, plan.tick_s, self.operator, parts.on_progress, plan.ticks
         )
         self._faults: list[str] = []
         self.events: ObservableList[Event] = ObservableList()
         """Events of the bench: holds, changed settings."""
-        self.meters: dict[str, Callable[[], dict[str, Any]]] = {}
-        """Return, at the end, the numbers of ``Outcome.measured``."""
-        self.before_open: Callable[[], None] = lambda: None
-        """Called before each opening of the devices; raises BenchError if the bench must not run."""
-        self.process_pauses: Callable[[], dict[str, float]] = dict
-        """Returns the pauses by the host, s, of the processes that serve the devices."""
-        self.cycles: Cycles = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
-        """Runs the cycles of the closed loop."""
+        self.meters = parts.meters
+        self.parts = parts
+        python = PythonCycles(loop, lambda: self.overrun_monitor.wait(rate), plan.step_s)
+        self.cycles: Cycles = cycles(loop, python) if cycles else python
         self._parked = False
         self._powered = False
 
@@ -196,7 +193,8 @@ class Runner:
     def _session(self) -> bool:
         """Open the devices and execute commands to the end of the run; after a fault return whether to restart."""
         try:
-            self.before_open()
+            for check in self.parts.before_open:
+                check()
             self._open()
             with self._scheduling.realtime_priority():  # after the drivers have started their threads
                 while (command := self._next_command()) is not None:
@@ -380,7 +378,7 @@ class Runner:
         is_link = isinstance(cause, LinkLost | LinkTimeout)
         if not (is_link or (isinstance(cause, SafetyTrip) and cause.alarm.code in _CAUSED_BY_PAUSES)):
             return ""
-        pauses = {"the loop": self.rate.pause_s, **self.process_pauses()}
+        pauses = {"the loop": self.rate.pause_s, **self.parts.process_pauses()}
         longest = max(pauses, key=pauses.__getitem__)
         if pauses[longest] < (0.0 if is_link else _LONG_PAUSE_S) or "(the host paused" in str(cause):
             return ""

@@ -54,6 +54,10 @@ class SafetyIo:
     def keep_closed(self, now_s: float) -> None:
         """Keep the chain closed by a pulse, without a check. Never raises."""
 
+    def set_mirrored(self) -> IoOutputs:
+        """Take the present thruster commands as mirrored, as a compiled loop has done; return the outputs."""
+        return IoOutputs(False, b"")
+
     def stop(self, now_s: float) -> None:
         """Switch all lines off, which opens the chain. Never raises."""
 
@@ -169,7 +173,6 @@ class SafetyIoStage(SafetyIo):
         return len(self._on)
 
     def set_mirrored(self) -> IoOutputs:
-        """Take the present thruster commands as mirrored, as a compiled loop has done; return the outputs."""
         self._mirrored = self._on.tobytes()
         return IoOutputs(True, self._lines())
 

@@ -19,7 +19,7 @@ from hil.frmn.ring import Telemetry
 from hil.gnc_backends.base import GncBackend
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
-from hil.params.monitor import MONITOR
+from hil.params.sensors import MONITOR
 from hil.safety.alarms import AlarmLog
 from hil.safety.condition_alarms import Disagreement
 from hil.sensors.measurement import deliver, is_any_due, log_arrivals, measure, put_sample
@@ -69,7 +69,8 @@ class SensorStage:
     """Sensors of a loop by their names, in the order of its records.
 
     axes: returns the positions of rails and turntable, m and rad, that modelled ones see. sources: of those that are
-    not modelled.
+    not modelled. alarms: receives an alarm of low priority for a source that is silent. sink: receives each sample that
+    arrives, as a row of SENSOR_ARRIVAL.
     """
 
     def __init__(
@@ -77,17 +78,16 @@ class SensorStage:
         memory: CoreMemory,
         kinds: Mapping[str, SensorKind],
         axes: Callable[[], tuple[Array, Array]],
-        sources: Sequence[SampleSource] = (),
+        sources: Sequence[SampleSource],
+        alarms: AlarmLog,
+        sink: Telemetry | None = None,
     ) -> None:
         self._memory, self._kinds, self._axes, self.sources = memory, dict(kinds), axes, list(sources)
         self._params, self._state = kernel_record(memory.params.sensors), memory.view("sensors")
         self._bench = kernel_record(memory.params.bench)
         self.arrivals = kernel_record(memory.state.gnc.navigation.fusion.sensors)
         """SENSOR_FUSION_STATE: samples of the present cycle, and what became of them."""
-        self.alarms: AlarmLog | None = None
-        """Receives an alarm of low priority for a source that is silent."""
-        self.sink: Telemetry | None = None
-        """Receives each sample that arrives, as a row of SENSOR_ARRIVAL."""
+        self._alarms, self.sink = alarms, sink
         self._newest = dict.fromkeys(kinds, np.nan)
         self._sigmas = dict(self._newest)
         self._r, self._q, self._rate = np.empty(3), np.empty(4), np.empty(3)
@@ -114,13 +114,11 @@ class SensorStage:
 
     def _watch(self, source: SampleSource, now_s: float) -> None:
         """Raise an alarm if ``source`` is silent: the navigation carries on without it, with a larger level."""
-        if self.alarms is None:
-            return
         silent_s = now_s - source.last_s
         if source.failure or silent_s > _SILENT_S:
-            self.alarms.raise_condition(table.SAMPLES.alarm(now_s, source.name, source.failure or silent_s, _SILENT_S))
+            self._alarms.raise_condition(table.SAMPLES.alarm(now_s, source.name, source.failure or silent_s, _SILENT_S))
         else:
-            self.alarms.return_to_normal(source.name, table.SAMPLES.quantity)
+            self._alarms.return_to_normal(source.name, table.SAMPLES.quantity)
 
     def disagreement(self) -> Disagreement | None:
         """Return the last disagreement of the first witness whose interlock is set, None if none is."""

@@ -6,7 +6,7 @@ A stage connects calls of the core with devices, streams of random numbers and s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -21,14 +21,18 @@ _NO_ARRIVALS = np.zeros(0, ARRIVAL).view(np.recarray)
 
 
 class DssStage:
-    """Dynamics simulation (DSS): truth and virtual IMU. imu_noise: one row per sample."""
+    """Dynamics simulation (DSS): truth and virtual IMU. imu_noise: one row per sample.
 
-    def __init__(self, memory: CoreMemory, field: Array, imu_noise: NormalRows) -> None:
+    sample_sink: receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE.
+    """
+
+    def __init__(
+        self, memory: CoreMemory, field: Array, imu_noise: NormalRows, sample_sink: Telemetry | None = None
+    ) -> None:
         self._params, self._state, self._samples = memory.params, memory.state, memory.now.samples
         self.field = field
         self.noise = imu_noise
-        self.sample_sink: Telemetry | None = None
-        """Receives each sample of an IMU that is faster than the cycle, as a row of IMU_SAMPLE."""
+        self.sample_sink = sample_sink
         self._row = np.zeros(1, IMU_SAMPLE)
 
     def step(self, k: int) -> None:
@@ -49,11 +53,13 @@ class DssStage:
 
 
 class RunZero:
-    """Bench time of the run's time zero, for those who follow the run in another process."""
+    """Bench time of the run's time zero, for those who follow the run in another process.
 
-    def __init__(self) -> None:
-        self.on_change: Callable[[float], None] | None = None
-        """Called with it when it changes; nan while the run's time stops."""
+    on_change: called with it when it changes; nan while the run's time stops.
+    """
+
+    def __init__(self, on_change: Sequence[Callable[[float], None]] = ()) -> None:
+        self._on_change = tuple(on_change)
         self._run_zero_s = math.nan
 
     def set(self, run_zero_s: float) -> None:
@@ -61,14 +67,27 @@ class RunZero:
         if run_zero_s == self._run_zero_s or (math.isnan(run_zero_s) and math.isnan(self._run_zero_s)):
             return
         self._run_zero_s = run_zero_s
-        if self.on_change is not None:
-            self.on_change(run_zero_s)
+        for receive in self._on_change:
+            receive(run_zero_s)
+
+
+FrameUsed = Callable[[PoseFrame, float], None]
+"""Called with each used frame and its time of exposure in the run's time."""
 
 
 class VisionStage:
-    """Frames of the vision unit on their way to the poses of the cycle."""
+    """Frames of the vision unit on their way to the poses of the cycle.
 
-    def __init__(self, source: PoseSource, memory: CoreMemory) -> None:
+    frame_sink: receives each frame, as a row of ARRIVAL.
+    """
+
+    def __init__(
+        self,
+        source: PoseSource,
+        memory: CoreMemory,
+        on_frame_used: FrameUsed | None = None,
+        frame_sink: Telemetry | None = None,
+    ) -> None:
         self.source = source
         self._simulated = source if isinstance(source, Exposes) else None
         self._memory, self._params, self._state = memory, memory.params, memory.state
@@ -76,10 +95,8 @@ class VisionStage:
         self.poses = memory.poses
         self.arrived = 0
         """Poses of the present cycle."""
-        self.frame_sink: Telemetry | None = None
-        """Receives each frame, as a row of ARRIVAL."""
-        self.on_frame_used: Callable[[PoseFrame, float], None] | None = None
-        """Called with each used frame and its time of exposure in the run's time."""
+        self.frame_sink = frame_sink
+        self._on_frame_used = on_frame_used
         self._frames = np.zeros(len(memory.frames), memory.frames.dtype).view(np.recarray)
 
     def receive(self, bench_s: float) -> None:
@@ -89,7 +106,7 @@ class VisionStage:
         for i, frame in enumerate(received):
             frame.write_to(self._frames[i : i + 1])
         arrivals = _NO_ARRIVALS
-        if waiting and (self.frame_sink is not None or self.on_frame_used is not None):
+        if waiting and (self.frame_sink is not None or self._on_frame_used is not None):
             arrivals = np.zeros(waiting, ARRIVAL).view(np.recarray)
             self._reception.logged = 0
         self.arrived = core.receive_poses(
@@ -110,8 +127,8 @@ class VisionStage:
     def _tell(self, arrivals: np.ndarray) -> None:
         """Report the frames of this cycle."""
         for i, arrival in enumerate(arrivals):
-            if self.on_frame_used is not None and arrival["cycle"] >= 0:
-                self.on_frame_used(PoseFrame.from_record(arrival["frame"]), float(arrival["pose"]["t_s"]))
+            if self._on_frame_used is not None and arrival["cycle"] >= 0:
+                self._on_frame_used(PoseFrame.from_record(arrival["frame"]), float(arrival["pose"]["t_s"]))
             if self.frame_sink is not None:
                 self.frame_sink.put(arrivals[i : i + 1])
 

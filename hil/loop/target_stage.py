@@ -28,12 +28,11 @@ class HeldAxes(TargetAxes):
     number: among the groups of the rig that are held.
     """
 
-    def __init__(self, axes: AxisGroup, config: HeldAtPlace, number: int = 0) -> None:
+    def __init__(self, axes: AxisGroup, config: HeldAtPlace, number: int = 0, sink: Telemetry | None = None) -> None:
         place, self._held_within = config.place
         super().__init__(axes, config, np.array(place))
         self._largest = np.zeros(len(place))
-        self.sink: Telemetry = NoTelemetry()
-        """Receives the axes in each cycle, as a row of HELD_SAMPLE."""
+        self._sink = sink or NoTelemetry()
         self._sample = np.zeros(1, HELD_SAMPLE)
         self._sample["group"], self._sample["setpoint"][0, : len(place)] = number, place
 
@@ -53,7 +52,7 @@ class HeldAxes(TargetAxes):
         row, feedback, n = self._sample, self.feedback, len(self.place_at)
         row["t_s"], row["sampled_s"] = t_s, feedback.t_s - run_zero_s
         row["position"][0, :n], row["rate"][0, :n] = feedback.position, feedback.rate
-        self.sink.put(row)
+        self._sink.put(row)
 
     def numbers(self) -> dict[str, float]:
         """Return the largest distances from their places while armed and running, for the JSON, in m or deg."""
@@ -146,12 +145,12 @@ class RotatedTarget(TargetAxes):
         bench: np.record,
         limits: np.record,
         q_CH: Array,
+        sink: Telemetry | None = None,
     ) -> None:
         self._given = kernel_record(limits)
         super().__init__(axes, config, manipulator.start_angles(params, limits, q_CH), first=3)
         self.params = params
-        self.sink: Telemetry = NoTelemetry()
-        """Receives the physical axes in each cycle, as a row of MANIPULATOR_SAMPLE."""
+        self._sink = sink or NoTelemetry()
         self._sample = np.zeros(1, MANIPULATOR_SAMPLE)
         self._bench, self._rest_radps = bench, config.si("speed_mismatch_max")
         self._largest = np.zeros((3, 3))  # angle, rate, following error
@@ -194,7 +193,7 @@ class RotatedTarget(TargetAxes):
         seen = row["chaser_feedback"]
         seen["rail_m"], seen["rail_mps"] = rails.position, rails.rate
         seen["gimbal_rad"], seen["gimbal_radps"] = turntable.position, turntable.rate
-        self.sink.put(row)
+        self._sink.put(row)
 
     def numbers(self) -> dict[str, Any]:
         """Return the largest angles, rates and following errors of roll, pitch and yaw, for the JSON."""

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from hil.core.jit import kernel
 
 LEAST_RESIDUE: Final = 1e-14
@@ -35,18 +37,47 @@ def factor(a, n, low, least_residue=0.0):
 
 
 @kernel
-def solve(low, n, b, x):
-    """Write the x with ``L L.T x = b``; x may be b itself."""
+def forward(low, n, b, x):
+    """Write the x with ``L x = b``; x may be b itself."""
     for i in range(n):
         s = b[i]
         for m in range(i):
             s -= low[i, m] * x[m]
         x[i] = s / low[i, i]
+
+
+@kernel
+def backward(low, n, b, x):
+    """Write the x with ``L.T x = b``; x may be b itself."""
     for i in range(n - 1, -1, -1):
-        s = x[i]
+        s = b[i]
         for m in range(i + 1, n):
             s -= low[m, i] * x[m]
         x[i] = s / low[i, i]
+
+
+@kernel
+def solve(low, n, b, x):
+    """Write the x with ``L L.T x = b``; x may be b itself."""
+    forward(low, n, b, x)
+    backward(low, n, x, x)
+
+
+@kernel
+def solve_damped(a, damping, b, low, x, least_residue=0.0):
+    """Write the x with ``(a + damping diag(a)) x = b``, a step by Levenberg; return False if there is none.
+
+    a: (n, n), kept, as b is. low: (n, n), scratch.
+    """
+    n = b.shape[0]
+    for i in range(n):
+        for j in range(i):
+            low[i, j] = a[i, j]
+        low[i, i] = a[i, i] * (1.0 + damping) + 1e-12
+    if not factor(low, n, low, least_residue):
+        return False
+    solve(low, n, b, x)
+    return True
 
 
 @kernel
@@ -61,9 +92,23 @@ def solve_system(a, b, x):
 
 
 @kernel
-def invert(low, column, out):
-    """Write the inverse of ``L L.T`` to out (n, n). column: (n,), scratch."""
+def invert_factor(low, out):
+    """Write the inverse of L (n, n) to the lower triangle of out."""
     n = low.shape[0]
+    for j in range(n):
+        out[j, j] = 1.0 / low[j, j]
+        for i in range(j + 1, n):
+            s = 0.0
+            for m in range(j, i):
+                s -= low[i, m] * out[m, j]
+            out[i, j] = s / low[i, i]
+
+
+@kernel
+def invert(low, out):
+    """Write the inverse of ``L L.T`` (n, n) to out."""
+    n = low.shape[0]
+    column = np.empty(n)
     for j in range(n):
         for i in range(n):
             column[i] = 1.0 if i == j else 0.0

@@ -28,8 +28,8 @@ _SMALL_CIRCLE: Final = 96
 
 
 @dataclass(frozen=True)
-class Part:
-    """A flat part parallel to the disc: corners (n, 2), m, ``offset_m`` along y3, and its grey value."""
+class FlatShape:
+    """A flat shape parallel to the disc: corners (n, 2), m, ``offset_m`` along y3, and its grey value."""
 
     corners_m: Floats
     offset_m: float
@@ -64,7 +64,7 @@ class Conditions:
     slope_right: float = 0.0
     slope_down: float = 0.0
     glare: tuple[Glare, ...] = ()
-    extra: tuple[Part, ...] = ()
+    extra: tuple[FlatShape, ...] = ()
     black_s: tuple[tuple[float, float], ...] = ()
 
     def gain_at(self, t_s: float) -> float:
@@ -101,29 +101,30 @@ def cross(arm_length_m: float, arm_width_m: float, centre_m: tuple[float, float]
     return corners
 
 
-def parts_of(target: Target) -> list[Part]:
+def parts_of(target: Target) -> list[FlatShape]:
     """Return the target's parts, back to front."""
-    found: list[Part] = []
+    found: list[FlatShape] = []
     if target.outline is not None:
         corners = np.array(target.outline.corners_m)
         if target.outline.radius_m is not None:
             corners = circle(target.outline.radius_m, target.outline.center_m)
-        found.append(Part(corners, target.outline.offset_m, target.outline.level))
+        found.append(FlatShape(corners, target.outline.offset_m, target.outline.level))
     found += [
-        Part(rectangle(box.width_m, box.height_m, (box.x_m, box.y_m)), box.offset_m, box.level) for box in target.boxes
+        FlatShape(rectangle(box.width_m, box.height_m, (box.x_m, box.y_m)), box.offset_m, box.level)
+        for box in target.boxes
     ]
     if target.plate is not None:
         plate = target.plate
-        found.append(Part(rectangle(plate.width_m, plate.height_m), plate.offset_m, plate.level))
+        found.append(FlatShape(rectangle(plate.width_m, plate.height_m), plate.offset_m, plate.level))
     if target.disc is not None:
-        found.append(Part(circle(target.disc.radius_m, (0.0, 0.0)), 0.0, target.disc.level))
+        found.append(FlatShape(circle(target.disc.radius_m, (0.0, 0.0)), 0.0, target.disc.level))
     if target.labels is not None:
         for centre in target.labels.centers_m:
             corners = circle(target.labels.radius_m, centre, _SMALL_CIRCLE)
-            found.append(Part(corners, 0.0, target.labels.level))
+            found.append(FlatShape(corners, 0.0, target.labels.level))
     if target.cross is not None:
         corners = cross(target.cross.arm_length_m, target.cross.arm_width_m)
-        found.append(Part(corners, target.cross.offset_m, target.cross.level))
+        found.append(FlatShape(corners, target.cross.offset_m, target.cross.level))
     return found
 
 

@@ -46,7 +46,7 @@ from hil.safety.guard_alarms import breach_alarm
 from hil.safety.monitor import SafetyLimits, hold_trip, safety_limits
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.model import VISION_NOISE
-from hil.setup.assembly import axes_at_start, draw_initial_imu_errors, dss_as_built
+from hil.setup.assembly import axes_at_start, draw_initial_imu_errors
 from hil.setup.gnc_setup import gnc_setup
 
 _NO_HISTORY = np.zeros(0, CYCLE)
@@ -113,10 +113,6 @@ class CaseRunner:
         self._memory = new_memory(self._core.params.gnc.navigation.fusion)
         if self._backends.kinds:
             self._backends.setup = gnc_setup(self.scenario)
-
-    def set_abort(self, at_s: float) -> None:
-        """Set the time of a simulated abort, s; inf for none."""
-        self._params.gnc.approach.monitor.abort_at_s = at_s
 
     def run(self, truth: Scenario, seed: int, history: np.ndarray | None = None) -> tuple[np.record, str]:
         """Run one case; return its RUN_STATS, valid until the next call, and why it ended.
@@ -197,7 +193,7 @@ class CaseRunner:
 
     def _set_truth(self, truth: Scenario, seed: int) -> None:
         params, state = self._params, self._state
-        set_truth(params, truth, seed, dss_as_built(truth, seed))
+        set_truth(params, truth, seed, dynamics_params.dss_as_built(truth, seed))
         integrity_params.set_faults(params.stats.integrity, truth.faults)
         state.end = self.cycles
         state.now.truth = dynamics_params.initial_truth(truth)

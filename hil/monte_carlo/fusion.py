@@ -21,6 +21,7 @@ from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.guidance import GUIDANCE_STATE
 from hil.models.faults import SEED_BITS
 from hil.monte_carlo import fusion_kernel
+from hil.monte_carlo.case_runner import CaseRunner
 from hil.monte_carlo.fusion_interval import AxisProblem, degrees_of_freedom, largest_ratio
 from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
@@ -300,3 +301,10 @@ def draw(reading: Reading, seed: int, settings: tuple[str, ...], path: str) -> N
         axes[2, column].set_xlabel("time, s")
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def compile_kernels() -> None:
+    """Call the kernels of the study and of a campaign's case once."""
+    Study((), "swapped", 0).bound()
+    scenario, rig = load_scenario("scheme-1").value, load_rig("mock").value
+    CaseRunner(scenario, rig, 10 * scenario.step_s).run(scenario, 0)

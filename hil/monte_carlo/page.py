@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.config.tables.required_parts import PART_COLUMNS
-from hil.core.files import MIB, parse_json, read_text
+from hil.core.files import MIB, parse_json, read_text, write_text
 from hil.errors import BadInput, one_line
 from hil.monte_carlo.explain import Cases, dispersed_names, explain
 from hil.monte_carlo.figure import dependence_figure, margins_figure, sweep_figure
@@ -27,8 +27,14 @@ _ROWS: Final = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 _FLAGS: Final = {"accepted": "accepted", "passed": "Table III", "passed_all_parts": "all parts"}
 
 
-def write_page(folder: Path) -> Path:
-    """Write the page of the campaign, comparison or sweep in ``folder``; return its path. Raises BadInput."""
+def write_page(folder: Path, out: str | None = None) -> Path:
+    """Write the page of the campaign, comparison or sweep in ``folder`` there or to ``out``; return its path.
+
+    Raises BadInput.
+    """
+    if out is not None:
+        write_text(page_of(folder), out)
+        return Path(out)
     path = folder / PAGE
     with atomic_write(path) as partial:
         partial.write_text(page_of(folder), encoding="utf-8")

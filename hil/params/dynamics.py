@@ -23,6 +23,7 @@ from hil.dynamics.truth import DSS_PARAMS, HILL, NONLINEAR
 from hil.errors import BadInput, Problem
 from hil.maths import elementary, euler, linear, quat
 from hil.maths.elementary import square
+from hil.maths.random_streams import noise_source
 from hil.params.faults import fault_rows, imu_errors, plume, thruster_errors
 from hil.params.target import start_attitude, target_attitude
 
@@ -273,3 +274,9 @@ def _set_target(truth: np.record, scenario: Scenario) -> None:
         orbit.hill_rate(r, v, pull, a, rate)
     truth.r_T_I, truth.v_T_I = r, v
     truth.q_HI, truth.w_HI_H = start_attitude(scenario, quat.from_matrix(a), rate)
+
+
+def dss_as_built(scenario: Scenario, seed: int) -> np.record:
+    """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
+    draws = noise_source(seed, "thrusters").standard_normal(thruster_draws_shape(scenario))
+    return dss(scenario, draws, seed)

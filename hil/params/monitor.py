@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from hil.config.tables.sensors import SensorConfig
 from hil.core.messages import new
 from hil.maths import quat
 from hil.sensors.mounting import MOUNTING
-
-MONITOR: Final = "monitor"
-"""Name of the docking monitor among the sensors."""
 
 
 def mounting(config: DockingMonitorConfig) -> np.record:

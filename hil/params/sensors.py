@@ -7,21 +7,24 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from hil.config.rig import BenchGeometry
 from hil.config.scenario import Scenario
 from hil.config.tables.sensors import SensorConfig
 from hil.core.messages import Array, new
+from hil.core.part import provided
 from hil.core.sensor_records import MAX_SENSORS, SENSOR_ERRORS_MAX
 from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_PARAMS
 from hil.maths import chi_square, quat
 from hil.models.faults import NUMBER, SEED_BITS, VALUE
 from hil.params.dynamics import sun_direction
 from hil.params.faults import fault_rows
-from hil.params.monitor import MONITOR, monitor_sensor, mounting
 from hil.sensors.compiled import addresses
 from hil.sensors.measurement import SENSOR_PARAMS
 from hil.sensors.module import SensorKind
 from hil.sensors.registry import sensor
 
+MONITOR: Final = "monitor"
+"""Name of the sensor of the table ``[monitor]``."""
 NIS_TAIL: Final = 1e-10
 """False-alarm probability of a mean NIS, of poses and of further sensors."""
 
@@ -41,7 +44,7 @@ def sensors_of(scenario: Scenario) -> dict[str, LoopSensor]:
     """
     found = _added(scenario)
     if scenario.monitor.source != "none" and scenario.monitor.interlock:
-        config = monitor_sensor(scenario)
+        config = provided("monitor.source", "scenario")(scenario)
         found[MONITOR] = LoopSensor(sensor(config.kind), config, scenario.monitor.source == "model")
     return found
 
@@ -98,12 +101,12 @@ def sensor_sources(scenario: Scenario, seed: int) -> np.record:
         return params
     params.n, params.seed, params.sun_I = len(sensors), seed & SEED_BITS, sun_direction(scenario)
     params.faults = fault_rows(scenario, "sensor", seed, MONITOR)
-    names = list(sensors)
+    names, q_vc = list(sensors), quat.from_matrix(np.array(BenchGeometry(lever_arm_m=(0.0, 0.0, 0.0)).camera_axes))
     faults = [fault for fault in scenario.faults if fault.family in ("sensor", MONITOR)]
     for row, fault in zip(params.faults.row, faults, strict=False):
         row[NUMBER] = names.index(fault.member or MONITOR)
         if fault.family == MONITOR and fault.kind in ("offset", "drift"):  # of the chaser in c: the target moves in v
-            row[VALUE : VALUE + 3] = -quat.transform(mounting(scenario.monitor).q_vc, row[VALUE : VALUE + 3].copy())
+            row[VALUE : VALUE + 3] = -quat.transform(q_vc, row[VALUE : VALUE + 3].copy())
     for source, (kind, config, models) in zip(params.source, sensors.values(), strict=False):
         row = settings_row(kind, config)
         source.settings[: len(row)] = row

@@ -1,4 +1,4 @@
-"""Checks of a rig's devices: each is opened, identified, sampled and closed."""
+"""Checks of a rig's clock, links and devices: each device is opened, identified, sampled and closed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 from serial.tools import list_ports
 
+from hil.checks.clock import ptp_problem
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.config.tables.host import ClockConfig
 from hil.core.clock import WallClock
 from hil.drivers.base import AxisGroup, PoseSource
-from hil.drivers.emulated_devices import EmulatedDevices
+from hil.drivers.ptp import read_status
 from hil.drivers.split_axes import RigDrivers, make_drivers
 from hil.drivers.wire_lock import locked_wires
 from hil.errors import BenchError, DeviceError, LinkTimeout
@@ -27,24 +29,15 @@ _FIRST_SAMPLE_S = 5.0
 _POLL_S = 0.01
 
 
-def rig_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
-    """Return the checks of the rig's links and devices; the emulators of an emulated rig run meanwhile.
+def hardware_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
+    """Return the checks of clock, links and devices of a hardware rig. enable_drives: its axes are opened."""
+    with locked_wires(rig):
+        return wired_checks(scenario, rig, WallClock(), enable_drives)
 
-    Rails and turntable of a hardware rig are opened only with ``enable_drives``: opening enables their drives, which
-    then hold their positions.
-    """
-    if rig.kind == "mock":
-        return [PreflightCheck("devices", None, "in memory: no links, no devices")]
-    clock = WallClock()
-    if rig.kind == "hardware":
-        with locked_wires(rig):
-            return [*port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
-    try:
-        with EmulatedDevices(scenario, rig, clock, seed=0) as emulated:
-            wired, _ = emulated.wait_ready()
-            return [*port_checks(wired), *_devices(wired, scenario, clock, enable_drives=True)]
-    except DeviceError as error:
-        return [PreflightCheck("emulators", False, str(error), "hil emulate shows the messages of the emulators")]
+
+def wired_checks(scenario: Scenario, rig: Rig, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
+    """Return the checks of clock, links and devices of a rig whose wires have addresses."""
+    return [ptp_check(rig.clock), *port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
 
 
 def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
@@ -200,3 +193,20 @@ def _can(key: str, address: str) -> PreflightCheck:
     if operstate == "down":
         return PreflightCheck(name, False, f"{address}: down", f"sudo ip link set {address} up type can bitrate ...")
     return PreflightCheck(name, True, f"{address}: {operstate}")
+
+
+def ptp_check(clock: ClockConfig) -> PreflightCheck:
+    """Return state and offset of PTP; a note unless ``clock.ptp_max_offset_us`` requires it."""
+    advice = "start ptp4l, and phc2sys for a clock of the network card (docs/how-to/prepare-the-computer.md)"
+    try:
+        status = read_status(clock.ptp_socket, clock.ptp_domain)
+    except DeviceError as error:
+        required = clock.ptp_max_offset_us is not None
+        return PreflightCheck("PTP", False if required else None, str(error), advice if required else "")
+    value = str(status)
+    if clock.ptp_max_offset_us is None:
+        return PreflightCheck("PTP", None, value)
+    problem = ptp_problem(clock)
+    return PreflightCheck(
+        "PTP", not problem, problem or f"{value}, allowed {clock.ptp_max_offset_us:g} us", advice if problem else ""
+    )

@@ -1,4 +1,4 @@
-"""Preflight: all checks in order, that of the clock among them."""
+"""Preflight: all checks in order."""
 
 from __future__ import annotations
 
@@ -8,19 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.checks.clock import ptp_problem
 from hil.checks.compatibility import check_approach, check_plan, requires_sign_off
 from hil.checks.signed_record import MEASURED_S, proof_gap
 from hil.checks.truth import check_truth
 from hil.config.load import Loaded
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
-from hil.config.tables.host import ClockConfig
-from hil.drivers.ptp import read_status
-from hil.errors import DeviceError
+from hil.core.part import provided
 from hil.preflight import lateness
 from hil.preflight.check import PreflightCheck, all_passed
-from hil.preflight.devices import rig_checks
 from hil.preflight.host import HostFacts, host_checks, probe_host
 from hil.preflight.lateness import Lateness, lateness_check, measure, pause_check
 
@@ -73,8 +69,6 @@ def preflight(
     cycles = round(run.duration_s / run.step_s) + 1
     on_hardware = rig.value.kind == "hardware"
     checks = host_checks(probe(folder), cycles, on_hardware)
-    if rig.value.kind != "mock":
-        checks.append(ptp_check(rig.value.clock))
     announce("checking the planned trajectory")
     checks.append(reachability_check(scenario, rig))
     if rig.value.kind != "mock":
@@ -82,7 +76,7 @@ def preflight(
     if on_hardware:
         checks.append(proof_test_check(rig, now_unix_s()))
     announce("opening the devices")
-    checks += rig_checks(run, rig.value, enable_drives)
+    checks += device_checks(run, rig.value, enable_drives)
     announce("measuring the lateness")
     try:
         duration_s = {"hardware": MEASURED_S + run.step_s, "emulated": lateness.WIRED_S}
@@ -94,6 +88,18 @@ def preflight(
         io = rig.value.io
         checks.append(pause_check(late, io.pump_timeout_s if io is not None else None, on_hardware))
     return Preflight(checks, late, 1.0 / run.step_s)
+
+
+def device_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
+    """Return the checks of the clock, of the rig's links and of its devices.
+
+    Rails and turntable of a hardware rig are opened only with ``enable_drives``: opening enables their drives, which
+    then hold their positions.
+    """
+    if rig.kind == "mock":
+        return [PreflightCheck("devices", None, "in memory: no links, no devices")]
+    found: list[PreflightCheck] = provided(f"rig.kind={rig.kind}: preflight", rig.name)(scenario, rig, enable_drives)
+    return found
 
 
 def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:
@@ -125,20 +131,3 @@ def overtravel_check(rig: Rig) -> PreflightCheck:
         texts += [f"{device}.{name} {path:.2f} {unit}" for name, path in zip(table.axis_names, paths, strict=True)]
     value = f"hard-wired switches at least this far beyond the travel: {', '.join(texts)}"
     return PreflightCheck("overtravel", None, value, "measure it: their places are not in the rig file")
-
-
-def ptp_check(clock: ClockConfig) -> PreflightCheck:
-    """Return state and offset of PTP; a note unless ``clock.ptp_max_offset_us`` requires it."""
-    advice = "start ptp4l, and phc2sys for a clock of the network card (docs/how-to/prepare-the-computer.md)"
-    try:
-        status = read_status(clock.ptp_socket, clock.ptp_domain)
-    except DeviceError as error:
-        required = clock.ptp_max_offset_us is not None
-        return PreflightCheck("PTP", False if required else None, str(error), advice if required else "")
-    value = str(status)
-    if clock.ptp_max_offset_us is None:
-        return PreflightCheck("PTP", None, value)
-    problem = ptp_problem(clock)
-    return PreflightCheck(
-        "PTP", not problem, problem or f"{value}, allowed {clock.ptp_max_offset_us:g} us", advice if problem else ""
-    )

@@ -10,7 +10,7 @@ import socket
 from typing import Any
 
 from hil.checks.signed_record import DUE_DAYS, write_proof
-from hil.commission.prompt import AutoOperator, StepFailed
+from hil.commission.prompt import StepFailed
 from hil.commission.sign_off import as_toml, free_file
 from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.console.session import Choice, CommissioningOperator, run_session
@@ -18,10 +18,12 @@ from hil.core.child_process import Parent
 from hil.core.files import write_text
 from hil.core.operator_commands import StopCommanded
 from hil.core.operator_keys import read_operators
+from hil.core.part import provided
 from hil.drivers.remote.io_layout import WATCHDOG
 from hil.errors import BenchError
 from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Runner
-from hil.session.build import Job, WiredBench
+from hil.session.build import Job
+from hil.session.wired import WiredBench
 
 
 def main() -> None:
@@ -39,7 +41,7 @@ def commission(
     """Commission all axes of the rig with the technician at the page, and write its sign-off next to its file."""
     rig, emulated = job.rig.value, None
     if bench.board is not None:
-        emulated = AutoOperator(bench.board, bench.addresses)
+        emulated = provided("rig.kind=emulated: operator")(bench.board, bench.addresses)
     steps = Commissioning(
         runner,
         rig,

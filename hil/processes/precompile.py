@@ -15,6 +15,7 @@ import numpy as np
 from hil.config.load import load_rig, load_scenario
 from hil.core.child_process import Parent
 from hil.core.messages import CYCLE, IMU, MAX_POSES, POSE, TRUTH, new
+from hil.core.part import imported, part_kernels
 from hil.params import dynamics as dynamics_params
 from hil.setup.assembly import Job, make_gnc
 from hil.setup.compiled import mark_kernels_cached
@@ -52,10 +53,12 @@ def _compile_gnc() -> None:
 
 
 def _compile_loop() -> None:
-    from hil.monte_carlo.case_runner import CaseRunner
+    from hil.core.clock import SimulatedClock
+    from hil.loop.rate_keeper import SimulatedRate
+    from hil.session import build
 
     job = _job()
-    CaseRunner(job.scenario.value, job.rig.value, job.duration_s).run(job.scenario.value, 0)
+    build.in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s)).run()
     mark_kernels_cached("loop")
 
 
@@ -92,60 +95,30 @@ def _compile_checks() -> None:
     _compile_verdict()
 
 
-def _compile_study() -> None:
-    from hil.monte_carlo.fusion import Study
-
-    Study((), "swapped", 0).bound()
-
-
-def _compile_vision_unit() -> None:
-    from hil.cameras.pose_sensor import make_pose_sensor
-    from hil.setup.assembly import start_axes
-    from hil.vmu.geometry import geometry_of_rig
-    from hil.vmu.unit import VisionUnit
-
-    job = _job("vmu.source=rendered")
-    scenario, rig = job.scenario.value, job.rig.value
-    VisionUnit(geometry_of_rig(rig)).warm_up()
-    sensor, start = make_pose_sensor(scenario, rig, 0), start_axes(scenario, rig)
-    for k in range(3):
-        sensor.measure(start.rail_m, start.gimbal_rad, k / rig.vmu.rate_hz)
-
-
-def _compile_docking_monitor() -> None:
-    from hil.config.load import load_scene
-    from hil.setup.docking_monitor import warm_up
-
-    job = _job("monitor.source=rendered")
-    warm_up(job.scenario.value, load_scene(job.scenario.value.monitor.scene).value, job.rig.value)
-
-
 RUN: Final = "run"
 """Group for the first run in simulated time: the GNC and the verdict."""
-GROUPS: Final[dict[str, Callable[[], None]]] = {
+_GROUPS: Final[dict[str, Callable[[], None]]] = {
     "gnc": _compile_gnc,
     "stages": _compile_stages,
     "loop": _compile_loop,
     "verdict": _compile_checks,
-    "vmu": _compile_vision_unit,
-    "monitor": _compile_docking_monitor,
-    "fusion": _compile_study,
 }
-"""Group of kernels -> function that calls each of them once, with the types that programs call them with.
 
-``gnc`` and ``stages`` are those of the cycle, ``vmu`` those of the vision unit, ``monitor`` those of the docking
-monitor; the others are the compiled ``loop``, the checks before a run and its ``verdict``, and the ``fusion`` study.
-"""
 
-NEEDS_OPENCV: Final = ("vmu", "monitor")
-"""Groups whose packages use OpenCV, of the extra ``vision``."""
+def groups() -> dict[str, Callable[[], None]]:
+    """Return the groups of kernels: functions that call each kernel once, with the types that programs call it with.
+
+    ``gnc`` and ``stages`` are those of the cycle; then the compiled ``loop``, and the checks before a run with its
+    ``verdict``; the others are those of parts.
+    """
+    return _GROUPS | {name: lambda path=path: imported(path)() for name, path in part_kernels().items()}
 
 
 def main() -> None:
     """Compile the group that the parent names; send how long it took, s. The parent's end ends this process."""
     parent = Parent()
     started_s = time.perf_counter()
-    (GROUPS | {RUN: _compile_run})[parent.configuration["group"]]()
+    (groups() | {RUN: _compile_run})[parent.configuration["group"]]()
     parent.send(seconds=time.perf_counter() - started_s)
 
 

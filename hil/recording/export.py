@@ -13,14 +13,14 @@ import numpy as np
 
 from hil.core.fields import leaf_fields
 from hil.core.messages import CYCLE, CYCLE_FIELDS
+from hil.core.part import part_sinks
 from hil.errors import BadInput
 from hil.recording import foxglove, schema
-from hil.recording.read import Contents, contents
+from hil.recording.read import Contents, contents, directory
 
 TABLES: Final = {
     "/cycle": "cycles",
     "/vmu/frames": "frames",
-    "/monitor/portions": "portions",
     "/imu": "imu",
     "/axes": "axes",
     schema.MANIPULATOR: "manipulator",
@@ -29,7 +29,7 @@ TABLES: Final = {
     foxglove.LOG_TOPIC: "log",
 }
 """Topic -> name of its table; the cycles go to the given file, the others next to it."""
-_OPTIONAL: Final = ("/monitor/portions", "/imu", "/axes", *schema.OPTIONAL)  # most runs have none of these
+_OPTIONAL: Final = ("/imu", "/axes", *schema.OPTIONAL)  # most runs have none of these
 
 _CSV_ROWS: Final = 1000
 
@@ -52,26 +52,38 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
     """Write the tables of the recording at ``path``; return each file with its number of rows.
 
-    ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, results of a docking
-    monitor in ``OUT-portions``, samples of IMU and axes that are faster than the cycle in ``OUT-imu`` and
-    ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``, each group of held axes in
-    ``OUT-axes-NAME``, each further sensor in ``OUT-sensor-NAME``. Works on recordings of any
-    version, by the layout in their schemas. Raises BadInput.
+    ``out`` has the cycles; frames and log are in ``OUT-frames`` and ``OUT-log`` next to it, rows of parts in tables of
+    their own, as ``OUT-portions`` of a docking monitor, samples of IMU and axes that are faster than the cycle in
+    ``OUT-imu`` and ``OUT-axes``, the axes of a rig with a rotary manipulator in ``OUT-manipulator``, each group of held
+    axes in ``OUT-axes-NAME``, each further sensor in ``OUT-sensor-NAME``. Works on recordings of any version, by the
+    layout in their schemas. Raises BadInput.
     """
     if form == "parquet":
         _pyarrow()
-    found = contents(path, frozenset(TABLES))
+    names = TABLES | _tables_of_parts(path)
+    found = contents(path, frozenset(names))
     written = []
-    for name, table, units in _tables(found):
+    for name, table, units in _tables(found, names):
         target = out if name == "cycles" else out.with_name(f"{out.stem}-{name}{out.suffix}")
         _write_file(form, table, units, target)
         written.append((target, len(next(iter(table.values())))))
     return written
 
 
-def _tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
-    """Yield name, columns and units of each table that the recording has; of held axes and sensors one per name."""
-    for topic, name in TABLES.items():
+def _tables_of_parts(path: Path) -> dict[str, str]:
+    """Return the table of each topic that a part has added, installed or not: named as its sink, or as the topic."""
+    installed = {sink.topic: name for name, sink in part_sinks().items()}
+    channels = directory(path)[1].values()
+    others = [each.topic for each in channels if each.message_encoding == schema.RECORD_ENCODING]
+    return {topic: installed.get(topic, topic.strip("/").replace("/", "-")) for topic in others if topic not in TABLES}
+
+
+def _tables(found: Contents, names: dict[str, str]) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+    """Yield name, columns and units of each table that the recording has; of held axes and sensors one per name.
+
+    names: of the tables, by topic.
+    """
+    for topic, name in names.items():
         if topic == schema.SENSORS:
             yield from _sensor_tables(found)
         elif topic == schema.HELD:
@@ -134,7 +146,7 @@ def _write_file(form: str, table: dict[str, Any], units: dict[str, str], target:
 
 
 def _table(found: Contents, topic: str) -> dict[str, Any] | None:
-    if topic in _OPTIONAL and not found.records.get(topic):
+    if (topic in _OPTIONAL or topic not in TABLES) and not found.records.get(topic):
         return None
     if topic in found.layouts:
         return dict(columns(found.flat(topic)))

@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 
 from hil.config.scene import Scene
-from hil.core.camera_images import CAMERAS, LEFT, MONITOR, RIGHT
+from hil.core.camera_images import CAMERAS, GEOMETRY_FILE, LEFT, MONITOR, RIGHT, SCENE_FILE
 from hil.errors import BadInput
 from hil.monitor.sources import WHOLE, exposure, lines_of
 from hil.recording.images import RecordedImage, recorded_images
 from hil.recording.read import Recorded
-from hil.recording.schema import GEOMETRY_FILE, SCENE_FILE
 
 FOLDERS: Final = {LEFT: "left", RIGHT: "right", MONITOR: "monitor"}
 TIMES: Final = "times.csv"

@@ -8,17 +8,16 @@ import platform
 from pathlib import Path
 from typing import Any
 
-from hil.cameras.pose_sensor import calibrated_geometry
-from hil.config.load import load_scene
 from hil.config.motion_digest import motion_digest
 from hil.config.scenario import Scenario
 from hil.core.arithmetic import surroundings
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
+from hil.core.part import hooks, used_parts
 from hil.params.sensors import sensors_of
 from hil.recording import audit
-from hil.recording.schema import GEOMETRY_FILE, HELD_FILE, SCENE_FILE, SENSORS_FILE, VERSION
+from hil.recording.schema import HELD_FILE, PARTS_FILE, SENSORS_FILE, VERSION
 from hil.recording.writer import RecordingHeader
 from hil.setup.assembly import Job
 
@@ -71,13 +70,22 @@ def _without_fixed_bits(scenario: Scenario) -> list[str]:
 
 
 def _calibrations(job: Job) -> dict[str, str]:
-    """Return the cameras and targets of rendered images, and what the rows of sensors and held axes mean."""
+    """Return what parts assume of cameras and targets, and what the rows of sensors and held axes mean."""
     scenario, rig = job.scenario.value, job.rig.value
-    files = {}
-    if scenario.vmu.source == "rendered":
-        files[GEOMETRY_FILE] = calibrated_geometry(rig).model_dump_json()
-    if scenario.monitor.has_images:
-        files[SCENE_FILE] = load_scene(scenario.monitor.scene).value.model_dump_json()
+    files: dict[str, str] = {}
+    if used := used_parts(scenario, rig):
+        files[PARTS_FILE] = json.dumps(
+            {
+                each.part.name: {
+                    "version": each.version,
+                    "origin": each.origin,
+                    "topics": [sink.topic for sink in each.part.sinks.values() if sink.topic],
+                }
+                for each in used
+            }
+        )
+    for attachments in hooks("attachments", scenario, rig):
+        files |= attachments(scenario, rig)
     if sensors_of(scenario):
         files[SENSORS_FILE] = json.dumps(sensor_columns(scenario))
     if groups := rig.groups_at_places:

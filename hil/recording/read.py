@@ -6,8 +6,9 @@ The file is read from start to end, so that one without an end can be read, too:
 from __future__ import annotations
 
 import json
+import logging
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import NoneType
@@ -27,12 +28,16 @@ from hil.core.fields import leaf_fields, record_dtype
 from hil.core.files import MIB, check_regular, parse_json
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import AXES_SAMPLE, IMU_SAMPLE
+from hil.core.part import part_sinks
+from hil.core.part import parts as parts_of_program
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.recording import foxglove, parts, schema, writer
 from hil.recording.schema import present_key, with_present_names
 
 _Model = TypeVar("_Model", bound=ConfigModel)
+
+log = logging.getLogger("hil")
 
 _BROKEN: Final = (
     McapError,
@@ -271,7 +276,7 @@ class RowBatch(NamedTuple):
 class Recorded:
     """A recorded run.
 
-    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. portions: (k,) of PORTION. imu_samples, axes_samples: of
+    cycles: (n,) of CYCLE. arrivals: (m,) of ARRIVAL. imu_samples, axes_samples: of
     IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. manipulator_samples: of
     MANIPULATOR_SAMPLE, empty without a rotary manipulator. held_samples: of HELD_SAMPLE, empty without axes that are
     held. sensor_arrivals: of SENSOR_ARRIVAL, empty without further
@@ -286,7 +291,6 @@ class Recorded:
     rig: Rig
     cycles: np.ndarray
     arrivals: np.ndarray
-    portions: np.ndarray
     log: list[dict[str, Any]]
     summary: dict[str, Any] | None
     intact: bool
@@ -299,6 +303,8 @@ class Recorded:
     sensor_arrivals: np.ndarray = field(default_factory=lambda: np.zeros(0, SENSOR_ARRIVAL))
     absent: frozenset[str] = frozenset()
     """Dotted names of the fields of CYCLE that the recording lacks."""
+    of_parts: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Rows that parts have recorded, (k,) of their records, by the names of their sinks; empty if they have none."""
 
     def as_batch(self) -> RowBatch:
         """Return all rows as one batch."""
@@ -314,11 +320,13 @@ def load(path: Path) -> Recorded:
 
     Raises BadInput for a file that is not a recording, or of another version of the schemas or configuration.
     """
-    return _recorded(contents(path, frozenset({*schema.RECORDS, foxglove.LOG_TOPIC})))
+    return _recorded(contents(path, frozenset({*schema.records(), foxglove.LOG_TOPIC})))
 
 
 def _recorded(found: Contents) -> Recorded:
     _check_version(found)
+    for line in _missing_parts(found):
+        log.warning(line)
     path, summary = found.path, found.files.get(writer.SUMMARY)
     return Recorded(
         path,
@@ -328,7 +336,6 @@ def _recorded(found: Contents) -> Recorded:
         _model(found, "rig.json", Rig),
         _rows(found, "/cycle"),
         _rows(found, "/vmu/frames"),
-        _rows(found, "/monitor/portions"),
         [_note(path, note) for note in found.lines.get(foxglove.LOG_TOPIC, [])],
         _table(path, writer.SUMMARY, summary) if summary else None,
         found.intact,
@@ -339,7 +346,18 @@ def _recorded(found: Contents) -> Recorded:
         _rows(found, schema.HELD),
         _rows(found, schema.SENSORS),
         _absent(found, "/cycle"),
+        {name: _rows(found, sink.topic) for name, sink in part_sinks().items() if sink.topic},
     )
+
+
+def _missing_parts(found: Contents) -> Iterator[str]:
+    """Yield a line for each part that the run used and that is not installed: its rows are not read."""
+    if schema.PARTS_FILE not in found.files:
+        return
+    for name, part in _table(found.path, schema.PARTS_FILE, found.files[schema.PARTS_FILE]).items():
+        if name not in parts_of_program().usable:
+            origin = f"{part.get('origin')} {part.get('version')}" if isinstance(part, dict) else "unknown"
+            yield f"{found.path}: part {name} of package {origin} is not installed: without its rows, see hil export"
 
 
 def load_without_rows(path: Path) -> Recorded:
@@ -352,7 +370,7 @@ def row_batches(path: Path, rows: int = _BATCH_ROWS) -> Iterator[RowBatch]:
 
     Memory is that of a batch, whatever the length of the recording. Raises BadInput as ``load``.
     """
-    pending = {topic: np.zeros(0, record_dtype(schema.RECORDS[topic][1])) for topic in _REPLAYED}
+    pending = {topic: np.zeros(0, record_dtype(schema.records()[topic][1])) for topic in _REPLAYED}
     first = 0  # cycle of the first pending row
     for found in _pieces(path, rows):
         for topic in _REPLAYED:
@@ -412,7 +430,7 @@ def _check_version(found: Contents) -> None:
 
 def _rows(found: Contents, topic: str) -> np.ndarray:
     """Return the messages of ``topic`` as rows of today's record; those that it lacks have ``Field.absent``."""
-    dtype = record_dtype(schema.RECORDS[topic][1])
+    dtype = record_dtype(schema.records()[topic][1])
     if topic not in found.layouts:
         return np.zeros(0, dtype)
     recorded, today = found.layouts[topic], schema.flat_dtype(dtype)
@@ -424,14 +442,14 @@ def _rows(found: Contents, topic: str) -> np.ndarray:
         text = f"the records of {topic} do not have the layout of schema version {found.version}"
         raise BadInput.single(str(found.path), "", text)
     rows, flat = np.zeros(len(found.records[topic]), dtype), found.flat(topic)
-    for field_ in leaf_fields(schema.RECORDS[topic][1]):
+    for field_ in leaf_fields(schema.records()[topic][1]):
         rows.view(today)[field_.name] = flat[field_.name] if field_.name in names else field_.absent
     return rows
 
 
 def _absent(found: Contents, topic: str) -> frozenset[str]:
     """Return the fields of today's record that the messages of ``topic`` lack."""
-    today = schema.flat_dtype(record_dtype(schema.RECORDS[topic][1]))
+    today = schema.flat_dtype(record_dtype(schema.records()[topic][1]))
     recorded = found.layouts.get(topic, today)
     return frozenset(today.names or ()) - frozenset(recorded.names or ())
 

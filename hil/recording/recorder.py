@@ -10,6 +10,7 @@ import sqlite3
 import time
 from contextlib import suppress
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -18,13 +19,14 @@ import numpy as np
 from hil.core.camera_images import IMAGE
 from hil.core.child_process import Message, Parent
 from hil.core.clock import utc_text
+from hil.core.fields import record_dtype
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import ARRIVAL, AXES_SAMPLE, CYCLE, IMU_SAMPLE
+from hil.core.part import imported, part_sinks
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput
 from hil.frmn.mailbox import Mailbox, MailboxBlock
 from hil.frmn.ring import Reader, Ring
-from hil.monitor.results import PORTION
 from hil.recording.catalogue import BROKEN_OFF, Catalogue
 from hil.recording.parts import PartedFile
 from hil.recording.schema import LOG_ENTRY
@@ -34,20 +36,27 @@ _POLL_WALL_S: Final = 0.02
 _ROWS_MAX: Final = 512  # rows per ring and poll
 _IMAGES_MAX: Final = 2
 _NICENESS: Final = -10  # ahead of other processes without real-time priority; it uses a few percent of a CPU
-RING_DTYPES: Final = {
+_DTYPES: Final = {
     "cycles": CYCLE,
     "arrivals": ARRIVAL,
     "log": LOG_ENTRY,
     "images": IMAGE,
-    "monitor_images": IMAGE,
-    "portions": PORTION,
     "imu_samples": IMU_SAMPLE,
     "axes_samples": AXES_SAMPLE,
     "sensor_samples": SENSOR_ARRIVAL,
     "manipulator_samples": MANIPULATOR_SAMPLE,
     "held_samples": HELD_SAMPLE,
 }
-"""Name of a ring in ``RecordingSinks`` -> its record."""
+
+
+@cache
+def ring_dtypes() -> dict[str, np.dtype]:
+    """Return the record of each ring, by its name in ``RecordingSinks``; of parts as well."""
+    of_parts = {
+        name: record_dtype(imported(sink.fields)) if sink.topic else IMAGE for name, sink in part_sinks().items()
+    }
+    return _DTYPES | of_parts
+
 
 STATE: Final = np.dtype([("cycles", "i8"), ("dropped", "i8"), ("size_bytes", "i8"), ("problem", "S128")])
 """State of a recording, written every ``FLUSH_S`` while the recorder runs, with the time of ``time.monotonic``.
@@ -72,7 +81,7 @@ class Recorder:
         more = False
         for name, reader in self._readers.items():
             lost = reader.lost
-            rows_max = _IMAGES_MAX if RING_DTYPES[name] is IMAGE else _ROWS_MAX
+            rows_max = _IMAGES_MAX if ring_dtypes()[name] is IMAGE else _ROWS_MAX
             rows = reader.read(rows_max)
             self._file.count_lost(reader.lost - lost)
             if len(rows):
@@ -118,7 +127,7 @@ def run_child(parent: Parent) -> None:
     np.seterr(all="ignore")  # NaN and infinity are recorded as they are
     configuration = parent.configuration
     rings = {
-        name: Ring(descriptor, RING_DTYPES[name], slots, name)
+        name: Ring(descriptor, ring_dtypes()[name], slots, name)
         for name, (descriptor, slots) in configuration["rings"].items()
     }
     path = Path(configuration["file"])

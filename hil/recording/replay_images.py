@@ -223,7 +223,7 @@ def replay_monitor(recorded: Recorded, scene: Scene) -> ImagesReplayed:
         raise images.no_images(recorded.path, DOCKING_MONITOR)
     portions += monitor.finish()
     found.images, found.remarks = counter.count, counter.remarks()
-    _compare_portions(found, recorded.portions, portions, recorded.intact)
+    _compare_portions(found, recorded.of_parts["portions"], portions, recorded.intact)
     return found
 
 

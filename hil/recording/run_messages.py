@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from hil.core.camera_images import overlay_shapes
+from hil.core.part import part_sinks
 from hil.recording import foxglove, foxglove_images, foxglove_scene, schema
 
 SLACK_S: Final = 1e-9
@@ -32,14 +33,14 @@ def json_schema(content: Mapping[str, Any]) -> MessageSchema:
 
 def record_channel(topic: str) -> tuple[str, str, MessageSchema]:
     """Return topic, encoding and schema of a channel of packed records."""
-    name, fields = schema.RECORDS[topic]
+    name, fields = schema.records()[topic]
     return topic, schema.RECORD_ENCODING, MessageSchema(name, schema.FIELDS_ENCODING, schema.describe(name, fields))
 
 
 def fixed_channels() -> Iterator[tuple[str, str, MessageSchema]]:
     """Yield topic, encoding and schema of each channel that every run has; those of images come with their images.
 
-    Those of a rotary manipulator, of axes that are held and of further sensors are opened for a run with them.
+    Those of a rotary manipulator, of held axes, of further sensors and of parts are opened for a run with them.
     """
     for topic in schema.RECORDS:
         if topic not in schema.OPTIONAL:
@@ -87,14 +88,16 @@ class RunMessages(ABC):
             "arrivals": self.write_arrivals,
             "log": self.write_log,
             "images": self.write_images,
-            "monitor_images": self.write_images,
-            "portions": self.write_portions,
             "imu_samples": lambda rows: self._write_samples("/imu", rows),
             "axes_samples": lambda rows: self._write_samples("/axes", rows),
             "sensor_samples": self.write_sensor_samples,
             "manipulator_samples": lambda rows: self._write_samples(schema.MANIPULATOR, rows),
             "held_samples": lambda rows: self._write_samples(schema.HELD, rows),
+            **{name: self._writer_of(sink.topic) for name, sink in part_sinks().items()},
         }
+
+    def _writer_of(self, topic: str) -> Callable[[np.ndarray], None]:
+        return (lambda rows: self._write_samples(topic, rows)) if topic else self.write_images
 
     def begin(self, files: Mapping[str, str]) -> None:
         """Take over the rig's rate for viewers and its manipulator; write target, chaser and corridor for a 3-D view.
@@ -108,6 +111,10 @@ class RunMessages(ABC):
         for name, topic in ((schema.HELD_FILE, schema.HELD), (schema.SENSORS_FILE, schema.SENSORS)):
             if name in files:
                 self._open_channel(*record_channel(topic))
+        for used in json.loads(files.get(schema.PARTS_FILE, "{}")).values():
+            for topic in used["topics"]:
+                if topic in schema.records():
+                    self._open_channel(*record_channel(topic))
         time_ns = self._time_ns(0.0)
         if (scene := foxglove_scene.scene_of(files, time_ns)) is not None:
             self._add(foxglove.SCENE_TOPIC, foxglove.encoded(scene), time_ns)
@@ -165,10 +172,6 @@ class RunMessages(ABC):
             self._image_topics.add(topic)
             self._open_channel(topic, "json", json_schema(content))
         return topic
-
-    def write_portions(self, rows: np.ndarray) -> None:
-        """Write results of the docking monitor, (n,) of PORTION."""
-        self._write_samples("/monitor/portions", rows)
 
     def write_sensor_samples(self, rows: np.ndarray) -> None:
         """Write samples of further sensors, (n,) of SENSOR_ARRIVAL, each at its arrival."""

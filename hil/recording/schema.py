@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -19,9 +20,9 @@ from hil.core.fields import Fields, leaf_fields, record_dtype
 from hil.core.files import parse_json
 from hil.core.manipulator_records import HELD_SAMPLE_FIELDS, MANIPULATOR_SAMPLE_FIELDS
 from hil.core.messages import ARRIVAL_FIELDS, AXES_SAMPLE_FIELDS, CYCLE_FIELDS, IMU_SAMPLE_FIELDS
+from hil.core.part import imported, part_sinks
 from hil.core.sensor_records import SENSOR_ARRIVAL_FIELDS
 from hil.errors import BadInput
-from hil.monitor.results import PORTION_FIELDS
 
 VERSION: Final = 4
 """Version of all schemas together, incremented when a record is extended. 2: joint covariance and status of a pose.
@@ -48,9 +49,8 @@ during which it happened, -1 before the run. kind: event, alarm, alarm state, mo
 operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as of
 ``audit``."""
 
-GEOMETRY_FILE, SCENE_FILE, SENSORS_FILE = "vmu_geometry.json", "monitor_scene.json", "sensors.json"
-"""Attachments: cameras and targets as assumed by vision unit and docking monitor; further sensors by name, with kind
-and the components of a measurement: their names and units."""
+SENSORS_FILE: Final = "sensors.json"
+"""Attachment: further sensors by name, with kind and the components of a measurement: their names and units."""
 HELD_FILE: Final = "held_axes.json"
 """Attachment: groups of axes that are held during a run, by name, with the names of their axes and their unit."""
 
@@ -62,14 +62,25 @@ OPTIONAL: Final = {MANIPULATOR: "manipulator_samples", HELD: "held_samples", SEN
 RECORDS: Final[dict[str, tuple[str, Fields]]] = {
     "/cycle": ("hil.Cycle", CYCLE_FIELDS),
     "/vmu/frames": ("hil.Arrival", ARRIVAL_FIELDS),
-    "/monitor/portions": ("hil.Portion", PORTION_FIELDS),
     "/imu": ("hil.ImuSample", IMU_SAMPLE_FIELDS),
     "/axes": ("hil.AxesSample", AXES_SAMPLE_FIELDS),
     MANIPULATOR: ("hil.ManipulatorSample", MANIPULATOR_SAMPLE_FIELDS),
     HELD: ("hil.HeldSample", HELD_SAMPLE_FIELDS),
     SENSORS: ("hil.SensorArrival", SENSOR_ARRIVAL_FIELDS),
 }
-"""Topic -> name of its schema and fields of its messages."""
+"""Topic -> name of its schema and fields of its messages, without those of parts."""
+PARTS_FILE: Final = "parts.json"
+"""Attachment: parts that the run used, by name, with version, package and topics."""
+
+
+@cache
+def _records_of_parts() -> dict[str, tuple[str, Fields]]:
+    return {sink.topic: (sink.schema, imported(sink.fields)) for sink in part_sinks().values() if sink.topic}
+
+
+def records() -> dict[str, tuple[str, Fields]]:
+    """Return name of the schema and fields of each topic, those of parts included."""
+    return RECORDS | _records_of_parts()
 
 
 def flat_fields(dtype: np.dtype, prefix: str = "", start: int = 0) -> Iterator[dict[str, Any]]:

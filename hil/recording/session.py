@@ -17,6 +17,7 @@ from hil.core import camera_images
 from hil.core.build_info import VERSION
 from hil.core.child_process import ChildProcess
 from hil.core.clock import utc_ns, utc_text
+from hil.core.part import part_sinks, used_parts
 from hil.errors import BadInput, DeviceError
 from hil.frmn.image_memory import RunTime, image_policy
 from hil.frmn.mailbox import MailboxBlock
@@ -37,8 +38,6 @@ SLOTS: Final = {
     "arrivals": 1024,
     "log": 256,
     "images": camera_images.SLOTS,
-    "monitor_images": camera_images.SLOTS,
-    "portions": 64,
 }
 """Rows of each ring except those whose rate is that of the cycle or more."""
 _READY_WALL_S: Final = 60.0
@@ -167,8 +166,8 @@ def required_sinks(job: Job) -> set[str]:
         required.add("held_samples")
     if scenario.vmu.source == "rendered" and wanted:
         required.add("images")
-    if scenario.monitor.has_images:
-        required |= {"portions", "monitor_images"} if wanted else {"portions"}
+    for used in used_parts(scenario, job.rig.value):
+        required |= {name for name, sink in used.part.sinks.items() if sink.topic or wanted}
     return required
 
 
@@ -183,6 +182,7 @@ def ring_slots(job: Job) -> dict[str, int]:
         "imu_samples": max(_ROWS_LEAST, round(_RING_S / job.scenario.value.sample_s)),
         "axes_samples": max(_ROWS_LEAST, round(_RING_S / job.tick_s)),
         **SLOTS,
+        **{name: sink.slots for name, sink in part_sinks().items()},
     }
 
 
@@ -221,7 +221,7 @@ class _RecorderProcess:
         required = required_sinks(job)
         self._rings = {
             name: Ring.create(dtype, slots[name], name)
-            for name, dtype in recorder.RING_DTYPES.items()
+            for name, dtype in recorder.ring_dtypes().items()
             if name in required
         }
         self._run_time = RunTime.create()

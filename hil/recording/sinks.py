@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from hil.core.modes import Mode
 from hil.frmn.image_memory import ImageMemory, RunTime, image_policy
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
 from hil.loop.runner import Runner
-from hil.loop.target_stage import HeldAxes
+from hil.loop.session_parts import SessionParts
 from hil.recording.audit import Actor, AuditChain
 from hil.recording.foxglove import log
 from hil.recording.schema import LOG_ENTRY
@@ -86,75 +85,56 @@ class EventRecorder:
         self.log_event("setting", who, text, cycle=cycle)
 
 
-@dataclass
 class RecordingSinks:
-    """Sinks of CYCLE, ARRIVAL, LOG_ENTRY, IMAGE, PORTION and sample rows, each with one writer.
+    """Sinks of a recording by name, each with one writer: ``sinks["cycles"]``; of those that it lacks, one for nothing.
 
-    images: of the vision unit; monitor_images, portions: of the docking monitor; imu_samples, axes_samples: of an IMU
-    and of axes that are faster than the cycle; manipulator_samples: of all axes of a rig whose target is rotated;
-    held_samples: of axes that are held;
-    sensor_samples: of further sensors.
+    cycles: of CYCLE. arrivals: of ARRIVAL. log: of LOG_ENTRY. images: of the vision unit. imu_samples, axes_samples: of
+    an IMU and of axes that are faster than the cycle. manipulator_samples: of all axes of a rig whose target is
+    rotated. held_samples: of axes that are held. sensor_samples: of further sensors. Others are those of parts.
     run_time: receives the relation of the run's time to bench time, for sources that have bench time only. audit: of
     the log.
     """
 
-    cycles: Telemetry = field(default_factory=NoTelemetry)
-    arrivals: Telemetry = field(default_factory=NoTelemetry)
-    log: Telemetry = field(default_factory=NoTelemetry)
-    images: Telemetry = field(default_factory=NoTelemetry)
-    monitor_images: Telemetry = field(default_factory=NoTelemetry)
-    portions: Telemetry = field(default_factory=NoTelemetry)
-    imu_samples: Telemetry = field(default_factory=NoTelemetry)
-    axes_samples: Telemetry = field(default_factory=NoTelemetry)
-    manipulator_samples: Telemetry = field(default_factory=NoTelemetry)
-    held_samples: Telemetry = field(default_factory=NoTelemetry)
-    sensor_samples: Telemetry = field(default_factory=NoTelemetry)
-    run_time: RunTime | None = None
-    audit: AuditChain = field(default_factory=AuditChain, init=False)
+    def __init__(self, run_time: RunTime | None = None, **rows: Telemetry) -> None:
+        self.run_time, self.audit = run_time, AuditChain()
+        self.events: EventRecorder | None = None
+        """Of the last runner."""
+        self._rows = rows
 
-    def attach(self, runner: Runner) -> EventRecorder:
-        """Attach to ``runner`` before it starts: to everything but its cycles, which its loop's telemetry receives."""
-        recorder = EventRecorder(self.log, runner, self.audit)
-        recorder.operator("operator", Actor(local_user(), rights="local"), f"started this run, hil {VERSION}")
-        loop = runner.loop
-        loop.vision.frame_sink = self.arrivals
-        if len(loop.now.samples) > 1:
-            loop.dss.sample_sink = self.imu_samples
-        if loop.bench.ticks > 1:
-            loop.axes_sink = self.axes_samples
-        if loop.bench.manipulator is not None:
-            loop.bench.manipulator.sink = self.manipulator_samples
-        for group in loop.target.groups:
-            if isinstance(group, HeldAxes):
-                group.sink = self.held_samples
-        if loop.sensors is not None:
-            loop.sensors.sink = self.sensor_samples
+    def __getitem__(self, name: str) -> Telemetry:
+        return self._rows.get(name, NoTelemetry())
+
+    def attach(self, parts: SessionParts) -> None:
+        """Let the session of ``parts`` send its rows and events; its cycles go to its telemetry."""
+        parts.sinks = self._rows
         if self.run_time is not None:
-            loop.run_zero.on_change = self.run_time.set_zero
-        for events in (*loop.gnc.event_logs, runner.events):
+            parts.on_run_zero.append(self.run_time.set_zero)
+        parts.on_built.append(self._record_events)
+
+    def _record_events(self, runner: Runner) -> None:
+        recorder = self.events = EventRecorder(self["log"], runner, self.audit)
+        recorder.operator("operator", Actor(local_user(), rights="local"), f"started this run, hil {VERSION}")
+        for events in (*runner.loop.gnc.event_logs, runner.events):
             events.subscribe(recorder.event)
-        loop.gnc.orders.subscribe(lambda order: recorder.order(*order))
+        runner.loop.gnc.orders.subscribe(lambda order: recorder.order(*order))
         runner.safety.alarms.raised.subscribe(recorder.alarm)
         runner.safety.alarms.changes.subscribe(recorder.alarm_change)
         runner.safety.modes.history.subscribe(recorder.mode)
-        return recorder
 
     def image_encoder(self, rig: Rig) -> ImageEncoder | None:
         """Return the encoder for a vision unit in this process, as ``rig`` selects its images; None for no images."""
-        return _encoder(self.images, rig, self.run_time)
-
-    def monitor_image_encoder(self, rig: Rig) -> ImageEncoder | None:
-        """Return the encoder for a docking monitor in this process; None for no images."""
-        return _encoder(self.monitor_images, rig, None)
+        return encoder(self["images"], rig, self.run_time)
 
     def image_memory(self) -> ImageMemory | None:
         """Return the shared memory for the images of a vision unit in another process; None without a ring."""
-        if not isinstance(self.images, Ring) or self.run_time is None:
+        images = self["images"]
+        if not isinstance(images, Ring) or self.run_time is None:
             return None
-        return ImageMemory(self.images.descriptor, self.images.slots, self.run_time.descriptor)
+        return ImageMemory(images.descriptor, images.slots, self.run_time.descriptor)
 
 
-def _encoder(out: Telemetry, rig: Rig, run_time: RunTime | None) -> ImageEncoder | None:
+def encoder(out: Telemetry, rig: Rig, run_time: RunTime | None = None) -> ImageEncoder | None:
+    """Return what encodes images for ``out`` as ``rig`` selects them; None for no images."""
     policy = image_policy(rig)
     if policy.encoding == "none" or isinstance(out, NoTelemetry):
         return None

@@ -12,7 +12,9 @@ from typing import Final
 import numpy as np
 
 from hil.loop.runner import Outcome, Runner
+from hil.loop.session_parts import SessionParts
 from hil.report.tally import Tallied, Tally
+from hil.setup import assembly
 from hil.setup.assembly import Job
 
 _PAUSE_WALL_S: Final = 0.02  # between two blocks while the loop runs in real time
@@ -51,32 +53,38 @@ def _load_kernels(job: Job, row: np.ndarray) -> None:
         warm.end()
 
 
-def accumulate(runner: Runner, job: Job) -> Callable[[Outcome], Tallied | None]:
-    """Attach to ``runner`` if the run of ``job`` is longer than its memory of rows.
+def accumulate(parts: SessionParts, job: Job) -> Callable[[Outcome], Tallied | None]:
+    """Add to ``parts`` what receives the rows if the run of ``job`` is longer than its memory of rows.
 
     Return a function that returns the ``numbers`` of the run with an outcome; None if its rows give them.
     """
-    loop = runner.loop
-    if job.cycles <= len(loop.history):
+    if job.cycles <= assembly.ROWS_MAX:
         return lambda _: None
-    paced = runner.rate.paced
-    run = Tally(job.scenario.value, job.rig.value, _PAUSE_WALL_S if paced else 0.0)
-    if paced:
-        _load_kernels(job, loop.now.row)
+    run, taken = Tally(job.scenario.value, job.rig.value), []
+    part_thread: _PartThread | None = None
+
+    def begin(runner: Runner) -> None:
+        nonlocal part_thread
+        if runner.rate.paced:
+            run.pause_s = _PAUSE_WALL_S
+            _load_kernels(job, runner.loop.now.row)
+            part_thread = _PartThread(run, runner.loop.history)
 
     def take(rows: np.ndarray) -> np.ndarray:
+        taken.append(len(rows))
+        if part_thread is not None:
+            return part_thread.take(rows)
         run.add(rows)
         return rows
 
-    part_thread = _PartThread(run, loop.history) if paced else None
-    loop.on_full = take if part_thread is None else part_thread.take
-
     def end(outcome: Outcome) -> Tallied | None:
-        if loop.first == 0:
+        if not taken:
             return None
         if part_thread is not None:
             part_thread.wait()
         run.add(outcome.history)
         return run.numbers()
 
+    parts.on_built.append(begin)
+    parts.on_full = take
     return end

@@ -48,7 +48,7 @@ class Tally:
     """
 
     def __init__(self, scenario: Scenario, rig: Rig, pause_s: float = 0.0) -> None:
-        self._scenario, self._rig, self._pause_s = scenario, rig, pause_s
+        self._scenario, self._rig, self.pause_s = scenario, rig, pause_s
         self._block = max(2, min(_ROWS_MAX, round(_BLOCK_S / scenario.step_s)))
         self._params = kernel_record(run_stats.run_stats_params(scenario, rig, SETTLED_S))
         self.stats = run_stats.new_run_stats()
@@ -73,8 +73,8 @@ class Tally:
             end = begin + self._block - waiting
             self._count(np.concatenate([*self._waiting, rows[begin:end]]) if waiting else rows[begin:end])
             self._waiting, waiting, begin = [], 0, end
-            if self._pause_s:
-                time.sleep(self._pause_s)
+            if self.pause_s:
+                time.sleep(self.pause_s)
         self._waiting.append(rows[begin:].copy())
 
     def end(self) -> None:

@@ -25,6 +25,7 @@ from hil.loop import core
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
+from hil.loop.session_parts import SessionParts
 from hil.params import bench as bench_params
 from hil.session.build import in_memory, runs_compiled
 from hil.setup.assembly import Job, start_axes
@@ -160,11 +161,8 @@ def _short_run(job: Job) -> Runner:
 
     Further sensors have a source of their own, as if they were on a wire.
     """
-    runner = in_memory(_short_job(job, compiled=False), SimulatedRate(SimulatedClock(), job.tick_s))
-    if (sensors := runner.loop.sensors) is not None:
-        sensors.sources.append(_OneSample())
-        sensors.sink = NoTelemetry()
-    return runner
+    parts = SessionParts(sample_sources=[_OneSample()], sinks={"sensor_samples": NoTelemetry()})
+    return in_memory(_short_job(job, compiled=False), SimulatedRate(SimulatedClock(), job.tick_s), parts)
 
 
 def _short_job(job: Job, compiled: bool) -> Job:

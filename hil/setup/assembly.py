@@ -5,25 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 
 from hil.bench.manipulator import relative_axes
-from hil.cameras.pose_sensor import PoseSensor, make_pose_sensor, transport
 from hil.checks.compatibility import axes_at
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
 from hil.core.camera_images import ImageSink
-from hil.core.clock import BenchClock
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, CYCLE, Array, PoseFrame, new
-from hil.core.operator_commands import Operator
-from hil.core.realtime import DefaultScheduling, SchedulingPolicy
+from hil.core.part import provided
 from hil.drivers.base import AxisGroup, CountsLosses, DiscreteIo, PoseSource
-from hil.drivers.cameras.base import SIDES
-from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.vmu.transport import Transport
 from hil.dynamics.imu import IMU_NOISE
@@ -34,22 +30,19 @@ from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
-from hil.gnc_backends.command_words import CommandWordGnc
 from hil.gnc_backends.library import key_of, open_library
 from hil.gnc_backends.shared_library import SharedLibraryGnc
-from hil.loop.bench_stage import BenchStage
+from hil.loop.bench_stage import NO_INPUTS, BenchStage, SafetyInputs
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
-from hil.loop.cycle import Loop
-from hil.loop.model_stage import ModelDssStage
-from hil.loop.motion_sequences import ProgressCallback
+from hil.loop.cycle import CyclesOf, Loop
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.runner import Runner, RunPlan
-from hil.loop.safety_io_stage import SafetyIoStage
+from hil.loop.safety_io_stage import SafetyIo, SafetyIoStage
 from hil.loop.sensor_stage import SensorStage
-from hil.loop.stages import DssStage, VisionStage
-from hil.loop.target_axes import TargetAxes
+from hil.loop.session_parts import SessionParts
+from hil.loop.stages import DssStage, FrameUsed, RunZero, VisionStage
 from hil.loop.target_stage import AxesTogether, HeldAxes, RotatedTarget
 from hil.maths.random_streams import NormalRows, noise_source
 from hil.models.axis_faults import set_axis_faults
@@ -61,7 +54,7 @@ from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
-from hil.setup.plant_models import plant_models
+from hil.setup.pose_model import PoseSensor, make_pose_sensor, transport
 from hil.setup.sample_sources import sample_sources, wired_sensors
 
 ROWS_MAX = 100_000
@@ -83,22 +76,10 @@ class Devices(NamedTuple):
     target: AxisGroup | None
     held: Mapping[str, AxisGroup] = {}
 
-
-@dataclass(frozen=True)
-class RunContext:
-    """Connections of a run other than its devices. operator: gives the commands; None: the run is unattended.
-
-    on_progress: called periodically with the mode and the completed fraction. scheduling: of the loop's thread.
-    telemetry: sink of each cycle's row. frames_to_arm: poses required before the loop is closed. clock: bench time of a
-    bench on wires.
-    """
-
-    operator: Operator | None = None
-    on_progress: ProgressCallback = lambda *_: None
-    scheduling: SchedulingPolicy | None = None
-    telemetry: Telemetry | None = None
-    frames_to_arm: int = 0
-    clock: BenchClock | None = None
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes of rails and turntable."""
+        return (*self.rails.axis_names, *self.turntable.axis_names)
 
 
 @dataclass(frozen=True)
@@ -176,7 +157,7 @@ def with_cameras(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> Loaded[Rig]:
     if rig.value.kind == "emulated" and interface != "genicam":
         key = "vmu.cameras.interface"
         raise BadInput.single(rig.where(key), f"rig.{key}", f'"{interface}": emulated cameras have "genicam"')
-    missing = [side for side in SIDES if getattr(selected.settings, side) is None]
+    missing = [side for side in ("left", "right") if getattr(selected.settings, side) is None]
     if missing and rig.value.kind == "hardware":
         keys = " and ".join(f"vmu.cameras.{side}" for side in missing)
         raise BadInput.single(rig.source, keys, 'is missing: needed for vmu.source = "cameras"')
@@ -188,7 +169,7 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
     scenario = job.scenario.value
     gnc, bench = gnc_params.gnc(scenario), bench_params.bench(rig, scenario.step_s, scenario.bench)
     params = loop_params(scenario, rig, gnc, bench, bench_params.axis_guard(rig, scenario))
-    set_truth(params, job.truth, job.seed, dss_as_built(job.truth, job.seed))
+    set_truth(params, job.truth, job.seed, dynamics_params.dss_as_built(job.truth, job.seed))
     memory = CoreMemory(params, scenario.imu_samples, frames_in_transit(rig, scenario.step_s))
     memory.now.row["truth"] = dynamics_params.initial_truth(job.truth)
     draw_initial_imu_errors(job.truth, job.seed, memory.now.imu)
@@ -196,119 +177,138 @@ def core_memory(job: Job, rig: Rig) -> CoreMemory:
 
 
 def assemble(
-    job: Job, rig: Rig, rate: Rate, devices: Devices, context: RunContext, memory: CoreMemory | None = None
+    job: Job,
+    rig: Rig,
+    rate: Rate,
+    devices: Devices,
+    parts: SessionParts,
+    memory: CoreMemory | None = None,
+    cycles: CyclesOf | None = None,
 ) -> Runner:
-    """Return a Runner of ``job`` on these devices, timed by ``rate``. memory: of the core; None: a new one."""
+    """Return a Runner of ``job`` on these devices, timed by ``rate``.
+
+    parts: all that the session has besides. memory: of the core; None: a new one. cycles: makes what runs the cycles
+    instead of the cycle in Python.
+    """
     memory = memory or core_memory(job, rig)
-    scenario = job.scenario.value
-    rails, turntable, source, io, target, held = devices
-    axis_names = (*rails.axis_names, *turntable.axis_names)
-    limits = safety_limits(rig, memory.params.guard)
-    safety = SafetyMonitor(limits, axis_names, _links(rig, devices))
-    stage = BenchStage(rails, turntable, memory, safety)
-    moved = _target_stage(job, rig, target)
-    first = int(isinstance(moved, HeldAxes))
-    standing = {name: HeldAxes(held[name], table, n) for n, (name, table) in enumerate(rig.held_axes.items(), first)}
-    if isinstance(moved, RotatedTarget):
-        stage.manipulator = moved
-    sensors = _sensors(job, rig, devices, stage, memory, context.clock)
-    if sensors is not None:
-        sensors.alarms = safety.alarms
+    scenario, sinks = job.scenario.value, parts.sinks
+    safety = SafetyMonitor(safety_limits(rig, memory.params.guard), devices.axis_names, _links(rig, devices))
+    lines = _safety_io(rig, devices.io, memory)
+    rotated, held = _target(job, rig, devices, sinks)
+    inputs = SafetyInputs(lines.emergency_input, lines.local_enable) if lines else NO_INPUTS
+    stage = BenchStage(devices.rails, devices.turntable, memory, safety, rotated, inputs)
+    sensors = _sensors(job, rig, devices, stage, memory, parts)
+    gnc, on_frame_used = _backend(job, rig, rate, memory)
+    gnc.request_hold = safety.request_hold
+    conditions = gnc.filter_monitor.conditions if gnc.filter_monitor is not None else None
     loop = Loop(
         memory=memory,
-        dss=_dss(job.truth, job.seed, memory),
+        dss=_dss(job, memory, sinks.get("imu_samples")),
         bench=stage,
-        vision=VisionStage(source, memory),
-        gnc=_backend(job, rig, rate, memory),
+        vision=VisionStage(devices.source, memory, on_frame_used, sinks.get("arrivals")),
+        gnc=gnc,
         history=np.zeros(min(job.cycles, ROWS_MAX), CYCLE),
-        telemetry=context.telemetry or NoTelemetry(),
+        telemetry=reduce(lambda rows, layer: layer(rows), parts.layers, parts.telemetry or NoTelemetry()),
+        safety_io=lines or SafetyIo(),
+        target=AxesTogether([*([rotated] if rotated else []), *held.values()]),
+        run_zero=RunZero(parts.on_run_zero),
+        axis_faults=_axis_faults(job, devices, memory),
         bench_now_s=rate.now_s,
         health_alarms=HealthAlarms(
             safety.alarms, scenario, *((sensors.disagreement, sensors.suspect) if sensors else ())
         ),
         sensors=sensors,
+        on_full=parts.on_full,
+        axes_sink=sinks.get("axes_samples") if job.ticks > 1 else None,
     )
-    if loop.gnc.filter_monitor is not None:
-        loop.health_alarms.watch(loop.gnc.filter_monitor.conditions)
-    if any(fault.family == "axis" for fault in job.truth.faults):
-        assert isinstance(rails, MockAxes)
-        assert isinstance(turntable, MockAxes)
-        loop.axis_faults = _axis_faults(memory.params.mock, rails.servo, turntable.servo)
-    if io is not None and rig.io is not None:
-        tested_pump_s = rig.io.pump_timeout_s if rig.kind == "hardware" else None
-        lines = SafetyIoStage(io, loop.now.command.on[: rig.io.thruster_lines], tested_pump_s)
-        memory.params.mock.thruster_lines = rig.io.thruster_lines
-        loop.safety_io = lines
-        loop.bench.emergency_input = lines.emergency_input
-        loop.bench.local_enable = lines.local_enable
-    if isinstance(loop.gnc, CommandWordGnc) and loop.gnc.forwarder is not None:
-        loop.vision.on_frame_used = loop.gnc.forwarder.put
-    loop.target = AxesTogether([*([] if moved is None else [moved]), *standing.values()])
-    overrun_monitor = OverrunMonitor(rig.on_overrun, rig.host.overruns_max, rig.host.overruns_window_s, job.ticks)
-    overrun_monitor.on_hold = lambda trip: safety.request_hold(str(trip))
-    loop.gnc.request_hold = safety.request_hold
-    runner = Runner(
-        loop,
-        rate,
-        context.scheduling or DefaultScheduling(),
-        overrun_monitor,
-        RunPlan(
-            scenario.step_s,
-            job.cycles,
-            context.frames_to_arm,
-            park_position(rig),
-            rig.bench.park_after_run,
-            BrakeTimes(rig.brake_close_s, rig.brake_open_s),
-            job.ticks,
-            job.until_stopped,
-            rig.io.warning_s if rig.io is not None and rig.has_io and rig.io.coils.warning is not None else 0.0,
-        ),
-        context.on_progress,
-        context.operator,
+    if conditions is not None:
+        loop.health_alarms.watch(conditions)
+    overrun_monitor = OverrunMonitor(
+        rig.on_overrun,
+        rig.host.overruns_max,
+        rig.host.overruns_window_s,
+        job.ticks,
+        lambda trip: safety.request_hold(str(trip)),
     )
-    if loop.sensors is not None:
-        runner.meters["sensors"] = loop.sensors.numbers
-    if isinstance(moved, RotatedTarget):
-        runner.meters["manipulator"] = moved.numbers
-    if standing:
-        runner.meters["held_axes"] = lambda: {name: stage.numbers() for name, stage in standing.items()}
+    plan = RunPlan(
+        scenario.step_s,
+        job.cycles,
+        parts.frames_to_arm,
+        park_position(rig),
+        rig.bench.park_after_run,
+        BrakeTimes(rig.brake_close_s, rig.brake_open_s),
+        job.ticks,
+        job.until_stopped,
+        rig.io.warning_s if rig.io is not None and rig.has_io and rig.io.coils.warning is not None else 0.0,
+    )
+    if sensors is not None:
+        parts.meters["sensors"] = sensors.numbers
+    if rotated is not None:
+        parts.meters["manipulator"] = rotated.numbers
+    if rig.held_axes:
+        parts.meters["held_axes"] = lambda: {name: held[name].numbers() for name in rig.held_axes}
+    runner = Runner(loop, rate, overrun_monitor, plan, parts, cycles)
+    for attach in parts.on_built:
+        attach(runner)
     return runner
 
 
-def _axis_faults(params: np.record, rails: np.record, turntable: np.record) -> Callable[[float], None]:
-    """Return what applies the faults of axes in memory at a time of the run. params: MOCK_PARAMS; SERVO of both."""
+def _safety_io(rig: Rig, io: DiscreteIo | None, memory: CoreMemory) -> SafetyIoStage | None:
+    """Return the stage of the digital lines, None without any."""
+    if io is None or rig.io is None:
+        return None
+    memory.params.mock.thruster_lines = rig.io.thruster_lines
+    tested_pump_s = rig.io.pump_timeout_s if rig.kind == "hardware" else None
+    return SafetyIoStage(io, memory.now.command.on[: rig.io.thruster_lines], tested_pump_s)
+
+
+def _axis_faults(job: Job, devices: Devices, memory: CoreMemory) -> Callable[[float], None] | None:
+    """Return what applies the faults of axes in memory at a time of the run, None without any."""
+    if not any(fault.family == "axis" for fault in job.truth.faults):
+        return None
+    assert isinstance(devices.rails, MockAxes)
+    assert isinstance(devices.turntable, MockAxes)
+    params, rails, turntable = memory.params.mock, devices.rails.servo, devices.turntable.servo
     params.nominal_axes.rate_max = np.concatenate([rails.rate_max, turntable.rate_max])
     faults, nominal = kernel_record(params.axis_faults), kernel_record(params.nominal_axes)
     return lambda t_s: set_axis_faults(faults, nominal, t_s, rails, turntable)
 
 
-def _target_stage(job: Job, rig: Rig, axes: AxisGroup | None) -> TargetAxes | None:
-    """Return what carries the target: nothing that moves, axes that place it, or axes that rotate it in the run."""
-    if axes is None:
-        return None
-    if rig.moved_target is not None:
-        return HeldAxes(axes, rig.moved_target)
+def _target(
+    job: Job, rig: Rig, devices: Devices, sinks: Mapping[str, Telemetry]
+) -> tuple[RotatedTarget | None, dict[str, HeldAxes]]:
+    """Return the axes that rotate the target in the run, and those that are held at their places, by name."""
+    groups, sink = {"target": devices.target, **devices.held}, sinks.get("held_samples")
+    held: dict[str, HeldAxes] = {}
+    for number, (name, table) in enumerate(rig.groups_at_places.items()):
+        axes = groups[name]
+        assert axes is not None
+        held[name] = HeldAxes(axes, table, number, sink)
+    if devices.target is None or rig.rotated_target is None:
+        return None, held
     step_s, params = job.scenario.value.step_s, bench_params.manipulator(rig)
-    assert rig.rotated_target is not None
     assert params is not None
     start = dynamics_params.initial_truth(job.truth).q_CH
     bench, limits = bench_params.bench(rig, step_s), bench_params.manipulator_limits(rig, step_s)
-    return RotatedTarget(axes, rig.rotated_target, params, bench, limits, start)
+    sink = sinks.get("manipulator_samples")
+    return RotatedTarget(devices.target, rig.rotated_target, params, bench, limits, start, sink), held
 
 
 def _sensors(
-    job: Job, rig: Rig, devices: Devices, bench: BenchStage, memory: CoreMemory, clock: BenchClock | None
+    job: Job, rig: Rig, devices: Devices, bench: BenchStage, memory: CoreMemory, parts: SessionParts
 ) -> SensorStage | None:
     """Return the sensors of a scenario other than vision unit and IMU, None without any."""
     if not memory.params.sensors.n:
         return None
     scenario = job.scenario.value
     kinds = {name: sensor.kind for name, sensor in sensors_of(scenario).items()}
-    wired = wired_sensors(scenario, rig) if clock is not None else []
+    wired = wired_sensors(scenario, rig) if parts.clock is not None else []
     for number, name in enumerate(kinds):
         if name in wired:
             memory.params.sensors.source[number].models = 0
-    return SensorStage(memory, kinds, _seen_axes(devices, bench), sample_sources(scenario, rig, clock))
+    sources = [*sample_sources(scenario), *parts.sample_sources]
+    sink = parts.sinks.get("sensor_samples")
+    return SensorStage(memory, kinds, _seen_axes(devices, bench), sources, bench.safety.alarms, sink)
 
 
 def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array, Array]]:
@@ -328,20 +328,16 @@ def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array,
     return axes
 
 
-def _backend(job: Job, rig: Rig, rate: Rate, memory: CoreMemory) -> GncBackend:
-    """Return the GNC backend: the job's, the rig's flight computer, or the scenario's, in this order."""
+def _backend(job: Job, rig: Rig, rate: Rate, memory: CoreMemory) -> tuple[GncBackend, FrameUsed | None]:
+    """Return the GNC backend, of the job, the rig's flight computer or the scenario, and what each used frame calls."""
     scenario, computer = job.scenario.value, rig.flight_computer
     if job.make_backend is not None:
-        return job.make_backend(scenario)
+        return job.make_backend(scenario), None
     if computer.command_words == "none":
-        return make_backend(scenario, job.own, memory)
-    return CommandWordGnc(
-        computer,
-        CommandWordReceiver(computer, rate.now_s),
-        PoseForwarder(computer.poses) if computer.poses.port is not None else None,
-        rate.now_s,
-        backend_setup(scenario),
-    )
+        return make_backend(scenario, job.own, memory), None
+    make = provided("rig.flight_computer.command_words", rig.name)
+    backend: tuple[GncBackend, FrameUsed | None] = make(computer, rate.now_s, backend_setup(scenario))
+    return backend
 
 
 def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMemory | None = None) -> BuiltinGnc:
@@ -370,10 +366,9 @@ def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: Cor
 
 
 def library_problems(scenario: Loaded[Scenario], own: OwnBackends = NO_BACKENDS) -> list[Problem]:
-    """Return why a binary or a backend of the GNC of ``scenario``, or a part of the plant in an FMU, cannot be used."""
+    """Return why a binary or a backend of the GNC of ``scenario`` cannot be used."""
     gnc = scenario.value.gnc
     try:
-        plant_models(scenario.value, dss_as_built(scenario.value, 0), scenario)
         library = open_library(gnc, scenario.where(key_of(gnc)))
         if library is not None:
             library.open(gnc_setup(scenario.value)).close()
@@ -417,17 +412,13 @@ def _shadow_limits(scenario: Scenario) -> tuple[float, float] | None:
     return (shadow.position_limit_m, math.radians(shadow.attitude_limit_deg)) if shadow.enabled else None
 
 
-def _dss(scenario: Scenario, seed: int, memory: CoreMemory) -> DssStage:
+def _dss(job: Job, memory: CoreMemory, sample_sink: Telemetry | None) -> DssStage:
     """Return the dynamics simulation with this run's thruster errors. Raises BadInput for an FMU that is unsuitable."""
-    parts = memory, dynamics_params.field(scenario), NormalRows(noise_source(seed, "imu"), IMU_NOISE)
-    models = plant_models(scenario, memory.params.dss)
-    return DssStage(*parts) if models is None else ModelDssStage(models, *parts)
-
-
-def dss_as_built(scenario: Scenario, seed: int) -> np.record:
-    """Return DSS_PARAMS with the thruster errors drawn from the run's seed."""
-    draws = noise_source(seed, "thrusters").standard_normal(dynamics_params.thruster_draws_shape(scenario))
-    return dynamics_params.dss(scenario, draws, seed)
+    scenario, noise = job.truth, NormalRows(noise_source(job.seed, "imu"), IMU_NOISE)
+    stage = provided("models", "scenario") if scenario.models else lambda _, *parts: DssStage(*parts)
+    sink = sample_sink if job.scenario.value.imu_samples > 1 else None
+    made: DssStage = stage(scenario, memory, dynamics_params.field(scenario), noise, sink)
+    return made
 
 
 def draw_initial_imu_errors(scenario: Scenario, seed: int, imu: np.record) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-from hil.cameras.pose_sensor import PoseModel
 from hil.core.jit import processor
 from hil.core.kernel_digest import digest_of
 from hil.core.kernel_folder import read_kernel_file, remove_unused_kernels, write_kernel_file
@@ -13,9 +12,10 @@ from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.shared_library import SharedLibraryGnc
 from hil.loop.compiled.cycles import CompiledCycles, MockSources
 from hil.loop.compiled.run_cycles import run_cycles
+from hil.loop.cycle import Cycles, CyclesOf, Loop
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.runner import Runner
 from hil.setup.assembly import Job, Mocks
+from hil.setup.pose_model import PoseModel
 
 Kernels = Literal["loop", "cycle"]
 """Groups of kernels: those of the compiled loop, and those that the cycle in Python calls one by one."""
@@ -65,11 +65,17 @@ def _mark(group: Kernels) -> str:
     return f"{run_cycles.__name__}-{digest_of(run_cycles)}{'' if group == 'loop' else f'-{group}'}"
 
 
-def compiled_cycles(job: Job, runner: Runner, rate: SimulatedRate, mocks: Mocks) -> CompiledCycles:
-    """Return the compiled cycles of ``runner``, made of ``mocks`` for ``job``."""
-    gnc, sensor, io = runner.loop.gnc, mocks.sensor, mocks.devices.io
-    assert isinstance(gnc, BuiltinGnc | SharedLibraryGnc)
-    assert isinstance(sensor, PoseModel)
-    assert io is None or isinstance(io, MockIo)
-    sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)
-    return CompiledCycles(runner.loop, rate, sources, gnc, runner.cycles, job.cycles)
+def compiled_cycles(job: Job, rate: SimulatedRate, mocks: Mocks) -> CyclesOf | None:
+    """Return what makes the compiled cycles of a loop of ``job`` on ``mocks``, None if they cannot run it."""
+    if not runs_compiled(job):
+        return None
+
+    def made(loop: Loop, python: Cycles) -> CompiledCycles:
+        gnc, sensor, io = loop.gnc, mocks.sensor, mocks.devices.io
+        assert isinstance(gnc, BuiltinGnc | SharedLibraryGnc)
+        assert isinstance(sensor, PoseModel)
+        assert io is None or isinstance(io, MockIo)
+        sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)
+        return CompiledCycles(loop, rate, sources, gnc, python, job.cycles)
+
+    return made

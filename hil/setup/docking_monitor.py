@@ -1,7 +1,7 @@
 """Docking monitor of a run: rendered or live camera and monitor, in this process or in a child process.
 
 Its only input is the measured axis positions in the rows of CYCLE, or the camera. The loop does not wait for it;
-results that arrive while it runs are compared with the navigation (``loop/monitor_stage.py``).
+results that arrive while it runs are compared with the navigation (``loop/sensor_stage.py``).
 """
 
 from __future__ import annotations
@@ -192,16 +192,18 @@ class LiveMonitor:
 
 
 class InLoopMonitor:
-    """Monitor in the process of a loop in simulated time: sink of its rows, source of the results for its interlock.
+    """Monitor in the process of a loop in simulated time: sink of its rows, source of the results for its interlock."""
 
-    telemetry: next sink of the rows.
-    """
-
-    def __init__(self, monitor: CameraMonitor, telemetry: Telemetry) -> None:
+    def __init__(self, monitor: CameraMonitor) -> None:
         self._monitor = monitor
-        self._telemetry = telemetry
+        self._telemetry: Telemetry = NoTelemetry()
         self._rows: list[np.ndarray] = []
         self._polled = 0
+
+    def over(self, rows: Telemetry) -> Telemetry:
+        """Return this sink, which passes each row on to ``rows``."""
+        self._telemetry = rows
+        return self
 
     def put(self, row: np.ndarray) -> None:
         """Take a row of CYCLE, shape (1,)."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
 from hil.bench.manipulator import relative_axes
-from hil.cameras.pose_sensor import make_pose_sensor, transport
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.sensors import device_of
@@ -31,6 +30,7 @@ from hil.params.sensors import sensors_of, settings_row
 from hil.sensors.check import Trial
 from hil.sensors.measurement import noise_of
 from hil.setup.assembly import start_axes
+from hil.setup.pose_model import make_pose_sensor, transport
 
 SeenAxes = Callable[[float], tuple[Array, Array]]
 """Rails, m, and turntable, rad, (3,) each, that show at a bench time what the cameras see."""

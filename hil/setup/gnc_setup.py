@@ -1,20 +1,14 @@
-"""Setup of an external GNC from the scenario as the GNC has it: GNC_SETUP, setup of its backend, UDP backend."""
+"""Setup of an external GNC from the scenario as the GNC has it: GNC_SETUP, and setup of its backend."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.config.tables.host import GncLink
 from hil.core.gnc_records import GNC_SETUP
 from hil.core.messages import new
-from hil.frmn.link import Link
-from hil.frmn.mirror import Mirror
-from hil.gnc.estimation.filter_monitor import FilterMonitor
 from hil.gnc_backends.approach_events import ApproachEventLog
 from hil.gnc_backends.external import BackendSetup
-from hil.gnc_backends.udp import UdpGnc
-from hil.loop.runner import Runner
 from hil.maths import euler
 from hil.params import gnc as gnc_params
 from hil.params.target import inertia, known_rate
@@ -58,18 +52,3 @@ def backend_setup(scenario: Scenario) -> BackendSetup:
 def approach_event_log(scenario: Scenario) -> ApproachEventLog:
     """Return the event log of the approach of ``scenario``."""
     return ApproachEventLog(scenario.gnc.guidance.sequence, scenario.requirements.dwell_s)
-
-
-def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:
-    """Return the backend of ``scenario`` over ``link``. period_s: wall time of a cycle, None in simulated time."""
-    monitor = FilterMonitor(gnc_params.navigation(scenario), None)
-    return UdpGnc(link, config, lock_step, period_s, monitor, backend_setup(scenario))
-
-
-def mirror_of(runner: Runner, link: Link, cycles: int = 1) -> Mirror:
-    """Return the telemetry of ``runner`` that sends the other side the mailboxes that it wants.
-
-    cycles: per row that is sent.
-    """
-    modes, rate = runner.safety.modes, runner.rate
-    return Mirror(runner.loop.telemetry, link, lambda: modes.mode.value, lambda: rate.overruns, cycles)

@@ -8,13 +8,19 @@ from typing import Any
 import numpy as np
 
 from hil.config.load import Loaded, load_fmu_mapping
+from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.fmu_mapping import FmuMapping
-from hil.errors import BadInput
+from hil.core.messages import Array
+from hil.errors import BadInput, Problem
 from hil.fmi.archive import FmuError
 from hil.fmi.plant_model import ModelSource, PlantModel
-from hil.loop.model_stage import RECORDS, PlantModels
+from hil.frmn.ring import Telemetry
+from hil.loop.core_memory import CoreMemory
+from hil.loop.model_stage import RECORDS, ModelDssStage, PlantModels
+from hil.maths.random_streams import NormalRows
 from hil.params import dynamics as dynamics_params
+from hil.params.dynamics import dss_as_built
 
 
 def plant_models(scenario: Scenario, params: np.record, loaded: Loaded[Scenario] | None = None) -> PlantModels | None:
@@ -39,6 +45,24 @@ def plant_models(scenario: Scenario, params: np.record, loaded: Loaded[Scenario]
             where = "--set" if loaded is None else loaded.where(key)
             raise BadInput.single(where, key, f'"{part.fmu}": {error}') from error
     return PlantModels(**made)
+
+
+def model_stage(
+    scenario: Scenario, memory: CoreMemory, field: Array, imu_noise: NormalRows, sample_sink: Telemetry | None
+) -> ModelDssStage:
+    """Return the dynamics simulation of a run of ``scenario`` whose parts in FMUs replace built-in ones."""
+    models = plant_models(scenario, memory.params.dss)
+    assert models is not None
+    return ModelDssStage(models, memory, field, imu_noise, sample_sink)
+
+
+def check_models(scenario: Loaded[Scenario], _: Loaded[Rig]) -> list[Problem]:
+    """Return why a part of the plant in an FMU cannot be used."""
+    try:
+        plant_models(scenario.value, dss_as_built(scenario.value, 0), scenario)
+        return []
+    except BadInput as error:
+        return list(error.problems)
 
 
 def _setup(scenario: Scenario, params: np.record) -> dict[str, Any]:

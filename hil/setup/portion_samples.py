@@ -12,7 +12,7 @@ from hil.core.sensor_records import SENSOR_SAMPLE
 from hil.maths import elementary, linear
 from hil.maths.elementary import square
 from hil.monitor.results import NO_TARGET, Portion
-from hil.params.monitor import MONITOR
+from hil.params.sensors import MONITOR
 from hil.sensors.docking_monitor import UNOBSERVED_RAD
 
 

@@ -22,10 +22,8 @@ import numpy as np
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.sensors import SensorConfig, device_of
-from hil.core.clock import BenchClock
 from hil.core.sensor_records import SENSOR_SAMPLE
-from hil.drivers.line_sensor.driver import LineSensor, LineSettings
-from hil.errors import BadInput, LinkLost, one_line
+from hil.errors import BadInput, one_line
 from hil.maths import linear
 from hil.params.sensors import sensors_of
 
@@ -152,23 +150,14 @@ def wired_sensors(scenario: Scenario, rig: Rig) -> list[str]:
     ]
 
 
-def sample_sources(scenario: Scenario, rig: Rig, clock: BenchClock | None) -> list[UdpSamples | LineSensor]:
-    """Return the open sockets and ports of the scenario's sensors. clock: bench time, of a rig on wires.
-
-    Raises BadInput for a socket, LinkLost for a port that cannot be opened.
-    """
-    found: list[UdpSamples | LineSensor] = []
-    wired = wired_sensors(scenario, rig)
+def sample_sources(scenario: Scenario) -> list[UdpSamples]:
+    """Return the open sockets of the scenario's sensors. Raises BadInput for one that cannot be opened."""
+    found: list[UdpSamples] = []
     try:
         for number, (name, (kind, config, _)) in enumerate(sensors_of(scenario).items()):
             if config.source == "udp":
                 found.append(UdpSamples(name, number, len(kind.components), config))
-            elif name in wired and clock is not None and kind.module.wire is not None:
-                line = rig.sensors[name]
-                settings = LineSettings(line.port or "", line.baud, config.latency_s)
-                device = device_of(name)
-                found.append(LineSensor(device, number, len(kind.components), kind.module.wire, settings, clock))
-    except (BadInput, LinkLost):
+    except BadInput:
         for source in found:
             source.close()
         raise

@@ -16,6 +16,7 @@ import numpy as np
 from hil.config.vmu_geometry import Sensor
 from hil.core.messages import Array
 from hil.errors import BadInput
+from hil.vmu.kernels.components import Frame
 from hil.vmu.kernels.measure import LIMITS
 from hil.vmu.kernels.records import SPOT
 from hil.vmu.kernels.search import TOO_MANY, detect
@@ -107,10 +108,11 @@ class SpotDetector:
         for attempt in range(_MOST_TRIES):
             limits["sigmas"] = (chosen.weak_sigmas if weak else chosen.threshold_sigmas) * 2.0**attempt
             self._noise[:] = 0.0
-            count = detect(
-                image, windows, limits, self.variance_per_level, self._label, self._queue,
-                self._last if len(windows) else self._last[:0], self._spots, self._noise,
+            frame = Frame(
+                image, self._label, self._queue, limits, self.variance_per_level,
+                self._last if len(windows) else self._last[:0],
             )  # fmt: skip
+            count = detect(frame, windows, self._spots, self._noise)
             if count != TOO_MANY:
                 break
         self.overfull = count == TOO_MANY

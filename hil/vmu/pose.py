@@ -13,7 +13,7 @@ from hil.config.vmu_geometry import VmuGeometry
 from hil.core.messages import Array
 from hil.maths import quat
 from hil.vmu.geometry import camera_pair, considered_covariance, led_positions, spot_floors
-from hil.vmu.kernels.budget import chi_square_growth, fill_shared
+from hil.vmu.kernels.budget import chi_square_growth, equations, fill_shared
 from hil.vmu.kernels.match import assign, chi_square_limit, fill_spot_ray, led_windows
 from hil.vmu.kernels.pose_search import (
     SEARCH,
@@ -271,9 +271,9 @@ def _slack(scene: RingScene) -> Array:
     """Return the variance per camera, px^2, that gates and search add: of the tolerances at a typical range."""
     n = len(scene.leds)
     which = np.array([[c, led] for c in range(2) for led in range(n)])
-    shared = np.zeros((4 * n, 4 * n))
-    fill_shared(scene, np.eye(3), np.array([0.0, 0.0, _TYPICAL_RANGE_M]), which, 2 * n, shared)
-    variances = np.diag(shared).reshape(2, 2 * n).max(axis=1)
+    eq = equations(which)
+    fill_shared(scene, np.eye(3), np.array([0.0, 0.0, _TYPICAL_RANGE_M]), eq)
+    variances = np.diag(eq.shared).reshape(2, 2 * n).max(axis=1)
     found: Array = variances + OPTICS_PX**2
     return found
 

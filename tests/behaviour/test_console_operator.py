@@ -20,6 +20,7 @@ from hil.core.modes import Mode
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
 from hil.session import build
 from hil.setup.live_tuning import packed
@@ -90,7 +91,7 @@ def converse(
     block = MailboxBlock.create(CELLS, "console")
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
     operator = RemoteOperator(OutgoingMessages(there), block["status"], on_loss, LEASE_S, rate.now_s)
-    runner = build.in_memory(job, rate, operator.on_progress, operator=operator)
+    runner = build.in_memory(job, rate, SessionParts(operator, operator.on_progress))
     operator.attach(runner, adjustable=(DEADBAND,))
     talk = Talk(here, runner, block["status"])
 

@@ -22,7 +22,7 @@ from hil.frmn.ring import Reader, Ring
 from hil.frmn.search_region import SearchRegion
 from hil.monitor.results import PORTION
 from hil.report.docking_monitor import judge_monitor, monitor_lines
-from hil.session import build, with_docking_monitor
+from hil.session import build
 from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, MonitorRings, monitor_recorded
 from tests.support.run_settings import UNHURRIED, make_job, typed
 
@@ -172,8 +172,8 @@ def test_a_run_that_ended_before_its_first_cycle_has_nothing_to_compare(scenario
 
 def test_run_without_monitor_has_none(rig: Rig) -> None:
     job = make_job(0.1)
-    with with_docking_monitor.runner(job) as (runner, look):
-        assert look(runner.run()) is None
+    with build.runner(job) as runner:
+        assert runner.parts.results_of(runner.run()) == []
 
 
 WRONG = 'faults=[{device = "monitor", kind = "offset", at_s = 4.0, value = [0.2, 0.0, 0.0]}]'
@@ -182,11 +182,11 @@ WRONG = 'faults=[{device = "monitor", kind = "offset", at_s = 4.0, value = [0.2,
 
 def test_rendered_monitor_that_disagrees_holds_the_approach_and_raises_an_alarm() -> None:
     job = make_job(8.0, (*SETTINGS, WRONG))
-    with with_docking_monitor.runner(job) as (runner, look):
+    with build.runner(job) as runner:
         outcome = runner.run()
-        watched = look(outcome)
-    assert watched is not None
-    assert len(watched.portions) == 11
+        (found,) = runner.parts.results_of(outcome)
+    assert found.table == "monitor"
+    assert found.numbers["portions"] == len(found.rows["portions"]) == 11
     (held,) = [event for event in outcome.events if "the docking monitor disagrees" in event.text]
     assert held.text == "reaction hold: the docking monitor disagrees"
     assert 4.8 < held.t_s < 6.5  # two portions that were measured after the onset

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 
 from hil.checks.clock import check_clock
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.drivers.ptp import PtpStatus, read_status
 from hil.errors import DeviceError
-from hil.preflight.run import ptp_check
+from hil.preflight.devices import ptp_check
 
 CONFIGURATION = """[global]
 free_running 1
@@ -91,7 +91,7 @@ def test_offset_is_measured_and_a_run_is_refused_beyond_the_limit(sockets: tuple
         return f'rig.clock.ptp_socket="{sockets[1]}"', f"rig.clock.ptp_max_offset_us={limit_us}"
 
     fine = load_rig("emulated", settings(1e5))
-    assert check_clock(fine) == []
+    assert check_clock(load_scenario("scheme-1"), fine) == []
     assert ptp_check(fine.value.clock).passed is True
     strict = [word for setting in settings(1e-9) for word in ("--set", setting)]
     refused = subprocess.run(

@@ -37,7 +37,7 @@ with recording(job, "emulated", Path(sys.argv[1]), lambda line: print(line, flus
     begun = time.monotonic()
     for k in itertools.count():
         row["t_s"] = k * 0.02
-        taken.sinks.cycles.put(row)
+        taken.sinks["cycles"].put(row)
         print(k, flush=True)
         if select.select([sys.stdin], [], [], max(0.0, begun + (k + 1) * 0.02 - time.monotonic()))[0]:
             break

@@ -14,6 +14,7 @@ from hil.core.clock import SimulatedClock
 from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.session_parts import SessionParts
 from hil.session import build
 from tests.support.run_settings import NEAR, make_job
 
@@ -34,7 +35,7 @@ def test_reader_gets_the_very_rows_of_the_history() -> None:
     ring = Ring.create(CYCLE, 256)
     reader = ring.reader()
     rate = SimulatedRate(SimulatedClock(), job.scenario.value.step_s)
-    history = build.in_memory(job, rate, telemetry=ring).run().history
+    history = build.in_memory(job, rate, SessionParts(telemetry=ring)).run().history
     assert len(history) == 101
     assert reader.read().tobytes() == history.tobytes()
     ring.close()

@@ -41,6 +41,7 @@ def pytest_run(folder: Path, *options: str, fresh: bool = False) -> subprocess.C
     with tempfile.TemporaryDirectory() as outputs:
         files = [Path(outputs, name) for name in ("out", "err")]
         request = {"folder": str(folder), "options": _with_plugin(options), "files": list(map(str, files))}
+        request["environment"] = {"HIL_TEST_CONTEXT": os.environ.get("HIL_TEST_CONTEXT", "")}  # of coverage_contexts.py
         server.stdin.write(json.dumps(request) + "\n")
         server.stdin.flush()
         code = int(server.stdout.readline())
@@ -74,6 +75,7 @@ def _serve() -> None:
             for number, file in enumerate(request["files"], start=1):
                 os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT), number)
             os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            os.environ.update(request["environment"])
             os.chdir(request["folder"])
             sys.path[0] = ""
             sys.argv = ["pytest", *request["options"]]

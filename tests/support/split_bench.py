@@ -19,10 +19,11 @@ from hil.frmn.udp import LOOPBACK, Address
 from hil.gnc_backends.udp import UdpGnc, gnc_link
 from hil.loop.cycle import Loop
 from hil.loop.runner import Outcome
+from hil.loop.session_parts import SessionParts
 from hil.processes.gnc_server import GncServer, gnc_side, wants_of
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.setup.gnc_setup import make_udp_gnc, mirror_of
+from hil.setup.udp_gnc import make_udp_gnc, mirror_to
 
 LOCAL: Address = (LOOPBACK, 0)
 
@@ -80,11 +81,13 @@ class Split:
     def fly(self) -> Outcome:
         """Wait for the GNC, then run."""
         self.gnc.connect(60.0)
-        with build.runner(self.job, operator=self.operator) as runner:
+        parts = SessionParts(self.operator)
+        mirror_to(self.link, parts)
+        parts.layers.append(lambda rows: _Each(rows, lambda: self.each_cycle(self.gnc.cycle)))
+        with build.opened(self.job, parts) as runner:
             if self.operator is not None:
                 self.operator.mode = lambda: runner.safety.modes.mode
             self.loop = loop = runner.loop
-            loop.telemetry = _Each(mirror_of(runner, self.link), lambda: self.each_cycle(self.gnc.cycle))
             send = loop.bench._send
 
             def spy(now_s: float) -> None:

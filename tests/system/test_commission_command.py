@@ -14,7 +14,8 @@ import pytest
 
 from hil.checks.compatibility import sign_off_gap
 from hil.cli.main import execute
-from hil.commission.prompt import AutoOperator, ScriptedPrompt, StepFailed
+from hil.commission.emulated_operator import AutoOperator
+from hil.commission.prompt import ScriptedPrompt, StepFailed
 from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
@@ -22,8 +23,8 @@ from hil.core.modes import Mode
 from hil.drivers.fault_injection import FaultControl
 from hil.loop.runner import Runner
 from hil.session import build
-from hil.session.build import WiredBench
 from hil.session.warm_up import warm_up
+from hil.session.wired import WiredBench
 
 pytestmark = pytest.mark.wires
 

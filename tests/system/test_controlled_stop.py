@@ -18,6 +18,7 @@ from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
 from hil.loop.runner import Runner
 from hil.session import build
 from hil.session.warm_up import warm_up
+from hil.session.wired import WiredBench
 from tests.support.lock_step import GRID_S
 from tests.support.run_settings import make_job
 
@@ -38,7 +39,7 @@ DETECTED_S = 0.2
 class Session:
     """A run in lock-step, what has happened to its axes, and a script beside it in bench time."""
 
-    bench: build.WiredBench
+    bench: WiredBench
     runner: Runner
     operator: Operator
 

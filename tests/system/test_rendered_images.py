@@ -93,7 +93,11 @@ def test_the_same_pictures_give_the_very_same_poses(recorded: Recorded) -> None:
 def test_the_same_frames_give_the_very_same_portions(recorded: Recorded) -> None:
     found = replay_monitor(recorded, recorded.calibration(SCENE_FILE, Scene))
     assert found.identical, (found.statuses, found.differences)
-    assert (found.images, found.compared, len(recorded.portions)) == (26, len(recorded.portions), 3)
+    assert (found.images, found.compared, len(recorded.of_parts["portions"])) == (
+        26,
+        len(recorded.of_parts["portions"]),
+        3,
+    )
 
 
 def test_the_gnc_of_a_run_on_pictures_replays_bit_by_bit(recorded: Recorded) -> None:
@@ -162,9 +166,9 @@ def test_exported_frames_give_hil_monitor_the_same_portions(recorded: Recorded, 
     assert execute(arguments) == 0
     with out.open() as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["t_s"]) for row in rows] == pytest.approx(recorded.portions["t_s"])
+    assert [float(row["t_s"]) for row in rows] == pytest.approx(recorded.of_parts["portions"]["t_s"])
     # the command's default of what motion may do differs from that of the run's guidance
-    assert [float(row["range_m"]) for row in rows] == pytest.approx(recorded.portions["range_m"], abs=1e-3)
+    assert [float(row["range_m"]) for row in rows] == pytest.approx(recorded.of_parts["portions"]["range_m"], abs=1e-3)
 
 
 def test_portions_are_exported_beside_the_cycles(recorded: Recorded, tmp_path: Path) -> None:
@@ -172,7 +176,7 @@ def test_portions_are_exported_beside_the_cycles(recorded: Recorded, tmp_path: P
     with (tmp_path / "run-portions.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["status"] for row in rows] == ["near"] * 3
-    assert [float(row["range_m"]) for row in rows] == recorded.portions["range_m"].tolist()
+    assert [float(row["range_m"]) for row in rows] == recorded.of_parts["portions"]["range_m"].tolist()
 
 
 def test_half_frames_are_woven_into_pictures_again(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.commission.prompt import AutoOperator
+from hil.commission.emulated_operator import AutoOperator
 from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, StopCommanded

@@ -8,10 +8,12 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import hil
+from tests.support import structure
 
 PACKAGE = Path(hil.__file__).parent
 ROOT = PACKAGE.parent
@@ -21,9 +23,17 @@ PARAMETERS_MOST = 8
 KERNELS = {"kernel", "entry"}
 
 
+def contracts() -> list[dict[str, Any]]:
+    """Return the import contracts."""
+    found: list[dict[str, Any]] = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
+        "contracts"
+    ]
+    return found
+
+
 def layers() -> list[set[str]]:
     """Return the packages of each layer of the import contract, from the top."""
-    (contract,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    contract = contracts()[0]
     assert contract["exhaustive"]
     return [set(re.split(r"\s*[|:]\s*", layer)) for layer in contract["layers"]]
 
@@ -48,6 +58,20 @@ def test_only_three_modules_are_loose() -> None:
 
 def test_layers_are_few() -> None:
     assert len(layers()) <= LAYERS_MOST
+
+
+def test_core_imports_no_part() -> None:
+    assert structure.core_imports() == []
+
+
+def test_contract_of_the_core_names_every_part() -> None:
+    (contract,) = [each for each in contracts() if each["name"] == "the core imports no part"]
+    assert {*contract["importers"], *contract["forbidden"]} == {part.name for part in structure.PARTS}
+
+
+def test_parts_are_made_of_modules_that_exist() -> None:
+    named = {name for part in structure.PARTS for name in part.modules}
+    assert named <= set(structure.modules())
 
 
 @pytest.mark.parametrize("inner", ["config/tables", "gnc/estimation"])
@@ -80,3 +104,11 @@ def test_long_parameter_lists_are_records(trees: dict[str, ast.Module]) -> None:
         for function in functions(tree)
     }
     assert {name: count for name, count in counts.items() if count > PARAMETERS_MOST} == {}
+
+
+def test_types_are_optional_in_modules_with_kernels_alone() -> None:
+    overrides = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]["overrides"]
+    (patterns,) = [override["module"] for override in overrides if "disallow_untyped_defs" in override]
+    for pattern in patterns:
+        paths = ROOT.glob(pattern.replace(".*", ".**.*").replace(".", "/") + ".py")
+        assert any(re.search(r"hil\.core\.jit|numba|SensorModule", path.read_text()) for path in paths), pattern

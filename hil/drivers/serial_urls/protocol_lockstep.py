@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from hil.core.lock_step_asyncio import LockStepEventLoop
-from hil.drivers.serial_port import CountedSerial
+from hil.drivers.counted_serial import CountedSerial
 
 
 def serial_class_for_url(url: str) -> tuple[str, Any]:

@@ -3,8 +3,8 @@
 The states are those of bench paper eq. (4). Their error has six components, not seven: the small-angle
 rotation ``theta`` from the estimated to the true c (``q_true = from_rotation_vector(theta) q_est``) and the
 drift error. The quaternion keeps unit length and its covariance has no redundant direction
-(Lefferts, Markley and Shuster 1982). ``hil.monte_carlo.akf_additive`` has the filter as printed. Its
-error is a block of the joint error state, ``hil.gnc.estimation.error_state``, which has the covariance.
+(Lefferts, Markley and Shuster 1982). Its error is a block of the joint error state,
+``hil.gnc.estimation.error_state``, which has the covariance.
 """
 
 from __future__ import annotations

@@ -79,7 +79,6 @@ FUSION_STATE = np.dtype(
         ("accepted", "i8"),
         ("rejected_position", "i8"),  # by the gate on the innovation
         ("rejected_attitude", "i8"),
-        ("rejected_closed", "i8"),  # by the closed gate
         ("duplicates", "i8"),
         ("too_late", "i8"),  # or from the future, or one too many for a step: not placed
         ("rejected_in_a_row", "i8"),  # consecutive rejections
@@ -325,10 +324,9 @@ def _count(params, state, pose, result, nis_attitude, nis_position):
     """Count a pose that has just been gated."""
     state.nis_attitude = nis_attitude
     state.nis_position = nis_position
-    if result == REJECTED and state.rejected_in_a_row >= params.close_after:
-        state.rejected_closed += 1
-    elif result == REJECTED:
-        state.rejected_attitude += 1
+    if result == REJECTED:
+        if state.rejected_in_a_row < params.close_after:  # beyond, by the closed gate
+            state.rejected_attitude += 1
     elif result == ATTITUDE_ONLY:
         state.rejected_position += 1
     else:

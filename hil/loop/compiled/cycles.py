@@ -20,7 +20,6 @@ from hil.loop.compiled import run_cycles
 from hil.loop.compiled.run_stats import RUN_STATS
 from hil.loop.cycle import Cycles, Loop
 from hil.loop.rate_keeper import SimulatedRate, Tick
-from hil.loop.safety_io_stage import SafetyIoStage
 from hil.maths.random_streams import RandomRows
 from hil.sensors.vision_unit import columns as vmu_columns
 
@@ -187,7 +186,7 @@ class CompiledCycles:
     def _store(self, begun: int) -> None:
         """Pass lines, feedback and time of a block from tick ``begun`` on to the devices' stages."""
         loop, mocks, state = self._loop, self._mocks, self._state
-        if mocks.io is not None and isinstance(loop.safety_io, SafetyIoStage):
+        if mocks.io is not None:
             mocks.io.set_outputs(loop.safety_io.set_mirrored(), float(state.mock.lines_changed_s))
         bench, feedback, cycle = loop.bench, loop.now.feedback, int(state.cycle)
         last = ((cycle - 1) * self._ticks + bench.tick if bench.tick else cycle * self._ticks) - 1

@@ -18,17 +18,20 @@ logarithm of the likelihood of all spots, integrated over the pose, is the score
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.core.jit import kernel
+from hil.core.messages import Array
 from hil.maths import cholesky
 from hil.maths.arrays import copy_into, copy_matrix
 from hil.maths.record_view import copy_record
 from hil.vmu.kernels.lens import in_image, lens_slopes, project
 from hil.vmu.kernels.match import assign, chi_square_limit, count, keep_assigned
 from hil.vmu.kernels.records import MAX_LEDS, SHARED
-from hil.vmu.kernels.refine import jacobian, place, place_in_row, place_when_seen, rotate
+from hil.vmu.kernels.refine import jacobian, place_when_seen, rotate
 
 _STEPS = 20
 _SMALL = 1e-6  # square of a step in sigmas, at convergence
@@ -46,32 +49,64 @@ _USUAL_SIGMA = 1.0  # chi-square up to this above its mean needs no other floor
 _FIRST_RIGHT, _FIRST_STEREO = 9, 18
 
 
-@kernel
-def residuals(scene, view, spot, r, t, which, residual, jac):
-    """Write camera and LED of each spot in use to which (m, 2), residuals (2 m,) and Jacobian (2 m, 6); return m.
+class Equations(NamedTuple):
+    """Equations of a pose by the m spots of a hypothesis.
 
-    -1 if an LED in use is not in front of a camera.
+    which: (m, 2), camera and LED of each spot. residual: (2 m,), px. jacobian: (2 m, 6), of the projections by the
+    pose. shared: (2 m, 2 m), ``B P B.T``. low: (2 m, 2 m), lower Cholesky factor L of S. white_residual and
+    white_jacobian: ``L^-1`` times both. normal: (6, 6), ``J.T S^-1 J``. gradient: (6,), ``J.T S^-1 residual``.
+    low6: (6, 6), lower Cholesky factor of ``normal``.
     """
-    arm, point, slopes, j = np.empty(3), np.empty(3), np.empty((2, 3)), np.empty((2, 6))
+
+    which: npt.NDArray[np.int64]
+    residual: Array
+    jacobian: Array
+    shared: Array
+    low: Array
+    white_residual: Array
+    white_jacobian: Array
+    normal: Array
+    gradient: Array
+    low6: Array
+
+
+@kernel
+def equations(which):
+    """Return the equations for ``which`` (m, 2), not yet set up."""
+    n = 2 * which.shape[0]
+    return Equations(
+        which, np.empty(n), np.empty((n, 6)), np.empty((n, n)), np.empty((n, n)), np.empty(n), np.empty((n, 6)),
+        np.empty((6, 6)), np.empty(6), np.empty((6, 6)),
+    )  # fmt: skip
+
+
+@kernel
+def equations_of(fit, n_leds):
+    """Return the equations for the spots of ``fit``, not yet set up."""
+    which = np.empty((2 * n_leds, 2), np.int64)
     m = 0
     for c in range(2):
-        for n in range(scene.leds.shape[0]):
-            k = spot[c, n]
-            if k < 0:
-                continue
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, t, arm, point)
-            u, v = project(scene.lens[c], point[0], point[1], point[2])
-            if not (math.isfinite(u) and math.isfinite(v)):
-                return -1
-            jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
-            which[m, 0], which[m, 1] = c, n
-            residual[2 * m], residual[2 * m + 1] = view.spots[c, k].u - u, view.spots[c, k].v - v
-            for a in range(6):
-                jac[2 * m, a], jac[2 * m + 1, a] = j[0, a], j[1, a]
-            m += 1
-    return m
+        for n in range(n_leds):
+            if fit.spot[c, n] >= 0:
+                which[m, 0], which[m, 1] = c, n
+                m += 1
+    return equations(which[:m])
+
+
+@kernel
+def linearise(scene, view, spot, r, t, eq):
+    """Write residuals and Jacobian at a pose; return False if an LED in use is not in front of a camera."""
+    arm, point, slopes = np.empty(3), np.empty(3), np.empty((2, 3))
+    for k in range(eq.which.shape[0]):
+        c, n = eq.which[k, 0], eq.which[k, 1]
+        place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
+        u, v = project(scene.lens[c], point[0], point[1], point[2])
+        if not (math.isfinite(u) and math.isfinite(v)):
+            return False
+        measured = view.spots[c, spot[c, n]]
+        eq.residual[2 * k], eq.residual[2 * k + 1] = measured.u - u, measured.v - v
+        jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, eq.jacobian[2 * k : 2 * k + 2])
+    return True
 
 
 @kernel
@@ -99,9 +134,7 @@ def shared_slopes(scene, r, t, c, n, out):
     """
     arm, point = np.empty(3), np.empty(3)
     slopes, j, inner = np.empty((2, 3)), np.empty((2, 6)), np.empty((2, 9))
-    place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
-    if scene.lens[c].row_s != 0.0:
-        place_in_row(scene, c, t, arm, point)
+    place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
     lens_slopes(scene.lens[c], point[0] / point[2], point[1] / point[2], inner)
     jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
     for i in range(2):
@@ -131,11 +164,12 @@ def motion_slopes(scene, r, t, c, n, out):
 
 
 @kernel
-def add_motion(scene, r, t, which, m, shared):
+def add_motion(scene, r, t, eq):
     """Add to ``shared`` that the rates are uncertain with which the LEDs move between the rows of a rolling shutter."""
+    m = eq.which.shape[0]
     moved, row = np.empty((2 * m, 6)), np.empty(6)
     for k in range(m):
-        motion_slopes(scene, r, t, which[k, 0], which[k, 1], moved[2 * k : 2 * k + 2])
+        motion_slopes(scene, r, t, eq.which[k, 0], eq.which[k, 1], moved[2 * k : 2 * k + 2])
     for k in range(2 * m):
         for b in range(6):
             row[b] = 0.0
@@ -145,21 +179,21 @@ def add_motion(scene, r, t, which, m, shared):
             total = 0.0
             for a in range(6):
                 total += row[a] * moved[q, a]
-            shared[k, q] += total
+            eq.shared[k, q] += total
             if q < k:
-                shared[q, k] += total
+                eq.shared[q, k] += total
 
 
 @kernel
-def fill_shared(scene, r, t, which, m, shared):
-    """Write ``B P B.T`` to shared (2 m, 2 m) for the spots ``which`` at a pose."""
-    p = scene.tolerance.shape[0]
+def fill_shared(scene, r, t, eq):
+    """Write ``B P B.T`` of the spots at a pose."""
+    m, p = eq.which.shape[0], scene.tolerance.shape[0]
     slopes, widths = np.empty((m, 2, 18)), np.empty(m, np.int64)
     columns = np.empty((m, 18), np.int64)
     row = np.empty(p)
     for k in range(m):
-        widths[k] = columns_of(which[k, 0], which[k, 1], columns[k])
-        shared_slopes(scene, r, t, which[k, 0], which[k, 1], slopes[k])
+        widths[k] = columns_of(eq.which[k, 0], eq.which[k, 1], columns[k])
+        shared_slopes(scene, r, t, eq.which[k, 0], eq.which[k, 1], slopes[k])
     for k in range(m):
         for i in range(2):
             for b in range(p):
@@ -174,160 +208,132 @@ def fill_shared(scene, r, t, which, m, shared):
                     total = 0.0
                     for a in range(widths[q]):
                         total += row[columns[q, a]] * slopes[q, j, a]
-                    shared[2 * k + i, 2 * q + j] = total
-                    shared[2 * q + j, 2 * k + i] = total
+                    eq.shared[2 * k + i, 2 * q + j] = total
+                    eq.shared[2 * q + j, 2 * k + i] = total
     if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0:
-        add_motion(scene, r, t, which, m, shared)
+        add_motion(scene, r, t, eq)
 
 
 @kernel
-def fill_weights(view, spot, which, m, shared, floor, low):
-    """Write the lower Cholesky factor of S to low (2 m, 2 m); return its log-determinant, NaN if there is none."""
-    for k in range(2 * m):
+def fill_weights(view, spot, shared, floor, eq):
+    """Write the Cholesky factor of S; return the logarithm of its determinant, NaN if there is none.
+
+    shared: (2 m, 2 m), in place of that of ``eq``.
+    """
+    low, n = eq.low, eq.residual.shape[0]
+    for k in range(n):
         for q in range(k + 1):
             low[k, q] = shared[k, q]
-    for k in range(m):
-        measured = view.spots[which[k, 0], spot[which[k, 0], which[k, 1]]]
+    for k in range(n // 2):
+        measured = view.spots[eq.which[k, 0], spot[eq.which[k, 0], eq.which[k, 1]]]
         low[2 * k, 2 * k] += measured.noise_uu + floor * floor
         low[2 * k + 1, 2 * k] += measured.noise_uv
         low[2 * k + 1, 2 * k + 1] += measured.noise_vv + floor * floor
-    if not cholesky.factor(low, 2 * m, low):
+    if not cholesky.factor(low, n, low):
         return np.nan
     total = 0.0
-    for k in range(2 * m):
+    for k in range(n):
         total += 2.0 * math.log(low[k, k])
     return total
 
 
 @kernel
-def whiten(low, m, residual, jac, flat_residual, flat):
-    """Write ``L^-1 residual`` (2 m,) and ``L^-1 J`` (2 m, 6)."""
-    for k in range(2 * m):
-        s = residual[k]
-        for q in range(k):
-            s -= low[k, q] * flat_residual[q]
-        flat_residual[k] = s / low[k, k]
-        for a in range(6):
-            s = jac[k, a]
-            for q in range(k):
-                s -= low[k, q] * flat[q, a]
-            flat[k, a] = s / low[k, k]
+def weighted_square(eq):
+    """Return ``residual.T S^-1 residual``."""
+    n, total = eq.residual.shape[0], 0.0
+    cholesky.forward(eq.low, n, eq.residual, eq.white_residual)
+    for k in range(n):
+        total += eq.white_residual[k] * eq.white_residual[k]
+    return total
 
 
 @kernel
-def normal_equations(m, flat_residual, flat, normal, gradient):
-    """Write ``J.T S^-1 J`` and ``J.T S^-1 residual``; return ``residual.T S^-1 residual``."""
-    total = 0.0
+def normal_equations(eq):
+    """Write the residuals and the Jacobian times ``L^-1``, and the normal equations; return as ``weighted_square``."""
+    n, total = eq.residual.shape[0], weighted_square(eq)
     for a in range(6):
-        gradient[a] = 0.0
+        cholesky.forward(eq.low, n, eq.jacobian[:, a], eq.white_jacobian[:, a])
+        eq.gradient[a] = 0.0
         for b in range(6):
-            normal[a, b] = 0.0
-    for k in range(2 * m):
-        total += flat_residual[k] * flat_residual[k]
+            eq.normal[a, b] = 0.0
+    for k in range(n):
         for a in range(6):
-            gradient[a] += flat[k, a] * flat_residual[k]
+            eq.gradient[a] += eq.white_jacobian[k, a] * eq.white_residual[k]
             for b in range(a + 1):
-                normal[a, b] += flat[k, a] * flat[k, b]
+                eq.normal[a, b] += eq.white_jacobian[k, a] * eq.white_jacobian[k, b]
     for a in range(6):
         for b in range(a):
-            normal[b, a] = normal[a, b]
+            eq.normal[b, a] = eq.normal[a, b]
     return total
 
 
 @kernel
-def weighted_square(low, m, residual, flat_residual):
-    """Return ``residual.T S^-1 residual``."""
-    total = 0.0
-    for k in range(2 * m):
-        s = residual[k]
-        for q in range(k):
-            s -= low[k, q] * flat_residual[q]
-        flat_residual[k] = s / low[k, k]
-        total += flat_residual[k] * flat_residual[k]
-    return total
-
-
-@kernel
-def minimise(scene, view, fit, low, which, m, residual, jac, flat_residual, flat, normal, gradient):
+def minimise(scene, view, fit, eq):
     """Minimise the weighted sum of squares over the pose of ``fit`` for fixed weights; return it, inf on failure.
 
-    Gauss-Newton with Levenberg's damping. The arrays hold their values at the minimum.
+    Gauss-Newton with Levenberg's damping. The equations are those at the minimum.
     """
-    damped, step, low6 = np.empty((6, 6)), np.empty(6), np.zeros((6, 6))
+    low, step = np.empty((6, 6)), np.empty(6)
     r_new, t_new = np.empty((3, 3)), np.empty(3)
-    whiten(low, m, residual, jac, flat_residual, flat)
-    cost = normal_equations(m, flat_residual, flat, normal, gradient)
+    cost = normal_equations(eq)
     damping = 1e-6
     for _ in range(_STEPS):
-        if not math.isfinite(cost):
+        if not math.isfinite(cost) or not cholesky.solve_damped(eq.normal, damping, eq.gradient, low, step):
             return np.inf
-        for a in range(6):
-            for b in range(6):
-                damped[a, b] = normal[a, b]
-            damped[a, a] = normal[a, a] * (1.0 + damping) + 1e-12
-        if not cholesky.factor(damped, 6, low6):
-            return np.inf
-        cholesky.solve(low6, 6, gradient, step)
         size = 0.0
         for a in range(6):
-            size += step[a] * gradient[a]
+            size += step[a] * eq.gradient[a]
         if abs(size) < _SMALL or damping > 1e8:
             break
         for a in range(3):
             t_new[a] = fit.t[a] + step[a]
         rotate(fit.r, step[3:6], r_new)
-        new_cost = np.inf
-        if residuals(scene, view, fit.spot, r_new, t_new, which, residual, jac) == m:
-            new_cost = weighted_square(low, m, residual, flat_residual)
+        new_cost = weighted_square(eq) if linearise(scene, view, fit.spot, r_new, t_new, eq) else np.inf
         if new_cost <= cost + 1e-12:
             copy_into(fit.t, t_new)
             copy_matrix(fit.r, r_new)
             damping *= 0.1
         else:
-            residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
+            linearise(scene, view, fit.spot, fit.r, fit.t, eq)
             damping = max(10.0 * damping, 1e-4)
-        whiten(low, m, residual, jac, flat_residual, flat)
-        cost = normal_equations(m, flat_residual, flat, normal, gradient)
+        cost = normal_equations(eq)
     return cost
 
 
 @kernel
-def log_likelihood(log_det, cost, normal, gradient, low6):
+def log_likelihood(log_det, cost, eq):
     """Return the logarithm of the restricted likelihood of all residuals, up to a constant of their number.
 
     The pose is integrated out: it is at the minimum of the quadratic with ``normal`` and ``gradient``.
     """
-    if not cholesky.factor(normal, 6, low6):
+    if not cholesky.factor(eq.normal, 6, eq.low6):
         return -np.inf
     step, pose_det, gain = np.empty(6), 0.0, 0.0
-    cholesky.solve(low6, 6, gradient, step)
+    cholesky.solve(eq.low6, 6, eq.gradient, step)
     for a in range(6):
-        pose_det += 2.0 * math.log(low6[a, a])
-        gain += step[a] * gradient[a]
+        pose_det += 2.0 * math.log(eq.low6[a, a])
+        gain += step[a] * eq.gradient[a]
     return -0.5 * (log_det + pose_det + cost - gain)
 
 
 @kernel
-def estimate_floor(scene, view, fit, which, m, shared, low, residual, jac, flat_residual, flat, normal, gradient):
+def estimate_floor(scene, view, fit, eq):
     """Return the most likely floor, px, at the pose of ``fit``, whatever the shift of the right image as a whole.
 
     Else a floor would hide two images that do not belong together.
     """
-    low6, best, floor = np.zeros((6, 6)), -np.inf, scene.floors[0]
-    free = np.empty((2 * m, 2 * m))
-    for k in range(m):
-        for q in range(m):
-            added = _SHIFT_PX * _SHIFT_PX if which[k, 0] == 1 and which[q, 0] == 1 else 0.0
-            for i in range(2):
-                for j in range(2):
-                    free[2 * k + i, 2 * q + j] = shared[2 * k + i, 2 * q + j] + (added if i == j else 0.0)
+    best, floor = -np.inf, scene.floors[0]
+    free = eq.shared.copy()
+    for k in range(free.shape[0]):
+        for q in range(k % 2, free.shape[0], 2):
+            if eq.which[k // 2, 0] == 1 and eq.which[q // 2, 0] == 1:
+                free[k, q] += _SHIFT_PX * _SHIFT_PX
     for k in range(scene.floors.shape[0]):
-        log_det = fill_weights(view, fit.spot, which, m, free, scene.floors[k], low)
+        log_det = fill_weights(view, fit.spot, free, scene.floors[k], eq)
         if not math.isfinite(log_det):
             continue
-        whiten(low, m, residual, jac, flat_residual, flat)
-        cost = normal_equations(m, flat_residual, flat, normal, gradient)
-        value = log_likelihood(log_det, cost, normal, gradient, low6) - (1.0 if k > 0 else 0.0)
+        cost = normal_equations(eq)
+        value = log_likelihood(log_det, cost, eq) - (1.0 if k > 0 else 0.0)
         if value > best:
             best, floor = value, scene.floors[k]
     return floor
@@ -347,38 +353,28 @@ def weigh(scene, view, density, clean, fit):
     that explains no more and needs a much larger scale of its errors is not valid.
     """
     fit.valid = 0
-    most = 4 * scene.leds.shape[0]
-    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
-    residual, jac = np.empty(most), np.empty((most, 6))
-    flat_residual, flat = np.empty(most), np.empty((most, 6))
-    normal, gradient, low6, column = np.empty((6, 6)), np.empty(6), np.zeros((6, 6)), np.empty(6)
     count(fit, scene.leds.shape[0])
-    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
-    if m < 3:
+    eq = equations_of(fit, scene.leds.shape[0])
+    m = eq.which.shape[0]
+    if m < 3 or not linearise(scene, view, fit.spot, fit.r, fit.t, eq):
         return
     fit.floor = scene.floors[0]
     degrees = 2.0 * m - 6.0
     away = 0.0
     for turn in range(_FITS):
-        fill_shared(scene, fit.r, fit.t, which, m, shared)
+        fill_shared(scene, fit.r, fit.t, eq)
         if turn > 1:
-            fit.floor = estimate_floor(
-                scene, view, fit, which, m, shared, low, residual, jac, flat_residual, flat, normal, gradient
-            )  # fmt: skip
-        log_det = fill_weights(view, fit.spot, which, m, shared, fit.floor, low)
+            fit.floor = estimate_floor(scene, view, fit, eq)
+        log_det = fill_weights(view, fit.spot, eq.shared, fit.floor, eq)
         if not math.isfinite(log_det):
             return
         before = distance_of(fit.t)
-        cost = minimise(
-            scene, view, fit, low, which, m, residual, jac, flat_residual, flat, normal, gradient
-        )  # fmt: skip
+        cost = minimise(scene, view, fit, eq)
         if not math.isfinite(cost):
             return
         away = abs(distance_of(fit.t) / before - 1.0)
-        if (
-            scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0
-        ):  # a large part of the residuals is shared, by the tilt too
-            away = _NEAR
+        if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0:
+            away = _NEAR  # a large part of the residuals is shared, by the tilt too
         if turn < 2:
             fit.misfit = cost
             usual = degrees <= 0.0 or cost <= degrees + _USUAL_SIGMA * math.sqrt(2.0 * degrees)
@@ -386,13 +382,13 @@ def weigh(scene, view, density, clean, fit):
                 break
             if turn == 1 and m <= clean and 0.5 * degrees * math.log(cost / degrees) > _HOPELESS:
                 return
-    likelihood = log_likelihood(log_det, cost, normal, gradient, low6)
+    likelihood = log_likelihood(log_det, cost, eq)
     if not math.isfinite(likelihood):
         return
-    cholesky.invert(low6, column, fit.covariance)
+    cholesky.invert(eq.low6, fit.covariance)
     fit.chi2 = cost
-    write_noise(view, fit, which, m, low, flat)
-    write_shift(fit, which, m, shared, view, residual, jac)
+    write_noise(view, fit, eq)
+    write_shift(view, fit, eq)
     fit.score = likelihood - (m - 3.0) * _LOG_2PI
     add_lights(scene, view, density, fit)
     for a in range(6):
@@ -402,15 +398,12 @@ def weigh(scene, view, density, clean, fit):
 
 
 @kernel
-def write_noise(view, fit, which, m, low, flat):
+def write_noise(view, fit, eq):
     """Write the part of the pose's covariance that the noise of the spots causes, ``K N K.T``."""
+    m, which = eq.which.shape[0], eq.which
     gain, part = np.empty((2 * m, 6)), np.zeros((6, 6))
-    for a in range(6):
-        for k in range(2 * m - 1, -1, -1):  # S^-1 J = L^-T (L^-1 J)
-            s = flat[k, a]
-            for q in range(k + 1, 2 * m):
-                s -= low[q, k] * gain[q, a]
-            gain[k, a] = s / low[k, k]
+    for a in range(6):  # S^-1 J = L^-T (L^-1 J)
+        cholesky.backward(eq.low, 2 * m, eq.white_jacobian[:, a], gain[:, a])
     for k in range(m):
         measured = view.spots[which[k, 0], fit.spot[which[k, 0], which[k, 1]]]
         for a in range(6):
@@ -428,12 +421,13 @@ def write_noise(view, fit, which, m, low, flat):
 
 
 @kernel
-def write_shift(fit, which, m, shared, view, residual, jac):
+def write_shift(view, fit, eq):
     """Write the shift of the right image against the left one, along u and v, over its standard deviation.
 
     The mean residual of the right image minus that of the left one: large if the images are not of one moment, or the
     cameras are not those of the calibration. Zero with fewer than two spots in one image.
     """
+    m, which = eq.which.shape[0], eq.which
     side = np.empty(m)
     totals = np.zeros(2)
     for k in range(m):
@@ -452,11 +446,11 @@ def write_shift(fit, which, m, shared, view, residual, jac):
             measured = view.spots[which[k, 0], fit.spot[which[k, 0], which[k, 1]]]
             own = (measured.noise_uu if i == 0 else measured.noise_vv) + fit.floor * fit.floor
             variance += side[k] * side[k] * own
-            mean += side[k] * residual[2 * k + i]
+            mean += side[k] * eq.residual[2 * k + i]
             for q in range(m):
-                variance += side[k] * side[q] * shared[2 * k + i, 2 * q + i]
+                variance += side[k] * side[q] * eq.shared[2 * k + i, 2 * q + i]
             for a in range(6):
-                along[a] += side[k] * jac[2 * k + i, a]
+                along[a] += side[k] * eq.jacobian[2 * k + i, a]
         total = variance
         for a in range(6):
             for b in range(6):
@@ -477,9 +471,7 @@ def add_lights(scene, view, density, fit):
             if fit.spot[c, n] >= 0:
                 fit.score -= math.log(density[c])
                 continue
-            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, fit.t, arm, point)
+            place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if in_image(scene.lens[c], u, v, _EDGE_PX):
                 fit.unseen += 1
@@ -489,42 +481,31 @@ def add_lights(scene, view, density, fit):
 @kernel
 def worst_spot(scene, view, fit, where):
     """Write camera and LED of the spot whose removal lowers chi-square most to where (2,); return by how much."""
-    most = 4 * scene.leds.shape[0]
-    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
-    residual, jac = np.empty(most), np.empty((most, 6))
-    flat_residual, flat, inverse = np.empty(most), np.empty((most, 6)), np.zeros((most, most))
-    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
-    if m < 3:
+    eq = equations_of(fit, scene.leds.shape[0])
+    m = eq.which.shape[0]
+    if m < 3 or not linearise(scene, view, fit.spot, fit.r, fit.t, eq):
         return 0.0
-    fill_shared(scene, fit.r, fit.t, which, m, shared)
-    if not math.isfinite(fill_weights(view, fit.spot, which, m, shared, scene.floors[0], low)):
+    fill_shared(scene, fit.r, fit.t, eq)
+    if not math.isfinite(fill_weights(view, fit.spot, eq.shared, scene.floors[0], eq)):
         return 0.0
     # rows of L^-1, then S^-1 - S^-1 J C J.T S^-1 by pairs of residuals
-    for a in range(2 * m):
-        for k in range(a, 2 * m):
-            s = 1.0 if k == a else 0.0
-            for q in range(a, k):
-                s -= low[k, q] * inverse[q, a]
-            inverse[k, a] = s / low[k, k]
-    whiten(low, m, residual, jac, flat_residual, flat)
-    normal, gradient, low6, covariance, scratch = (
-        np.empty((6, 6)), np.empty(6), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6),
-    )  # fmt: skip
-    normal_equations(m, flat_residual, flat, normal, gradient)
-    if not cholesky.factor(normal, 6, low6):
+    inverse, covariance = np.zeros((2 * m, 2 * m)), np.empty((6, 6))
+    cholesky.invert_factor(eq.low, inverse)
+    normal_equations(eq)
+    if not cholesky.factor(eq.normal, 6, eq.low6):
         return 0.0
-    cholesky.invert(low6, scratch, covariance)
+    cholesky.invert(eq.low6, covariance)
     most = 0.0
     gain, pull, block = np.empty((2, 6)), np.empty(2), np.empty((2, 2))
     for k in range(m):
         for i in range(2):
             pull[i] = 0.0
             for q in range(2 * m):
-                pull[i] += inverse[q, 2 * k + i] * flat_residual[q]
+                pull[i] += inverse[q, 2 * k + i] * eq.white_residual[q]
             for a in range(6):
                 gain[i, a] = 0.0
                 for q in range(2 * m):
-                    gain[i, a] += inverse[q, 2 * k + i] * flat[q, a]
+                    gain[i, a] += inverse[q, 2 * k + i] * eq.white_jacobian[q, a]
         for i in range(2):
             for j in range(2):
                 block[i, j] = 0.0
@@ -536,7 +517,7 @@ def worst_spot(scene, view, fit, where):
         for a in range(6):
             for b in range(6):
                 for i in range(2):
-                    pull[i] -= gain[i, a] * covariance[a, b] * gradient[b]
+                    pull[i] -= gain[i, a] * covariance[a, b] * eq.gradient[b]
         det = block[0, 0] * block[1, 1] - block[0, 1] * block[0, 1]
         if not det > 1e-9 * block[0, 0] * block[1, 1]:
             continue
@@ -545,7 +526,7 @@ def worst_spot(scene, view, fit, where):
         ) / det
         if square > most:
             most = square
-            where[0], where[1] = which[k, 0], which[k, 1]
+            where[0], where[1] = eq.which[k, 0], eq.which[k, 1]
     return most
 
 
@@ -627,20 +608,17 @@ def chi_square_growth(scene, view, fit, direction, sigmas):
     direction: (6,), one sigma of the pose along an axis of its covariance. 1 if the problem is linear up to there, so
     that the covariance is valid.
     """
-    most = 4 * scene.leds.shape[0]
-    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
-    residual, jac, flat_residual = np.empty(most), np.empty((most, 6)), np.empty(most)
+    eq = equations_of(fit, scene.leds.shape[0])
     r, t, e = np.empty((3, 3)), np.empty(3), np.empty(3)
     for i in range(3):
         t[i] = fit.t[i] + sigmas * direction[i]
         e[i] = sigmas * direction[3 + i]
     rotate(fit.r, e, r)
-    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
-    if m < 3:
+    if eq.which.shape[0] < 3 or not linearise(scene, view, fit.spot, fit.r, fit.t, eq):
         return np.inf
-    fill_shared(scene, fit.r, fit.t, which, m, shared)
-    if not math.isfinite(fill_weights(view, fit.spot, which, m, shared, fit.floor, low)):
+    fill_shared(scene, fit.r, fit.t, eq)
+    if not math.isfinite(fill_weights(view, fit.spot, eq.shared, fit.floor, eq)):
         return np.inf
-    if residuals(scene, view, fit.spot, r, t, which, residual, jac) != m:
+    if not linearise(scene, view, fit.spot, r, t, eq):
         return np.inf
-    return (weighted_square(low, m, residual, flat_residual) - fit.chi2) / (sigmas * sigmas)
+    return (weighted_square(eq) - fit.chi2) / (sigmas * sigmas)

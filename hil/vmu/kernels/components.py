@@ -7,8 +7,10 @@ a spot of a few pixels has nearly all of its light in one.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.core.jit import kernel
 
@@ -21,6 +23,55 @@ COMPONENT_WIDTH = 7
 BAD = -1  # label of a defective pixel
 _APART = 24  # px, half the extent over which a texture is assessed
 _TEXTURE = 2.0  # variance of the sums relative to that of noise, above which the background has a texture
+
+
+class Frame(NamedTuple):
+    """An image that is searched for lights, and what it is searched with.
+
+    image: (h, w), uint8. label: (h, w), int16, number of each pixel's component, all zero before and after. queue:
+    (h * w,), int32, scratch. limits: LIMITS. per_level: variance of a pixel per level of light. last: SPOT of the image
+    before, whose discs are where the fits of discs begin; or none.
+    """
+
+    image: npt.NDArray[np.uint8]
+    label: npt.NDArray[np.int16]
+    queue: npt.NDArray[np.int32]
+    limits: np.void
+    per_level: float
+    last: np.ndarray
+
+
+class LightComponent(NamedTuple):
+    """Connected pixels of an image. name: their label. row: (COMPONENT_WIDTH,). background: level of a pixel around it.
+
+    dark: variance of a pixel without light.
+    """
+
+    name: int
+    row: npt.NDArray[np.int64]
+    background: float
+    dark: float
+
+
+class RowScan(NamedTuple):
+    """Scratch for the rows of an image. threshold: of the sums. flags (of uint8) and words (of uint64) share memory.
+
+    sums: of columns. hits: pixels above the threshold.
+    """
+
+    threshold: npt.NDArray[np.uint16]
+    sums: npt.NDArray[np.uint16]
+    flags: npt.NDArray[np.uint8]
+    words: npt.NDArray[np.uint64]
+    hits: npt.NDArray[np.int64]
+
+
+@kernel
+def row_scan(columns):
+    """Return scratch for rows of ``columns`` pixels."""
+    words = np.zeros((columns + 7) // 8, dtype=np.uint64)
+    threshold, sums = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
+    return RowScan(threshold, sums, words.view(np.uint8), words, np.empty(columns, dtype=np.int64))
 
 
 @kernel
@@ -174,23 +225,20 @@ def scan_row(above, line, below, threshold, columns, flags):
 
 
 @kernel
-def collect_hits(image, v, u0, u1, threshold, scratch, flags, words, hits, count):
-    """Append the pixels of row ``v`` from u0 up to u1 above their threshold to ``hits``; return the new count.
-
-    flags (of uint8) and words (of uint64) share memory. Pixels beyond the capacity of ``hits`` are counted, not kept.
-    """
-    n = u1 - u0
+def collect_hits(image, v, u0, u1, scan):
+    """Write the pixels of row ``v`` from u0 up to u1 above their threshold to the hits of ``scan``; return how many."""
+    n, count = u1 - u0, 0
+    flags = scan.flags
     scan_row(
-        image[v - 1, u0:u1], image[v, u0:u1], image[v + 1, u0:u1], threshold[u0:u1], scratch[:n], flags[:n]
+        image[v - 1, u0:u1], image[v, u0:u1], image[v + 1, u0:u1], scan.threshold[u0:u1], scan.sums[:n], flags[:n]
     )  # fmt: skip
     flags[0] = 0
     flags[n - 1] = 0
     for k in range((n + 7) // 8):
-        if words[k] != 0:
+        if scan.words[k] != 0:
             for j in range(8 * k, min(8 * k + 8, n)):
                 if flags[j] != 0:
-                    if count < hits.shape[0]:
-                        hits[count] = v * image.shape[1] + u0 + j
+                    scan.hits[count] = v * image.shape[1] + u0 + j
                     count += 1
     return count
 

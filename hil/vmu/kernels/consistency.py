@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.vmu.kernels.budget import columns_of, motion_slopes, residuals, shared_slopes
+from hil.maths.arrays import copy_matrix
+from hil.vmu.kernels.budget import columns_of, equations_of, linearise, motion_slopes, shared_slopes
 
 _DEPENDENT = 1e-9  # of a column's square
 
@@ -24,13 +25,14 @@ def add_information(scene, view, fit, floor_square, information, product):
 
     floor_square: px^2, variance of each coordinate of a spot beyond its noise.
     """
-    most = 4 * scene.leds.shape[0]
-    which, columns = np.empty((most // 2, 2), np.int64), np.empty(18, np.int64)
-    residual, jac, slopes = np.empty(most), np.empty((most, 12)), np.empty((2, 18))
+    columns, slopes = np.empty(18, np.int64), np.empty((2, 18))
     nuisance = 12 if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0 else 6
-    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
-    if m < 4:
+    eq = equations_of(fit, scene.leds.shape[0])
+    which, residual, m = eq.which, eq.residual, eq.which.shape[0]
+    if m < 4 or not linearise(scene, view, fit.spot, fit.r, fit.t, eq):
         return 0
+    jac = np.empty((2 * m, 12))
+    copy_matrix(jac[:, :6], eq.jacobian)
     p = information.shape[0]
     rows = np.zeros((2 * m, p))
     for k in range(m):

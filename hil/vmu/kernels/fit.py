@@ -8,10 +8,15 @@ pixel at full scale gives only a lower bound of the light.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from hil.core.jit import kernel
+from hil.core.messages import Array
 from hil.maths import cholesky
+from hil.maths.arrays import copy_into
 from hil.vmu.kernels.disc import node, point_sums, strip_sums, strips
 
 PLANE = 3  # parameters of the background
@@ -22,6 +27,40 @@ FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
 _LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
 _DARK = 1e-10  # of a light's flux: pixels with less have none
+
+
+class LightFit(NamedTuple):
+    """A model of one or a few lights, its parameters, and the pixels of the window that it is fitted to, row by row.
+
+    p: (n,). covariance: (n, n). elongation: (3,), px^2, half of the variance along u minus that along v, their
+    covariance, and the standard deviation of both. box: u and v of the window's first pixel, and of the one after the
+    last. pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel, else 1. dark: variance of a pixel
+    without light. per_level: variance per level of light. model, light: (count,), image of the parameters with and
+    without background. slopes: (n, count), derivatives of the model.
+    """
+
+    is_disc: bool
+    p: Array
+    covariance: Array
+    elongation: Array
+    box: npt.NDArray[np.int64]
+    pixels: Array
+    weighed: Array
+    dark: float
+    per_level: float
+    model: Array
+    light: Array
+    slopes: Array
+
+
+@kernel
+def light_fit(is_disc, p, box, dark, per_level):
+    """Return a model of the parameters ``p`` in the window ``box``, whose pixels are not yet read."""
+    n, count = p.shape[0], (box[2] - box[0]) * (box[3] - box[1])
+    return LightFit(
+        is_disc, p, np.zeros((n, n)), np.full(3, np.nan), box, np.empty(count), np.empty(count), dark, per_level,
+        np.empty(count), np.empty(count), np.empty((n, count)),
+    )  # fmt: skip
 
 
 @kernel
@@ -128,17 +167,10 @@ def residual(level, model):
 def invert(a, out):
     """Write the inverse of the positive definite ``a`` (n, n) by Cholesky; return False if it is not definite."""
     n = a.shape[0]
-    low = np.zeros((n, n))
+    low, half = np.zeros((n, n)), np.zeros((n, n))
     if not cholesky.factor(a, n, low, _LEAST_RESIDUE):
         return False
-    half = np.zeros((n, n))  # the inverse of low
-    for j in range(n):
-        half[j, j] = 1.0 / low[j, j]
-        for i in range(j + 1, n):
-            s = 0.0
-            for m in range(j, i):
-                s -= low[i, m] * half[m, j]
-            half[i, j] = s / low[i, i]
+    cholesky.invert_factor(low, half)
     for i in range(n):
         for j in range(i + 1):
             s = 0.0
@@ -166,36 +198,33 @@ def dot(a, b):
 
 
 @kernel
-def gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right):
-    """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance.
-
-    pixels: (count,), levels. weighed: (count,), 0 for an excluded pixel. dark: variance without light.
-    """
-    n, count = normal.shape[0], pixels.shape[0]
+def gather(f, normal, right):
+    """Write normal matrix (n, n) and right side (n,); return the sum of squared residuals over their variance."""
+    n, count = normal.shape[0], f.pixels.shape[0]
     weight, gap, scaled = np.empty(count), np.empty(count), np.empty(count)
     total = 0.0
     for at in range(count):
-        gap[at] = residual(pixels[at], model[at])
-        weight[at] = weighed[at] / (dark + per_level * max(light[at], 0.0))
+        gap[at] = residual(f.pixels[at], f.model[at])
+        weight[at] = f.weighed[at] / (f.dark + f.per_level * max(f.light[at], 0.0))
         total += weight[at] * gap[at] * gap[at]
-        if pixels[at] >= FULL_SCALE and gap[at] == 0.0:
+        if f.pixels[at] >= FULL_SCALE and gap[at] == 0.0:
             weight[at] = 0.0
     for i in range(n):
         for at in range(count):
-            scaled[at] = weight[at] * slopes[i, at]
+            scaled[at] = weight[at] * f.slopes[i, at]
         right[i] = dot(scaled, gap)
         for j in range(i + 1):
-            normal[i, j] = dot(scaled, slopes[j])
+            normal[i, j] = dot(scaled, f.slopes[j])
             normal[j, i] = normal[i, j]
     return total
 
 
 @kernel
-def _fill(is_disc, box, p, model, light, slopes):
-    if is_disc:
-        fill_disc(box, p, model, light, slopes)
+def _fill(f, p):
+    if f.is_disc:
+        fill_disc(f.box, p, f.model, f.light, f.slopes)
     else:
-        fill_points(box, p, model, light, slopes)
+        fill_points(f.box, p, f.model, f.light, f.slopes)
 
 
 @kernel
@@ -211,52 +240,46 @@ def _restrain(is_disc, p):
 
 
 @kernel
-def fit(is_disc, box, pixels, weighed, dark, per_level, most, p, covariance, model, light, slopes):
-    """Improve ``p`` (n,) by up to ``most`` Levenberg steps; write its covariance (n, n).
+def fit(f, most):
+    """Improve the parameters by up to ``most`` Levenberg steps; write their covariance.
 
-    model, light, slopes: as written by ``fill_points``, for the last ``p``.
     Return the sum of squares over the variances, or NaN if the pixels do not determine the parameters.
     """
-    n = p.shape[0]
-    normal, damped, low = np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
+    n = f.p.shape[0]
+    normal, low = np.empty((n, n)), np.empty((n, n))
     right, step, tried = np.empty(n), np.empty(n), np.empty(n)
-    damping = 1e-3 if is_disc else 1e-5
-    _fill(is_disc, box, p, model, light, slopes)
-    total = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
+    damping = 1e-3 if f.is_disc else 1e-5
+    _fill(f, f.p)
+    total = gather(f, normal, right)
     for _ in range(most):
-        for i in range(n):
-            for j in range(n):
-                damped[i, j] = normal[i, j]
-            damped[i, i] = normal[i, i] * (1.0 + damping) + 1e-12
-        if not cholesky.factor(damped, n, low, _LEAST_RESIDUE):
+        if not cholesky.solve_damped(normal, damping, right, low, step, _LEAST_RESIDUE):
             damping = max(10.0 * damping, 1e-6)
             if damping > 1e6:
                 return np.nan
             continue
-        cholesky.solve(low, n, right, step)
         gain = 0.0
         for i in range(n):
             gain += step[i] * right[i]
-            tried[i] = p[i] + step[i]
-        _restrain(is_disc, tried)
-        _fill(is_disc, box, tried, model, light, slopes)
-        found = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
+            tried[i] = f.p[i] + step[i]
+        _restrain(f.is_disc, tried)
+        _fill(f, tried)
+        found = gather(f, normal, right)
         # the variances move with the light, so near the end the sum may rise a little
         if found <= total * 1.02 + 0.1:
-            p[:] = tried
+            copy_into(f.p, tried)
             total = found
             damping = max(0.1 * damping, 1e-9)
-            if gain < (0.3 if is_disc else 0.01):  # of a chi-square: the next step would be far smaller
+            if gain < (0.3 if f.is_disc else 0.01):  # of a chi-square: the next step would be far smaller
                 break
         else:
             damping = max(10.0 * damping, 1e-3)
-            _fill(is_disc, box, p, model, light, slopes)
-            total = gather(pixels, weighed, dark, per_level, model, light, slopes, normal, right)
-    if not invert(normal, covariance):
-        if not is_disc:
+            _fill(f, f.p)
+            total = gather(f, normal, right)
+    if not invert(normal, f.covariance):
+        if not f.is_disc:
             return np.nan
         for i in range(n):  # width, shear or height has vanished: hold what is not observable
             normal[i, i] = normal[i, i] * (1.0 + 1e-6) + 1e-12
-        if not invert(normal, covariance):
+        if not invert(normal, f.covariance):
             return np.nan
     return total

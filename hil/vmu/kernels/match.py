@@ -10,7 +10,7 @@ from hil.core.jit import kernel
 from hil.maths.arrays import copy_matrix
 from hil.vmu.kernels.lens import project, undistort
 from hil.vmu.kernels.records import MAX_LEDS
-from hil.vmu.kernels.refine import jacobian, place, place_in_row, refine
+from hil.vmu.kernels.refine import jacobian, place_when_seen, refine
 
 _GATE = 20.0  # chi-square of two components that one true spot in 22000 exceeds
 _ROUNDS = 10
@@ -77,9 +77,7 @@ def assign(scene, view, r, t, covariance, reach_px, spot):
             spot[c, n] = -1
             distance[n] = np.inf
         for n in range(scene.leds.shape[0]):
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, t, arm, point)
+            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             if not math.isfinite(u):
                 continue
@@ -167,9 +165,7 @@ def led_windows(scene, r, t, covariance, out, counts):
         counts[c] = 0
         lens = scene.lens[c]
         for n in range(scene.leds.shape[0]):
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, t, arm, point)
+            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
             u, v = project(lens, point[0], point[1], point[2])
             if not math.isfinite(u + v):
                 continue

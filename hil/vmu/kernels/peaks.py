@@ -12,14 +12,15 @@ from hil.vmu.kernels.fit import FLUX, PLANE, POINT, SIGMA, U, V
 
 
 @kernel
-def mark_hot(image, label, queue, component, background, deviation):
+def mark_hot(frame, component):
     """Label the pixels of a component that are far brighter than all their neighbours; return how many.
 
     No lens is that sharp: of a spot of sigma 0.5 px in mid-pixel, the next pixels have a fifth of the peak.
     """
-    columns = image.shape[1]
+    image, queue, background = frame.image, frame.queue, component.background
+    columns, deviation = image.shape[1], math.sqrt(component.dark)
     hot = 0
-    for at in range(component[FIRST], component[END]):
+    for at in range(component.row[FIRST], component.row[END]):
         v, u = queue[at] // columns, queue[at] % columns
         excess = image[v, u] - background
         if not excess > 6.0 * deviation:
@@ -30,22 +31,22 @@ def mark_hot(image, label, queue, component, background, deviation):
                 if i != v or j != u:
                     next_best = max(next_best, image[i, j] - background)
         if next_best < 0.2 * excess + 2.0 * deviation:
-            label[v, u] = BAD
+            frame.label[v, u] = BAD
             hot += 1
     return hot
 
 
 @kernel
-def sum_patch(image, label, component, background, patch):
+def sum_patch(frame, component, patch):
     """Write the sums of 3 x 3 above the background over the component's box to ``patch``; bad pixels count as zero."""
     for i in range(patch.shape[0]):
         for j in range(patch.shape[1]):
-            v, u = component[V0] + i, component[U0] + j
+            v, u = component.row[V0] + i, component.row[U0] + j
             total = 0.0
             for a in range(v - 1, v + 2):
                 for b in range(u - 1, u + 2):
-                    if label[a, b] != BAD:
-                        total += image[a, b] - background
+                    if frame.label[a, b] != BAD:
+                        total += frame.image[a, b] - component.background
             patch[i, j] = total
 
 
@@ -71,8 +72,9 @@ def _dip(patch, i, j, k, m):
 
 
 @kernel
-def _pixels_dip(image, label, background, i, j, k, m, dark, per_level):
+def _pixels_dip(frame, component, i, j, k, m):
     """Return whether the pixels between a peak i, j and a brighter one k, m of the image dip by a third and 5 sigma."""
+    image, label, background = frame.image, frame.label, component.background
     here, least = image[i, j] - background, np.inf
     steps = 2 * max(abs(k - i), abs(m - j))
     for n in range(1, steps):
@@ -80,37 +82,36 @@ def _pixels_dip(image, label, background, i, j, k, m, dark, per_level):
         v, u = round(i + part * (k - i)), round(j + part * (m - j))
         if label[v, u] != BAD:
             least = min(least, image[v, u] - background)
-    return label[i, j] != BAD and least < 0.67 * here and here - least > 5.0 * math.sqrt(dark + per_level * here)
+    sigma = math.sqrt(component.dark + frame.per_level * here)
+    return label[i, j] != BAD and least < 0.67 * here and here - least > 5.0 * sigma
 
 
 @kernel
-def find_peaks(patch, image, background, label, name, component, dark, per_level, peaks):
+def find_peaks(patch, frame, component, peaks):
     """Write the positions (row, column of ``patch``) of up to len(peaks) lights, brightest first; return how many.
 
     patch: from ``sum_patch``. A second light counts only if the sums between it and a brighter one dip by a sixth and
     five sigma, or the pixels of the image, which the sums blur, by a third.
     """
-    count = 0
+    count, v0, u0 = 0, component.row[V0], component.row[U0]
     before = np.inf
     while count < peaks.shape[0]:
         best, at_i, at_j = -np.inf, -1, -1
         for i in range(patch.shape[0]):
             for j in range(patch.shape[1]):
-                own = label[component[V0] + i, component[U0] + j] == name
+                own = frame.label[v0 + i, u0 + j] == component.name
                 if own and best < patch[i, j] < before and _is_peak(patch, i, j):
                     best, at_i, at_j = patch[i, j], i, j
         if at_i < 0 or not best > 0.05 * patch.max():
             break
         before = best
-        sigma = math.sqrt(9.0 * dark + per_level * best)
-        apart, v0, u0 = True, component[V0], component[U0]
+        sigma = math.sqrt(9.0 * component.dark + frame.per_level * best)
+        apart = True
         for k in range(count):
             to_i, to_j = peaks[k, 0], peaks[k, 1]
             dip = _dip(patch, at_i, at_j, to_i, to_j)
             if not (dip < 0.83 * best and best - dip > 5.0 * sigma):
-                apart = apart and _pixels_dip(
-                    image, label, background, v0 + at_i, u0 + at_j, v0 + to_i, u0 + to_j, dark, per_level
-                )
+                apart = apart and _pixels_dip(frame, component, v0 + at_i, u0 + at_j, v0 + to_i, u0 + to_j)
         if apart:
             peaks[count, 0], peaks[count, 1] = at_i, at_j
             count += 1
@@ -118,25 +119,25 @@ def find_peaks(patch, image, background, label, name, component, dark, per_level
 
 
 @kernel
-def start_points(image, label, queue, component, background, peaks, count, p):
+def start_points(frame, component, peaks, count, p):
     """Write initial parameters of ``count`` points of light: moments of the pixels nearest to each peak."""
-    columns = image.shape[1]
+    columns, row = frame.image.shape[1], component.row
     sums = np.zeros((count, 4))
-    for at in range(component[FIRST], component[END]):
-        v, u = queue[at] // columns, queue[at] % columns
-        excess = image[v, u] - background
-        if label[v, u] == BAD or not excess > 0.0:
+    for at in range(row[FIRST], row[END]):
+        v, u = frame.queue[at] // columns, frame.queue[at] % columns
+        excess = frame.image[v, u] - component.background
+        if frame.label[v, u] == BAD or not excess > 0.0:
             continue
         nearest, least = 0, np.inf
         for k in range(count):
-            distance = (v - component[V0] - peaks[k, 0]) ** 2 + (u - component[U0] - peaks[k, 1]) ** 2
+            distance = (v - row[V0] - peaks[k, 0]) ** 2 + (u - row[U0] - peaks[k, 1]) ** 2
             if distance < least:
                 nearest, least = k, distance
         sums[nearest, 0] += excess
         sums[nearest, 1] += excess * u
         sums[nearest, 2] += excess * v
         sums[nearest, 3] += excess * (u * u + v * v)
-    p[0] = background
+    p[0] = component.background
     p[1] = p[2] = 0.0
     for k in range(count):
         a = PLANE + POINT * k

@@ -98,9 +98,7 @@ def accumulate(scene, view, spot, r, t, normal, gradient):
             if k < 0:
                 continue
             measured = view.spots[c, k]
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, t, arm, point)
+            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
@@ -132,9 +130,7 @@ def chi_square(scene, view, spot, r, t):
             if k < 0:
                 continue
             measured = view.spots[c, k]
-            place(scene.rotation[c], scene.translation[c], r, t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, t, arm, point)
+            place_when_seen(scene, c, scene.leds[n], r, t, arm, point)
             u, v = project(scene.lens[c], point[0], point[1], point[2])
             du, dv = measured.u - u, measured.v - v
             if not (math.isfinite(du) and math.isfinite(dv)):
@@ -146,8 +142,7 @@ def chi_square(scene, view, spot, r, t):
 @kernel
 def refine(scene, view, fit):
     """Minimise chi-square of the spots of ``fit`` (FIT) over the pose; write covariance, chi2 and valid."""
-    normal, damped, low = np.empty((6, 6)), np.empty((6, 6)), np.zeros((6, 6))
-    gradient, step, column = np.empty(6), np.empty(6), np.empty(6)
+    normal, low, gradient, step = np.empty((6, 6)), np.zeros((6, 6)), np.empty(6), np.empty(6)
     r_new, t_new = np.empty((3, 3)), np.empty(3)
     fit.valid = 0
     cost = accumulate(scene, view, fit.spot, fit.r, fit.t, normal, gradient)
@@ -155,13 +150,8 @@ def refine(scene, view, fit):
     for _ in range(_STEPS):
         if not math.isfinite(cost):
             return
-        for a in range(6):
-            for b in range(6):
-                damped[a, b] = normal[a, b]
-            damped[a, a] = normal[a, a] * (1.0 + damping) + 1e-12
-        if not cholesky.factor(damped, 6, low):
+        if not cholesky.solve_damped(normal, damping, gradient, low, step):
             return
-        cholesky.solve(low, 6, gradient, step)
         for a in range(3):
             t_new[a] = fit.t[a] + step[a]
         rotate(fit.r, step[3:6], r_new)
@@ -182,7 +172,7 @@ def refine(scene, view, fit):
             break
     if not cholesky.factor(normal, 6, low):
         return
-    cholesky.invert(low, column, fit.covariance)
+    cholesky.invert(low, fit.covariance)
     fit.chi2 = cost
     for a in range(6):
         if not (math.isfinite(fit.covariance[a, a]) and fit.covariance[a, a] > 0.0):

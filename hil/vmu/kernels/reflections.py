@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from hil.core.jit import kernel
-from hil.vmu.kernels.budget import fill_shared, fill_weights, normal_equations, residuals, whiten
+from hil.vmu.kernels.budget import equations_of, fill_shared, fill_weights, linearise, normal_equations
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.records import MAX_SPOTS
-from hil.vmu.kernels.refine import jacobian, place, place_in_row
+from hil.vmu.kernels.refine import jacobian, place_when_seen
 
 _FEWEST = 6  # spots
 _FEWEST_OF_ONE = 5  # spots of one camera
@@ -61,9 +61,7 @@ def doubled_lights(scene, view, fit, shift):
             k = fit.spot[c, n]
             if k < 0 or not math.isfinite(view.spots[c, k].shape[0]):
                 continue
-            place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
-            if scene.lens[c].row_s != 0.0:
-                place_in_row(scene, c, fit.t, arm, point)
+            place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
             jacobian(scene.lens[c], scene.rotation[c], arm, point, slopes, j)
             for i in range(2):
                 apart[m, i] = j[i, 0] * fit.r[0, 2] + j[i, 1] * fit.r[1, 2] + j[i, 2] * fit.r[2, 2]
@@ -185,9 +183,7 @@ def plate_shows(scene, view, fit):
                     led[0], led[1], led[2] = scene.leds[n, 0], scene.leds[n, 1], scene.leds[n, 2]
                     if end == 1:
                         led[2] += 2.0 * (rear + plate - led[2])
-                    place(scene.rotation[c], scene.translation[c], fit.r, fit.t, led, arm, point)
-                    if scene.lens[c].row_s != 0.0:
-                        place_in_row(scene, c, fit.t, arm, point)
+                    place_when_seen(scene, c, led, fit.r, fit.t, arm, point)
                     image[end, 0], image[end, 1] = project(scene.lens[c], point[0], point[1], point[2])
                 away = math.hypot(image[1, 0] - image[0, 0], image[1, 1] - image[0, 1])
                 reach = min(_ACROSS_PX + _LEANING * away, 0.5 * away)  # not the light of the LED itself
@@ -207,28 +203,21 @@ def plate_shows(scene, view, fit):
 @kernel
 def moved_pose(scene, view, fit, shift):
     """Return by how many of its sigmas at most a component of the pose is off, if its spots are off by ``shift``."""
-    n_leds = scene.leds.shape[0]
-    most = 4 * n_leds
-    which, shared, low = np.empty((most // 2, 2), np.int64), np.empty((most, most)), np.zeros((most, most))
-    residual, jac = np.empty(most), np.empty((most, 6))
-    flat_residual, flat = np.empty(most), np.empty((most, 6))
-    normal, gradient = np.empty((6, 6)), np.empty(6)
-    m = residuals(scene, view, fit.spot, fit.r, fit.t, which, residual, jac)
-    if m < 3:
+    eq = equations_of(fit, scene.leds.shape[0])
+    if eq.which.shape[0] < 3 or not linearise(scene, view, fit.spot, fit.r, fit.t, eq):
         return 0.0
-    fill_shared(scene, fit.r, fit.t, which, m, shared)
-    if not math.isfinite(fill_weights(view, fit.spot, which, m, shared, fit.floor, low)):
+    fill_shared(scene, fit.r, fit.t, eq)
+    if not math.isfinite(fill_weights(view, fit.spot, eq.shared, fit.floor, eq)):
         return 0.0
-    for k in range(m):
+    for k in range(eq.which.shape[0]):
         for i in range(2):
-            residual[2 * k + i] = shift[which[k, 0], which[k, 1], i]
-    whiten(low, m, residual, jac, flat_residual, flat)
-    normal_equations(m, flat_residual, flat, normal, gradient)
+            eq.residual[2 * k + i] = shift[eq.which[k, 0], eq.which[k, 1], i]
+    normal_equations(eq)
     largest = 0.0
     for a in range(6):
         moved = 0.0
         for b in range(6):
-            moved += fit.covariance[a, b] * gradient[b]
+            moved += fit.covariance[a, b] * eq.gradient[b]
         largest = max(largest, abs(moved) / math.sqrt(fit.covariance[a, a]))
     return largest
 

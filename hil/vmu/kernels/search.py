@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hil.core.jit import kernel
+from hil.core.messages import Array
 from hil.vmu.kernels.components import (
     COMPONENT_WIDTH,
     END,
@@ -15,12 +17,14 @@ from hil.vmu.kernels.components import (
     U1,
     V0,
     V1,
+    LightComponent,
     collect_hits,
     fill_background_grid,
     fill_threshold,
     flood,
     interpolate,
     level_and_variance,
+    row_scan,
 )
 from hil.vmu.kernels.measure import measure
 
@@ -33,86 +37,89 @@ _FRINGE, _LARGE = 12, 300  # pixels above the threshold
 _BESIDE = 3  # px
 
 
+class Background(NamedTuple):
+    """Background of an image: (1, 1), or as from ``fill_background_grid``."""
+
+    level: Array
+    dark: Array
+    spread: Array
+
+
 @kernel
-def _flood_row(image, label, hits, count, queue, components, lights, level, dark, spread, known, sigmas):
-    """Flood from each hit without a component; level, dark, spread: (1, 1), or those of ``fill_background_grid``."""
-    rows, columns = image.shape
+def _flood_row(frame, hits, background, components, lights, known):
+    """Flood from each of ``hits`` without a component; return the number of components, or TOO_MANY."""
+    rows, columns = frame.image.shape
     end = components[known - 1, END] if known > 0 else 0
-    for k in range(count):
-        v, u = hits[k] // columns, hits[k] % columns
-        if label[v, u] != 0:
+    for hit in hits:
+        v, u = hit // columns, hit % columns
+        if frame.label[v, u] != 0:
             continue
         if known == components.shape[0]:
             return TOO_MANY
-        here, variance = interpolate(level, u, v, columns, rows), interpolate(dark, u, v, columns, rows)
-        variance = max(variance, 1.0 / 12.0)
+        here = interpolate(background.level, u, v, columns, rows)
+        variance = max(interpolate(background.dark, u, v, columns, rows), 1.0 / 12.0)
         lights[known, 0], lights[known, 1] = here, variance
-        wide = max(interpolate(spread, u, v, columns, rows), 9.0 * variance)
-        threshold = here + sigmas * math.sqrt(wide)
-        end = flood(image, label, known + 1, hits[k], threshold, queue, end, components[known])
+        wide = max(interpolate(background.spread, u, v, columns, rows), 9.0 * variance)
+        threshold = here + frame.limits.sigmas * math.sqrt(wide)
+        end = flood(frame.image, frame.label, known + 1, hit, threshold, frame.queue, end, components[known])
         known += 1
     return known
 
 
 @kernel
-def components_of_image(image, limits, label, queue, components, lights):
+def components_of_image(frame, components, lights):
     """Flood every light of an image: boxes and queue of ``components``, level and variance of ``lights`` (n, 2).
 
     Return the number of components, or TOO_MANY.
     """
-    rows, columns = image.shape
+    rows, columns = frame.image.shape
     shape = (max(1, round(rows / _TILE)), max(1, round(columns / _TILE)))
-    level, dark, spread, deviation = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
-    fill_background_grid(image, level, dark, spread, np.empty(_SAMPLES))
+    background = Background(np.empty(shape), np.empty(shape), np.empty(shape))
+    fill_background_grid(frame.image, background.level, background.dark, background.spread, np.empty(_SAMPLES))
+    deviation = np.empty(shape)
     for i in range(shape[0]):
         for j in range(shape[1]):
-            deviation[i, j] = math.sqrt(spread[i, j])
-    threshold, scratch = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
-    words = np.zeros((columns + 7) // 8, dtype=np.uint64)
-    flags, hits = words.view(np.uint8), np.empty(columns, dtype=np.int64)
+            deviation[i, j] = math.sqrt(background.spread[i, j])
+    scan = row_scan(columns)
     known = 0
     for v in range(1, rows - 1):
         if (v - 1) % _ROWS == 0:
-            fill_threshold(level, deviation, limits.sigmas, v, rows, threshold)
-        count = collect_hits(image, v, 0, columns, threshold, scratch, flags, words, hits, 0)
+            fill_threshold(background.level, deviation, frame.limits.sigmas, v, rows, scan.threshold)
+        count = collect_hits(frame.image, v, 0, columns, scan)
         if count > 0:
-            known = _flood_row(
-                image, label, hits, count, queue, components, lights, level, dark, spread, known, limits.sigmas
-            )  # fmt: skip
+            known = _flood_row(frame, scan.hits[:count], background, components, lights, known)
             if known == TOO_MANY:
                 return TOO_MANY
     return known
 
 
 @kernel
-def components_of_windows(image, windows, limits, label, queue, components, lights):
+def components_of_windows(frame, windows, components, lights):
     """Flood the lights that extend into ``windows`` (k, 4): u and v of the first pixel and after the last."""
-    rows, columns = image.shape
-    threshold, scratch = np.empty(columns, dtype=np.uint16), np.empty(columns, dtype=np.uint16)
-    words = np.zeros((columns + 7) // 8, dtype=np.uint64)
-    flags, hits = words.view(np.uint8), np.empty(columns, dtype=np.int64)
-    samples = np.empty(_WINDOW_SAMPLES)
+    rows, columns = frame.image.shape
+    scan, samples = row_scan(columns), np.empty(_WINDOW_SAMPLES)
     box = np.empty((windows.shape[0], 4), dtype=np.int64)
     level, dark, wide = np.zeros(windows.shape[0]), np.zeros(windows.shape[0]), np.zeros(windows.shape[0])
     for k in range(windows.shape[0]):
         box[k, 0], box[k, 1] = max(windows[k, 0], 0), max(windows[k, 1], 0)
         box[k, 2], box[k, 3] = min(windows[k, 2], columns), min(windows[k, 3], rows)
-        level[k], dark[k], wide[k] = level_and_variance(image, box[k, 0], box[k, 1], box[k, 2], box[k, 3], samples)
+        level[k], dark[k], wide[k] = level_and_variance(
+            frame.image, box[k, 0], box[k, 1], box[k, 2], box[k, 3], samples
+        )
     known = 0
     here, noise, spread = np.empty((1, 1)), np.empty((1, 1)), np.empty((1, 1))
+    background = Background(here, noise, spread)
     for k in range(windows.shape[0]):
         if box[k, 2] - box[k, 0] < 3 or box[k, 3] - box[k, 1] < 3:
             continue
         here[0, 0], noise[0, 0] = level[k], _typical(level, dark, k)
         spread[0, 0] = max(_typical(level, wide, k), 9.0 * noise[0, 0])
-        limit = here[0, 0] + limits.sigmas * math.sqrt(spread[0, 0])
-        threshold[:] = np.uint16(min(limit, 65535.0))
+        limit = here[0, 0] + frame.limits.sigmas * math.sqrt(spread[0, 0])
+        scan.threshold[:] = np.uint16(min(limit, 65535.0))
         for v in range(max(box[k, 1], 1), min(box[k, 3], rows - 1)):
-            count = collect_hits(image, v, box[k, 0], box[k, 2], threshold, scratch, flags, words, hits, 0)
+            count = collect_hits(frame.image, v, box[k, 0], box[k, 2], scan)
             if count > 0:
-                known = _flood_row(
-                    image, label, hits, count, queue, components, lights, here, noise, spread, known, limits.sigmas
-                )  # fmt: skip
+                known = _flood_row(frame, scan.hits[:count], background, components, lights, known)
                 if known == TOO_MANY:
                     return TOO_MANY
     return known
@@ -144,31 +151,27 @@ def is_fringe(label, components, k):
 
 
 @kernel
-def detect(image, windows, limits, per_level, label, queue, last, spots, noise):
-    """Write the spots of an image (h, w) of uint8 to ``spots``; return how many, or TOO_MANY.
+def detect(frame, windows, spots, noise):
+    """Write the spots of an image to ``spots``; return how many, or TOO_MANY.
 
     windows: (k, 4) of int64, u and v of the first pixel and after the last; (0, 4) for the whole image.
-    label: (h, w) of int16, all zero before and after. queue: (h * w,) of int32, scratch.
-    last: SPOT of the image before, whose discs are where the fits of discs begin; or none.
     noise: (most components, 2), per component as from ``light_noise``; zero without an estimate.
     """
-    columns = image.shape[1]
+    columns = frame.image.shape[1]
     most = noise.shape[0]
     components = np.zeros((most, COMPONENT_WIDTH), dtype=np.int64)
     lights = np.empty((most, 2))
     if windows.shape[0] == 0:
-        known = components_of_image(image, limits, label, queue, components, lights)
+        known = components_of_image(frame, components, lights)
     else:
-        known = components_of_windows(image, windows, limits, label, queue, components, lights)
+        known = components_of_windows(frame, windows, components, lights)
     count = 0
     for k in range(max(known, 0)):
-        if is_fringe(label, components, k):
+        if is_fringe(frame.label, components, k):
             continue
-        count = measure(
-            image, label, k + 1, queue, components[k], lights[k, 0], lights[k, 1], per_level, limits, last, spots,
-            count, noise[k],
-        )  # fmt: skip
+        component = LightComponent(k + 1, components[k], lights[k, 0] / 9.0, lights[k, 1])
+        count = measure(frame, component, spots, count, noise[k])
     for k in range(most):
         for at in range(components[k, FIRST], components[k, END]):
-            label[queue[at] // columns, queue[at] % columns] = 0
+            frame.label[frame.queue[at] // columns, frame.queue[at] % columns] = 0
     return count if known != TOO_MANY else TOO_MANY

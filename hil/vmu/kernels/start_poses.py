@@ -7,7 +7,7 @@ import math
 from hil.core.jit import kernel
 from hil.vmu.kernels.lens import project
 from hil.vmu.kernels.p3p import axes_of_three
-from hil.vmu.kernels.refine import place, place_in_row
+from hil.vmu.kernels.refine import place_when_seen
 
 _SAME_TRACE = 2.9924  # of the rotation between two starts that converge to one pose: 5 deg
 _ALONE = 5  # spots of one camera that suffice without any from the other camera
@@ -82,9 +82,7 @@ def pose_of_three(rotation, translation, ends, leds, p, q, s, there, here, fit):
 @kernel
 def take_nearest(scene, view, c, n, reach, fit, arm, point):
     """Assign to LED n the spot of camera c nearest to its projection, within ``reach`` px and free; return whether."""
-    place(scene.rotation[c], scene.translation[c], fit.r, fit.t, scene.leds[n], arm, point)
-    if scene.lens[c].row_s != 0.0:
-        place_in_row(scene, c, fit.t, arm, point)
+    place_when_seen(scene, c, scene.leds[n], fit.r, fit.t, arm, point)
     u, v = project(scene.lens[c], point[0], point[1], point[2])
     best, least = -1, reach * reach
     for k in range(view.counts[c]):

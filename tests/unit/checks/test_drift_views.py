@@ -6,12 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.checks.clock import check_drift_views
+from hil.checks.drift_views import check_drift_views
 from hil.config.load import load_rig, load_scenario
 from hil.core import alarm_table as table
 from hil.core.clock import SimulatedClock
 from hil.errors import BadInput
 from hil.loop.rate_keeper import SimulatedRate
+from hil.loop.session_parts import SessionParts
 from hil.session.build import in_memory
 from hil.setup.assembly import with_cameras
 from hil.vmu.calibration.job import DriftCheck, DriftLimits
@@ -22,11 +23,11 @@ VIEWS = "rig.vmu.drift_check.views=6"
 
 def test_it_needs_cameras_of_this_host_and_their_calibration() -> None:
     rig = load_rig("emulated", [VIEWS])
-    assert [str(problem) for problem in check_drift_views(rig)] == [
+    assert [str(problem) for problem in check_drift_views(load_scenario("scheme-1"), rig)] == [
         '--set: rig.vmu.drift_check.views: 6: needs the images of vmu.source = "cameras", allowed 0 without'
     ]
     rig = with_cameras(load_scenario("scheme-1", ["vmu.source=cameras"]), rig)
-    (problem,) = check_drift_views(rig)
+    (problem,) = check_drift_views(load_scenario("scheme-1"), rig)
     assert str(problem).endswith("rig.vmu.geometry_file: is missing: a file of hil calibrate, for vmu.drift_check")
 
 
@@ -62,7 +63,6 @@ def test_a_drift_is_significant_and_large(chance: float, shift_px: float, rms_px
 
 def test_a_run_that_is_refused_opens_no_device() -> None:
     job = make_job(1.0)
-    runner = in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s))
 
     def refuse() -> None:
         raise table.DRIFT_CHECK.trip("vmu", "left moved, 0.2 px RMS", "0.03 px", "a calibration")
@@ -70,7 +70,8 @@ def test_a_run_that_is_refused_opens_no_device() -> None:
     def open_bench(now_s: float) -> None:
         raise AssertionError("a device was opened")
 
-    runner.before_open = refuse
+    parts = SessionParts(before_open=[refuse])
+    runner = in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s), parts)
     runner.loop.bench.open = open_bench  # type: ignore[method-assign]
     outcome = runner.run()
     assert outcome.stop == "vmu: drift check against a calibration: left moved, 0.2 px RMS, allowed 0.03 px"

@@ -10,6 +10,7 @@ from hil.cli.main import execute
 from hil.config.key_reference import all_keys
 from hil.config.load import load_rig, load_scenario, shipped
 from hil.config.tables.units import converted, split
+from hil.core.build_info import VERSION
 from hil.errors import BadInput
 
 
@@ -21,6 +22,15 @@ def test_list_has_each_shipped_file_with_a_line_and_each_driver(capsys: pytest.C
         assert all(found[kind].values()), kind
     assert found["drivers"]["rig.rails.driver=modbus"] == "hil"
     assert "gnc.navigation.backend=vision_alone" in found["backends"]
+
+
+def test_list_has_each_part_with_version_origin_commands_and_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["list", "parts", "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    parts = {each["name"]: each for each in found["parts"]}
+    assert (parts["vision"]["version"], parts["vision"]["origin"]) == (VERSION, "hil")
+    assert parts["vision"]["commands"] == ["vmu", "calibrate"]
+    assert all(set(each) == {"name", "version", "origin", "commands", "tables"} for each in found["parts"])
 
 
 def test_list_prints_one_kind(capsys: pytest.CaptureFixture[str]) -> None:

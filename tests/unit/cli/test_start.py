@@ -49,9 +49,10 @@ def test_computer_without_opencv_compiles_and_flies_all_that_needs_none() -> Non
 import sys
 sys.modules["cv2"] = None
 from hil.cli.main import execute
-from hil.processes.precompile import GROUPS, NEEDS_OPENCV
-for group in GROUPS.keys() - set(NEEDS_OPENCV):
-    GROUPS[group]()
+from hil.core.part import without_opencv
+from hil.processes.precompile import groups
+for group in groups().keys() - set(without_opencv()):
+    groups()[group]()
 execute(["run", "scheme-1", "--duration", "0.1", "--set", "monitor.source=model"])
 """
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

@@ -19,7 +19,7 @@ def flown() -> tuple[np.ndarray, np.ndarray]:
     """Return CYCLE rows of four seconds on mocks, and the console's."""
     job = make_job(4.0, seed=3)
     step_s = job.scenario.value.step_s
-    history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s), lambda *_: None).run().history
+    history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s)).run().history
     return history, console_rows(bench_params.bench(job.rig.value, step_s), history)
 
 
@@ -82,7 +82,7 @@ def test_thrusters_are_bits(flown: tuple[np.ndarray, np.ndarray]) -> None:
 def test_nothing_is_shown_of_an_estimate_before_there_is_one() -> None:
     job = make_job(0.04)
     step_s = job.scenario.value.step_s
-    history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s), lambda *_: None).run().history
+    history = build.in_memory(job, SimulatedRate(SimulatedClock(), step_s)).run().history
     history["navigation"]["valid"] = 0
     rows = console_rows(bench_params.bench(job.rig.value, step_s), history)
     assert rows.shape == (3, COLUMNS)

@@ -33,7 +33,7 @@ from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
 from hil.recording import schema
 from hil.recording.foxglove_images import PICTURE_TOPICS
-from hil.recording.recorder import RING_DTYPES
+from hil.recording.recorder import ring_dtypes
 from hil.recording.schema import LOG_ENTRY
 from hil.recording.writer import RecordingHeader, RunFile
 from tests.support.foxglove_client import FoxgloveClient
@@ -298,7 +298,7 @@ def test_dead_process_leaves_the_console_alone() -> None:
 @pytest.mark.parametrize("topic", schema.OPTIONAL)
 def test_rows_that_only_some_runs_have_reach_the_viewers_of_a_live_session(topic: str) -> None:
     sink = schema.OPTIONAL[topic]
-    ring, run_time = Ring.create(RING_DTYPES[sink], 8, sink), RunTime.create()
+    ring, run_time = Ring.create(ring_dtypes()[sink], 8, sink), RunTime.create()
     opened: list[str] = []
     logged: list[str] = []
     server = SimpleNamespace(
@@ -308,7 +308,7 @@ def test_rows_that_only_some_runs_have_reach_the_viewers_of_a_live_session(topic
     about = {"slots": {sink: 8}, "clock": [0, 1.0], "files": {}}
     shared = {sink: os.dup(ring.descriptor), "run_time": os.dup(run_time.descriptor)}
     session = LiveSession(server, about, shared)  # type: ignore[arg-type]
-    ring.put(np.zeros(1, RING_DTYPES[sink]))
+    ring.put(np.zeros(1, ring_dtypes()[sink]))
     session.poll()
     session.close()
     assert logged == [topic]

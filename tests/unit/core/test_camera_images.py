@@ -216,8 +216,8 @@ def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
 
 
 def test_the_run_s_time_is_told_when_it_begins_changes_and_stands() -> None:
-    run_zero, told = RunZero(), list[float]()
-    run_zero.on_change = told.append
+    told: list[float] = []
+    run_zero = RunZero([told.append])
     for zero_s in (math.nan, 1.0, 1.0, 1.02, math.nan, math.nan, 1.06):  # a period was lost
         run_zero.set(zero_s)
     np.testing.assert_array_equal(told, [1.0, 1.02, math.nan, 1.06])

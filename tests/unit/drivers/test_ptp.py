@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from hil.checks.clock import check_clock
-from hil.config.load import load_rig
+from hil.config.load import load_rig, load_scenario
 from hil.drivers.ptp import PtpStatus, data_of, read_status, request
 from hil.errors import BadInput, LinkLost, LinkTimeout
-from hil.preflight.run import ptp_check
+from hil.preflight.devices import ptp_check
 
 TRANSCRIPT = bytes.fromhex(  # response of ptp4l 3.1.1 to GET TIME_STATUS_NP: offset -45 ns, with a master
     "0d020068000000000000000000000000000000004a6fc0fffe3224cb0000000004" "7f" "68696c62656e636800010000" "0200"
@@ -86,10 +86,10 @@ def test_state_offset_and_delay_are_read_from_the_socket(daemon: Daemon) -> None
 
 
 def test_a_run_is_refused_beyond_the_limit_and_accepted_within_it(daemon: Daemon) -> None:
-    assert check_clock(load_rig("emulated", limited(daemon.path, 2.0))) == []
-    (problem,) = check_clock(load_rig("emulated", limited(daemon.path, 1.0)))
+    assert check_clock(load_scenario("scheme-1"), load_rig("emulated", limited(daemon.path, 2.0))) == []
+    (problem,) = check_clock(load_scenario("scheme-1"), load_rig("emulated", limited(daemon.path, 1.0)))
     assert "rig.clock.ptp_max_offset_us: 1: slave, offset 1.5 us, allowed 1 us" in str(problem)
-    assert check_clock(load_rig("mock", limited(daemon.path, 1.0))) == []  # simulated time
+    assert check_clock(load_scenario("scheme-1"), load_rig("mock", limited(daemon.path, 1.0))) == []  # simulated time
     assert ptp_check(load_rig("emulated", limited(daemon.path, 2.0)).value.clock).passed is True
     assert ptp_check(load_rig("emulated", limited(daemon.path, 1.0)).value.clock).passed is False
 
@@ -97,7 +97,7 @@ def test_a_run_is_refused_beyond_the_limit_and_accepted_within_it(daemon: Daemon
 def test_a_clock_without_ptp_is_a_note_unless_a_limit_is_set(tmp_path: Path) -> None:
     absent = str(tmp_path / "absent")
     assert ptp_check(load_rig("emulated", (f'rig.clock.ptp_socket="{absent}"',)).value.clock).passed is None
-    (problem,) = check_clock(load_rig("emulated", limited(absent, 1.0)))
+    (problem,) = check_clock(load_scenario("scheme-1"), load_rig("emulated", limited(absent, 1.0)))
     assert "ptp4l: cannot open" in str(problem)
     with pytest.raises(LinkLost):
         read_status(absent)

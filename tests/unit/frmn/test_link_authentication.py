@@ -106,7 +106,7 @@ def test_two_sides_with_one_key_exchange_mailboxes_and_with_two_keys_none(bench:
         assert bool(got) is joins
         gnc.close()
         until_empty(bench)
-        bench.drop_peer()
+        bench.peer = None
 
 
 def test_strangers_can_neither_fill_the_buffer_of_the_other_side_nor_end_the_wait_for_it(

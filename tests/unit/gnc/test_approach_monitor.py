@@ -25,7 +25,7 @@ from hil.gnc.approach_monitor import (
     closing_limit,
     closing_margin,
     corridor_margin,
-    is_protected,
+    level_share,
 )
 from hil.gnc.reactions import REACTION_STATE
 from hil.params import gnc as gnc_params
@@ -64,7 +64,9 @@ def check(
     """Check an approach that has begun inside its corridor, if the filters have converged."""
     reactions = new(REACTION_STATE)
     reactions.converged = reactions.entered = converged
-    reactions.beyond = 0 if is_protected(params, navigation) else 1  # as ``reactions.acquire`` writes it
+    reactions.beyond = (
+        0 if level_share(params, navigation, np.empty(3), np.empty(3)) <= 1.0 else 1
+    )  # as ``reactions.acquire`` writes it
     certain = new(GO_CHECK) if go is None else go
     return bool(approach_monitor.check(params, t_s, navigation, reference, ordered, reactions, certain, found))
 
@@ -156,7 +158,7 @@ def test_alert_limits_follow_range_and_corridor(
 ) -> None:
     navigation = seen(r)
     navigation.protection_level_m, navigation.protection_level_rad = levels, angle
-    assert is_protected(params, navigation) == protected
+    assert (level_share(params, navigation, np.empty(3), np.empty(3)) <= 1.0) == protected
 
 
 def test_alert_limits_leave_the_bodies_of_chaser_and_target_apart() -> None:

@@ -11,6 +11,7 @@ from hil.core.messages import AXES, new
 from hil.errors import BenchError, LinkLost
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate, Tick
+from hil.loop.session_parts import SessionParts
 from hil.session.build import in_memory
 from tests.support.run_settings import make_job
 
@@ -82,8 +83,7 @@ def test_longest_pause_of_the_processes_is_named_and_a_short_one_is_not(
     job, fault = make_job(2.0), table.SAFETY_CHAIN.trip("io", "open", "closed")
     rate = LateRate(SimulatedClock(), job.scenario.value.step_s)
     rate.pause_s = loop_s
-    runner = in_memory(job, rate)
-    runner.process_pauses = lambda: {"the watchdog process": process_s}
+    runner = in_memory(job, rate, SessionParts(process_pauses=lambda: {"the watchdog process": process_s}))
 
     def fail(now_s: float) -> None:
         raise fault

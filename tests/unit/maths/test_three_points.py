@@ -43,7 +43,7 @@ def test_cholesky_solves_and_inverts(rng: np.random.Generator) -> None:
     low, x, inverse = np.zeros((6, 6)), np.empty(6), np.empty((6, 6))
     assert cholesky.factor(a, 6, low)
     cholesky.solve(low, 6, b, x)
-    cholesky.invert(low, np.empty(6), inverse)
+    cholesky.invert(low, inverse)
     np.testing.assert_allclose(a @ x, b, atol=1e-10)
     np.testing.assert_allclose(a @ inverse, np.eye(6), atol=1e-10)
     assert not cholesky.factor(-a, 6, low)

@@ -12,7 +12,7 @@ from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.models import docking_view
 from hil.monitor import render
-from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film
+from hil.monitor.render import Conditions, FlatShape, Glare, TargetRenderer, film
 from hil.monitor.sources import LOWER, UPPER
 
 DATA = Path(__file__).parents[2] / "data" / "docking"
@@ -88,7 +88,7 @@ def test_the_area_of_a_disc_is_exact_at_any_position(atv: Scene, roll: float) ->
 def test_an_upright_edge_covers_the_share_of_a_pixel_that_it_should(atv: Scene) -> None:
     for edge_px in (100.0, 100.25, 100.5, 100.9):
         width_m = 2.0 * edge_px / 1100.0 * 10.0
-        half = Part(render.rectangle(width_m, 2.0), 0.0, 100.0)
+        half = FlatShape(render.rectangle(width_m, 2.0), 0.0, 100.0)
         scene = with_target(atv, outline=None).model_copy(
             update={"camera": atv.camera.model_copy(update={"sky": 0.0, "cx": 383.5})}
         )
@@ -163,7 +163,7 @@ def test_light_flicker_glare_black_and_cover_have_their_values(atv: Scene, rng: 
     u, v = middle_of(scene, d, AHEAD, np.array([0.1, 0.0, 0.0]))
     assert spot[round(v), round(u)] == 255
     assert spot[round(v) + 40, round(u)] == 120
-    cover = Part(render.rectangle(0.1, 0.1, (0.2, 0.0)), 0.1, 60.0)
+    cover = FlatShape(render.rectangle(0.1, 0.1, (0.2, 0.0)), 0.1, 60.0)
     covered = picture(extra=(cover,))
     u, v = middle_of(scene, d, AHEAD, np.array([0.2, 0.0, 0.1]))
     assert covered[round(v), round(u)] == 60

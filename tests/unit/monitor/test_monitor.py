@@ -16,7 +16,7 @@ from hil.monitor.kernels.quantities import quantities
 from hil.monitor.monitor import DockingMonitor
 from hil.monitor.preprocess import bimodal_threshold
 from hil.monitor.region import Region
-from hil.monitor.render import Conditions, Glare, Part, TargetRenderer, film, rectangle
+from hil.monitor.render import Conditions, FlatShape, Glare, TargetRenderer, film, rectangle
 from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
 from hil.monitor.settings import MonitorSettings
 from hil.monitor.sources import VideoFrame, exposure, exposures_of
@@ -95,8 +95,8 @@ def test_a_bright_cross_on_a_dark_disc_in_half_frames_is_no_special_case(bright:
     "conditions",
     [
         replace(PLAIN, glare=(Glare((0.55, 0.1, 0.0), 400.0, 25.0),)),
-        replace(PLAIN, extra=(Part(rectangle(0.25, 0.25, (0.25, 0.2)), 0.35, 60.0),)),
-        replace(PLAIN, extra=(Part(rectangle(0.6, 0.8, (1.1, 0.0)), 0.35, 60.0),)),
+        replace(PLAIN, extra=(FlatShape(rectangle(0.25, 0.25, (0.25, 0.2)), 0.35, 60.0),)),
+        replace(PLAIN, extra=(FlatShape(rectangle(0.6, 0.8, (1.1, 0.0)), 0.35, 60.0),)),
         replace(PLAIN, slope_right=0.2, slope_down=-0.2, flicker=0.1),
         replace(PLAIN, gain=0.3),
         replace(PLAIN, noise=PixelNoise(read=8.0)),

@@ -62,7 +62,7 @@ def earlier_text(model: str, table: dict[str, Any]) -> str:
 
 def recorded(tmp_path: Path, files: dict[str, str]) -> read.Recorded:
     scenario, rig = load_scenario("scheme-1").value, load_rig("mock").value
-    return read.Recorded(tmp_path / "run.mcap", {}, None, scenario, rig, *[np.zeros(0)] * 3, [], None, True, files)
+    return read.Recorded(tmp_path / "run.mcap", {}, None, scenario, rig, *[np.zeros(0)] * 2, [], None, True, files)
 
 
 @pytest.mark.parametrize(("kind", "load"), [("scenarios", load_scenario), ("rigs", load_rig), ("targets", load_scene)])

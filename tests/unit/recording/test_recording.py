@@ -20,7 +20,7 @@ from hil.core.camera_images import IMAGE_BYTES, image_row
 from hil.core.fields import record_dtype
 from hil.core.messages import CYCLE, CYCLE_FIELDS, POSE_FIELDS
 from hil.errors import BadInput
-from hil.recording import schema
+from hil.recording import read, schema
 from hil.recording.export import export
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
@@ -46,10 +46,10 @@ def cycles_in(path: Path) -> int:
     return len(contents(path).records.get("/cycle", []))
 
 
-@pytest.mark.parametrize("topic", schema.RECORDS)
+@pytest.mark.parametrize("topic", schema.records())
 def test_every_recorded_field_has_unit_frame_and_meaning_in_its_schema(topic: str) -> None:
-    text = schema.describe(*schema.RECORDS[topic])
-    fields, dtype = json.loads(text)["fields"], record_dtype(schema.RECORDS[topic][1])
+    text = schema.describe(*schema.records()[topic])
+    fields, dtype = json.loads(text)["fields"], record_dtype(schema.records()[topic][1])
     assert sum(np.dtype(f["type"]).itemsize * int(np.prod(f["shape"])) for f in fields) == dtype.itemsize
     assert all(f["unit"] and f["description"] for f in fields)
     assert schema.layout_of(text, "x") == schema.flat_dtype(dtype)
@@ -183,9 +183,9 @@ def test_damage_of_any_kind_ends_in_rows_or_in_one_clear_line(tmp_path: Path, rn
 def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, content: bytes, word: str) -> None:
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
-    for read in (load, recover):
+    for opened in (load, recover):
         with pytest.raises(BadInput, match="not a recording") as caught:
-            read(path)
+            opened(path)
         assert len(caught.value.problems) == 1
 
 
@@ -344,3 +344,10 @@ def test_without_pyarrow_parquet_is_refused_in_one_line(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(BadInput, match=r"hil-bench\[parquet\].*--format csv"):
         export(recorded_run, "parquet", tmp_path / "run.parquet")
+
+
+def test_part_of_a_recording_that_is_not_installed_is_one_line() -> None:
+    about = {"version": "1.0", "origin": "acme-robot", "topics": ["/robot"]}
+    files = {schema.PARTS_FILE: json.dumps({"monitor": about, "robot": about})}
+    (line,) = read._missing_parts(read.Contents(Path("run.mcap"), files=files))
+    assert line.startswith("run.mcap: part robot of package acme-robot 1.0 is not installed")

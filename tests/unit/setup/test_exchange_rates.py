@@ -8,7 +8,6 @@ import pytest
 from hil.config.load import load_rig
 from hil.core.messages import CYCLE
 from hil.drivers.mock_axes import MockAxes
-from hil.frmn.ring import NoTelemetry
 from hil.setup.meters import ExchangeRates
 
 
@@ -24,7 +23,7 @@ class CountedAxes(MockAxes):
 def test_exchanges_are_counted_from_the_first_cycle_of_the_run() -> None:
     rig = load_rig("mock").value
     rails = CountedAxes("rails", rig.rails)
-    rates = ExchangeRates(NoTelemetry(), {"rails": rails, "turntable": MockAxes("turntable", rig.turntable)})
+    rates = ExchangeRates({"rails": rails, "turntable": MockAxes("turntable", rig.turntable)})
     row = np.zeros(1, CYCLE)
     assert rates.numbers() == {}
     for _ in range(101):

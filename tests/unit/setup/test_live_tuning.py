@@ -18,6 +18,7 @@ from hil.console.tuner import Tuner, unit_of
 from hil.core.operator_commands import Operator
 from hil.errors import BadInput
 from hil.loop.runner import Runner
+from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
 from hil.recording.audit import Actor
 from hil.recording.read import Recorded, load
@@ -60,8 +61,11 @@ def fly(folder: Path, job: build.Job, changes: dict[int, str]) -> Recorded:
     operator = Changes(job, changes)
     with recording(job, "mock", folder, lambda _: None) as taken:
         rate = build.SimulatedRate(build.SimulatedClock(), job.scenario.value.step_s)
-        operator.runner = build.in_memory(job, rate, telemetry=taken.sinks.cycles, operator=operator)
-        operator.event_recorder = taken.sinks.attach(operator.runner)
+        parts = SessionParts(operator, telemetry=taken.sinks["cycles"])
+        taken.sinks.attach(parts)
+        operator.runner = build.in_memory(job, rate, parts)
+        assert taken.sinks.events is not None
+        operator.event_recorder = taken.sinks.events
         outcome = operator.runner.run()
         summary, _ = summarise(outcome, job.scenario.value, job.rig.value, "mock", job.seed, 50.0)
         taken.finish(summary)

@@ -11,9 +11,8 @@ from hil.bench import kinematics
 from hil.config.load import load_rig
 from hil.core.messages import AXES, CYCLE, new
 from hil.drivers.shared_state import SharedAxisState
-from hil.frmn.ring import NoTelemetry
 from hil.params import bench as bench_params
-from hil.setup.meters import TrueAxesWatch
+from hil.setup.true_axes import TrueAxesWatch
 
 STEP_S = 0.02
 NOW_S = 7.3
@@ -30,7 +29,7 @@ def test_an_offset_of_the_load_is_the_error_at_the_camera() -> None:
     )
     board = SharedAxisState.create()
     try:
-        watch = TrueAxesWatch(NoTelemetry(), board, rig, lambda: NOW_S, STEP_S)
+        watch = TrueAxesWatch(board, rig, lambda: NOW_S, STEP_S)
         written_s = NOW_S - 0.003  # the truth's time on the clock of the bench: nothing to extrapolate
         for offset_m in (3e-5, 4e-5):
             board.write("rails", written_s, axes.rail_m + np.array([0.0, offset_m, 0.0]), rest)

@@ -11,6 +11,7 @@ from hil.config.vmu_geometry import Sensor
 from hil.errors import BadInput
 from hil.vmu.detect import SpotDetector
 from hil.vmu.kernels.components import COMPONENT_WIDTH, END, FIRST, U0, U1, V0, V1
+from hil.vmu.kernels.fit import light_fit
 from hil.vmu.kernels.lens import LENS, CameraPair
 from hil.vmu.kernels.records import AT_BORDER, MERGED, SATURATED
 from hil.vmu.kernels.residuals import drop_outliers
@@ -254,8 +255,9 @@ def test_few_pixels_beside_a_large_light_are_noise_of_its_edge() -> None:
 
 @pytest.mark.parametrize(("off", "dropped"), [(2, 2), (20, 1), (100, 1)])
 def test_of_many_pixels_off_the_model_only_the_worst_is_dropped(off: int, dropped: int) -> None:
-    model, weighed = np.full(400, 20.0), np.ones(400)
-    pixels = model.copy()
-    pixels[:off] += 50.0 + np.arange(off)
-    assert drop_outliers(pixels, weighed, 1.0, 0.01, model, np.zeros(400)) == dropped
-    assert weighed.sum() == 400 - dropped
+    fitted = light_fit(False, np.zeros(7), np.array([0, 0, 20, 20]), 1.0, 0.01)
+    fitted.model[:], fitted.light[:], fitted.weighed[:] = 20.0, 0.0, 1.0
+    fitted.pixels[:] = fitted.model
+    fitted.pixels[:off] += 50.0 + np.arange(off)
+    assert drop_outliers(fitted) == dropped
+    assert fitted.weighed.sum() == 400 - dropped
