@@ -2,7 +2,7 @@
 
 python benchmarks/frmn.py [--seconds 10] [--rounds 3] [--rate-hz 1000] [--namespaces] [--only LINE...]
 
-One process sends GNC_INPUT (1056 bytes with its header) at the rate and the other replies at once with GNC_OUTPUT
+One process sends GNC_INPUT_3 (1056 bytes with its header) at the rate and the other replies at once with GNC_OUTPUT
 (272 bytes). Four rows, interleaved round by round: mailboxes over the product's link; the same bytes by two bare UDP
 sockets; by pyzmq PAIR sockets over TCP (omitted if pyzmq is not installed); and ``hil dss`` with ``hil gnc``
 themselves, free-running at the rate, including lateness and the GNC's computation. --namespaces: the
@@ -26,7 +26,7 @@ import numpy as np
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import WallClock
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
+from hil.core.gnc_records import GNC_INPUT_3, GNC_OUTPUT, GNC_SETUP
 from hil.core.realtime import RealTime, no_garbage_collection
 from hil.frmn.link import Link
 from hil.frmn.mailboxes import Role
@@ -36,7 +36,7 @@ from hil.session import build
 from hil.session.warm_up import warm_up
 from hil.setup.gnc_setup import make_udp_gnc
 
-THERE, BACK = 32 + GNC_INPUT.itemsize, 32 + GNC_OUTPUT.itemsize
+THERE, BACK = 32 + GNC_INPUT_3.itemsize, 32 + GNC_OUTPUT.itemsize
 PORTS = {"link": 24701, "plain": 24702, "pyzmq": 24703, "loop": 24704}
 SILENCE_S = 1.0
 
@@ -103,7 +103,7 @@ def ping_link(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
             link.poll()
             time.sleep(0.01)
         link.send("gnc.setup", np.zeros(1, GNC_SETUP))
-        record = np.zeros(1, GNC_INPUT)
+        record = np.zeros(1, GNC_INPUT_3)
 
         def send(k: int) -> None:
             record["cycle"] = k

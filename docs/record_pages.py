@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from hil.core import manipulator_records, messages
 from hil.core.fields import Fields, markdown_table
-from hil.gnc_backends.c_header import BACKEND_STRUCTS, RECORDS
+from hil.gnc_backends.c_header import BACKEND_STRUCTS, STRUCTS
 from hil.loop.model_stage import RECORDS as MODEL_RECORDS
 from hil.monitor.results import PORTION_FIELDS
 
@@ -86,7 +86,7 @@ prints, byte for byte. Offsets in bytes; f8 is a double, i8 and i4 signed intege
 text of 32 bytes padded with zeros.
 
 **Setup**, sent once at the start; it contains the nominal vehicle and plan, without dispersions:""",
-            RECORDS["setup"],
+            STRUCTS["hil_gnc_setup"],
             """The fields from offset 1440 on are those of protocol 3; over UDP they are the mailbox `gnc.orbit`.
 With eccentricity e and mean anomaly M, Kepler's equation E - e sin E = M + n t gives the true anomaly, tan(nu/2) =
 sqrt((1 + e)/(1 - e)) tan(E/2), and the rate of Hill's frame, n (1 + e cos nu)^2 / (1 - e^2)^1.5 about -y. The rate
@@ -94,11 +94,19 @@ of a target that tumbles follows Euler's equations, J w' = -w x J w, from its ra
 count. Values have the errors of the GNC's ephemeris (`gnc.ephemeris`, `gnc.target`).
 
 **Input**, one per cycle:""",
-            RECORDS["input"],
+            STRUCTS["hil_gnc_input"],
             "**Pose**, four in each input, of which the first `n_poses` count:",
-            RECORDS["pose"],
+            STRUCTS["hil_gnc_pose"],
+            """**Measured**, from protocol 4 on, as a [backend of navigation](backend-records.md) receives it: each
+sample of an IMU that is faster than the cycle, positions whose attitude is a guess, further sensors. Over UDP its
+parts are the mailboxes `imu.samples`, `gnc.poses` and `gnc.measurements`, and the input ends before it:""",
+            STRUCTS["hil_measured"],
+            "Sample of the IMU, pose with its status, and measurement of a further sensor:",
+            STRUCTS["hil_backend_sample"],
+            STRUCTS["hil_backend_pose"],
+            STRUCTS["hil_measurement"],
             "**Output**, one per input:",
-            RECORDS["output"],
+            STRUCTS["hil_gnc_output"],
             """`mode`: 0 STANDBY, 1 ARMED (the bench is at rest at the start pose, the time of the run has not
 started), 2 RUNNING, 3 HOLD (the axes are braked and time is frozen: keep the state), 4 STOPPED. **Thrusters open
 only in RUNNING**: demands in other modes are ignored. `orders`: 1 GO, 2 ABORT, each in one input only. `state`: 0
@@ -110,9 +118,6 @@ the run whenever it changes.""",
 
 
 _TITLES = {
-    "hil_backend_sample": "Sample of the IMU, `samples` of the input of navigation",
-    "hil_backend_pose": "Pose of the vision unit, `poses` of the input of navigation",
-    "hil_measurement": "Measurement of a further sensor, `measurements` of the input of navigation",
     "hil_navigation": "Estimate, `navigation` of the input of control",
     "hil_reference": "Reference, `reference` of the input of control",
     "hil_navigation_input": "Input of navigation",
@@ -131,8 +136,8 @@ The arguments of a backend of navigation or of control ([fly a law](../../how-to
 filter](../../how-to/fly-a-filter.md)): the structs of `hil_backends.h`, which `hil gnc header --backends` prints,
 the records of a kernel, and the objects that a Python class receives. Little-endian, aligned as by a C compiler for
 x86-64 or ARM64; offsets in bytes; f8 is a double, i8 and i4 signed integers of 8 and 4 bytes, u1 a byte, S64 text of
-64 bytes padded with zeros. `setup` is the setup of an [external GNC](gnc-records.md). In kernels a text is an array
-of bytes."""
+64 bytes padded with zeros. `setup`, `samples`, `poses` and `measurements` are those of an [external
+GNC](gnc-records.md). In kernels a text is an array of bytes."""
     ]
     for struct, fields in BACKEND_STRUCTS.items():
         sections += [f"**{_TITLES[struct]}** (`{struct}`):", fields]

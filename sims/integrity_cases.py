@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,38 +15,37 @@ import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
 from hil.config.load import load_rig, load_scenario
-from hil.config.scenario import Scenario
 from hil.drivers.mock_axes import MockAxes
-from hil.gnc_backends.base import GncBackend
-from hil.gnc_backends.python_object import PythonObjectGnc
+from hil.gnc_backends.backend import OwnBackends
 from hil.loop.runner import Runner
 from hil.report.summary import summarise
 from hil.session import build
 from hil.session.build import Job, wired_bench
 from hil.session.warm_up import warm_up
-from hil.setup.gnc_setup import backend_setup
 from sims.fault_matrix import TRIPS, FaultCase, FaultReaction, run_case
 
 
 class PushingGnc:
     """GNC that pushes the chaser towards the target with all thrusters that can."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._on = [int(direction[0] < -0.5) for direction in scenario.chaser.thrusters.direction]
+    def start(self, setup: Any) -> None:
+        """Choose the thrusters."""
+        force = setup.thruster_force_N[: setup.n_thrusters]
+        self._on = (force[:, 0] < -0.5 * np.linalg.norm(force, axis=1)).astype(int)
 
-    def step(self, _: Any) -> list[int]:
+    def step(self, _: Any) -> np.ndarray:
         """Return the thrusters."""
         return self._on
 
 
 @dataclass(frozen=True)
 class IntegrityCase:
-    """One case. fault: table of ``[[faults]]`` as TOML, "" for none. settings: of scenario and rig."""
+    """One case. fault: table of ``[[faults]]`` as TOML, "" for none. settings: of scenario and rig. gnc: an object."""
 
     name: str
     fault: str = ""
     settings: tuple[str, ...] = ()
-    make_backend: Callable[[Scenario], GncBackend] | None = None
+    gnc: object | None = None
 
 
 @dataclass(frozen=True)
@@ -69,10 +67,6 @@ class CaseResult:
     hmi_cycles: int | None
 
 
-def _pushing(scenario: Scenario) -> GncBackend:
-    return PythonObjectGnc(PushingGnc(scenario), backend_setup(scenario))
-
-
 def _vmu(kind: str, at_s: float, more: str = "") -> str:
     return f'{{device = "vmu", kind = "{kind}", at_s = {at_s}{more}}}'
 
@@ -80,7 +74,7 @@ def _vmu(kind: str, at_s: float, more: str = "") -> str:
 CASES: Final = (
     IntegrityCase("no fault"),
     IntegrityCase("vision unit frozen from 15 s", _vmu("frozen", 15.0)),
-    IntegrityCase("GNC that pushes at the target", make_backend=_pushing),
+    IntegrityCase("GNC that pushes at the target", gnc=PushingGnc()),
     IntegrityCase("no pose from 60 s", _vmu("no_pose", 60.0)),
     IntegrityCase("range wrong by 0.3 m from 60 s", _vmu("offset", 60.0, ", value = [0.3, 0.0, 0.0]")),
     IntegrityCase("range wrong by -0.3 m from 60 s", _vmu("offset", 60.0, ", value = [-0.3, 0.0, 0.0]")),
@@ -103,7 +97,7 @@ def run(case: IntegrityCase, seed: int = 0) -> CaseResult:
     """Run ``case`` with scheme 1 on the mock rig."""
     settings = (*case.settings, f"faults=[{case.fault}]")
     scenario, rig = load_scenario("scheme-1", settings), load_rig("mock", settings)
-    job = Job(scenario, rig, seed, scenario.value.duration_s, 1.0, make_backend=case.make_backend)
+    job = Job(scenario, rig, seed, scenario.value.duration_s, 1.0, own=OwnBackends(gnc=case.gnc))
     build.check(job)
     with build.runner(job) as runner:
         outcome = runner.run()

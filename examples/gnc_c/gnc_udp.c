@@ -27,7 +27,9 @@ enum { HELLO = 1, CELL = 2, GOODBYE = 4, REFUSED = 5 };
 enum { SETUP = 1, INPUT = 2, OUTPUT = 3, ORBIT = 24 };
 enum { /* hil_gnc_setup comes in two datagrams: its first bytes, and those of orbit and motion of the target */
     FIRST = offsetof(hil_gnc_setup, eccentricity),
-    REST = sizeof(hil_gnc_setup) - FIRST
+    REST = sizeof(hil_gnc_setup) - FIRST,
+    /* hil_gnc_input without `measured`, whose parts are mailboxes that this program does not ask for */
+    HEAD = offsetof(hil_gnc_input, measured)
 };
 enum { ROLE_GNC = 2, OFFERS = 1, WANTS = 2 };
 
@@ -93,7 +95,7 @@ static void send_hello(void)
     hello h = {ROLE_GNC, 4, "gnc_udp", {{OUTPUT, sizeof(hil_gnc_output), 0, OFFERS},
                                         {SETUP, FIRST, 0, WANTS},
                                         {ORBIT, REST, 0, WANTS},
-                                        {INPUT, sizeof(hil_gnc_input), 0, WANTS}}};
+                                        {INPUT, HEAD, 0, WANTS}}};
     send_datagram(HELLO, 0, &h, sizeof h);
 }
 
@@ -183,9 +185,9 @@ int main(int argc, char **argv)
             memset(&output, 0, sizeof output);
             output.cycle = -1;
             output.state = HIL_GNC_WORKING;
-        } else if (h.cell == INPUT && size == sizeof(hil_gnc_input) && gnc != NULL) {
-            hil_gnc_input input;
-            memcpy(&input, payload, sizeof input);
+        } else if (h.cell == INPUT && size == HEAD && gnc != NULL) {
+            static hil_gnc_input input;
+            memcpy(&input, payload, HEAD);
             if (input.cycle != cycle || input.mode != mode) { /* otherwise the reply was lost: send it again */
                 memset(&output, 0, sizeof output);
                 output.cycle = input.cycle;

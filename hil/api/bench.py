@@ -28,7 +28,7 @@ from hil.core.messages import new
 from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
-from hil.gnc_backends.python_object import PythonGnc
+from hil.gnc_backends.python_backend import PythonGnc
 from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Outcome, Runner
 from hil.report.requirements_page import EvidenceRow

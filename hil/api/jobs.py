@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,6 @@ from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
-from hil.checks.faults import unfused_sensors
 from hil.config import load
 from hil.config.load import Loaded
 from hil.config.rig import Rig
@@ -24,9 +23,8 @@ from hil.errors import BadInput, Problem
 from hil.gnc_backends.backend import PARTS, OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS
 from hil.gnc_backends.library import key_of
-from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc, class_name
+from hil.gnc_backends.python_backend import PythonGnc, class_name
 from hil.setup.assembly import Job
-from hil.setup.gnc_setup import backend_setup
 
 Overrides = Mapping[str, Any]
 Settings = Sequence[str]
@@ -173,12 +171,7 @@ def make_job(
     if problems:
         raise BadInput(problems)
     length_s = scenario.value.duration_s if duration_s is None else float(duration_s)
-    job = Job(scenario, rig, int(seed), length_s, float(speed), own=own)
-    return job if gnc is None else replace(job, make_backend=_backend(gnc))
-
-
-def _backend(gnc: PythonGnc) -> Callable[[Scenario], PythonObjectGnc]:
-    return lambda scenario: PythonObjectGnc(gnc, backend_setup(scenario))
+    return Job(scenario, rig, int(seed), length_s, float(speed), own=own._replace(gnc=gnc))
 
 
 def _gnc_problems(gnc: object, scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
@@ -199,7 +192,7 @@ def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Pro
     key = "flight_computer.command_words"
     if (wire := rig.value.flight_computer.command_words) != "none":
         found.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))
-    return found + unfused_sensors(scenario, "another GNC")
+    return found
 
 
 def is_positive(value: object) -> bool:

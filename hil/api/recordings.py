@@ -22,7 +22,7 @@ from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, named
 from hil.gnc_backends.base import GncBackend
-from hil.gnc_backends.python_object import PythonGnc, PythonObjectGnc
+from hil.gnc_backends.python_backend import PythonGnc
 from hil.loop.compiled.run_stats import NAVIGATION_SUMS, count_navigation_of_rows
 from hil.params.ready import SETTLED_S
 from hil.recording.read import Recorded, RowBatch, load, load_without_rows, row_batches
@@ -30,7 +30,6 @@ from hil.recording.replay import Difference, Replayed, replay
 from hil.report.summary import summary_of
 from hil.report.verdict_parts import navigation_numbers
 from hil.setup.assembly import make_backend
-from hil.setup.gnc_setup import backend_setup
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -171,7 +170,7 @@ def _replayed(
     changed = gnc is not None or bool(settings)
     backend: GncBackend | None = None
     if isinstance(gnc, PythonGnc):
-        changed, backend = bool(settings), PythonObjectGnc(gnc, backend_setup(scenario))
+        changed, backend = bool(settings), make_backend(scenario, OwnBackends(gnc=gnc))
     elif name is not None and not changed:
         text = f"its GNC was the Python object {name}: give one, hil.open(...).replay(gnc=...), or other settings"
         raise BadInput.single(str(recorded.path), "gnc", text)

@@ -29,7 +29,7 @@ from hil.core.part import provided
 from hil.errors import BadInput
 from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
-from hil.gnc_backends.python_object import PythonGnc, class_name
+from hil.gnc_backends.python_backend import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.loop.session_parts import PartResult, SessionParts
@@ -82,7 +82,7 @@ def run(
         Faults to inject, tables with the keys of ``[[faults]]``, in addition to those of the scenario:
         ``[{"device": "vmu", "kind": "no_pose", "at_s": 60.0}]``.
     gnc
-        Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_object``.
+        Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_backend``.
     record
         Folder for a recording of the run and its catalogue.
     options

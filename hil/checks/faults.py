@@ -72,12 +72,9 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
     def problem(key: str, text: str) -> None:
         problems.append(Problem(scenario.where(f"sensors.{key}"), f"sensors.{key}", text))
 
-    elsewhere = value.gnc.binary
-    if rig.value.flight_computer.command_words != "none":
-        elsewhere = f"rig.flight_computer.command_words = {rig.value.flight_computer.command_words}"
     modules = sensors_of(value)
-    if elsewhere is not None:
-        problems += unfused_sensors(scenario, elsewhere)
+    if (words := rig.value.flight_computer.command_words) != "none":
+        problems += unfused_sensors(scenario, f"rig.flight_computer.command_words = {words}")
     if MONITOR in value.sensors:
         problem(MONITOR, "is the name of the docking monitor, table [monitor]")
     for name, config in value.sensors.items():

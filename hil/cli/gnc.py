@@ -17,7 +17,7 @@ from hil.errors import BadInput
 if TYPE_CHECKING:
     from hil.config.scenario import Scenario
     from hil.frmn.link import Link
-    from hil.gnc_backends.shared_library import GncLibrary
+    from hil.gnc_backends.backend import Backend
     from hil.processes.gnc_server import GncServer
 
 app = App(name="gnc")
@@ -61,7 +61,7 @@ def gnc(
     from hil.frmn.udp import LOOPBACK, shown
     from hil.frmn.wire import PORT
     from hil.gnc_backends.library import key_of, open_library
-    from hil.processes.binary_gnc_server import OFFERS
+    from hil.processes.binary_gnc_server import BINARY_WANTS, OFFERS
     from hil.processes.gnc_server import gnc_side, wants_of
 
     if bind is not None and listen is None:  # by default the bench on this computer
@@ -77,7 +77,7 @@ def gnc(
     def announce(text: str) -> None:
         say(text, console, "dim")
 
-    mailboxes = {"wants": wants_of(found)} if library is None else {"offers": OFFERS}
+    mailboxes = {"wants": wants_of(found)} if library is None else {"offers": OFFERS, "wants": BINARY_WANTS}
     link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file), **mailboxes)
     try:
         with console.status("compiling the kernels that are not cached"):
@@ -94,7 +94,7 @@ def gnc(
     return 0
 
 
-def _server(library: GncLibrary | None, scenario: Scenario, link: Link, announce: Callable[[str], None]) -> GncServer:
+def _server(library: Backend | None, scenario: Scenario, link: Link, announce: Callable[[str], None]) -> GncServer:
     """Return the server of the binary, or of the built-in GNC."""
     from hil.processes.binary_gnc_server import BinaryGncServer
     from hil.processes.gnc_server import GncServer

@@ -32,7 +32,7 @@ from hil.config.tables.required_parts import PART_COLUMNS
 from hil.config.tables.sensors import SensorConfig, device_of
 from hil.config.tables.target import KnownTarget, MovingTarget
 from hil.config.tables.truth import Ephemeris, ModelFmu, Orbit, SolarArray, ThrusterModel, Truth
-from hil.core.backend_records import MAX_SETTINGS
+from hil.core.gnc_records import MAX_SETTINGS
 from hil.core.messages import MAX_FAULTS, MAX_PHASES, MAX_THRUSTERS
 from hil.core.sensor_records import ADDED_SENSORS_MAX
 from hil.maths import linear

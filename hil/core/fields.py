@@ -108,3 +108,18 @@ def _shown_type(dtype: np.dtype) -> str:
     base = dtype.base
     text = "record" if base.names else (f"S{base.itemsize}" if base.kind == "S" else base.str[1:])
     return text + (f"[{']['.join(map(str, dtype.shape))}]" if dtype.shape else "")
+
+
+def field_of(dtype: np.dtype, name: str) -> tuple[np.dtype, int]:
+    """Return type and offset, bytes, of a field; ``name``: dotted for one of a nested record."""
+    offset = 0
+    for part in name.split("."):
+        assert dtype.fields is not None
+        dtype, at = dtype.fields[part][:2]
+        offset += at
+    return dtype, offset
+
+
+def offset_of(dtype: np.dtype, name: str) -> int:
+    """Return the offset of a field, bytes."""
+    return field_of(dtype, name)[1]

@@ -1,25 +1,45 @@
-"""Records exchanged with an external GNC: setup, input and output.
+"""Records of the boundary to a GNC outside the bench: setup, and inputs and outputs of navigation, control and both.
 
-The same bytes travel as mailboxes of the reflective memory and as the structs of a shared library (``hil_gnc.h``):
-little-endian, aligned as a C compiler for x86-64 or ARM64 aligns them. H is Hill's (LVLH) frame of the target, c the
-chaser's body frame; quaternions have the scalar last and ``q_CH`` takes components in H to components in c
-(``docs/explanation/frames.md``). The bench sends ``GNC_SETUP`` once and ``GNC_INPUT`` each cycle, and receives
-``GNC_OUTPUT``.
+A backend of navigation or of control is ``int step(input, output, instance)``, called once per cycle while the run's
+time advances. A whole GNC is both parts answered by one call: ``GNC_INPUT`` and ``GNC_OUTPUT``, which
+``hil.gnc.whole_step`` takes apart into those of navigation and control.
+
+The same bytes are the arguments of kernels, the structs of shared libraries (``hil_gnc.h``, ``hil_backends.h``), the
+objects that a Python class receives and, but for what is measured, mailboxes of the reflective memory: little-endian,
+aligned as a C compiler for x86-64 or ARM64 aligns them, SI. H is Hill's (LVLH) frame of the target, c the chaser's body
+frame; quaternions have the scalar last and ``q_CH`` takes components in H to components in c
+(``docs/explanation/frames.md``).
 """
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum, IntFlag
 from typing import Final, TypeVar
 
-from hil.core.fields import Field, record_dtype
-from hil.core.messages import MAX_POSES, MAX_THRUSTERS
+import numpy as np
 
-PROTOCOL: Final = 3
-"""Version of the records; incremented when fields are appended. 2: protection levels and health in the output. 3: orbit
-and motion of the target in the setup."""
+from hil.core.fields import Field, record_class, record_dtype
+from hil.core.messages import MAX_POSES, MAX_THRUSTERS, NAVIGATION_FIELDS, POSE_STATUS, REFERENCE_FIELDS
+from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_SAMPLE_FIELDS
+
+PROTOCOL: Final = 4
+"""Version of setup, input and output of a whole GNC; incremented when fields are appended. 2: protection levels and
+health in the output. 3: orbit and motion of the target in the setup. 4: everything measured in the input."""
+OLDEST_PROTOCOL: Final = 3
+"""Of a shared library that the bench accepts: it has the first fields of the records."""
+MEASURED_PROTOCOL: Final = 4
+"""First one that has everything measured."""
+BACKEND_PROTOCOL: Final = 2
+"""The same of the records of navigation and control. 2: measurements of further sensors."""
 REASON_BYTES: Final = 128
 """Size of the text with which a library rejects a scenario, including its terminating zero."""
+TEXT_BYTES: Final = 64
+"""Size of a text of an output."""
+MAX_IMU_SAMPLES: Final = 64
+"""Samples of the IMU that a GNC can receive in one cycle."""
+MAX_SETTINGS: Final = 32
+"""Settings that a backend can declare."""
 
 _Int = TypeVar("_Int", bound=int)
 
@@ -128,6 +148,28 @@ GNC_POSE_FIELDS: Final = (
 )
 GNC_POSE: Final = record_dtype(GNC_POSE_FIELDS)
 
+BACKEND_POSE_FIELDS: Final = (
+    *GNC_POSE_FIELDS,
+    Field("covariance_cross_m_rad", "f8", (3, 3), "m rad", "c", "of r_TC_C_m (rows) and the small-angle rotation"),
+    POSE_STATUS,
+)
+BACKEND_SAMPLE_FIELDS: Final = (
+    Field("rate_radps", "f8", 3, "rad/s", "c", "gyro, mean over the sample, against inertial space"),
+    Field("force_mps2", "f8", 3, "m/s^2", "c", "accelerometer, mean over the sample"),
+)
+_N_SAMPLES: Final = Field("n_samples", "i8", (), "1", "", "samples of the IMU since the cycle before; none in cycle 0")
+_N_POSES: Final = Field("n_poses", "i8", (), "1", "", "poses since the cycle before")
+_SAMPLES: Final = Field("samples", BACKEND_SAMPLE_FIELDS, MAX_IMU_SAMPLES, "", "", "the first n_samples are valid")
+_POSES: Final = Field(
+    "poses", BACKEND_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid, in order of arrival"
+)
+_MEASUREMENTS: Final = (
+    Field("n_measurements", "i8", (), "1", "", "measurements of further sensors since the cycle before"),
+    Field("measurements", SENSOR_SAMPLE_FIELDS, SAMPLES_PER_CYCLE, "", "", "the first n_measurements are valid"),
+)
+MEASURED_FIELDS: Final = (_N_SAMPLES, _N_POSES, _MEASUREMENTS[0], _SAMPLES, _POSES, _MEASUREMENTS[1])
+"""Everything measured since the cycle before."""
+
 GNC_INPUT_FIELDS: Final = (
     Field(
         "cycle",
@@ -148,9 +190,14 @@ GNC_INPUT_FIELDS: Final = (
     Field("reference_q_CH", "f8", 4, "1", "H to c", "attitude of the plan"),
     Field("boost", "i8", (), "1", "", "1: force demands open the high-thrust sets, as the brake of an abort needs"),
     Field("n_poses", "i8", (), "1", "", "number of poses since the last input"),
-    Field("poses", GNC_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid"),
+    Field("poses", GNC_POSE_FIELDS, MAX_POSES, "", "", "the first n_poses are valid; whole poses alone"),
+    Field(
+        "measured", MEASURED_FIELDS, (), "", "", "all samples, poses and measurements, as a navigation receives them"
+    ),
 )
 GNC_INPUT: Final = record_dtype(GNC_INPUT_FIELDS)
+GNC_INPUT_3: Final = record_dtype(GNC_INPUT_FIELDS[:-1])
+"""The mailbox gnc.input, the input of protocol 3: what is measured has mailboxes of its own."""
 
 GNC_OUTPUT_FIELDS: Final = (
     Field("cycle", "i8", (), "1", "", "of the input that this answers"),
@@ -164,9 +211,84 @@ GNC_OUTPUT_FIELDS: Final = (
     Field("v_CT_H_mps", "f8", 3, "m/s", "H", "estimated velocity"),
     Field("q_CH", "f8", 4, "1", "H to c", "estimated attitude"),
     Field("w_CH_C_radps", "f8", 3, "rad/s", "c", "estimated rate against H"),
-    Field("text", "S64", (), "", "", "message for the operator; empty for none"),
+    Field("text", f"S{TEXT_BYTES}", (), "", "", "message for the operator; empty for none"),
     Field("protection_level_m", "f8", 3, "m", "H", "bound on the error of r_CT_H_m, per axis; 0 or nan: not reported"),
     Field("protection_level_rad", "f8", (), "rad", "", "bound on the attitude error; 0 or nan: not reported"),
     Field("health", "i8", (), "1", "", "0 healthy; sum of hil_gnc_health"),
 )
 GNC_OUTPUT: Final = record_dtype(GNC_OUTPUT_FIELDS)
+
+_HEAD: Final = (
+    Field("cycle", "i8", (), "1", "", "number of the cycle, from 0"),
+    Field("t_s", "f8", (), "s", "", "time of the run"),
+    Field("mode", "i4", (), "1", "", "hil_gnc_mode; a backend is called in RUNNING only"),
+)
+_THRUSTERS: Final = (
+    Field("fault", "i8", (), "1", "", "of a thruster, by the thruster monitor: 0 none, 1 stuck open, 2 dead"),
+    Field("fault_thruster", "i8", (), "1", "", "that has it, from 0"),
+)
+
+NAVIGATION_INPUT_FIELDS: Final = (
+    *_HEAD,
+    Field("orders", "i4", (), "1", "", "hil_gnc_order, as of the cycle before"),
+    Field("imu_suspect", "i8", (), "1", "", "1: the IMU's readings repeat, or no thruster explains them"),
+    _N_SAMPLES,
+    _N_POSES,
+    Field("second_bound_m", "f8", (), "m", "", "bound on the position error by the docking monitor; 0: none"),
+    Field("second_bound_s", "f8", (), "s", "", "time of its measurement, time of the run"),
+    *_THRUSTERS,
+    Field("commanded", "u1", MAX_THRUSTERS, "1", "", "thrusters commanded in the cycle before, 0 or 1"),
+    Field("isolated", "u1", MAX_THRUSTERS, "1", "", "thrusters whose supply is being or has been closed, 0 or 1"),
+    _SAMPLES,
+    _POSES,
+    Field("setup", GNC_SETUP_FIELDS, (), "", "", "nominal vehicle and plan: hil_gnc_setup"),
+    *_MEASUREMENTS,
+)
+NAVIGATION_OUTPUT_FIELDS: Final = (
+    Field("state", "i4", (), "1", "", "hil_gnc_state"),
+    *NAVIGATION_FIELDS,
+    Field("bias_mps2", "f8", 3, "m/s^2", "c", "estimated bias of the accelerometer; nan: not reported", math.nan),
+    Field("bias_sigma_mps2", "f8", 3, "m/s^2", "c", "its standard deviation; nan: not reported", math.nan),
+    Field("text", f"S{TEXT_BYTES}", (), "", "", "message for the operator; empty for none"),
+)
+CONTROL_INPUT_FIELDS: Final = (
+    *_HEAD,
+    Field("orders", "i4", (), "1", "", "hil_gnc_order, as of this cycle"),
+    Field("phase", "i8", (), "1", "", "number of the phase; after the list: brake, retreat, hold of an abort"),
+    Field("reaction", "i8", (), "1", "", "to the health: 0 continue, 1 coast, 2 hold, 3 retreat, 4 abort"),
+    Field("aborted", "i8", (), "1", "", "cause of the abort, 0 for none"),
+    *_THRUSTERS,
+    Field("isolated", "u1", MAX_THRUSTERS, "1", "", "thrusters whose supply is being or has been closed, 0 or 1"),
+    Field("withheld", "u1", MAX_THRUSTERS, "1", "", "thrusters that the bench keeps closed in this cycle, 0 or 1"),
+    Field("navigation", NAVIGATION_FIELDS, (), "", "", "estimate of this cycle; it is valid"),
+    Field("reference", REFERENCE_FIELDS, (), "", "", "reference of this cycle"),
+    Field("feed_force_mps2", "f8", 3, "m/s^2", "H", "to be fed forward beyond the reference's acceleration"),
+    Field("feed_torque_radps2", "f8", 3, "rad/s^2", "c", "angular acceleration to be fed forward"),
+    Field("reference_rate_radps", "f8", 3, "rad/s", "c", "rate of the reference against H"),
+    Field("setup", GNC_SETUP_FIELDS, (), "", "", "nominal vehicle and plan: hil_gnc_setup"),
+)
+CONTROL_OUTPUT_FIELDS: Final = (
+    Field("state", "i4", (), "1", "", "hil_gnc_state"),
+    Field("direct", "i4", (), "1", "", "1: on opens thrusters; 0: the bench allocates force and torque"),
+    Field("force", "i4", 3, "1", "c", "demand along each axis: -1, 0 or 1"),
+    Field("torque", "i4", 3, "1", "c", "demand about each axis: -1, 0 or 1"),
+    Field("on", "u1", MAX_THRUSTERS, "1", "", "thrusters, 0 or 1"),
+    Field("text", f"S{TEXT_BYTES}", (), "", "", "message for the operator; empty for none"),
+)
+NAVIGATION_INPUT: Final = record_dtype(NAVIGATION_INPUT_FIELDS, text="u1")
+CONTROL_INPUT: Final = record_dtype(CONTROL_INPUT_FIELDS, text="u1")
+
+NavigationInput: Final = record_class("NavigationInput", NAVIGATION_INPUT_FIELDS, "Input of a backend of navigation.")
+ControlInput: Final = record_class("ControlInput", CONTROL_INPUT_FIELDS, "Input of a backend of control.")
+GncInput: Final = record_class("GncInput", GNC_INPUT_FIELDS, "Input of a whole GNC.")
+"""Records with their fields as documented attributes, for notebooks."""
+
+INPUTS: Final = {"navigation": NAVIGATION_INPUT, "control": CONTROL_INPUT, "gnc": GNC_INPUT}
+OUTPUT_FIELDS: Final = {
+    "navigation": NAVIGATION_OUTPUT_FIELDS,
+    "control": CONTROL_OUTPUT_FIELDS,
+    "gnc": GNC_OUTPUT_FIELDS,
+}
+OUTPUTS: Final = {part: record_dtype(fields, text="u1") for part, fields in OUTPUT_FIELDS.items()}
+OBJECTS: Final[dict[str, np.dtype]] = {"navigation": NavigationInput, "control": ControlInput, "gnc": GncInput}
+"""By the part of the GNC, "gnc" for the whole; texts of outputs as arrays of bytes, which kernels can compare."""

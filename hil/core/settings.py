@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hil.core.backend_records import MAX_SETTINGS
+from hil.core.gnc_records import MAX_SETTINGS
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,14 +18,6 @@ from hil.core.gnc_records import GncMode
 from hil.core.jit import kernel
 from hil.fmi.binary import LOG_BYTES
 
-
-def offset_of(dtype: np.dtype, name: str) -> int:
-    """Return the offset of a field, bytes."""
-    assert dtype.fields is not None
-    offset: int = dtype.fields[name][1]
-    return offset
-
-
 CODES: Final = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8")
 """Types of staging arrays and records, by their number in the tables."""
 
@@ -60,7 +52,7 @@ CALL: Final = np.dtype(
 GROUP: Final = np.dtype([("copies", "i8"), ("n_copies", "i8"), ("calls", "i8"), ("n_calls", "i8")], align=True)
 """Copies and calls that go together: addresses and lengths."""
 
-NESTED_MAX: Final = 2
+NESTED_MAX: Final = 4
 NESTED: Final = np.dtype(
     [
         ("groups", "i8"),  # address of GROUP for each record

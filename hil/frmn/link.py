@@ -20,6 +20,7 @@ from hil.core.gnc_records import GNC_ORBIT, GNC_SETUP_2
 from hil.core.observable import ObservableList
 from hil.frmn import wire
 from hil.frmn.authentication import AuthenticatedSocket, link_key
+from hil.frmn.gnc_input import mailboxes_of
 from hil.frmn.link_statistics import ClockOffset, DatagramStats
 from hil.frmn.mailboxes import MAILBOXES, Role
 from hil.frmn.udp import Address, address_towards, shown
@@ -112,6 +113,12 @@ class Link:
         return self.peer is not None and self.peer.gone is None and now_s - self.peer.last_rx_s <= self.silent_max_s
 
     @property
+    def peer_wants(self) -> frozenset[str]:
+        """Mailboxes that the other side has asked for in its hello."""
+        hello = self.peer.hello if self.peer is not None else None
+        return hello.wants if hello is not None else frozenset()
+
+    @property
     def expects(self) -> bool:
         """Whether the address of the other side was given."""
         return self._only is not None
@@ -176,11 +183,15 @@ class Link:
 
     def send_setup(self, setup: np.record) -> None:
         """Send ``setup`` (GNC_SETUP): its last fields in a mailbox of their own, to a peer that wants it."""
-        hello = self.peer.hello if self.peer is not None else None
         block, size = np.asarray(setup).tobytes(), GNC_SETUP_2.itemsize
         self.send("gnc.setup", np.frombuffer(block[:size], GNC_SETUP_2))
-        if hello is not None and "gnc.orbit" in hello.wants:
+        if "gnc.orbit" in self.peer_wants:
             self.send("gnc.orbit", np.frombuffer(block[size:], GNC_ORBIT))
+
+    def send_input(self, given: np.record) -> None:
+        """Send ``given`` (GNC_INPUT): before it what is measured in mailboxes of its own, to a peer that wants them."""
+        for name, record in mailboxes_of(given, self.peer_wants):
+            self.send(name, record)
 
     def close(self, text: str = "") -> None:
         """Send ``goodbye`` and close the socket; idempotent."""

@@ -13,8 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from hil.core.gnc_records import GNC_INPUT, GNC_ORBIT, GNC_OUTPUT, GNC_SETUP_2
-from hil.core.messages import AXES, COMMAND, IMU, NAVIGATION, POSE, TRUTH
+from hil.core.fields import record_dtype
+from hil.core.gnc_records import BACKEND_POSE_FIELDS, GNC_INPUT_3, GNC_ORBIT, GNC_OUTPUT, GNC_SETUP_2
+from hil.core.messages import AXES, COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, TRUTH
+from hil.core.sensor_records import SENSOR_SAMPLE
 
 NAME_BYTES: Final = 16
 
@@ -49,6 +51,28 @@ IMU_SAMPLES: Final = np.dtype(
     align=True,
 )
 """Samples of an IMU that is faster than the cycle, since the last cycle; the input has their mean."""
+
+GNC_POSES: Final = np.dtype(
+    [
+        ("cycle", "i8"),  # of the input that follows
+        ("n", "i8"),  # the first n are valid
+        ("poses", record_dtype(BACKEND_POSE_FIELDS), MAX_POSES),
+    ],
+    align=True,
+)
+"""Poses of a cycle that has some, with their status: positions without attitude as well."""
+
+MEASUREMENTS_MAX: Final = 3
+GNC_MEASUREMENTS: Final = np.dtype(
+    [
+        ("cycle", "i8"),  # of the input that follows
+        ("first", "i8"),  # number of the first one here, from 0
+        ("n", "i8"),  # of the cycle; a datagram has the next MEASUREMENTS_MAX of them
+        ("measurements", SENSOR_SAMPLE, MEASUREMENTS_MAX),
+    ],
+    align=True,
+)
+"""Measurements of further sensors of a cycle that has some, in one or more datagrams."""
 
 GNC_FLIGHT: Final = np.dtype([("output", GNC_OUTPUT), ("navigation", NAVIGATION), ("command", COMMAND)], align=True)
 """Output of the built-in GNC, sent instead of GNC_OUTPUT: everything that ``hil run`` records of it."""
@@ -105,7 +129,7 @@ def _mailbox(number: int, name: str, dtype: np.dtype, writer: Role) -> MailboxSp
 
 _ALL: Final = (
     _mailbox(1, "gnc.setup", GNC_SETUP_2, Role.DSS),
-    _mailbox(2, "gnc.input", GNC_INPUT, Role.DSS),
+    _mailbox(2, "gnc.input", GNC_INPUT_3, Role.DSS),
     _mailbox(3, "gnc.output", GNC_OUTPUT, Role.GNC),
     _mailbox(4, "gnc.flight", GNC_FLIGHT, Role.GNC),
     _mailbox(5, "gnc.filters", GNC_FILTERS, Role.GNC),
@@ -118,6 +142,8 @@ _ALL: Final = (
     _mailbox(22, "health", HEALTH, Role.DSS),
     _mailbox(23, "imu.samples", IMU_SAMPLES, Role.DSS),
     _mailbox(24, "gnc.orbit", GNC_ORBIT, Role.DSS),
+    _mailbox(25, "gnc.poses", GNC_POSES, Role.DSS),
+    _mailbox(26, "gnc.measurements", GNC_MEASUREMENTS, Role.DSS),
 )
 MAILBOXES: Final[dict[str, MailboxSpec]] = {box.name: box for box in _ALL}
 BY_NUMBER: Final[dict[int, MailboxSpec]] = {box.number: box for box in _ALL}

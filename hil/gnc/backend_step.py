@@ -1,7 +1,8 @@
 """Navigation and control elsewhere: backends called by the address of ``int step(input, output, instance)``.
 
-The records are those of ``hil.core.backend_records``. An address of 0 stands for the built-in kernel, which
-``hil.gnc.step`` calls directly. What a backend returns is checked before it is used.
+The records are those of ``hil.core.gnc_records``. An address of 0 stands for the built-in kernel, which
+``hil.gnc.step`` calls directly. What a backend returns is checked before it is used, here and for a whole GNC
+(``hil.gnc.whole_step``), which is both parts answered by one call.
 """
 
 from __future__ import annotations
@@ -10,31 +11,24 @@ import math
 
 import numpy as np
 
-from hil.core.backend_records import (
+from hil.core.foreign_call import call_address, same_bytes
+from hil.core.gnc_records import (
     CONTROL_INPUT,
-    CONTROL_OUTPUT,
+    GNC_INPUT,
     MAX_IMU_SAMPLES,
     NAVIGATION_INPUT,
-    NAVIGATION_OUTPUT,
+    OUTPUTS,
     TEXT_BYTES,
+    GncHealth,
+    GncMode,
 )
-from hil.core.foreign_call import call_address, same_bytes
-from hil.core.gnc_records import GncHealth, GncMode, GncState
 from hil.core.jit import entry, kernel
+from hil.gnc import backend_outputs
+from hil.gnc.backend_outputs import ASKS_FOR_HOLD, CONTROL, FAULT, FINE, NAVIGATION, REPORTED, RETURNED, STARTING, STATE
 from hil.maths.arrays import copy_into, fill
 from hil.maths.record_view import copy_record
 from hil.sensors.vision_unit.pose import write_all_sent
 
-FINE, STATE, VALID, POSITION, VELOCITY, ATTITUDE, RATE, SIGMA, PROTECTION_LEVEL, HEALTH = range(10)
-DIRECT, FORCE, TORQUE, THRUSTER, BIAS, REPORTED, RETURNED = range(10, 17)
-"""Faults of an output. REPORTED: the backend reports a fault; RETURNED: its step returned another number than 0."""
-
-NOBODY, NAVIGATION, CONTROL = range(3)
-"""Backend that has failed."""
-
-HEALTH_MAX = sum(bit.value for bit in GncHealth)
-_NORM_TOLERANCE = 1e-3  # of an estimated quaternion
-_STARTING, _WORKING, _ASKS_FOR_HOLD, _FAULT = (state.value for state in GncState)
 _RUNNING = GncMode.RUNNING.value
 _VISION_LOST = GncHealth.VISION_LOST.value
 
@@ -50,16 +44,19 @@ BACKENDS = np.dtype(
     [
         ("navigation", SLOT),
         ("control", SLOT),
+        ("gnc", SLOT),
         ("navigation_input", NAVIGATION_INPUT),
-        ("navigation_output", NAVIGATION_OUTPUT),
+        ("navigation_output", OUTPUTS["navigation"]),  # of a whole GNC as well
         ("control_input", CONTROL_INPUT),
-        ("control_output", CONTROL_OUTPUT),
+        ("control_output", OUTPUTS["control"]),  # of a whole GNC as well
+        ("gnc_input", GNC_INPUT),
+        ("gnc_output", OUTPUTS["gnc"]),
         ("cycle", "i8"),  # number of the present one
         ("orders", "i8"),  # hil_gnc_order, as of the last cycle
         ("last_pose_s", "f8"),  # when the last pose arrived, time of the run
-        ("new_text", "i8"),  # 1: a backend has another text than in the cycle before
-        ("asks_for_hold", "i8"),  # NAVIGATION or CONTROL, 0 for none
-        ("failed", "i8"),  # NAVIGATION or CONTROL, 0 for none
+        ("new_text", "i8"),  # bits 1 << NAVIGATION, CONTROL, GNC: it has another text than in the cycle before
+        ("asks_for_hold", "i8"),  # NAVIGATION, CONTROL or GNC, 0 for none
+        ("failed", "i8"),  # the same
         ("fault", "i8"),
         ("place", "i8"),  # index in the field that has it
         ("code", "i8"),  # what its step returned
@@ -69,115 +66,30 @@ BACKENDS = np.dtype(
 
 
 @kernel
-def mark_invalid(navigation):
-    """Write NAVIGATION without an estimate."""
-    navigation.valid = 0
-    fill(navigation.r_CT_H, np.nan)
-    fill(navigation.v_CT_H, np.nan)
-    fill(navigation.q_CH, np.nan)
-    fill(navigation.w_CH_C, np.nan)
-    fill(navigation.sigma_r_m, np.nan)
-    fill(navigation.sigma_v_mps, np.nan)
-    fill(navigation.sigma_attitude_rad, np.nan)
-    navigation.nis_position = np.nan
-    navigation.nis_attitude = np.nan
-    fill(navigation.protection_level_m, np.nan)
-    navigation.protection_level_rad = np.nan
-    navigation.health = 0
-
-
-@kernel
-def _copy_estimate(estimate, out):
-    """Copy the fields of NAVIGATION from an output to NAVIGATION."""
-    out.valid, out.health = estimate.valid, estimate.health
-    copy_into(out.r_CT_H, estimate.r_CT_H)
-    copy_into(out.v_CT_H, estimate.v_CT_H)
-    copy_into(out.q_CH, estimate.q_CH)
-    copy_into(out.w_CH_C, estimate.w_CH_C)
-    copy_into(out.sigma_r_m, estimate.sigma_r_m)
-    copy_into(out.sigma_v_mps, estimate.sigma_v_mps)
-    copy_into(out.sigma_attitude_rad, estimate.sigma_attitude_rad)
-    out.nis_position, out.nis_attitude = estimate.nis_position, estimate.nis_attitude
-    copy_into(out.protection_level_m, estimate.protection_level_m)
-    out.protection_level_rad = estimate.protection_level_rad
+def take_text(backends, slot, which, output):
+    """Take note of the text of ``output`` if it is another one than that of the last output."""
+    if not same_bytes(output.text, slot.text):
+        copy_into(slot.text, output.text)
+        backends.new_text |= 1 << which
 
 
 @kernel
 def _call(backends, slot, which, given, output):
     """Call the step of ``slot`` and take note of its text and its state; return whether it worked."""
     code = call_address(slot.step, given, output, slot.instance)
-    if not same_bytes(output.text, slot.text):
-        copy_into(slot.text, output.text)
-        backends.new_text = 1
+    take_text(backends, slot, which, output)
     fault = FINE
     if code != 0:
         fault = RETURNED
-    elif not _STARTING <= output.state <= _FAULT:
+    elif not STARTING <= output.state <= FAULT:
         fault = STATE
-    elif output.state == _FAULT:
+    elif output.state == FAULT:
         fault = REPORTED
-    elif output.state == _ASKS_FOR_HOLD:
+    elif output.state == ASKS_FOR_HOLD:
         backends.asks_for_hold = which
     if fault != FINE:
         backends.failed, backends.fault, backends.place, backends.code = which, fault, 0, code
     return fault == FINE
-
-
-@kernel
-def first_not_finite(values):
-    """Return the index of the first of ``values`` that is not finite, -1 if all are finite."""
-    for i in range(values.shape[0]):
-        if not math.isfinite(values[i]):
-            return i
-    return -1
-
-
-@kernel
-def _negative(values):
-    """Return the index of the first of ``values`` that is negative, -1 if there is none."""
-    for i in range(values.shape[0]):
-        if values[i] < 0.0:
-            return i
-    return -1
-
-
-@kernel
-def _fault_of_estimate(out):
-    """Return (fault, index) of NAVIGATION_OUTPUT; (FINE, 0) if there is none."""
-    if out.valid != 0 and out.valid != 1:
-        return VALID, 0
-    if out.valid == 0:
-        return FINE, 0
-    place = first_not_finite(out.r_CT_H)
-    if place >= 0:
-        return POSITION, place
-    place = first_not_finite(out.v_CT_H)
-    if place >= 0:
-        return VELOCITY, place
-    place = first_not_finite(out.w_CH_C)
-    if place >= 0:
-        return RATE, place
-    square = 0.0
-    for i in range(4):
-        square += out.q_CH[i] * out.q_CH[i]
-    if not abs(square - 1.0) <= 2.0 * _NORM_TOLERANCE:
-        return ATTITUDE, 0
-    place = max(_negative(out.sigma_r_m), _negative(out.sigma_v_mps), _negative(out.sigma_attitude_rad))
-    if place >= 0:
-        return SIGMA, place
-    place = _negative(out.protection_level_m)
-    if place >= 0:
-        return PROTECTION_LEVEL, place
-    if out.protection_level_rad < 0.0:
-        return PROTECTION_LEVEL, 3
-    place = max(
-        _negative(out.bias_sigma_mps2), first_not_finite(out.bias_mps2) if math.isfinite(out.bias_sigma_mps2[0]) else -1
-    )
-    if place >= 0:
-        return BIAS, place
-    if not 0 <= out.health <= HEALTH_MAX:
-        return HEALTH, 0
-    return FINE, 0
 
 
 @kernel
@@ -187,6 +99,28 @@ def _write_thrusters(params, thrusters, isolated_cycles, out):
     if isolated_cycles > 0:
         for j in range(params.n_thrusters):
             out.isolated[j] = params.isolates[thrusters.thruster, j]
+
+
+@kernel
+def write_measured(params, cycle, samples, poses, n_poses, arrivals, n_arrivals, given):
+    """Write samples, poses and measurements of further sensors to ``given``, which has the fields of MEASURED_FIELDS.
+
+    params: GNC_PARAMS. arrivals: array of SENSOR_ARRIVAL, of which the first ``n_arrivals`` are new.
+    """
+    given.n_samples = min(samples.shape[0], MAX_IMU_SAMPLES) if cycle > 0 else 0
+    for i in range(given.n_samples):
+        copy_into(given.samples[i].rate_radps, samples[i].rate_C)
+        copy_into(given.samples[i].force_mps2, samples[i].force_C)
+    given.n_poses = n_poses
+    for i in range(n_poses):
+        write_all_sent(poses[i], given.poses[i])
+    given.n_measurements = 0
+    for i in range(n_arrivals):
+        sample = arrivals[i].sample
+        slot = params.navigation.fusion.sensors.slot[sample.sensor]
+        if slot.witness == 0 and slot.enabled != 0:
+            copy_record(sample, given.measurements[given.n_measurements])
+            given.n_measurements += 1
 
 
 @entry
@@ -200,44 +134,23 @@ def navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, co
     given, out = backends.navigation_input, backends.navigation_output
     given.cycle, given.t_s, given.mode, given.orders = backends.cycle, t_s, _RUNNING, backends.orders
     given.imu_suspect = state.thrusters.imu_suspect
-    given.n_samples = min(samples.shape[0], MAX_IMU_SAMPLES) if backends.cycle > 0 else 0
-    for i in range(given.n_samples):
-        copy_into(given.samples[i].rate_radps, samples[i].rate_C)
-        copy_into(given.samples[i].force_mps2, samples[i].force_C)
-    given.n_poses = n_poses
-    for i in range(n_poses):
-        write_all_sent(poses[i], given.poses[i])
-    given.n_measurements, arrived = 0, state.navigation.fusion.sensors
-    for i in range(arrived.arrived):
-        sample = arrived.arrival[i].sample
-        slot = params.navigation.fusion.sensors.slot[sample.sensor]
-        if slot.witness == 0 and slot.enabled != 0:
-            copy_record(sample, given.measurements[given.n_measurements])
-            given.n_measurements += 1
+    arrived = state.navigation.fusion.sensors
+    write_measured(
+        params, backends.cycle, samples, poses, n_poses, arrived.arrival, arrived.arrived, given
+    )  # fmt: skip
     second = state.navigation.integrity
     given.second_bound_m, given.second_bound_s = second.second_m, second.second_s
     _write_thrusters(params, state.thrusters, state.isolated_cycles, given)
     for j in range(params.n_thrusters):
         given.commanded[j] = command.on[j]
-    mark_invalid(out)
-    fill(out.bias_mps2, np.nan)
-    fill(out.bias_sigma_mps2, np.nan)
-    out.state = _WORKING
+    backend_outputs.preset_navigation(out)
     if not _call(backends, backends.navigation, NAVIGATION, given, out):
         return False
-    backends.fault, backends.place = _fault_of_estimate(out)
+    backends.fault, backends.place = backend_outputs.fault_of_estimate(out)
     if backends.fault != FINE:
         backends.failed = NAVIGATION
         return False
-    if out.valid == 0 or out.state == _STARTING:
-        mark_invalid(estimate)
-    else:
-        _copy_estimate(out, estimate)
-        for i in range(3):
-            if estimate.protection_level_m[i] == 0.0:
-                estimate.protection_level_m[i] = np.nan
-        if estimate.protection_level_rad == 0.0:
-            estimate.protection_level_rad = np.nan
+    backend_outputs.write_estimate(out, estimate)
     state.navigation.t_s += params.navigation.dt_s
     if n_poses > 0:
         backends.last_pose_s = t_s
@@ -264,10 +177,7 @@ def control_elsewhere(params, state, t_s, estimate, reference, supervision, comm
     """
     backends = state.backends
     given, out = backends.control_input, backends.control_output
-    fill(out.force, 0)
-    fill(out.torque, 0)
-    fill(out.on, 0)
-    out.direct, out.state = 0, _WORKING
+    backend_outputs.preset_control(out)
     command.boost = reference.boost
     if estimate.valid != 0:
         given.cycle, given.t_s, given.mode, given.orders = backends.cycle, t_s, _RUNNING, backends.orders
@@ -284,30 +194,9 @@ def control_elsewhere(params, state, t_s, estimate, reference, supervision, comm
             given.reference_rate_radps[i] = state.feed.rate_C[i]
         if not _call(backends, backends.control, CONTROL, given, out):
             return False
-        backends.fault, backends.place = _fault_of_demands(out, params.n_thrusters)
+        backends.fault, backends.place = backend_outputs.fault_of_demands(out, params.n_thrusters)
         if backends.fault != FINE:
             backends.failed = CONTROL
             return False
-    works = out.state != _STARTING
-    for i in range(3):
-        command.force[i] = out.force[i] if works and out.direct == 0 else 0
-        command.torque[i] = out.torque[i] if works and out.direct == 0 else 0
-    for j in range(params.n_thrusters):
-        command.on[j] = out.on[j] if works else 0
+    backend_outputs.write_demands(out, params.n_thrusters, command)
     return True
-
-
-@kernel
-def _fault_of_demands(out, n_thrusters):
-    """Return (fault, index) of CONTROL_OUTPUT; (FINE, 0) if there is none."""
-    if out.direct != 0 and out.direct != 1:
-        return DIRECT, 0
-    for i in range(3):
-        if not -1 <= out.force[i] <= 1:
-            return FORCE, i
-        if not -1 <= out.torque[i] <= 1:
-            return TORQUE, i
-    for j in range(out.on.shape[0]):
-        if out.on[j] > 1 or (out.on[j] != 0 and j >= n_thrusters):
-            return THRUSTER, j
-    return FINE, 0

@@ -1,17 +1,16 @@
 """One step of the GNC: stages 4 to 7 of the cycle, compiled into one function.
 
 The cycle in Python and the compiled loop call ``gnc_step``, in which navigation and control are the built-in kernels
-or backends that are called by their addresses (``hil.gnc.backend_step``). A whole GNC that is elsewhere needs ``guide``
-before it and ``watch_approach`` after; the GNC server, whose guidance runs on the bench, calls ``navigation.navigate``
-and ``actuate``.
+or backends that are called by their addresses (``hil.gnc.backend_step``). A whole GNC that is elsewhere has ``guide``
+before it and ``watch_approach`` after (``hil.gnc.whole_step``); the GNC server, whose guidance runs on the bench, calls
+``navigation.navigate`` and ``actuate``.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.core.backend_records import MAX_SETTINGS
-from hil.core.gnc_records import GncHealth, GncOrder
+from hil.core.gnc_records import MAX_SETTINGS, GncHealth, GncOrder
 from hil.core.jit import entry, kernel
 from hil.core.messages import MAX_THRUSTERS
 from hil.gnc import allocation, approach_monitor, backend_step, control, guidance, reactions, thruster_monitor
@@ -101,6 +100,7 @@ GNC_STATE = np.dtype(
         ("isolated_cycles", "i8"),  # since the isolation valves were commanded, 0 before
         ("feed", FEED_FORWARD),
         ("backends", BACKENDS),
+        ("guided", APPROACH_PROGRESS),  # progress of the approach after guidance, with a whole GNC elsewhere
     ],
     align=True,
 )

@@ -93,11 +93,8 @@ class Approach:
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Take note of a bound on the position error; an external GNC reports its own protection levels."""
 
-    def guide(self, t_s: float, supervision: np.record, reference: np.record) -> None:
-        """Start the next phase when its time or its order has come; write REFERENCE for ``t_s`` of the run."""
-        before = self._progress.tobytes()
-        step.guide(self._approach_params, self.approach_state, t_s, supervision, reference)
-        self.log_progress(t_s, before, supervision)
+    def set_sensor_arrivals(self, arrivals: np.ndarray) -> None:
+        """Take the samples of further sensors of the next cycle, (n,) of SENSOR_ARRIVAL."""
 
     def watch_approach(self, t_s: float, estimate: np.record, reference: np.record, supervision: np.record) -> None:
         """Check corridor, closing rate and ready state; start an abort if one is due. Writes SUPERVISION."""

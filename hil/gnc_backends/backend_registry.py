@@ -14,7 +14,7 @@ from typing import Any, Final
 from hil.config.live_tunable import BACKEND_SETTINGS
 from hil.config.load import Loaded, check_table
 from hil.config.scenario import BUILT_IN, Scenario
-from hil.core.backend_records import MAX_IMU_SAMPLES
+from hil.core.gnc_records import MAX_IMU_SAMPLES
 from hil.core.own_code import import_error, module_of_file
 from hil.core.part import provided
 from hil.core.settings import Setting
@@ -40,8 +40,8 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     scenario = with_sensor_settings(scenario)
     value = scenario.value
     table: dict[str, Any] = {part: getattr(value.gnc, part) for part in PARTS}
-    for part, given in zip(PARTS, own, strict=True):
-        if given is not None:
+    for part in PARTS:
+        if (given := getattr(own, part)) is not None:
             before, name = table[part], f"{OBJECT}:{_name_of(given)}"
             settings = before.settings
             if before.backend not in (*BUILT_IN[part], name):  # those of the backend that it replaces mean nothing

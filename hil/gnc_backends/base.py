@@ -98,6 +98,9 @@ class GncBackend(Protocol):
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Report the bound on the position error by the docking monitor, 0 for none, before ``step``."""
 
+    def set_sensor_arrivals(self, arrivals: np.ndarray) -> None:
+        """Pass on what further sensors have measured, (n,) of SENSOR_ARRIVAL, before ``step``."""
+
     def events(self) -> list[Event]:
         """Return all events so far in the order of time."""
 

@@ -6,21 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from hil.core.backend_records import (
+from hil.core.fields import Field, Fields, described, record_dtype
+from hil.core.gnc_records import (
     BACKEND_POSE_FIELDS,
     BACKEND_PROTOCOL,
     BACKEND_SAMPLE_FIELDS,
     CONTROL_INPUT_FIELDS,
-    CONTROL_OUTPUT_FIELDS,
-    NAVIGATION_INPUT_FIELDS,
-    NAVIGATION_OUTPUT_FIELDS,
-)
-from hil.core.fields import Field, Fields, described, record_dtype
-from hil.core.gnc_records import (
     GNC_INPUT_FIELDS,
-    GNC_OUTPUT_FIELDS,
     GNC_POSE_FIELDS,
     GNC_SETUP_FIELDS,
+    MEASURED_FIELDS,
+    NAVIGATION_INPUT_FIELDS,
+    OLDEST_PROTOCOL,
+    OUTPUT_FIELDS,
     PROTOCOL,
     REASON_BYTES,
     GncHealth,
@@ -32,21 +30,25 @@ from hil.core.messages import NAVIGATION_FIELDS, REFERENCE_FIELDS
 from hil.core.sensor_records import SENSOR_SAMPLE_FIELDS
 
 HEADER_FILE: Final = Path(__file__).resolve().parent / "include" / "hil_gnc.h"
-RECORDS: Final[dict[str, Fields]] = {
-    "setup": GNC_SETUP_FIELDS,
-    "pose": GNC_POSE_FIELDS,
-    "input": GNC_INPUT_FIELDS,
-    "output": GNC_OUTPUT_FIELDS,
+STRUCTS: Final[dict[str, Fields]] = {
+    "hil_gnc_setup": GNC_SETUP_FIELDS,
+    "hil_gnc_pose": GNC_POSE_FIELDS,
+    "hil_backend_sample": BACKEND_SAMPLE_FIELDS,
+    "hil_backend_pose": BACKEND_POSE_FIELDS,
+    "hil_measurement": SENSOR_SAMPLE_FIELDS,
+    "hil_measured": MEASURED_FIELDS,
+    "hil_gnc_input": GNC_INPUT_FIELDS,
+    "hil_gnc_output": OUTPUT_FIELDS["gnc"],
 }
-STRUCTS: Final = {f"hil_gnc_{name}": fields for name, fields in RECORDS.items()}
 """Tables by the names of their structs."""
 _TYPES: Final = {"f8": "double", "i8": "int64_t", "i4": "int32_t", "u1": "uint8_t"}
 _HEAD: Final = """\
 /* hil_gnc.h: records exchanged between the bench and an external GNC. Printed by: hil gnc header
  *
- * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire,
- * where the last fields of the setup are the mailbox gnc.orbit (docs/how-to/connect-your-gnc.md). Little-endian;
- * aligned as a compiler for x86-64 or ARM64 does. SI units.
+ * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire
+ * (docs/how-to/connect-your-gnc.md), where the last fields of the setup are the mailbox gnc.orbit, and the input ends
+ * before `measured`, whose parts are the mailboxes imu.samples, gnc.poses and gnc.measurements. Little-endian; aligned
+ * as a compiler for x86-64 or ARM64 does. SI units.
  * Frames: H is Hill's (LVLH) frame of the target, c the chaser's body. Quaternions have the scalar last;
  * q_CH takes components in H to components in c.
  */
@@ -63,7 +65,7 @@ extern "C" {
 _FUNCTIONS: Final = """\
 /* A shared library has these four functions. They are called from one thread at a time and must not block. */
 
-/* Return HIL_GNC_PROTOCOL. */
+/* Return HIL_GNC_PROTOCOL. The bench accepts {oldest} to {present}: fields are appended, never moved. */
 int hil_gnc_protocol(void);
 
 /* Return a GNC for *setup, or NULL to reject it with the reason as text of up to HIL_GNC_REASON_BYTES bytes,
@@ -88,10 +90,11 @@ TAIL: Final = """\
 
 def c_header() -> str:
     """Return the text of ``hil_gnc.h``."""
+    functions = _FUNCTIONS.format(oldest=OLDEST_PROTOCOL, present=PROTOCOL)
     parts = [_HEAD, f"#define HIL_GNC_PROTOCOL {PROTOCOL}\n#define HIL_GNC_REASON_BYTES {REASON_BYTES}\n"]
     parts += [_enum("mode", GncMode), _enum("order", GncOrder), _enum("state", GncState), _enum("health", GncHealth)]
     parts += [struct_text(struct, STRUCTS) for struct in STRUCTS]
-    return "\n".join([*parts, _FUNCTIONS, layout_checks(STRUCTS), TAIL])
+    return "\n".join([*parts, functions, layout_checks(STRUCTS), TAIL])
 
 
 def _enum(name: str, kind: type[GncMode | GncOrder | GncState | GncHealth]) -> str:
@@ -132,23 +135,20 @@ def layout_checks(structs: Mapping[str, Fields]) -> str:
 
 BACKENDS_HEADER_FILE: Final = HEADER_FILE.with_name("hil_backends.h")
 BACKEND_STRUCTS: Final[dict[str, Fields]] = {
-    "hil_backend_sample": BACKEND_SAMPLE_FIELDS,
-    "hil_backend_pose": BACKEND_POSE_FIELDS,
-    "hil_measurement": SENSOR_SAMPLE_FIELDS,
     "hil_navigation": NAVIGATION_FIELDS,
     "hil_reference": REFERENCE_FIELDS,
     "hil_navigation_input": NAVIGATION_INPUT_FIELDS,
-    "hil_navigation_output": NAVIGATION_OUTPUT_FIELDS,
+    "hil_navigation_output": OUTPUT_FIELDS["navigation"],
     "hil_control_input": CONTROL_INPUT_FIELDS,
-    "hil_control_output": CONTROL_OUTPUT_FIELDS,
+    "hil_control_output": OUTPUT_FIELDS["control"],
 }
 """Tables by the names of their structs."""
 _BACKENDS_HEAD: Final = """\
 /* hil_backends.h: records of backends of navigation and of control. Printed by: hil gnc header --backends
  *
- * A backend takes the place of the built-in navigation or the built-in control (docs/how-to/fly-a-law.md). Enumerations
- * and the setup are those of hil_gnc.h. SI units. Frames: H is Hill's (LVLH) frame of the target, c the chaser's body.
- * Quaternions have the scalar last; q_CH takes components in H to components in c.
+ * A backend takes the place of the built-in navigation or the built-in control (docs/how-to/fly-a-law.md).
+ * Enumerations, setup and what is measured are those of hil_gnc.h. SI units. Frames: H is Hill's (LVLH) frame of the
+ * target, c the chaser's body. Quaternions have the scalar last; q_CH takes components in H to components in c.
  */
 #ifndef HIL_BACKENDS_H
 #define HIL_BACKENDS_H
@@ -199,7 +199,7 @@ void hil_control_close(void *instance);
 
 def backends_header() -> str:
     """Return the text of ``hil_backends.h``."""
-    known = {**BACKEND_STRUCTS, "hil_gnc_setup": GNC_SETUP_FIELDS}
+    known = {**STRUCTS, **BACKEND_STRUCTS}
     structs = [struct_text(struct, known) for struct in BACKEND_STRUCTS]
     version = f"#define HIL_BACKENDS_PROTOCOL {BACKEND_PROTOCOL}\n"
     return "\n".join([_BACKENDS_HEAD, version, *structs, _BACKENDS_FUNCTIONS, layout_checks(BACKEND_STRUCTS), TAIL])

@@ -10,7 +10,7 @@ from hil.config.tables.flight_computer import FlightComputer
 from hil.core.messages import MAX_THRUSTERS, PoseFrame
 from hil.drivers.command_words.receiver import NAME, CommandWordReceiver, PoseForwarder
 from hil.errors import LinkTimeout
-from hil.gnc_backends import external_records
+from hil.gnc import whole_step
 from hil.gnc_backends.base import Records
 from hil.gnc_backends.external import BackendSetup, ExternalGnc
 
@@ -74,7 +74,7 @@ class CommandWordGnc(ExternalGnc):
             return False
         self._silent_since_s = None
         out = self.output
-        external_records.clear_output(out, self.cycle)
+        whole_step.clear_output(out, self.cycle)
         out.direct = 1
         out.on[:] = (newest[0].thrusters & _BITS) != 0
         return True

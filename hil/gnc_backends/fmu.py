@@ -1,4 +1,4 @@
-"""GNC, or its navigation or control, in an FMU for co-simulation (FMI 2.0, 3.0): the interfaces of shared libraries."""
+"""GNC, or its navigation or control, in an FMU for co-simulation (FMI 2.0, 3.0): the records of shared libraries."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ import numpy as np
 from hil.config.load import load_fmu_mapping
 from hil.config.scenario import GncConfig
 from hil.config.tables.fmu_mapping import FmuMapping
-from hil.core.backend_records import (
+from hil.core.fields import Fields, field_of, offset_of, record_dtype
+from hil.core.gnc_records import (
     CONTROL_INPUT_FIELDS,
-    CONTROL_OUTPUT_FIELDS,
+    GNC_INPUT_FIELDS,
+    GNC_SETUP_FIELDS,
     NAVIGATION_INPUT_FIELDS,
-    NAVIGATION_OUTPUT_FIELDS,
+    OUTPUT_FIELDS,
 )
-from hil.core.fields import Fields, record_dtype
-from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GNC_SETUP_FIELDS
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput, DeviceError
 from hil.fmi import step
@@ -29,17 +29,20 @@ from hil.fmi.archive import FmuError
 from hil.fmi.binary import Fmu
 from hil.fmi.description import FmiVariable
 from hil.fmi.mapping import MappedElement, map_record
-from hil.gnc_backends.backend import BackendInstance
-from hil.gnc_backends.shared_library import Instance
+from hil.gnc_backends.backend import NO_SETTINGS, WHOLE, BackendInstance
 
 KEY: Final = "gnc.fmu"
-_ONLY_ONCE: Final = "can be instantiated only once per process"
 _FORMATS: Final = {"f8": "<d", "i8": "<q", "i4": "<i", "u1": "<B"}
 _MULTIPLE: Final = 1e-6  # tolerance of the quotient of two steps
 
 
+def _counted(prefix: str) -> dict[str, str]:
+    """Return the arrays of records of what is measured with the fields that have the number that are valid."""
+    return {f"{prefix}{name}": f"{prefix}n_{name}" for name in ("samples", "poses", "measurements")}
+
+
 class StepLayout(NamedTuple):
-    """Records of a step. nested: field of an array of records -> field with the number that are valid."""
+    """Records of a step. nested: field of an array of records -> field with the number that are valid; dotted names."""
 
     inputs: Fields
     outputs: Fields
@@ -50,48 +53,95 @@ class StepLayout(NamedTuple):
     """Fields of an estimate."""
 
 
-_WHOLE: Final = StepLayout(
-    GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, {"poses": "n_poses"}, "estimate",
-    frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"}),
-)  # fmt: skip
-_OF_PART: Final = {
+_LAYOUTS: Final = {
     "navigation": StepLayout(
-        NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS,
-        {"samples": "n_samples", "poses": "n_poses", "measurements": "n_measurements"}, "valid",
+        NAVIGATION_INPUT_FIELDS, OUTPUT_FIELDS["navigation"], _counted(""), "valid",
         frozenset({"r_CT_H", "v_CT_H", "q_CH", "w_CH_C"}),
     ),
-    "control": StepLayout(CONTROL_INPUT_FIELDS, CONTROL_OUTPUT_FIELDS, {}, "", frozenset()),
+    "control": StepLayout(CONTROL_INPUT_FIELDS, OUTPUT_FIELDS["control"], {}, "", frozenset()),
+    WHOLE: StepLayout(
+        GNC_INPUT_FIELDS, OUTPUT_FIELDS[WHOLE], {"poses": "n_poses", **_counted("measured.")}, "estimate",
+        frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"}),
+    ),
 }  # fmt: skip
 
 
-class _FmuSteps:
-    """The FMU at ``path``, stepped with the records of ``layout``. Raises FmuError if it cannot be used.
+class FmuBackend:
+    """The FMU at ``path`` as a backend of ``part``: navigation, control or both. Raises BadInput, made by ``refuse``.
 
-    parameters: values of variables, by name. own_process: see ``FmuLibrary``.
+    Its variables have the names of the fields of the part's records. whole: of a whole GNC, with mapping and
+    parameters; the settings of others are their tunable parameters. own_process: folder for the unpacked files of a
+    process that runs nothing else, so that one instance per process is enough, and that may be killed; None for any
+    other process.
     """
 
     def __init__(
         self,
-        path: Path,
-        layout: StepLayout,
-        mapping: FmuMapping,
-        parameters: Mapping[str, bool | int | float | str],
+        path: str,
+        part: str,
+        refuse: Callable[[str], BadInput],
+        whole: GncConfig | None = None,
         own_process: Path | None = None,
     ) -> None:
-        self.layout, self._parameters = layout, parameters
+        self.name = Path(path).name
+        self.layout, self._part, self._refuse = _LAYOUTS[part], part, refuse
+        self._parameters: Mapping[str, Any] = whole.fmu_parameters if whole is not None else {}
+        file = whole.fmu_mapping if whole is not None else None
+        mapping = load_fmu_mapping(file) if file is not None else FmuMapping()
         self._tables: list[_Tables] = []
         """Those that no instance uses."""
-        self.fmu = Fmu(path, own_process)
-        described = self.fmu.description
+        try:
+            self.fmu = Fmu(Path(path).absolute(), own_process)
+            self._map(mapping)
+            self._check_parameters()
+            if self.only_once and own_process is None:
+                instead = "set gnc.fmu_process = true" if part == WHOLE else "it flies as a whole GNC, gnc.fmu"
+                raise FmuError(f"can be instantiated only once per process: {instead}")
+            self.settings = () if part == WHOLE else self._declared()
+        except (FmuError, ValueError) as error:
+            raise refuse(str(error)) from error
+        self.step_address: int = (step.step_function() if part == WHOLE else step.step_function_of_part()).address
+
+    @property
+    def only_once(self) -> bool:
+        """Whether the FMU can be instantiated only once per process."""
+        return self.fmu.description.only_once
+
+    def check(self, setup: np.record) -> None:
+        """Open and close an instance. Raises BadInput if the FMU does not allow it."""
+        self.open(setup, np.array([setting.default for setting in self.settings])).close()
+
+    def open(self, setup: np.record, values: np.ndarray = NO_SETTINGS) -> BackendInstance:
+        """Return an instance. Raises BadInput if the FMU does not allow it."""
+        try:
+            return _FmuInstance(self, setup, values)
+        except FmuError as error:
+            raise self._refuse(str(error)) from error
+
+    def _map(self, mapping: FmuMapping) -> None:
+        described, layout = self.fmu.description, self.layout
         self.inputs = map_record(described, layout.inputs, mapping.inputs, ("input",), "inputs")
         self.outputs = map_record(described, layout.outputs, mapping.outputs, ("output",), "outputs")
         self.setup = map_record(described, GNC_SETUP_FIELDS, mapping.setup, ("parameter",), "setup")
-        fed = {element.variable.name for element in self.inputs} | set(parameters)
+        fed = {element.variable.name for element in self.inputs} | set(self._parameters)
         unfed = [v.name for v in described.variables.values() if v.causality == "input" and v.name not in fed]
         if unfed:
             more = f" and {len(unfed) - 1} more" if len(unfed) > 1 else ""
             raise FmuError(f"input {unfed[0]}{more}: no field of that name{self._remedy}")
         self._check_outputs({element.field.name for element in self.outputs})
+        self.receives_measurements = any("measurements[" in element.field.name for element in self.inputs)
+
+    def _declared(self) -> tuple[Setting, ...]:
+        """Return the tunable parameters that are numbers as settings."""
+        of_setup = {element.variable.name for element in self.setup}
+        return checked_settings(
+            [
+                Setting(v.name, float(v.start or 0.0), v.unit or "1")
+                for v in self.fmu.description.variables.values()
+                if v.causality == "parameter" and v.variability == "tunable" and v.shape == () and v.code != "S"
+                and v.name not in of_setup
+            ]
+        )  # fmt: skip
 
     def _check_outputs(self, given: set[str]) -> None:
         """Raise FmuError if the outputs lack what the bench cannot do without."""
@@ -107,11 +157,11 @@ class _FmuSteps:
 
     @property
     def _remedy(self) -> str:
-        if self.layout is not _WHOLE:
+        if self._part != WHOLE:
             return ": an FMU of one part has inputs by the names of its record"
         return ": map it (gnc.fmu_mapping) or give it a value (gnc.fmu_parameters)"
 
-    def open(self, setup: np.record, parameters: Mapping[str, Any] | None = None) -> tuple[int, _Tables]:
+    def begin(self, setup: np.record, parameters: Mapping[str, Any]) -> tuple[int, _Tables]:
         """Return a component set up with ``setup`` (GNC_SETUP), and its tables. Raises FmuError."""
         fmu, step_s = self.fmu, float(setup.step_s)
         self._check_step(step_s)
@@ -119,7 +169,7 @@ class _FmuSteps:
         try:
             tables = self._tables.pop() if self._tables else _Tables(self)
             tables.begin(component, step_s)
-            self._set_parameters(component, setup, self._parameters if parameters is None else parameters)
+            self._set_parameters(component, setup, {**self._parameters, **parameters})
             fmu.initialise(component)
         except FmuError:
             fmu.free(component)
@@ -153,115 +203,37 @@ class _FmuSteps:
         for name, value in parameters.items():
             self.fmu.set_variable(component, name, value)
 
-
-class FmuLibrary:
-    """The FMU of a scenario's GNC. Raises BadInput if it cannot be used.
-
-    source: option or file that names it, for messages. step_address: of a function with the signature of
-    ``hil_gnc_step``. own_process: folder for the unpacked files of a process that runs nothing else, so
-    that one instance per process is enough, and that may be killed; None for any other process.
-    """
-
-    def __init__(self, gnc: GncConfig, source: str = "--set", own_process: Path | None = None) -> None:
-        assert gnc.fmu is not None
-        self.path = Path(gnc.fmu).absolute()
-        self.name = self.path.name
-        self._shown, self._source = gnc.fmu, source
-        mapping = load_fmu_mapping(gnc.fmu_mapping) if gnc.fmu_mapping is not None else FmuMapping()
-        try:
-            self._steps = _FmuSteps(self.path, _WHOLE, mapping, gnc.fmu_parameters, own_process)
-            if self.only_once and own_process is None:
-                raise FmuError(f"{_ONLY_ONCE}: set gnc.fmu_process = true")
-            self._check_parameters(gnc.fmu_parameters)
-        except FmuError as error:
-            raise self._refusal(error) from error
-        self.step_address: int = step.step_function().address
-
-    @property
-    def only_once(self) -> bool:
-        """Whether the FMU can be instantiated only once per process."""
-        return self._steps.fmu.description.only_once
-
-    def open(self, setup: np.record) -> Instance:
-        """Return a GNC set up with ``setup`` (GNC_SETUP). Raises BadInput if the FMU does not allow it."""
-        try:
-            component, tables = self._steps.open(setup)
-        except FmuError as error:
-            raise self._refusal(error) from error
-        return Instance(lambda _pointer: self._steps.free(component, tables), tables.address)
-
-    def _check_parameters(self, parameters: Mapping[str, Any]) -> None:
-        for name in parameters:
-            variable = self._steps.fmu.description.variables.get(name)
+    def _check_parameters(self) -> None:
+        for name in self._parameters:
+            variable = self.fmu.description.variables.get(name)
             if variable is None:
                 raise FmuError(f"gnc.fmu_parameters: has no variable {name!r}")
             if variable.causality in ("output", "calculatedParameter", "independent", "structuralParameter"):
                 raise FmuError(f"gnc.fmu_parameters: {name} is of causality {variable.causality} and cannot be set")
 
-    def _refusal(self, error: FmuError) -> BadInput:
-        return BadInput.single(self._source, KEY, f'"{self._shown}": {error}')
-
-
-class FmuBackend:
-    """The FMU at ``path`` as a backend of ``part``: navigation or control. Raises BadInput, made by ``refuse``.
-
-    Its variables have the names of the fields of the part's records; its tunable parameters are its settings.
-    """
-
-    def __init__(self, path: str, part: str, refuse: Callable[[str], BadInput]) -> None:
-        self._path, self._refuse = Path(path).absolute(), refuse
-        self.name = self._path.name
-        try:
-            self._steps = _FmuSteps(self._path, _OF_PART[part], FmuMapping(), {})
-            if self._steps.fmu.description.only_once:
-                raise FmuError(f"{_ONLY_ONCE}: it flies as a whole GNC, gnc.fmu")
-            of_setup = {element.variable.name for element in self._steps.setup}
-            self.settings = checked_settings(
-                [
-                    Setting(v.name, float(v.start or 0.0), v.unit or "1")
-                    for v in self._steps.fmu.description.variables.values()
-                    if v.causality == "parameter" and v.variability == "tunable" and v.shape == () and v.code != "S"
-                    and v.name not in of_setup
-                ]
-            )  # fmt: skip
-        except (FmuError, ValueError) as error:
-            raise refuse(str(error)) from error
-
-    def check(self, setup: np.record) -> None:
-        """Open and close an instance. Raises BadInput if the FMU does not allow it."""
-        self.open(setup, np.array([setting.default for setting in self.settings])).close()
-
-    def open(self, setup: np.record, values: np.ndarray) -> _FmuInstance:
-        """Return an instance. Raises BadInput if the FMU does not allow it."""
-        names = [setting.name for setting in self.settings]
-        try:
-            return _FmuInstance(self._steps, names, setup, values)
-        except FmuError as error:
-            raise self._refuse(str(error)) from error
-
 
 class _FmuInstance(BackendInstance):
-    def __init__(self, steps: _FmuSteps, names: Sequence[str], setup: np.record, values: np.ndarray) -> None:
-        self._steps, self._names = steps, names
-        self._component, self._tables = steps.open(setup, dict(zip(names, map(float, values), strict=False)))
-        super().__init__(step.step_function_of_part().address, self._tables.address, free=self._free_component)
+    def __init__(self, backend: FmuBackend, setup: np.record, values: np.ndarray) -> None:
+        self._backend, self._names = backend, [setting.name for setting in backend.settings]
+        self._component, self._tables = backend.begin(setup, dict(zip(self._names, map(float, values), strict=False)))
+        super().__init__(backend.step_address, self._tables.address, free=self._free_component)
 
     def set_settings(self, values: np.ndarray) -> None:
         """Set the tunable parameters. Raises DeviceError if the FMU refuses one."""
         try:
             for name, value in zip(self._names, values, strict=False):
-                self._steps.fmu.set_variable(self._component, name, float(value))
+                self._backend.fmu.set_variable(self._component, name, float(value))
         except FmuError as error:
             raise DeviceError("gnc", str(error)) from error
 
     def _free_component(self, _address: int) -> None:
-        self._steps.free(self._component, self._tables)
+        self._backend.free(self._component, self._tables)
 
 
 class _Tables:
     """Tables of one component at a time, which ``hil.fmi.step`` reads; ``address``: of the COMPONENT."""
 
-    def __init__(self, steps: _FmuSteps) -> None:
+    def __init__(self, steps: FmuBackend) -> None:
         self._kept: list[np.ndarray] = []
         self._started: list[tuple[np.ndarray, np.ndarray]] = []
         fmu, layout, outputs = steps.fmu, steps.layout, steps.outputs
@@ -274,18 +246,18 @@ class _Tables:
         input_of, output_of = record_dtype(layout.inputs), record_dtype(layout.outputs)
         for nested, (name, count) in zip(table.nested, layout.nested.items(), strict=False):
             mine = [element for element in steps.inputs if element.field.name.startswith(f"{name}[")]
-            n = input_of[name].shape[0]
+            n = field_of(input_of, name)[0].shape[0]
             groups = self._keep(np.zeros(n, step.GROUP)).view(np.recarray)
             for i in range(n):
                 self._fill(groups[i], "Set", [element for element in mine if element.field.group == i])
-            nested.groups, nested.n, nested.count_offset = groups.ctypes.data, n, step.offset_of(input_of, count)
+            nested.groups, nested.n, nested.count_offset = groups.ctypes.data, n, offset_of(input_of, count)
         self._fill(table.output, "Get", outputs)
         given = {element.field.name for element in outputs}
-        table.text_offset = step.offset_of(output_of, "text")
+        table.text_offset = offset_of(output_of, "text")
         if "on" in given and "direct" not in given and "force" not in given:
-            table.direct = step.offset_of(output_of, "direct")
+            table.direct = offset_of(output_of, "direct")
         if layout.estimates and given >= layout.estimate and layout.estimates not in given:
-            table.estimate = step.offset_of(output_of, layout.estimates)
+            table.estimate = offset_of(output_of, layout.estimates)
         table.log = ctypes.addressof(fmu.log)
         prefix = f"fmi{version}DoStep"
         table.step_text, table.end_text = _text(f"{prefix} failed"), _text("the FMU requests the end of the simulation")

@@ -1,7 +1,6 @@
 """FMU in a process of its own: one that hangs or crashes stops the bench, and nothing else.
 
-Records travel through a socket, a datagram per direction and step. The step is a compiled function that calls the C
-library, so that the compiled loop can call it as well.
+Records travel through a socket, a datagram per direction and step.
 """
 
 from __future__ import annotations
@@ -9,187 +8,146 @@ from __future__ import annotations
 import ctypes
 import socket
 import weakref
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from llvmlite import ir
-from numba import carray, cfunc, types  # type: ignore[attr-defined]
-from numba.extending import intrinsic
 
 from hil.config.scenario import GncConfig
 from hil.core.child_process import ChildProcess
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode
+from hil.core.fields import offset_of
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, TEXT_BYTES, GncMode
+from hil.core.settings import Setting
 from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, DeviceError
-from hil.fmi.step import offset_of
-from hil.gnc_backends.fmu import FmuLibrary
-from hil.gnc_backends.shared_library import Instance
+from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, Backend, BackendInstance, address_of
+from hil.gnc_backends.fmu import FmuBackend
 
 _MODULE: Final = "hil.processes.isolated_fmu"
 _START_S: Final = 60.0
 _OPEN_S: Final = 10.0
-_TEXT: Final = 64
-_NO_SIGNAL: Final = 0x4000  # MSG_NOSIGNAL
-_POLLIN: Final = 1
-_RUNNING: Final = GncMode.RUNNING.value
-_TEXT_OFFSET: Final = offset_of(GNC_OUTPUT, "text")
-_INPUT_BYTES: Final = GNC_INPUT.itemsize
-_OUTPUT_BYTES: Final = GNC_OUTPUT.itemsize
-_ENDED, _SILENT = 102, 103  # returned by the step
-
-_LINK = np.dtype(
-    [
-        ("descriptor", "i4"),  # begins a pollfd
-        ("events", "i2"),
-        ("revents", "i2"),
-        ("send", "i8"),
-        ("poll", "i8"),
-        ("receive", "i8"),
-        ("timeout_ms", "i8"),
-        ("failed", "i8"),
-        ("ended_text", "u1", _TEXT),
-        ("silent_text", "u1", _TEXT),
-    ],
-    align=True,
-)
-_HEAD = np.dtype([("cycle", "i8"), ("t_s", "f8"), ("mode", "i4"), ("orders", "i4")], align=True)
-
-
-_machine_code: Any = intrinsic  # under this name: these functions are compiled at each start, outside the cache
-
-
-@_machine_code
-def _call_libc(_typing, function, descriptor, pointer, size, flags):
-    """Call ``send`` or ``recv``."""
-
-    def generate(_context, builder, _signature, arguments):
-        word, whole, pointer = ir.IntType(64), ir.IntType(32), ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(word, [whole, pointer, word, whole])
-        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
-
-    return types.int64(types.int64, types.int32, types.voidptr, types.int64, types.int32), generate
-
-
-@_machine_code
-def _poll(_typing, function, pointer, timeout_ms):
-    """Call ``poll`` for one pollfd."""
-
-    def generate(_context, builder, _signature, arguments):
-        word, whole, pointer = ir.IntType(64), ir.IntType(32), ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(whole, [pointer, word, whole])
-        callee = builder.inttoptr(arguments[0], kind.as_pointer())
-        return builder.call(callee, [arguments[1], word(1), builder.trunc(arguments[2], whole)])
-
-    return types.int32(types.int64, types.voidptr, types.int64), generate
-
-
-def _step(instance, gnc_input, gnc_output):
-    link = carray(instance, (1,), _LINK)[0]
-    if carray(gnc_input, (1,), _HEAD)[0].mode != _RUNNING:
-        return 0
-    output = carray(gnc_output, (_OUTPUT_BYTES,), np.uint8)
-    sent = _call_libc(link.send, link.descriptor, gnc_input, _INPUT_BYTES, np.int32(_NO_SIGNAL))
-    ready = np.int32(1)
-    received = 0
-    if sent == _INPUT_BYTES:
-        ready = _poll(link.poll, instance, link.timeout_ms)
-        if ready > 0:
-            received = _call_libc(link.receive, link.descriptor, gnc_output, _OUTPUT_BYTES, np.int32(0))
-    if ready > 0 and received > 4:
-        return 0
-    if ready > 0 and received == 4:  # a failed step: its code, and its text in the next datagram
-        code = carray(gnc_output, (1,), np.int32)[0]
-        text = carray(gnc_output, (_OUTPUT_BYTES,), np.uint8)
-        _call_libc(link.receive, link.descriptor, gnc_output, _OUTPUT_BYTES, np.int32(0))
-        for i in range(_TEXT):
-            output[_TEXT_OFFSET + i] = text[i]
-        return code
-    link.failed = 1
-    for i in range(_TEXT):
-        output[_TEXT_OFFSET + i] = link.silent_text[i] if ready == 0 else link.ended_text[i]
-    return _SILENT if ready == 0 else _ENDED
-
-
-@cache
-def _step_function() -> Any:
-    return cfunc(types.int32(types.voidptr, types.voidptr, types.voidptr))(_step)
+_MODE: Final = offset_of(GNC_INPUT, "mode")
+_TEXT: Final = offset_of(GNC_OUTPUT, "text")
+_CODE_BYTES: Final = 4  # of the datagram with which a failed step answers, before one with its text
+_INTERRUPTED, _ENDED, _SILENT = 101, 102, 103  # returned by the step
 
 
 class IsolatedFmu:
-    """The FMU of ``gnc`` in a process of its own. Raises BadInput if it cannot be used. source: for messages."""
+    """The FMU of ``gnc`` in a process of its own, a backend of a whole GNC. Raises BadInput, made by ``refuse``."""
 
-    def __init__(self, gnc: GncConfig, source: str = "--set") -> None:
+    settings: tuple[Setting, ...] = ()
+
+    def __init__(self, gnc: GncConfig, refuse: Callable[[str], BadInput]) -> None:
         assert gnc.fmu is not None
-        self.path = Path(gnc.fmu).absolute()
-        self.name = self.path.name
-        self._gnc, self._source = gnc, source
+        self.name = Path(gnc.fmu).name
+        self._gnc, self._refuse = gnc, refuse
         self._child: _Child | None = None
         self._opened = False
-        self._start()
-        self.step_address: int = _step_function().address
+        self.receives_measurements = self._start().receives_measurements
 
-    def open(self, setup: np.record) -> Instance:
-        """Return a GNC set up with ``setup`` (GNC_SETUP). Raises BadInput if the FMU does not allow it."""
-        if self._child is None or (self._opened and self._child.only_once):
-            self._start()
+    def check(self, setup: np.record) -> None:
+        """Open and close an instance. Raises BadInput if the FMU does not allow it."""
+        self.open(setup).close()
+
+    def open(self, setup: np.record, values: np.ndarray = NO_SETTINGS) -> BackendInstance:
+        """Return an instance. Raises BadInput if the FMU does not allow it."""
         child = self._child
-        assert child is not None
+        if child is None or (self._opened and child.only_once):
+            child = self._start()
         self._opened = True
         self._check(child.ask({"open": np.asarray(setup).tobytes().hex()}, _OPEN_S))
-        return Instance(lambda _: self._close(child), child.link.ctypes.data)
+        return _IsolatedInstance(child, self._close)
 
     def _close(self, child: _Child) -> None:
-        if child.link["failed"][0]:
+        if child.failed:
             child.close()
             self._child = None
         else:
             child.ask({"close": True}, _OPEN_S)
 
-    def _start(self) -> None:
+    def _start(self) -> _Child:
         if self._child is not None:
             self._child.close()
         self._opened = False
-        self._child = _Child(f"fmu {self.name}", self._gnc, self._source)
+        self._child = _Child(f"fmu {self.name}", self._gnc)
         self._check(self._child.ready)
         weakref.finalize(self, self._child.close)
+        return self._child
 
     def _check(self, answer: dict[str, Any]) -> None:
         if problem := answer.get("problem"):
-            raise BadInput.single(self._source, "gnc.fmu", problem)
+            raise self._refuse(problem)
 
 
-def open_fmu(gnc: GncConfig, source: str = "--set") -> FmuLibrary | IsolatedFmu:
-    """Return the FMU of ``gnc``, in a process of its own if it asks for one. source: for messages. Raises BadInput."""
-    return IsolatedFmu(gnc, source) if gnc.fmu_process else FmuLibrary(gnc, source)
+class _IsolatedInstance(BackendInstance):
+    def __init__(self, child: _Child, close: Callable[[_Child], None]) -> None:
+        self._child = child
+        self._callback = C_STEP(self._step)
+        super().__init__(address_of(self._callback), 1, free=lambda _: close(child))
+
+    def _step(self, _instance: int, given: int, output: int) -> int:
+        try:
+            return self._child.step(given, output)
+        except BaseException as error:
+            self.error, self._child.failed = error, True
+            return _INTERRUPTED
+
+
+def _write_text(output: int, text: bytes) -> None:
+    """Write ``text`` to the GNC_OUTPUT at the address ``output``."""
+    ctypes.memmove(output + _TEXT, text.ljust(TEXT_BYTES, b"\0"), TEXT_BYTES)
+
+
+def open_fmu(gnc: GncConfig, refuse: Callable[[str], BadInput]) -> Backend:
+    """Return the FMU of ``gnc``, in a process of its own if it asks for one. Raises BadInput, made by ``refuse``."""
+    assert gnc.fmu is not None
+    return IsolatedFmu(gnc, refuse) if gnc.fmu_process else FmuBackend(gnc.fmu, WHOLE, refuse, gnc)
 
 
 class _Child:
-    """The process, its socket and the record that the step reads."""
+    """The process and its socket."""
 
-    def __init__(self, name: str, gnc: GncConfig, source: str) -> None:
+    def __init__(self, name: str, gnc: GncConfig) -> None:
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._folder = temporary_folder("fmu", executable=True)
             configuration = {
                 "gnc": gnc.model_dump(mode="json"),
-                "source": source,
                 "descriptor": theirs.fileno(),
                 "folder": self._folder.name,
             }
             self._process = ChildProcess(name, _MODULE, configuration, (theirs.fileno(),))
-        libc = ctypes.CDLL(None)
-        send, poll, receive = (ctypes.cast(f, ctypes.c_void_p).value for f in (libc.send, libc.poll, libc.recv))
-        self.link = np.zeros(1, _LINK)
-        self.link["descriptor"], self.link["events"] = self._ours.fileno(), _POLLIN
-        self.link["send"], self.link["poll"], self.link["receive"] = send, poll, receive
-        self.link["timeout_ms"] = max(1, round(1e3 * gnc.fmu_timeout_s))
-        ended, silent = "its process has ended", f"no answer within {gnc.fmu_timeout_s:g} s"
-        for field, text in (("ended_text", ended), ("silent_text", silent)):
-            self.link[field][0, : len(text)] = np.frombuffer(text.encode(), np.uint8)
+        self._timeout_s = gnc.fmu_timeout_s
+        self._ours.settimeout(self._timeout_s)
+        self.failed = False
+        """Whether a step had no answer."""
         self.ready = self._answer(_START_S, "starts")
         self.only_once = bool(self.ready.get("only_once"))
+        self.receives_measurements = bool(self.ready.get("receives_measurements"))
+
+    def step(self, given: int, output: int) -> int:
+        """Send the input at ``given``, and write the answer to ``output``; return 0, or the code of a failed step."""
+        if ctypes.c_int32.from_address(given + _MODE).value != GncMode.RUNNING:
+            return 0
+        out = np.zeros(GNC_OUTPUT.itemsize, np.uint8)
+        try:
+            self._ours.send(ctypes.string_at(given, GNC_INPUT.itemsize))
+            n = self._ours.recv_into(out.data)
+            if n == _CODE_BYTES:
+                _write_text(output, self._ours.recv(TEXT_BYTES))
+                return int(out[:_CODE_BYTES].view(np.int32)[0])
+            if n:
+                ctypes.memmove(output, out.ctypes.data, GNC_OUTPUT.itemsize)
+                return 0
+            code, text = _ENDED, "its process has ended"
+        except TimeoutError:
+            code, text = _SILENT, f"no answer within {self._timeout_s:g} s"
+        except OSError:
+            code, text = _ENDED, "its process has ended"
+        self.failed = True
+        _write_text(output, text.encode())
+        return code
 
     def ask(self, request: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         """Return the answer to ``request``; of a process that gives none, the problem."""

@@ -15,12 +15,12 @@ from numba import types
 from numba.core.errors import NumbaError
 from numba.np.numpy_support import carray
 
-from hil.core.backend_records import INPUTS, OUTPUTS
+from hil.core.gnc_records import INPUTS, OUTPUTS
 from hil.core.jit import c_function, kernel
 from hil.core.own_code import compile_error
 from hil.core.settings import Setting, checked_settings
 from hil.errors import BadInput
-from hil.gnc_backends.backend import BackendInstance
+from hil.gnc_backends.backend import NO_SETTINGS, BackendInstance
 
 _ARGUMENTS: Final = ("settings", "inp", "out", "memory")
 
@@ -62,6 +62,8 @@ def kernel_backend(
 class CompiledKernel:
     """``backend`` compiled as a backend of ``part``. source, key, shown: name it in messages. Raises BadInput."""
 
+    receives_measurements = True
+
     def __init__(self, backend: KernelBackend, part: str, refuse: Callable[[str], BadInput]) -> None:
         self.name, self.settings = backend.name, backend.settings
         parameters = inspect.signature(backend.function).parameters
@@ -80,7 +82,7 @@ class CompiledKernel:
     def check(self, setup: np.record) -> None:
         """Accept any setup: it is compiled."""
 
-    def open(self, setup: np.record, values: np.ndarray) -> BackendInstance:
+    def open(self, setup: np.record, values: np.ndarray = NO_SETTINGS) -> BackendInstance:
         """Return an instance with memory of its own."""
         block = np.zeros(1, self._instance)
         found = BackendInstance(self._step, block.ctypes.data, block)

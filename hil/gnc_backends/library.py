@@ -6,9 +6,12 @@ from typing import Final
 
 from hil.config.scenario import GncConfig
 from hil.core.part import provided
+from hil.errors import BadInput
 from hil.gnc_backends import shared_library
+from hil.gnc_backends.backend import WHOLE, Backend
 from hil.gnc_backends.backend_registry import backend_file
-from hil.gnc_backends.shared_library import GncLibrary, Library, digest_of
+from hil.gnc_backends.python_backend import PythonBackend
+from hil.gnc_backends.shared_library import LibraryBackend, digest_of
 
 _KEYS: Final = {True: "gnc.fmu", False: shared_library.KEY}
 
@@ -18,12 +21,25 @@ def key_of(gnc: GncConfig) -> str:
     return _KEYS[gnc.fmu is not None]
 
 
-def open_library(gnc: GncConfig, source: str = "--set") -> GncLibrary | None:
-    """Return the binary that ``gnc`` names, None for the built-in GNC. source: for messages. Raises BadInput."""
-    if gnc.fmu is not None:
-        opened: GncLibrary = provided("gnc.fmu", source)(gnc, source)
-        return opened
-    return None if gnc.library is None else Library(gnc.library, source)
+def open_library(
+    gnc: GncConfig, source: str = "--set", own: object | None = None, copies: bool = False
+) -> Backend | None:
+    """Return the whole GNC that is elsewhere, None for the built-in one. Raises BadInput. source: for messages.
+
+    It is ``own``, an object of the caller, of which each instance is a copy if ``copies``, or the binary of ``gnc``.
+    """
+
+    def refuse(what: str) -> BadInput:
+        return BadInput.single(source, key_of(gnc), f'"{gnc.binary}": {what}')
+
+    if own is not None:
+        return PythonBackend(own, WHOLE, refuse, copies)
+    if gnc.binary is None:
+        return None
+    if gnc.fmu is None:
+        return LibraryBackend(gnc.binary, WHOLE, refuse)
+    opened: Backend = provided("gnc.fmu", source)(gnc, refuse)
+    return opened
 
 
 def binary_digest(gnc: GncConfig) -> str:

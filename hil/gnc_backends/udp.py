@@ -16,18 +16,19 @@ import numpy as np
 
 from hil.config.tables.host import GncLink
 from hil.core.gnc_records import GncMode, GncOrder, GncState
-from hil.core.messages import IMU, MAX_POSES, POSE, REFERENCE, TRUTH, Array, Event, new
+from hil.core.messages import IMU, POSE, REFERENCE, TRUTH, Array, Event, new
 from hil.core.observable import ObservableList
 from hil.errors import LinkLost, LinkTimeout, ProtocolError
 from hil.frmn.link import Link
-from hil.frmn.mailboxes import IMU_SAMPLES, IMU_SAMPLES_MAX, Role
+from hil.frmn.mailboxes import Role
 from hil.frmn.mirror import MIRRORED
 from hil.frmn.udp import Address, shown
+from hil.gnc import whole_step
 from hil.gnc.estimation import navigation
 from hil.gnc.estimation.filter_monitor import FilterMonitor
-from hil.gnc_backends import external_records, udp_records
+from hil.gnc_backends import udp_records
 from hil.gnc_backends.base import Poses, Records
-from hil.gnc_backends.external import BackendSetup, ExternalGnc
+from hil.gnc_backends.external import NO_POSES, BackendSetup, ExternalGnc
 from hil.gnc_backends.udp_receiver import KEPT_CYCLES, CycleBuffer, LinkStats, ReceiveBuffers, ReplyReceiver
 
 NAME: Final = "gnc"
@@ -36,7 +37,6 @@ _WANTS: Final = ("gnc.output", "gnc.flight", "gnc.filters")
 _BUSY_S: Final = 0.1  # wall time between two idle cycles after which the bench itself may have been silent
 _SILENT_S: Final = 0.35  # wall time after which another GNC may replace a silent one: three heartbeats
 _IDLE_S: Final = 0.01  # wall time of a cycle of a hold in simulated time
-_NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 _A_POSE: Final = np.zeros(1, POSE).view(np.recarray)
 _IDLE_IMU: Final = new(IMU)
 
@@ -85,7 +85,6 @@ class UdpGnc(ExternalGnc):
         self._sent_orders: tuple[GncOrder, int] = (GncOrder.NONE, -1)  # not replied to yet, and the cycle of sending
         self._reference = new(REFERENCE)
         self._orbit = self.params.navigation.fusion.orbit
-        self._samples = np.zeros(1, IMU_SAMPLES)
         self._past_truth, self._past_imu = CycleBuffer(TRUTH), CycleBuffer(IMU)
         link.complaints.subscribe(self._log_complaint)
 
@@ -109,7 +108,7 @@ class UdpGnc(ExternalGnc):
     def connect(self, patience_s: float) -> str:
         """Wait until a GNC has answered its setup, before anything moves; return its name and address.
 
-        Raises LinkTimeout with the address of this side.
+        Raises LinkTimeout with the address of this side, ProtocolError for one that lacks a mailbox that it needs.
         """
         give_up_s = time.monotonic() + patience_s
         while not self._replies.is_set_up:
@@ -120,6 +119,10 @@ class UdpGnc(ExternalGnc):
                 raise LinkTimeout(self.name, f"none has answered {where} within {patience_s:g} s{refusal}")
             self._replies.poll(self.cycle)
             self.link.wait(_IDLE_S)
+        slots = self.params.navigation.fusion.sensors.slot
+        if (slots["enabled"] & (1 - slots["witness"])).any() and "gnc.measurements" not in self.link.peer_wants:
+            text = f"{self._peer_name()} does not receive gnc.measurements, and the scenario has sensors to be fused"
+            raise ProtocolError(self.name, text)
         return self._peer_name()
 
     def on_idle_cycle(self, mode: GncMode, bench_s: float) -> None:
@@ -184,7 +187,7 @@ class UdpGnc(ExternalGnc):
         if self._read_reply(now, t_s) and (
             math.isfinite(now.navigation.nis_position) or math.isfinite(now.navigation.nis_attitude)
         ):
-            self.filter_monitor.update(self._replies.used, now.samples, _A_POSE, now.navigation, _NO_POSES)
+            self.filter_monitor.update(self._replies.used, now.samples, _A_POSE, now.navigation, NO_POSES)
 
     def _read_reply(self, now: Records, t_s: float) -> bool:
         """Write NAVIGATION and COMMAND; return whether they are those of a GNC server."""
@@ -236,8 +239,8 @@ class UdpGnc(ExternalGnc):
     def _send_mode(self, mode: GncMode) -> None:
         """Send an input without measurements: the loop is open."""
         t_s = max(0.0, self.cycle * float(self.setup.step_s))
-        external_records.write_input(
-            self.cycle, t_s, int(mode), int(GncOrder.NONE), _IDLE_IMU, self._reference, _NO_POSES, 0, self.input
+        whole_step.write_input(
+            self.cycle, t_s, int(mode), int(GncOrder.NONE), _IDLE_IMU, self._reference, NO_POSES, 0, self.input
         )
         self._send()
 
@@ -248,23 +251,13 @@ class UdpGnc(ExternalGnc):
         if orders:
             self._sent_orders = (orders, self.cycle)
         super()._write_input(t_s, mode, orders, now, inbox)
-        n = len(now.samples)
-        self._samples["cycle"], self._samples["n"] = self.cycle, n
-        if n <= IMU_SAMPLES_MAX:
-            for name in ("rate_C", "force_C"):
-                self._samples[name][0, :n] = now.samples[name]
 
     def _send(self) -> None:
         self.stats.sent(self.cycle)
         self._send_input()
 
     def _send_input(self) -> None:
-        """Send the input; before it the samples of an IMU that is faster than the cycle, to a peer that wants them."""
-        hello = self.link.peer.hello if self.link.peer is not None else None
-        is_new = self.input.mode == GncMode.RUNNING and 1 < self._samples["n"][0] <= IMU_SAMPLES_MAX
-        if is_new and hello is not None and "imu.samples" in hello.wants:
-            self.link.send("imu.samples", self._samples)
-        self.link.send("gnc.input", self.input)
+        self.link.send_input(self.input)
 
     def _lose(self, why: str) -> None:
         self.stats.losses += 1

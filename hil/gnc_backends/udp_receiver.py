@@ -21,7 +21,7 @@ from hil.gnc.estimation import navigation
 from hil.gnc.estimation.error_state import FILTERS
 from hil.gnc.estimation.target_orbit import TARGET_ORBIT
 from hil.gnc_backends import udp_records
-from hil.gnc_backends.external import printable
+from hil.gnc_backends.output_texts import printable
 
 _SENT: Final = 1024  # inputs whose time of sending is kept
 

@@ -80,9 +80,10 @@ def read_input(sent, not_before_s, imu, reference, poses):
     copy_into(reference.q_CH, sent.reference_q_CH)
     reference.boost = sent.boost
     came = 0
-    for i in range(min(max(sent.n_poses, 0), poses.shape[0])):
-        if not sent.poses[i].t_s < not_before_s:
-            read_sent(sent.poses[i], poses[came])
+    measured = sent.measured
+    for i in range(measured.n_poses):
+        if not measured.poses[i].t_s < not_before_s:
+            read_sent(measured.poses[i], poses[came])
             came += 1
     return came
 

@@ -8,14 +8,14 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode, GncState
+from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, OUTPUTS, GncMode, GncState
 from hil.core.messages import Array, new
 from hil.errors import BenchError, LinkTimeout
 from hil.frmn.link import Arrival, Link
 from hil.frmn.udp import shown
-from hil.gnc_backends import external_records
-from hil.gnc_backends.external import fault_text
-from hil.gnc_backends.shared_library import GncLibrary, Instance, step_failed
+from hil.gnc import backend_outputs, whole_step
+from hil.gnc_backends.backend import Backend, BackendInstance
+from hil.gnc_backends.output_texts import fault_text, step_failed
 from hil.gnc_check.test_cases import Change, CheckCase, Player
 
 _AGAIN_S: Final = 0.1  # after which a setup that is not answered is sent again
@@ -45,12 +45,12 @@ class LibraryUnderTest:
 
     modes: tuple[GncMode, ...] = ()
 
-    def __init__(self, library: GncLibrary) -> None:
+    def __init__(self, library: Backend) -> None:
         self._library = library
         self.name = self._library.name
-        self._instance: Instance | None = None
+        self._instance: BackendInstance | None = None
         self._output = new(GNC_OUTPUT)
-        external_records.compile_call(new(GNC_INPUT), self._output)
+        whole_step.compile_call(new(GNC_INPUT), self._output)
 
     def begin(self, setup: np.record) -> None:
         """Open a new instance."""
@@ -61,10 +61,10 @@ class LibraryUnderTest:
         """Call the library's step."""
         assert self._instance is not None
         begun_s = time.perf_counter()
-        code = external_records.call_library(self._library.step_address, self._instance.address, sent, self._output)
+        code = whole_step.call(self._instance.step_address, self._instance.address, sent, self._output)
         took_s = time.perf_counter() - begun_s
         if code != 0:
-            raise step_failed(self.name, code, self._output)
+            raise step_failed(self.name, code, self._output.text)
         return self._output, took_s
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class ProgramUnderTest:
         self._link.service()
         list(self._outputs())  # discard late replies
         begun_s = resend_s = time.perf_counter()
-        self._link.send("gnc.input", sent)
+        self._link.send_input(sent)
         while True:
             self._link.wait(_RESEND_S)
             now_s = time.perf_counter()
@@ -120,7 +120,7 @@ class ProgramUnderTest:
                 raise LinkTimeout(self.name, text)
             if now_s - resend_s > _RESEND_S:
                 resend_s = now_s
-                self._link.send("gnc.input", sent)
+                self._link.send_input(sent)
 
     def close(self) -> None:
         """Disconnect."""
@@ -191,16 +191,16 @@ def play(gnc: GncUnderTest, player: Player, setup: np.record, case: CheckCase, c
     faults: dict[int, tuple[str, int]] = {}
     ended = ""
     gnc.begin(setup)
-    n = int(setup.n_thrusters)
+    n, parts = int(setup.n_thrusters), (new(OUTPUTS["navigation"]), new(OUTPUTS["control"]))
     for sent in player.inputs(case, change):
         try:
             answer, took = gnc.ask(sent)
         except BenchError as error:
             ended = f"{error} (in case: {case.name})"
             break
-        fault, place = external_records.fault_of(answer, sent.cycle, n)
-        if fault != external_records.FINE and (sent.mode == GncMode.RUNNING or fault == external_records.CYCLE):
-            faults.setdefault(fault, (fault_text(answer, fault, place, int(sent.cycle), n), int(sent.cycle)))
+        fault, place = whole_step.take_apart(answer, sent.cycle, n, *parts)
+        if fault != backend_outputs.FINE and (sent.mode == GncMode.RUNNING or fault == backend_outputs.CYCLE):
+            faults.setdefault(fault, (fault_text(answer, fault, place, n, int(sent.cycle)), int(sent.cycle)))
         outputs.append(np.array(answer, GNC_OUTPUT))
         modes.append(int(sent.mode))
         t_s.append(float(sent.t_s))

@@ -24,7 +24,6 @@ from hil.dynamics.isolation import isolate
 from hil.dynamics.truth import DSS_PARAMS, TRUTH_MEMORY
 from hil.gnc.estimation import integrity, navigation, sensor_witness
 from hil.gnc.step import APPROACH_PROGRESS, GNC_PARAMS, GNC_STATE
-from hil.gnc_backends.library_kernel import LIBRARY
 from hil.loop.compiled.run_stats import RUN_STATS_PARAMS
 from hil.loop.mock_bench import MOCK_PARAMS, MOCK_STATE
 from hil.maths import stack
@@ -84,7 +83,6 @@ LOOP_STATE = np.dtype(
         ("gnc", GNC_STATE),
         ("progress_before", APPROACH_PROGRESS),  # at the start of the last cycle; copied if ``reports``
         ("disagreed_before", "i8"),  # the interlock of the cycle before the last one
-        ("library", LIBRARY),
         ("axes_logged", "i8"),  # rows of AXES_SAMPLE written
         ("samples_logged", "i8"),  # rows of IMU_SAMPLE written
         ("mock", MOCK_STATE),  # used by the bench in memory alone

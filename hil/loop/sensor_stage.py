@@ -108,6 +108,7 @@ class SensorStage:
                 put_sample(self._params, self._state, sample)
             self._watch(source, now_s)
         deliver(self._state, t_s, self.arrivals)
+        gnc.set_sensor_arrivals(self.arrivals.arrival[: self.arrivals.arrived])
         core.compare_witnesses(self._memory.params, self._memory.state, t_s)
         gnc.set_monitor_disagrees(bool(self._memory.state.gnc.approach.monitor_disagrees))
         gnc.set_monitor_bound(float(self.arrivals.bound_m), float(self.arrivals.bound_s))

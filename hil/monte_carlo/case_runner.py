@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -21,15 +19,12 @@ from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
-from hil.errors import BadInput, BenchError, LinkTimeout
+from hil.errors import BadInput, LinkTimeout
 from hil.gnc.estimation.step_memory import new_memory
-from hil.gnc_backends.backend import OwnBackends
+from hil.gnc_backends.backend import WHOLE, OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
-from hil.gnc_backends.builtin import OpenBackends
-from hil.gnc_backends.external import hold_reason
 from hil.gnc_backends.library import open_library
-from hil.gnc_backends.library_kernel import output_of
-from hil.gnc_backends.shared_library import gnc_name, library_failure
+from hil.gnc_backends.open_backends import OpenBackends
 from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.compiled.run_stats import RUN_STATS, run_stats_params, start_run_stats
@@ -81,8 +76,9 @@ class CaseRunner:
         self._travel_draws = np.empty((exposures, TRAVEL_DRAWS))
         self._arrivals = np.zeros(0, ARRIVAL).view(np.recarray)
         self._leds = vmu_params.camera(rig)[1]
-        self._library = open_library(scenario.gnc, "campaign")
-        self._backends = OpenBackends(backends_of(scenario, own, copies=True), gnc_setup(scenario))
+        whole = open_library(scenario.gnc, "campaign", own.gnc, copies=True)
+        backends = backends_of(scenario, own, copies=True) if whole is None else {WHOLE: whole}
+        self._backends = OpenBackends(backends, gnc_setup(scenario))
 
     def _named(self, scenario: Scenario) -> Scenario:
         return named(Loaded(scenario, "campaign", {}), self._own).value
@@ -123,7 +119,7 @@ class CaseRunner:
         if interlock := self._load(truth, seed):
             return stats, interlock
         self._backends.user_error = None
-        with self._library_instance(), self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
+        with self._backends.opened(self._state.gnc.backends, self._params.gnc.settings):
             code = run_cycles(*self._arguments(truth, seed, _NO_HISTORY if history is None else history))
             stats.ended = code
             return stats, self._reason(int(code))
@@ -134,17 +130,6 @@ class CaseRunner:
         self.alarm = None
         self._set_truth(truth, seed)
         return self._interlock()
-
-    @contextmanager
-    def _library_instance(self) -> Iterator[None]:
-        """Open an instance of the library, if the scenario has one, for one case."""
-        if self._library is None:
-            yield
-            return
-        with self._library.open(gnc_setup(self.scenario)) as instance:
-            gnc = self._state.library
-            gnc.step_address, gnc.instance = self._library.step_address, instance.address
-            yield
 
     def _arguments(self, truth: Scenario, seed: int, history: np.ndarray = _NO_HISTORY) -> tuple[Any, ...]:
         """Return the arguments of ``run_cycles`` for the case that was loaded last, valid until the next one."""
@@ -225,19 +210,12 @@ class CaseRunner:
             silent_s, allowed_s = now_s - state.mock.transit.last_rx_s, self.rig.vmu.timeout_s
             return str(LinkTimeout("vmu", f"no answer for {silent_s:.3f} s, allowed {allowed_s:g} s"))
         if code == shell.GNC_FAILED:
-            return str(self._gnc_fault())
+            return str(self._backends.failure(state.gnc.backends))
         if code == shell.GNC_HOLDS:
-            if self._library is None:
-                return str(hold_trip(self._backends.hold_reason(state.gnc.backends)))
-            return str(hold_trip(hold_reason(gnc_name(self._library), output_of(state.library))))
+            return str(hold_trip(self._backends.hold_reason(state.gnc.backends)))
         if code == shell.NOT_FINITE:
             wanted = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
             return str(table.SETPOINT.trip(BENCH_AXES[axis], str(wanted[axis]), "a finite number"))
         self.alarm = breach_alarm(0.0, BENCH_AXES, code, state.breach)
         return str(self.alarm.trip())
-
-    def _gnc_fault(self) -> BenchError:
-        if self._library is None:
-            return self._backends.failure(self._state.gnc.backends)
-        return library_failure(gnc_name(self._library), self._state.library, int(self._params.gnc.n_thrusters))

@@ -28,8 +28,9 @@ from hil.core.surroundings import temporary_folder
 from hil.errors import BadInput, Problem
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import Model, ModelVariable, build
+from hil.gnc.backend_step import BACKENDS, SLOT
+from hil.gnc.step import GNC_STATE
 from hil.gnc_backends.c_header import HEADER_FILE
-from hil.gnc_backends.library_kernel import LIBRARY
 from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.core import LOOP_STATE
@@ -156,7 +157,7 @@ def _layout(arguments: Mapping[str, Any], places: Mapping[str, int], size: int, 
         offset = _offset(LOOP_STATE, "now") + _offset(CYCLE, "truth") + _offset(CYCLE["truth"], name)
         truth.append(f"{{{offset}, {at}, {n}}}")
         at += n
-    library = _offset(LOOP_STATE, "library")
+    backends = _offset(LOOP_STATE, "gnc") + _offset(GNC_STATE, "backends") + _offset(BACKENDS, "gnc")
     transit = _offset(LOOP_STATE, "mock") + _offset(MOCK_STATE, "transit")
     numbers = {
         "STEP_S": repr(step_s),
@@ -169,8 +170,8 @@ def _layout(arguments: Mapping[str, Any], places: Mapping[str, int], size: int, 
         "END": _offset(LOOP_STATE, "end"),
         "NEXT_EXPOSURE": transit + _offset(FRAME_TRANSIT, "next_exposure"),
         "FIRST_EXPOSURE": transit + _offset(FRAME_TRANSIT, "first_exposure"),
-        "STEP_ADDRESS": library + _offset(LIBRARY, "step_address"),
-        "INSTANCE": library + _offset(LIBRARY, "instance"),
+        "STEP_ADDRESS": backends + _offset(SLOT, "step"),
+        "INSTANCE": backends + _offset(SLOT, "instance"),
         "TRUTH": at,
         "TRUTH_FIELDS": len(truth),
         "STATE": _PARTS.index("state"),

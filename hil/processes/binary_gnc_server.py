@@ -13,26 +13,28 @@ from typing import Final
 import numpy as np
 
 from hil.config.scenario import Scenario
-from hil.core.gnc_records import GNC_OUTPUT, GncMode
+from hil.core.gnc_records import GNC_OUTPUT, TEXT_BYTES, GncMode
 from hil.core.messages import new
 from hil.errors import BadInput
+from hil.frmn.gnc_input import MEASURED
 from hil.frmn.link import Link
-from hil.gnc_backends import external_records
-from hil.gnc_backends.shared_library import GncLibrary, Instance, step_failed
-from hil.processes.gnc_server import GncServer
+from hil.gnc import whole_step
+from hil.gnc_backends.backend import Backend, BackendInstance
+from hil.gnc_backends.output_texts import step_failed
+from hil.processes.gnc_server import WANTS, GncServer
 
 OFFERS: Final = ("gnc.output",)
-_TEXT_BYTES: Final = GNC_OUTPUT["text"].itemsize
+BINARY_WANTS: Final = (*WANTS, *MEASURED)
 
 
 class BinaryGncServer(GncServer):
     """Serves the bench at the other end of ``link`` with ``library``."""
 
     def __init__(
-        self, library: GncLibrary, scenario: Scenario, link: Link, announce: Callable[[str], None] = lambda _: None
+        self, library: Backend, scenario: Scenario, link: Link, announce: Callable[[str], None] = lambda _: None
     ) -> None:
         self._library = library
-        self._instance: Instance | None = None
+        self._instance: BackendInstance | None = None
         self._result = new(GNC_OUTPUT)
         super().__init__(scenario, link, announce)
 
@@ -55,7 +57,7 @@ class BinaryGncServer(GncServer):
         self._last = -1
 
     def _warm_up(self) -> None:
-        external_records.compile_call(self._input, self._result)
+        whole_step.compile_call(self._input, self._result)
 
     def _send_idle(self, cycle: int) -> None:
         """Call the GNC in a hold; reply with its state, without demands."""
@@ -81,8 +83,7 @@ class BinaryGncServer(GncServer):
     def _call(self) -> None:
         """Call the step; one that fails is a fault until the next setup."""
         assert self._instance is not None
-        address = self._instance.address
-        code = external_records.call_library(self._library.step_address, address, self._input, self._result)
+        code = whole_step.call(self._instance.step_address, self._instance.address, self._input, self._result)
         if code != 0:
-            self._fault = step_failed(self._library.name, code, self._result).what[:_TEXT_BYTES]
+            self._fault = step_failed(self._library.name, code, self._result.text).what[:TEXT_BYTES]
             self._announce(self._fault)

@@ -16,11 +16,13 @@ import numpy as np
 
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
-from hil.core.gnc_records import GNC_INPUT, GncMode, GncOrder, GncState
+from hil.core.gnc_records import GncMode, GncOrder, GncState
 from hil.core.messages import COMMAND, IMU, MAX_POSES, NAVIGATION, POSE, REFERENCE, Event, new
+from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.errors import BadInput, LinkLost, LinkTimeout
+from hil.frmn.gnc_input import MEASURED, InputReceiver
 from hil.frmn.link import PORT_CLOSED, Arrival, Link
-from hil.frmn.mailboxes import GNC_FILTERS, GNC_FLIGHT, IMU_SAMPLES, IMU_SAMPLES_MAX, Role
+from hil.frmn.mailboxes import GNC_FILTERS, GNC_FLIGHT, IMU_SAMPLES_MAX, Role
 from hil.frmn.udp import Address, shown
 from hil.frmn.wire import Refusal
 from hil.gnc_backends import udp_records
@@ -30,7 +32,8 @@ from hil.setup.gnc_setup import gnc_setup
 
 _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
 WANTS: Final = ("gnc.setup", "gnc.input")
-"""Mailboxes that every GNC receives."""
+"""Mailboxes that every GNC receives; those of MEASURED are for GNCs that want them."""
+_NO_ARRIVALS: Final = np.zeros(0, SENSOR_ARRIVAL)
 _SILENT_S: Final = 0.35  # wall time after which another bench may replace a silent one
 _BRIDGED_FRACTION: Final = 0.9375  # of the filters' memory: the longest time of consecutive lost inputs
 _SILENCES_LOGGED: Final = 3  # further ones are only counted
@@ -51,7 +54,7 @@ def wants_of(scenario: Loaded[Scenario]) -> tuple[str, ...]:
         key, most_hz = "imu.rate_hz", IMU_SAMPLES_MAX / scenario.value.step_s
         text = f"{scenario.value.imu.rate_hz:g}: a GNC on another computer gets at most {most_hz:g} samples per second"
         raise BadInput.single(scenario.where(key), key, text)
-    return WANTS if n == 1 else (*WANTS, "imu.samples")
+    return (*WANTS, *(name for name in MEASURED if n > 1 or name != "imu.samples"))
 
 
 def gnc_side(
@@ -125,15 +128,12 @@ class GncServer:
         self._fault = ""
         self._last = -1  # last cycle stepped
         self._samples: np.ndarray = np.zeros(scenario.imu_samples, IMU)
-        self._received = np.zeros(1, IMU_SAMPLES)
-        self._received["cycle"] = -1
         self._imu, self._reference = new(IMU), new(REFERENCE)
         self.poses: np.ndarray = np.zeros(MAX_POSES, POSE).view(np.recarray)
         self.arrived = 0
-        self._inputs, self._replies = np.zeros(1, GNC_INPUT), np.zeros(1, GNC_FLIGHT)
+        self._receiver = InputReceiver()
+        self._input, self._replies = self._receiver.input, np.zeros(1, GNC_FLIGHT)
         self._filters = np.zeros(1, GNC_FILTERS)
-        self._input = self._inputs.view(np.recarray)[0]
-        self._input_bytes = self._inputs.view(np.uint8).data
         self._out = self._replies.view(np.recarray)[0]
         self._sent_filters = self._filters.view(np.recarray)[0]
         start = GNC_FLIGHT.fields["command"][1] if GNC_FLIGHT.fields else 0
@@ -195,12 +195,12 @@ class GncServer:
         if arrival.name == "gnc.setup":
             self._receive_setup(arrival.record)
             return
-        if arrival.name == "imu.samples":
-            self._received[:] = arrival.record
+        if arrival.name in MEASURED:
+            self._receiver.add(arrival.name, arrival.record)
             return
         if self._joined != self.link.joined:
             return  # from a bench that has not sent its setup
-        self._input_bytes[:] = arrival.record.view(np.uint8).data
+        self._receiver.take(arrival.record)
         if self._input.mode == GncMode.RUNNING and not self._fault:
             self._run(int(self._input.cycle))
         else:
@@ -271,6 +271,7 @@ class GncServer:
         if self._last >= 0:
             self._bridge(gap)
         self.arrived = arrived
+        self._gnc.set_sensor_arrivals(self._arrivals())
         out = self._out
         self._navigate(None if self._last < 0 or gap else out.command, cycle)
         self._command_before = bytes(self._command_bytes)
@@ -293,6 +294,13 @@ class GncServer:
         """Write IMU, reference and poses from the input; return the number of poses."""
         return int(udp_records.read_input(self._input, self._not_before_s, self._imu, self._reference, self.poses))
 
+    def _arrivals(self) -> np.ndarray:
+        """Return the measurements of further sensors in the input, (n,) of SENSOR_ARRIVAL."""
+        n = int(self._input.measured.n_measurements)
+        found = np.zeros(n, SENSOR_ARRIVAL)
+        found["sample"] = self._input.measured.measurements[:n]
+        return found
+
     def _actuate(self, cycle: int) -> None:
         """Run control on the present estimate and write the reply to the input ``cycle``."""
         out = self._out
@@ -304,10 +312,11 @@ class GncServer:
 
         The mean stands for each sample that is missing. command: of that cycle, None if the samples are not its own.
         """
-        samples, received, n = self._samples, self._received[0], len(self._samples)
+        samples, measured, n = self._samples, self._input.measured, len(self._samples)
         samples["rate_C"], samples["force_C"] = self._imu.rate_C, self._imu.force_C
-        if n > 1 and cycle >= 0 and received["cycle"] == cycle and received["n"] == n:
-            samples["rate_C"], samples["force_C"] = received["rate_C"][:n], received["force_C"][:n]
+        if n > 1 and cycle >= 0 and measured.n_samples == n:
+            samples["rate_C"] = measured.samples["rate_radps"][:n]
+            samples["force_C"] = measured.samples["force_mps2"][:n]
         self._gnc.navigate(self._samples, self, self._out.navigation, command)
 
     def _join_at(self, cycle: int) -> None:
@@ -320,6 +329,7 @@ class GncServer:
     def _bridge(self, gap: int) -> None:
         """Carry the filters over lost inputs: their thrusters never opened, so control is not run."""
         self.arrived = 0
+        self._gnc.set_sensor_arrivals(_NO_ARRIVALS)
         for _ in range(gap):
             self._navigate(None)
         self.stats.bridged += gap

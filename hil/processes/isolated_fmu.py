@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import select
 import socket
 import sys
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -17,19 +16,17 @@ from hil.core.child_process import Parent
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP, GncState
 from hil.core.messages import new
 from hil.errors import BadInput
-from hil.gnc_backends.fmu import FmuLibrary
-from hil.gnc_backends.shared_library import Instance
-
-_STEP: Final = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+from hil.gnc_backends.backend import C_STEP, WHOLE, BackendInstance
+from hil.gnc_backends.fmu import FmuBackend
 
 
 class _Server:
     """Answers requests of the bench, and inputs that arrive at ``link``."""
 
-    def __init__(self, library: FmuLibrary, link: socket.socket) -> None:
+    def __init__(self, library: FmuBackend, link: socket.socket) -> None:
         self._library, self._link = library, link
-        self._step: Any = _STEP(library.step_address)
-        self._instance: Instance | None = None
+        self._step: Any = None
+        self._instance: BackendInstance | None = None
         self._input, self._output = np.zeros(1, GNC_INPUT), np.zeros(1, GNC_OUTPUT)
         self._places = (self._input.ctypes.data, self._output.ctypes.data)
 
@@ -42,6 +39,7 @@ class _Server:
             setup = new(GNC_SETUP)
             np.asarray(setup)[...] = np.frombuffer(bytes.fromhex(request["open"]), GNC_SETUP)[0]
             self._instance = self._library.open(setup)
+            self._step = C_STEP(self._instance.step_address)
         return {}
 
     def step(self) -> bool:
@@ -59,6 +57,11 @@ class _Server:
         return True
 
 
+def _refused(what: str) -> BadInput:
+    """Return the error that the bench completes with the name of the file."""
+    return BadInput.single("", "gnc.fmu", what)
+
+
 def main() -> None:
     """Serve until the bench closes stdin."""
     parent = Parent()
@@ -66,12 +69,13 @@ def main() -> None:
     gnc = GncConfig.model_validate_json(json.dumps(configuration["gnc"]))
     link = socket.socket(fileno=int(configuration["descriptor"]))
     try:
-        library = FmuLibrary(gnc, configuration["source"], own_process=Path(configuration["folder"]))
+        assert gnc.fmu is not None
+        library = FmuBackend(gnc.fmu, WHOLE, _refused, gnc, own_process=Path(configuration["folder"]))
     except BadInput as error:
         parent.send(problem=error.problems[0].message)
         return
     server = _Server(library, link)
-    parent.send(only_once=library.only_once)
+    parent.send(only_once=library.only_once, receives_measurements=library.receives_measurements)
     while True:
         ready, _, _ = select.select([sys.stdin, link], [], [])
         if sys.stdin in ready:

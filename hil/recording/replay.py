@@ -99,8 +99,8 @@ class _SensorArrivals:
         self._first = np.searchsorted(arrivals["cycle"], np.arange(first, first + cycles + 1))
 
     def load(self, k: int, gnc: GncBackend) -> None:
-        """Give those of cycle ``k`` to ``gnc``, if it is the built-in one: others have none."""
-        if len(self._arrivals) and isinstance(gnc, BuiltinGnc):
+        """Give those of cycle ``k`` to ``gnc``."""
+        if len(self._arrivals):
             i = k - self._begin
             gnc.set_sensor_arrivals(self._arrivals[self._first[i] : self._first[i + 1]])
 

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from hil.core.backend_records import MAX_SETTINGS
 from hil.core.foreign_call import call_address
+from hil.core.gnc_records import MAX_SETTINGS
 from hil.core.jit import entry, kernel
 from hil.core.sensor_records import (
     COMPONENTS_MAX,

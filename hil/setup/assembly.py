@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.bench.manipulator import relative_axes
 from hil.checks.compatibility import axes_at
+from hil.checks.faults import unfused_sensors
 from hil.config.load import Loaded
 from hil.config.rig import GIMBAL_NAMES, RAIL_NAMES, Rails, Rig, Turntable, Vmu
 from hil.config.scenario import CYCLES_MAX, Scenario
@@ -31,7 +32,7 @@ from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.builtin import BuiltinGnc
 from hil.gnc_backends.library import key_of, open_library
-from hil.gnc_backends.shared_library import SharedLibraryGnc
+from hil.gnc_backends.whole import WholeGnc
 from hil.loop.bench_stage import NO_INPUTS, BenchStage, SafetyInputs
 from hil.loop.controlled_stop import BrakeTimes
 from hil.loop.core_memory import CoreMemory, frames_in_transit, loop_params, set_truth
@@ -354,24 +355,25 @@ def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMem
 
 
 def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMemory | None = None) -> GncBackend:
-    """Return the built-in GNC, or the binary that ``scenario`` names. Raises BadInput if it cannot be loaded.
+    """Return the built-in GNC, or that of ``own`` or ``scenario`` elsewhere. Raises BadInput if it cannot be loaded.
 
     Arguments as of ``make_gnc``.
     """
-    library = open_library(scenario.gnc)
+    library = open_library(scenario.gnc, own=own.gnc)
     if library is None:
         return make_gnc(scenario, own, memory)
-    records = (memory.state.gnc.approach, memory.state.library) if memory is not None else ()
-    return SharedLibraryGnc(library, backend_setup(scenario), *records)
+    return WholeGnc(library, backend_setup(scenario), memory.state.gnc if memory is not None else None)
 
 
 def library_problems(scenario: Loaded[Scenario], own: OwnBackends = NO_BACKENDS) -> list[Problem]:
     """Return why a binary or a backend of the GNC of ``scenario`` cannot be used."""
     gnc = scenario.value.gnc
     try:
-        library = open_library(gnc, scenario.where(key_of(gnc)))
+        library = open_library(gnc, scenario.where(key_of(gnc)), own.gnc)
         if library is not None:
-            library.open(gnc_setup(scenario.value)).close()
+            library.check(gnc_setup(scenario.value))
+            if not library.receives_measurements:
+                return unfused_sensors(scenario, library.name)
         for backend in backends_of(scenario.value, own, scenario.where).values():
             backend.check(gnc_setup(scenario.value))
         return []

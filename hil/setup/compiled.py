@@ -8,8 +8,7 @@ from hil.core.jit import processor
 from hil.core.kernel_digest import digest_of
 from hil.core.kernel_folder import read_kernel_file, remove_unused_kernels, write_kernel_file
 from hil.drivers.io.mock import MockIo
-from hil.gnc_backends.builtin import BuiltinGnc
-from hil.gnc_backends.shared_library import SharedLibraryGnc
+from hil.gnc_backends.open_backends import CompiledGnc
 from hil.loop.compiled.cycles import CompiledCycles, MockSources
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.cycle import Cycles, CyclesOf, Loop
@@ -72,7 +71,7 @@ def compiled_cycles(job: Job, rate: SimulatedRate, mocks: Mocks) -> CyclesOf | N
 
     def made(loop: Loop, python: Cycles) -> CompiledCycles:
         gnc, sensor, io = loop.gnc, mocks.sensor, mocks.devices.io
-        assert isinstance(gnc, BuiltinGnc | SharedLibraryGnc)
+        assert isinstance(gnc, CompiledGnc)
         assert isinstance(sensor, PoseModel)
         assert io is None or isinstance(io, MockIo)
         sources = MockSources(io, sensor.noise, mocks.transport.draws, sensor.leds)

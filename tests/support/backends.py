@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.core.backend_records import NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS
 from hil.core.fields import record_dtype
-from hil.core.gnc_records import GNC_SETUP_FIELDS
+from hil.core.gnc_records import GNC_SETUP_FIELDS, NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS
 from hil.fmi.mapping import record_fields
 from hil.fmi.package import Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE

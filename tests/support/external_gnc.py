@@ -8,6 +8,17 @@ from pathlib import Path
 
 from hil.gnc_backends.c_header import HEADER_FILE
 
+USES_ALL = """    gnc_state *g = gnc; =>     gnc_state *g = gnc;
+    const hil_measured *m = &input->measured;
+    if (m->n_samples > 1)
+        g->bias[0] += 1e-3 * m->samples[1].force_mps2[0];
+    if (m->n_poses > 0)
+        g->bias[1] += 1e-6 * m->poses[m->n_poses - 1].r_TC_C_m[0];
+    if (m->n_measurements > 0)
+        g->bias[2] += 1e-6 * m->measurements[m->n_measurements - 1].value[0];"""
+"""Change of the C example: its estimate depends on everything that is measured."""
+MEASURED = ("imu.rate_hz=200.0", "sensors.ranger.kind=range_finder")
+"""Settings with samples of a fast IMU and a further sensor."""
 ROOT = Path(__file__).resolve().parents[2]
 C_EXAMPLE = ROOT / "examples" / "gnc_c"
 PYTHON_EXAMPLE = ROOT / "examples" / "gnc_python" / "gnc.py"

@@ -23,7 +23,7 @@ from hil.gnc_check.gnc_under_test import LibraryUnderTest
 from hil.loop.runner import COMPLETED
 from hil.monte_carlo.case_runner import CaseRunner
 from hil.session import build
-from tests.support.external_gnc import c_example
+from tests.support.external_gnc import MEASURED, USES_ALL, c_example
 from tests.support.fmu import BINARY, described, example_fmu, repacked
 from tests.support.run_settings import make_job
 from tests.system.test_own_gnc import LATE
@@ -54,11 +54,13 @@ def history(scheme: str, duration_s: float, *settings: str) -> tuple[bytes, str]
     return rows[: stats.cycles].tobytes(), stop
 
 
+@pytest.mark.parametrize("measured", [(), MEASURED], ids=["poses", "all that is measured"])
 @pytest.mark.parametrize("version", [2, 3])
-def test_fmu_has_the_bits_of_the_library(library: Path, tmp_path: Path, version: int) -> None:
-    made = example_fmu(tmp_path, version)
-    expected = history("scheme-1", 20.0, f"gnc.library={library}", *LATE)
-    found = history("scheme-1", 20.0, f"gnc.fmu={made}", *LATE)
+def test_fmu_has_the_bits_of_the_library(tmp_path: Path, version: int, measured: tuple[str, ...]) -> None:
+    change = (USES_ALL,) if measured else ()
+    made, library = example_fmu(tmp_path, version, *change), c_example(tmp_path, "mygnc.so", *change)
+    expected = history("scheme-1", 20.0, f"gnc.library={library}", *LATE, *measured)
+    found = history("scheme-1", 20.0, f"gnc.fmu={made}", *LATE, *measured)
     assert found == expected
     assert found[1] == COMPLETED
 
@@ -125,7 +127,7 @@ def test_unit_of_the_fmu_is_converted(fmu: Path, tmp_path: Path) -> None:
     )
     scenario = load_scenario("scheme-1", [f"gnc.fmu={made}"]).value
     found = open_library(scenario.gnc)
-    elements = {(e.field.name, e.index, e.variable.name): e for e in found._steps.outputs}  # type: ignore[union-attr]
+    elements = {(e.field.name, e.index, e.variable.name): e for e in found.outputs}  # type: ignore[union-attr]
     assert next(e for key, e in elements.items() if key[0] == "r_CT_H_m").factor == 1e-3
 
 

@@ -12,7 +12,8 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_scenario
-from hil.gnc_backends.shared_library import Library
+from hil.errors import BadInput
+from hil.gnc_backends.shared_library import LibraryBackend
 from hil.gnc_check.check import Report, check_gnc
 from hil.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
@@ -56,7 +57,7 @@ class _Slower(LibraryUnderTest):
     """A library whose replies take longer."""
 
     def __init__(self, library: Path, slower_s: float) -> None:
-        super().__init__(Library(str(library), "test"))
+        super().__init__(LibraryBackend(str(library), "gnc", lambda what: BadInput.single("test", "", what)))
         self._slower_s = slower_s
 
     def ask(self, told: np.record) -> tuple[np.record, float]:

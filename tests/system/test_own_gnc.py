@@ -24,7 +24,7 @@ from hil.recording.read import load
 from hil.recording.replay import replay
 from hil.session import build
 from hil.setup.assembly import library_problems
-from tests.support.external_gnc import PYTHON_EXAMPLE, c_example
+from tests.support.external_gnc import MEASURED, PYTHON_EXAMPLE, USES_ALL, c_example
 from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits
 from tests.support.run_settings import make_job, typed
 
@@ -222,6 +222,27 @@ def test_library_that_cannot_fly_is_refused_in_one_line(
     assert words in problem.message
     assert (problem.source, problem.key) == ("--set", "gnc.library")
     assert "\n" not in str(problem)
+
+
+def test_library_of_the_protocol_before_flies_the_same_but_not_with_sensors_that_it_does_not_receive(
+    library: Path, tmp_path: Path
+) -> None:
+    older = variant(tmp_path, "return HIL_GNC_PROTOCOL; => return 3;")
+    assert_same_bits(compiled(older, 4.0, *LATE)[0], compiled(library, 4.0, *LATE)[0])
+    scenario = load_scenario("scheme-1", [f"gnc.library={older}", *MEASURED])
+    (problem,) = library_problems(scenario)
+    assert problem.key == "sensors.ranger"
+    assert problem.message == "not available: other.so receives no measurements of further sensors"
+    assert library_problems(load_scenario("scheme-1", [f"gnc.library={library}", *MEASURED])) == []
+
+
+def test_library_receives_all_that_is_measured_in_each_loop(tmp_path: Path, library: Path) -> None:
+    uses = variant(tmp_path, USES_ALL)
+    outcome, (history, _, stop) = flown(uses, 6.0, *MEASURED), compiled(uses, 6.0, *MEASURED)
+    assert outcome.stop == stop == COMPLETED
+    assert_same_bits(outcome.history, history, OF_DIGITAL_LINES)
+    plain = compiled(library, 6.0, *MEASURED)[0]
+    assert (history["navigation"]["r_CT_H"] != plain["navigation"]["r_CT_H"]).any()
 
 
 @pytest.mark.parametrize("command", ["run", "campaign", "gnc check"])

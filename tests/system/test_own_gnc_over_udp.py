@@ -16,10 +16,11 @@ from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.frmn.authentication import link_key
 from hil.gnc_backends.library import open_library
-from hil.processes.binary_gnc_server import OFFERS, BinaryGncServer
-from hil.processes.gnc_server import gnc_side
-from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
+from hil.processes.binary_gnc_server import BINARY_WANTS, OFFERS, BinaryGncServer
+from hil.processes.gnc_server import GncServer, gnc_side, wants_of
+from tests.support.external_gnc import C_EXAMPLE, MEASURED, PYTHON_EXAMPLE, USES_ALL, c_example, compile_c
 from tests.support.fmu import example_fmu
+from tests.support.run_settings import typed
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -68,26 +69,48 @@ def over_hil_gnc(folder: Path, setting: str, *options: str) -> dict[str, Any]:
     return found
 
 
-def test_server_of_a_library_flies_as_the_library_does(tmp_path: Path) -> None:
-    """In two threads of one process; the program itself is in the slow tests."""
-    numbers, apart, port = tmp_path / "run.json", tmp_path / "dss.json", free_port()
-    library = f"gnc.library={c_example(tmp_path)}"
-    execute(["run", "scheme-1", "--duration", "2", "--set", library, "--json", str(numbers)])
-    scenario = load_scenario("scheme-1", [library]).value
-    link = gnc_side("test gnc", None, ("127.0.0.1", port), link_key(None), OFFERS)
-    binary = open_library(scenario.gnc)
-    assert binary is not None
-    server = BinaryGncServer(binary, scenario, link)
+def in_threads(folder: Path, *settings: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the numbers of ``hil run``, and of ``hil dss`` with a server in another thread of this process."""
+    here, apart, port = folder / "run.json", folder / "dss.json", free_port()
+    execute(["run", "scheme-1", "--duration", "2", *typed(*settings), "--json", str(here)])
+    scenario = load_scenario("scheme-1", settings)
+    binary = open_library(scenario.value.gnc)
+    offers = {"wants": wants_of(scenario)} if binary is None else {"offers": OFFERS, "wants": BINARY_WANTS}
+    link = gnc_side("test gnc", None, ("127.0.0.1", port), link_key(None), **offers)
+    given = (scenario.value, link)
+    server = GncServer(*given) if binary is None else BinaryGncServer(binary, *given)
     thread = threading.Thread(target=server.serve, args=(30.0,))
     thread.start()
+    bench = [text for text in settings if not text.startswith("gnc.")]
     listen = ["--lock-step", "--listen", f"127.0.0.1:{port}", "--json", str(apart), "--duration", "2"]
-    execute(["dss", "scheme-1", *listen])
+    execute(["dss", "scheme-1", *listen, *typed(*bench)])
     thread.join(30.0)
     link.close()
-    server.close()
-    found, here = json.loads(apart.read_text()), json.loads(numbers.read_text())
+    if isinstance(server, BinaryGncServer):
+        server.close()
+    return json.loads(here.read_text()), json.loads(apart.read_text())
+
+
+def test_server_of_a_library_flies_as_the_library_does_with_all_that_is_measured(tmp_path: Path) -> None:
+    here, found = in_threads(tmp_path, f"gnc.library={c_example(tmp_path, 'mygnc.so', USES_ALL)}", *MEASURED)
     assert found["stop"] == "completed"
     assert (found["navigation"], found["thrusters"]) == (here["navigation"], here["thrusters"])
+
+
+def test_server_of_the_built_in_gnc_fuses_further_sensors_as_hil_run_does(tmp_path: Path) -> None:
+    here, found = in_threads(tmp_path, *MEASURED)
+    assert found["stop"] == "completed"
+    for name in ("position_rmse_m", "position_sigma_m", "nees_pkf"):
+        assert found["navigation"][name] == here["navigation"][name]
+
+
+def test_program_that_does_not_receive_a_sensor_is_refused_before_the_run(tmp_path: Path) -> None:
+    port, numbers = str(free_port()), tmp_path / "c.json"
+    program_file = compile_c([C_EXAMPLE / "gnc_udp.c", C_EXAMPLE / "gnc.c"], tmp_path / "gnc_udp")
+    with subprocess.Popen([str(program_file), "127.0.0.1", port]) as program:
+        listen = ["--lock-step", "--listen", f"127.0.0.1:{port}", "--json", str(numbers)]
+        assert execute(["dss", "scheme-1", *listen, "--set", "sensors.ranger.kind=range_finder"]) == 3
+        program.wait(10.0)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from hil.core.backend_records import MAX_SETTINGS
+from hil.core.gnc_records import MAX_SETTINGS
 from hil.core.jit import entry, kernel
 from hil.core.sensor_records import (
     ACCEPTED,

@@ -1,8 +1,8 @@
 /* hil_backends.h: records of backends of navigation and of control. Printed by: hil gnc header --backends
  *
- * A backend takes the place of the built-in navigation or the built-in control (docs/how-to/fly-a-law.md). Enumerations
- * and the setup are those of hil_gnc.h. SI units. Frames: H is Hill's (LVLH) frame of the target, c the chaser's body.
- * Quaternions have the scalar last; q_CH takes components in H to components in c.
+ * A backend takes the place of the built-in navigation or the built-in control (docs/how-to/fly-a-law.md).
+ * Enumerations, setup and what is measured are those of hil_gnc.h. SI units. Frames: H is Hill's (LVLH) frame of the
+ * target, c the chaser's body. Quaternions have the scalar last; q_CH takes components in H to components in c.
  */
 #ifndef HIL_BACKENDS_H
 #define HIL_BACKENDS_H
@@ -14,31 +14,6 @@ extern "C" {
 #endif
 
 #define HIL_BACKENDS_PROTOCOL 2
-
-typedef struct {
-    double rate_radps[3]; /* gyro, mean over the sample, against inertial space; rad/s, in c */
-    double force_mps2[3]; /* accelerometer, mean over the sample; m/s^2, in c */
-} hil_backend_sample;
-
-typedef struct {
-    double t_s; /* moment of exposure, time of the run; s */
-    double r_TC_C_m[3]; /* target's reference point seen from the chaser's; m, in c */
-    double q_CH[4]; /* measured attitude; H to c */
-    double covariance_position_m2[3][3]; /* covariance of r_TC_C_m; m^2, in c */
-    double covariance_attitude_rad2[3][3]; /* covariance of the small-angle rotation of c; rad^2, in c */
-    double covariance_cross_m_rad[3][3]; /* of r_TC_C_m (rows) and the small-angle rotation; m rad, in c */
-    int64_t status; /* status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess */
-} hil_backend_pose;
-
-typedef struct {
-    int64_t sensor; /* number of the sensor in the scenario, from 0 */
-    int64_t number; /* number of the measurement of that sensor, from 0 */
-    double t_s; /* moment of the measurement, time of the run; s */
-    double received_s; /* when the loop received it, time of the run; s */
-    double value[6]; /* components as the module declares them; the others are zero; SI */
-    double covariance[6][6]; /* of the noise, as the sensor reports it; zero if it does not; SI */
-    int64_t status; /* status that the sensor reported, 0 good */
-} hil_measurement;
 
 typedef struct {
     int64_t valid; /* 1 after the first pose */
@@ -173,25 +148,6 @@ void hil_navigation_close(void *instance);
 void hil_control_close(void *instance);
 
 #if defined(__STDC_VERSION__) && __STDC_VERSION__ >= 201112L
-_Static_assert(sizeof(hil_backend_sample) == 48, "size of hil_backend_sample");
-_Static_assert(offsetof(hil_backend_sample, rate_radps) == 0, "place of hil_backend_sample.rate_radps");
-_Static_assert(offsetof(hil_backend_sample, force_mps2) == 24, "place of hil_backend_sample.force_mps2");
-_Static_assert(sizeof(hil_backend_pose) == 288, "size of hil_backend_pose");
-_Static_assert(offsetof(hil_backend_pose, t_s) == 0, "place of hil_backend_pose.t_s");
-_Static_assert(offsetof(hil_backend_pose, r_TC_C_m) == 8, "place of hil_backend_pose.r_TC_C_m");
-_Static_assert(offsetof(hil_backend_pose, q_CH) == 32, "place of hil_backend_pose.q_CH");
-_Static_assert(offsetof(hil_backend_pose, covariance_position_m2) == 64, "place of hil_backend_pose.covariance_position_m2");
-_Static_assert(offsetof(hil_backend_pose, covariance_attitude_rad2) == 136, "place of hil_backend_pose.covariance_attitude_rad2");
-_Static_assert(offsetof(hil_backend_pose, covariance_cross_m_rad) == 208, "place of hil_backend_pose.covariance_cross_m_rad");
-_Static_assert(offsetof(hil_backend_pose, status) == 280, "place of hil_backend_pose.status");
-_Static_assert(sizeof(hil_measurement) == 376, "size of hil_measurement");
-_Static_assert(offsetof(hil_measurement, sensor) == 0, "place of hil_measurement.sensor");
-_Static_assert(offsetof(hil_measurement, number) == 8, "place of hil_measurement.number");
-_Static_assert(offsetof(hil_measurement, t_s) == 16, "place of hil_measurement.t_s");
-_Static_assert(offsetof(hil_measurement, received_s) == 24, "place of hil_measurement.received_s");
-_Static_assert(offsetof(hil_measurement, value) == 32, "place of hil_measurement.value");
-_Static_assert(offsetof(hil_measurement, covariance) == 80, "place of hil_measurement.covariance");
-_Static_assert(offsetof(hil_measurement, status) == 368, "place of hil_measurement.status");
 _Static_assert(sizeof(hil_navigation) == 240, "size of hil_navigation");
 _Static_assert(offsetof(hil_navigation, valid) == 0, "place of hil_navigation.valid");
 _Static_assert(offsetof(hil_navigation, r_CT_H) == 8, "place of hil_navigation.r_CT_H");

@@ -1,8 +1,9 @@
 /* hil_gnc.h: records exchanged between the bench and an external GNC. Printed by: hil gnc header
  *
- * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire,
- * where the last fields of the setup are the mailbox gnc.orbit (docs/how-to/connect-your-gnc.md). Little-endian;
- * aligned as a compiler for x86-64 or ARM64 does. SI units.
+ * The same bytes are the structs of a shared library and the mailboxes gnc.setup, gnc.input and gnc.output on the wire
+ * (docs/how-to/connect-your-gnc.md), where the last fields of the setup are the mailbox gnc.orbit, and the input ends
+ * before `measured`, whose parts are the mailboxes imu.samples, gnc.poses and gnc.measurements. Little-endian; aligned
+ * as a compiler for x86-64 or ARM64 does. SI units.
  * Frames: H is Hill's (LVLH) frame of the target, c the chaser's body. Quaternions have the scalar last;
  * q_CH takes components in H to components in c.
  */
@@ -16,7 +17,7 @@
 extern "C" {
 #endif
 
-#define HIL_GNC_PROTOCOL 3
+#define HIL_GNC_PROTOCOL 4
 #define HIL_GNC_REASON_BYTES 128
 
 enum hil_gnc_mode {
@@ -83,6 +84,40 @@ typedef struct {
 } hil_gnc_pose;
 
 typedef struct {
+    double rate_radps[3]; /* gyro, mean over the sample, against inertial space; rad/s, in c */
+    double force_mps2[3]; /* accelerometer, mean over the sample; m/s^2, in c */
+} hil_backend_sample;
+
+typedef struct {
+    double t_s; /* moment of exposure, time of the run; s */
+    double r_TC_C_m[3]; /* target's reference point seen from the chaser's; m, in c */
+    double q_CH[4]; /* measured attitude; H to c */
+    double covariance_position_m2[3][3]; /* covariance of r_TC_C_m; m^2, in c */
+    double covariance_attitude_rad2[3][3]; /* covariance of the small-angle rotation of c; rad^2, in c */
+    double covariance_cross_m_rad[3][3]; /* of r_TC_C_m (rows) and the small-angle rotation; m rad, in c */
+    int64_t status; /* status that the vision unit reported with the pose: 0 good, 2 a position whose attitude is a guess */
+} hil_backend_pose;
+
+typedef struct {
+    int64_t sensor; /* number of the sensor in the scenario, from 0 */
+    int64_t number; /* number of the measurement of that sensor, from 0 */
+    double t_s; /* moment of the measurement, time of the run; s */
+    double received_s; /* when the loop received it, time of the run; s */
+    double value[6]; /* components as the module declares them; the others are zero; SI */
+    double covariance[6][6]; /* of the noise, as the sensor reports it; zero if it does not; SI */
+    int64_t status; /* status that the sensor reported, 0 good */
+} hil_measurement;
+
+typedef struct {
+    int64_t n_samples; /* samples of the IMU since the cycle before; none in cycle 0 */
+    int64_t n_poses; /* poses since the cycle before */
+    int64_t n_measurements; /* measurements of further sensors since the cycle before */
+    hil_backend_sample samples[64]; /* the first n_samples are valid */
+    hil_backend_pose poses[4]; /* the first n_poses are valid, in order of arrival */
+    hil_measurement measurements[16]; /* the first n_measurements are valid */
+} hil_measured;
+
+typedef struct {
     int64_t cycle; /* RUNNING: counts from 0, the output has the same number; else the last one, initially -1 */
     double t_s; /* time of the run; s */
     int32_t mode; /* hil_gnc_mode */
@@ -95,7 +130,8 @@ typedef struct {
     double reference_q_CH[4]; /* attitude of the plan; H to c */
     int64_t boost; /* 1: force demands open the high-thrust sets, as the brake of an abort needs */
     int64_t n_poses; /* number of poses since the last input */
-    hil_gnc_pose poses[4]; /* the first n_poses are valid */
+    hil_gnc_pose poses[4]; /* the first n_poses are valid; whole poses alone */
+    hil_measured measured; /* all samples, poses and measurements, as a navigation receives them */
 } hil_gnc_input;
 
 typedef struct {
@@ -118,7 +154,7 @@ typedef struct {
 
 /* A shared library has these four functions. They are called from one thread at a time and must not block. */
 
-/* Return HIL_GNC_PROTOCOL. */
+/* Return HIL_GNC_PROTOCOL. The bench accepts 3 to 4: fields are appended, never moved. */
 int hil_gnc_protocol(void);
 
 /* Return a GNC for *setup, or NULL to reject it with the reason as text of up to HIL_GNC_REASON_BYTES bytes,
@@ -162,7 +198,33 @@ _Static_assert(offsetof(hil_gnc_pose, r_TC_C_m) == 8, "place of hil_gnc_pose.r_T
 _Static_assert(offsetof(hil_gnc_pose, q_CH) == 32, "place of hil_gnc_pose.q_CH");
 _Static_assert(offsetof(hil_gnc_pose, covariance_position_m2) == 64, "place of hil_gnc_pose.covariance_position_m2");
 _Static_assert(offsetof(hil_gnc_pose, covariance_attitude_rad2) == 136, "place of hil_gnc_pose.covariance_attitude_rad2");
-_Static_assert(sizeof(hil_gnc_input) == 1024, "size of hil_gnc_input");
+_Static_assert(sizeof(hil_backend_sample) == 48, "size of hil_backend_sample");
+_Static_assert(offsetof(hil_backend_sample, rate_radps) == 0, "place of hil_backend_sample.rate_radps");
+_Static_assert(offsetof(hil_backend_sample, force_mps2) == 24, "place of hil_backend_sample.force_mps2");
+_Static_assert(sizeof(hil_backend_pose) == 288, "size of hil_backend_pose");
+_Static_assert(offsetof(hil_backend_pose, t_s) == 0, "place of hil_backend_pose.t_s");
+_Static_assert(offsetof(hil_backend_pose, r_TC_C_m) == 8, "place of hil_backend_pose.r_TC_C_m");
+_Static_assert(offsetof(hil_backend_pose, q_CH) == 32, "place of hil_backend_pose.q_CH");
+_Static_assert(offsetof(hil_backend_pose, covariance_position_m2) == 64, "place of hil_backend_pose.covariance_position_m2");
+_Static_assert(offsetof(hil_backend_pose, covariance_attitude_rad2) == 136, "place of hil_backend_pose.covariance_attitude_rad2");
+_Static_assert(offsetof(hil_backend_pose, covariance_cross_m_rad) == 208, "place of hil_backend_pose.covariance_cross_m_rad");
+_Static_assert(offsetof(hil_backend_pose, status) == 280, "place of hil_backend_pose.status");
+_Static_assert(sizeof(hil_measurement) == 376, "size of hil_measurement");
+_Static_assert(offsetof(hil_measurement, sensor) == 0, "place of hil_measurement.sensor");
+_Static_assert(offsetof(hil_measurement, number) == 8, "place of hil_measurement.number");
+_Static_assert(offsetof(hil_measurement, t_s) == 16, "place of hil_measurement.t_s");
+_Static_assert(offsetof(hil_measurement, received_s) == 24, "place of hil_measurement.received_s");
+_Static_assert(offsetof(hil_measurement, value) == 32, "place of hil_measurement.value");
+_Static_assert(offsetof(hil_measurement, covariance) == 80, "place of hil_measurement.covariance");
+_Static_assert(offsetof(hil_measurement, status) == 368, "place of hil_measurement.status");
+_Static_assert(sizeof(hil_measured) == 10264, "size of hil_measured");
+_Static_assert(offsetof(hil_measured, n_samples) == 0, "place of hil_measured.n_samples");
+_Static_assert(offsetof(hil_measured, n_poses) == 8, "place of hil_measured.n_poses");
+_Static_assert(offsetof(hil_measured, n_measurements) == 16, "place of hil_measured.n_measurements");
+_Static_assert(offsetof(hil_measured, samples) == 24, "place of hil_measured.samples");
+_Static_assert(offsetof(hil_measured, poses) == 3096, "place of hil_measured.poses");
+_Static_assert(offsetof(hil_measured, measurements) == 4248, "place of hil_measured.measurements");
+_Static_assert(sizeof(hil_gnc_input) == 11288, "size of hil_gnc_input");
 _Static_assert(offsetof(hil_gnc_input, cycle) == 0, "place of hil_gnc_input.cycle");
 _Static_assert(offsetof(hil_gnc_input, t_s) == 8, "place of hil_gnc_input.t_s");
 _Static_assert(offsetof(hil_gnc_input, mode) == 16, "place of hil_gnc_input.mode");
@@ -176,6 +238,7 @@ _Static_assert(offsetof(hil_gnc_input, reference_q_CH) == 144, "place of hil_gnc
 _Static_assert(offsetof(hil_gnc_input, boost) == 176, "place of hil_gnc_input.boost");
 _Static_assert(offsetof(hil_gnc_input, n_poses) == 184, "place of hil_gnc_input.n_poses");
 _Static_assert(offsetof(hil_gnc_input, poses) == 192, "place of hil_gnc_input.poses");
+_Static_assert(offsetof(hil_gnc_input, measured) == 1024, "place of hil_gnc_input.measured");
 _Static_assert(sizeof(hil_gnc_output) == 280, "size of hil_gnc_output");
 _Static_assert(offsetof(hil_gnc_output, cycle) == 0, "place of hil_gnc_output.cycle");
 _Static_assert(offsetof(hil_gnc_output, state) == 8, "place of hil_gnc_output.state");

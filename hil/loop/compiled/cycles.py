@@ -8,7 +8,7 @@ compiled shell does not complete is run in Python, which raises its error.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple, NoReturn, Protocol
+from typing import Final, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from hil.core.messages import ARRIVAL, AXES_SAMPLE, IMU_SAMPLE, AxisFeedback, ne
 from hil.core.sensor_records import SAMPLES_PER_CYCLE, SENSOR_ARRIVAL
 from hil.drivers.io.mock import MockIo
 from hil.frmn.ring import NoTelemetry
+from hil.gnc_backends.open_backends import CompiledGnc
 from hil.loop.compiled import run_cycles
 from hil.loop.compiled.run_stats import RUN_STATS
 from hil.loop.cycle import Cycles, Loop
@@ -28,25 +29,6 @@ _NO_ARRIVALS: Final = np.zeros(0, ARRIVAL).view(np.recarray)
 _NO_AXES_SAMPLES: Final = np.zeros(0, AXES_SAMPLE)
 _NO_SENSOR_ARRIVALS: Final = np.zeros(0, SENSOR_ARRIVAL).view(np.recarray)
 _NO_IMU_SAMPLES: Final = np.zeros(0, IMU_SAMPLE)
-
-
-class CompiledGnc(Protocol):
-    """Side of a GNC backend that the compiled shell needs; its state is that of the core."""
-
-    memory: np.ndarray
-    """Of the filters, of ``step_memory.new_memory``."""
-
-    def add_innovations(self, cycle: int, nis_position: float, nis_attitude: float) -> None:
-        """Check the NIS of ``cycle``, in which poses arrived."""
-
-    def log_step(self, t_s: float, before: bytes, supervision: np.record) -> None:
-        """Log what has changed since ``before`` (bytes of APPROACH_PROGRESS) in the cycle at ``t_s`` of the run."""
-
-    def hold_as_asked(self) -> None:
-        """Request the hold for which the GNC has asked in the last cycle."""
-
-    def fail(self, t_s: float, before: bytes, supervision: np.record) -> NoReturn:
-        """Log the step in which the GNC has failed; raise its failure."""
 
 
 class MockSources(NamedTuple):

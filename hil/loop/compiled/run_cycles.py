@@ -14,7 +14,7 @@ from hil.bench.kinematics import start_motion, write_axes
 from hil.core.jit import entry, kernel
 from hil.gnc import guidance
 from hil.gnc.step import gnc_step, has_event
-from hil.gnc_backends.library_kernel import has_new_text, library_step
+from hil.gnc.whole_step import whole_step
 from hil.loop import core, mock_bench
 from hil.loop.compiled.run_stats import count_cycle
 from hil.maths import stack
@@ -48,16 +48,16 @@ def _open(params, state):
 
 @kernel
 def _run_gnc(params, state, memory, samples, poses, arrived, t_s):
-    """Run the GNC, built in or in a library; return whether it worked."""
+    """Run the GNC, built in or elsewhere; return whether it worked."""
     now, gnc = state.now, state.gnc
     if params.reports != 0:
         copy_record(gnc.approach.progress, state.progress_before)
-    if state.library.step_address == 0:
+    if gnc.backends.gnc.step == 0:
         return gnc_step(
             params.gnc, gnc, memory, t_s, samples, poses, arrived,
             now.navigation, now.reference, now.supervision, now.command,
         )  # fmt: skip
-    return library_step(params.gnc, state.library, gnc.approach, now, poses, arrived, state.cycle, t_s)
+    return whole_step(params.gnc, gnc, now, samples, poses, arrived, state.cycle, t_s)
 
 
 @entry
@@ -100,12 +100,10 @@ def _log_samples(params, state, samples, log):
 
 @kernel
 def _has_event(state):
-    """Return whether the last cycle has an event: of approach or interlock, or a new text of library or backend."""
+    """Return whether the last cycle has an event: of approach or interlock, or a new text of a backend."""
     if has_event(state.progress_before, state.gnc.approach.progress):
         return True
-    if state.disagreed_before != state.gnc.approach.monitor_disagrees or state.gnc.backends.new_text != 0:
-        return True
-    return state.library.step_address != 0 and has_new_text(state.library)
+    return state.disagreed_before != state.gnc.approach.monitor_disagrees or state.gnc.backends.new_text != 0
 
 
 @kernel
@@ -124,8 +122,8 @@ def run_cycles(
     params: LOOP_PARAMS. field: harmonics, ``central_gravity.field_table``. leds: (n, 3), m, in t. imu_noise: (n,
     IMU_NOISE), one row per sample, vision_noise: (n, VISION_NOISE), one row per exposure, standard normals;
     travel_draws: (n, TRAVEL_DRAWS), uniform, one row per exposure. state: LOOP_STATE; if not ``opened``,
-    zeroed but for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the address and
-    instance of a library. samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of
+    zeroed but for ``now.truth``, the IMU's true errors in ``now.imu``, both SERVO, ``end``, and the addresses and
+    instances of backends. samples: (n,) of IMU, those of a cycle; (1,) may be ``state.now.imu``. memory: of
     ``new_memory`` (step_memory). poses: (MAX_POSES,) of POSE. frames: of VMU_FRAME, as many as can be on their way and
     SPARE_FRAMES more. delayed: as many again. stats: RUN_STATS. history: (n,) of CYCLE, filled with the first n cycles
     from here. arrivals: of ARRIVAL, filled from ``state.vmu.logged`` on. axes_log: of AXES_SAMPLE, samples_log: of
@@ -187,7 +185,7 @@ def run_cycles(
         if not begins:
             continue
         state.cycle = k + 1
-        if state.library.asks_for_hold != 0 or state.gnc.backends.asks_for_hold != 0:
+        if state.gnc.backends.asks_for_hold != 0:
             return GNC_HOLDS
         if params.reports != 0 and _has_event(state):
             return EVENT

@@ -127,8 +127,9 @@ def write_all_sent(pose, sent):
 
 @kernel
 def read_sent(sent, pose):
-    """Write ``pose`` from a GNC_POSE."""
-    pose.t_s = sent.t_s
+    """Write ``pose`` from a BACKEND_POSE."""
+    pose.t_s, pose.status = sent.t_s, sent.status
+    copy_matrix(pose.covariance_cross, sent.covariance_cross_m_rad)
     copy_into(pose.z_TC_C, sent.r_TC_C_m)
     copy_into(pose.q_CH, sent.q_CH)
     copy_matrix(pose.covariance_position, sent.covariance_position_m2)

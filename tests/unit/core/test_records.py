@@ -26,7 +26,7 @@ LAYOUTS = {
     "REFERENCE": (168, "52b17d7a37e9"),
     "SUPERVISION": (120, "b18b0cab327d"),
     "TRUTH": (680, "56851cd7ba47"),
-    "GNC_INPUT": (1024, "50ffc677be9d"),
+    "GNC_INPUT": (11288, "4ec80ab0dc49"),
     "GNC_OUTPUT": (280, "a91511b65061"),
     "GNC_POSE": (208, "6c6d24011bad"),
     "GNC_ORBIT": (120, "9bc70198134b"),
@@ -47,6 +47,11 @@ def test_layout_of_a_record_stays(name: str) -> None:
     assert layout(dtype) == LAYOUTS[name]
     assert dtype == record_dtype(getattr(module, f"{name}_FIELDS"))
     assert dtype.isalignedstruct
+
+
+def test_input_of_protocol_3_is_the_first_part_of_the_present_one() -> None:
+    """Programs that were compiled for it read and write these bytes."""
+    assert layout(gnc_records.GNC_INPUT_3) == (1024, "50ffc677be9d")
 
 
 @pytest.mark.parametrize("name", LAYOUTS)

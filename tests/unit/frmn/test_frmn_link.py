@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GNC_SETUP
+from hil.core.gnc_records import GNC_INPUT_3, GNC_OUTPUT, GNC_SETUP
 from hil.errors import BadInput
 from hil.frmn import wire
 from hil.frmn.authentication import TAG_BYTES
@@ -70,7 +70,7 @@ def output(writer: int, sequence: int, cycle: int = 0) -> bytes:
 
 def test_cells_arrive_once_in_order_with_the_writers_time(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
-    record = np.zeros(1, GNC_INPUT)
+    record = np.zeros(1, GNC_INPUT_3)
     for cycle in range(5):
         record["cycle"] = cycle
         bench.send("gnc.input", record)
@@ -122,7 +122,7 @@ def test_of_several_exchanges_that_with_the_least_round_trip_counts() -> None:
 
 
 def test_bench_without_a_peer_sends_nothing(bench: Link) -> None:
-    assert not bench.send("gnc.input", np.zeros(1, GNC_INPUT))
+    assert not bench.send("gnc.input", np.zeros(1, GNC_INPUT_3))
 
 
 def test_goodbye_stands_also_where_the_port_is_closed_behind_it(bench: Link, gnc: Link) -> None:
@@ -141,7 +141,7 @@ def test_goodbye_stands_also_where_the_port_is_closed_behind_it(bench: Link, gnc
 def test_closed_port_of_the_other_side_is_noticed_by_the_next_poll(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     gnc._socket.close()  # as when its process is killed
-    bench.send("gnc.input", np.zeros(1, GNC_INPUT))
+    bench.send("gnc.input", np.zeros(1, GNC_INPUT_3))
     until(lambda: bench.peer is not None and bench.peer.gone, bench)
     assert bench.peer is not None
     assert bench.peer.gone == "its port is closed"
@@ -217,7 +217,7 @@ def test_sender_from_another_address_than_the_expected_is_unknown() -> None:
 
 def test_cell_that_this_side_writes_is_refused_from_the_other(bench: Link) -> None:
     bench.handle(hello(1), THERE, 0.0)
-    datagram = wire.pack(DatagramKind.CELL, bytes(GNC_INPUT.itemsize), 1, 1, 0.0, MAILBOXES["gnc.input"])
+    datagram = wire.pack(DatagramKind.CELL, bytes(GNC_INPUT_3.itemsize), 1, 1, 0.0, MAILBOXES["gnc.input"])
     assert bench.handle(datagram, THERE, 0.0) is None
     assert bench.counters()["second_writer"] == 1
     assert list(bench.complaints) == ["127.0.0.1:5 sends the mailbox gnc.input, but this side writes it"]

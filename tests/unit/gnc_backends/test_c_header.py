@@ -1,4 +1,4 @@
-"""One definition of the records: the header, the page and a C compiler agree with the bench's dtypes."""
+"""One definition of the records: headers, pages, C compiler, kernels and Python objects have the same layout."""
 
 from __future__ import annotations
 
@@ -9,44 +9,85 @@ import numpy as np
 import pytest
 
 from docs import record_pages
-from hil.core.fields import markdown_table, record_dtype
-from hil.core.gnc_records import GNC_ORBIT, GNC_SETUP, GNC_SETUP_2
+from hil.cli.main import execute
+from hil.core.fields import leaf_fields, markdown_table, record_dtype
+from hil.core.gnc_records import (
+    GNC_INPUT,
+    GNC_INPUT_3,
+    GNC_ORBIT,
+    GNC_OUTPUT,
+    GNC_POSE,
+    GNC_SETUP,
+    GNC_SETUP_2,
+    INPUTS,
+    MEASURED_FIELDS,
+    OBJECTS,
+    OUTPUT_FIELDS,
+    OUTPUTS,
+)
 from hil.frmn.mailboxes import MAILBOXES
 from hil.frmn.wire import HEADER, LARGEST
-from hil.gnc_backends.c_header import HEADER_FILE, RECORDS, c_header
+from hil.gnc_backends.c_header import (
+    BACKEND_STRUCTS,
+    BACKENDS_HEADER_FILE,
+    HEADER_FILE,
+    STRUCTS,
+    backends_header,
+    c_header,
+)
 from tests.support.external_gnc import PYTHON_EXAMPLE, compile_c
 
-LAYOUTS = {name: record_dtype(fields) for name, fields in RECORDS.items()}
+ALL = {**STRUCTS, **BACKEND_STRUCTS}
 
 
-def test_shipped_header_is_the_one_of_the_records() -> None:
+def test_shipped_headers_are_those_of_the_records(capsys: pytest.CaptureFixture[str]) -> None:
     assert HEADER_FILE.read_text() == c_header(), f"{HEADER_FILE}: write the text of c_header() to it"
+    assert BACKENDS_HEADER_FILE.read_text() == backends_header(), "write the text of backends_header() to it"
+    for options, text in (([], c_header()), (["--backends"], backends_header())):
+        assert execute(["gnc", "header", *options]) == 0
+        assert capsys.readouterr().out == text
 
 
-@pytest.mark.parametrize("record", RECORDS)
-def test_page_shows_the_layout_of_the_records(record: str) -> None:
-    assert markdown_table(RECORDS[record]) in record_pages.gnc_records()
+@pytest.mark.parametrize("struct", ALL)
+def test_pages_show_the_layout_of_the_records(struct: str) -> None:
+    page = record_pages.gnc_records() if struct in STRUCTS else record_pages.backend_records()
+    assert markdown_table(ALL[struct]) in page
 
 
 def test_c_compiler_places_every_field_where_the_bench_has_it(tmp_path: Path) -> None:
-    lines = []
-    for name, dtype in LAYOUTS.items():
-        lines.append(f'printf("{name} %zu\\n", sizeof(hil_gnc_{name}));')
-        lines += [f'printf("{name}.{f} %zu\\n", offsetof(hil_gnc_{name}, {f}));' for f in dtype.names or ()]
+    lines, expected = [], []
+    for struct, fields in ALL.items():
+        dtype = record_dtype(fields)
+        lines.append(f'printf("{struct} %zu\\n", sizeof({struct}));')
+        expected.append(f"{struct} {dtype.itemsize}")
+        for name, place in (dtype.fields or {}).items():
+            lines.append(f'printf("{name} %zu\\n", offsetof({struct}, {name}));')
+            expected.append(f"{name} {place[1]}")
     source = tmp_path / "places.c"
-    source.write_text("\n".join(["#include <stdio.h>", '#include "hil_gnc.h"', "int main(void) {", *lines, "}"]))
-    said = subprocess.run([compile_c([source], tmp_path / "places")], capture_output=True, text=True, check=True)
-    expected = []
-    for name, dtype in LAYOUTS.items():
-        expected.append(f"{name} {dtype.itemsize}")
-        expected += [f"{name}.{f} {dtype.fields[f][1]}" for f in dtype.names or ()]  # type: ignore[index]
-    assert said.stdout.split("\n")[:-1] == expected
+    source.write_text("\n".join(["#include <stdio.h>", '#include "hil_backends.h"', "int main(void) {", *lines, "}"]))
+    found = subprocess.run([compile_c([source], tmp_path / "places")], capture_output=True, text=True, check=True)
+    assert found.stdout.split("\n")[:-1] == expected
 
 
-def test_records_on_the_wire_fit_one_datagram_and_the_setup_is_two_of_them() -> None:
+@pytest.mark.parametrize("part", INPUTS)
+def test_kernels_libraries_and_python_objects_have_one_layout(part: str) -> None:
+    library = record_dtype(ALL[f"hil_{part}_input"])
+    for other in (INPUTS[part], OBJECTS[part]):
+        assert _offsets(other) == _offsets(library)
+    assert _offsets(OUTPUTS[part]) == _offsets(record_dtype(OUTPUT_FIELDS[part]))
+
+
+def test_whole_gnc_and_navigation_have_the_same_fields_of_what_is_measured() -> None:
+    """The same kernel writes both."""
+    measured, navigation = record_dtype(MEASURED_FIELDS), INPUTS["navigation"]
+    assert all(measured[name] == navigation[name] for name in measured.names or ())
+
+
+def test_records_on_the_wire_fit_one_datagram_and_setup_and_input_are_first_fields() -> None:
     assert max(box.dtype.itemsize for box in MAILBOXES.values()) + HEADER.size <= LARGEST
     assert GNC_SETUP_2.itemsize + GNC_ORBIT.itemsize == GNC_SETUP.itemsize
-    assert _places(GNC_SETUP)[: len(GNC_SETUP_2.names or ())] == _places(GNC_SETUP_2)
+    for whole, first in ((GNC_SETUP, GNC_SETUP_2), (GNC_INPUT, GNC_INPUT_3)):
+        assert _places(whole)[: len(first.names or ())] == _places(first)
 
 
 def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> None:
@@ -55,8 +96,19 @@ def test_python_example_has_the_layout_of_the_bench_and_does_not_import_it() -> 
     assert "from hil" not in text
     there: dict[str, object] = {"__name__": "example"}
     exec(compile(text, str(PYTHON_EXAMPLE), "exec"), there)
-    for name, dtype in (LAYOUTS | {"setup": GNC_SETUP_2, "orbit": GNC_ORBIT}).items():
+    layouts = {"setup": GNC_SETUP_2, "orbit": GNC_ORBIT, "pose": GNC_POSE, "input": GNC_INPUT_3, "output": GNC_OUTPUT}
+    for name, dtype in layouts.items():
         assert _places(there[name.upper()]) == _places(dtype)
+
+
+def test_every_field_has_a_meaning_and_every_number_a_unit() -> None:
+    fields = [field for table in ALL.values() for field in leaf_fields(table)]
+    assert [field.name for field in fields if not field.meaning] == []
+    assert [field.name for field in fields if not field.unit and not str(field.type).startswith("S")] == []
+
+
+def _offsets(dtype: object) -> dict[str, int]:
+    return {name: place[1] for name, place in dtype.fields.items()}  # type: ignore[attr-defined]
 
 
 def _places(dtype: np.dtype) -> list[tuple[str, int, str]]:
