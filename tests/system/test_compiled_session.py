@@ -16,7 +16,6 @@ from mcap.reader import NonSeekingReader
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.modes import Mode
-from hil.frmn.ring import NoTelemetry
 from hil.loop.compiled import cycles
 from hil.loop.compiled.cycles import CompiledCycles
 from hil.loop.cycle import Cycles, PythonCycles
@@ -341,7 +340,7 @@ def test_library_that_fails_as_a_phase_is_decided_gives_the_same_events(check: C
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_ctrl_c_while_a_row_is_recorded_ends_the_history_before_it(compiled: bool) -> None:
-    class Sink(NoTelemetry):
+    class Sink:
         rows = 0
 
         def put(self, row: np.ndarray) -> None:

@@ -129,7 +129,7 @@ def test_only_the_recording_of_a_rig_with_a_manipulator_has_its_topic(
 ) -> None:
     file = RunFile(tmp_path / "run.mcap", header_of(make_job(1.0, rig=rig), rig, "run", 0))
     file.finish({})
-    assert set(contents(file.path).layouts) == {"/cycle", "/vmu/frames", "/monitor/portions", "/imu", "/axes"} | extra
+    assert set(contents(file.path).layouts) == {"/cycle", "/vmu/frames", "/imu", "/axes"} | extra
 
 
 def test_procedure_jogs_an_axis_of_the_manipulator_within_its_travel_while_the_other_axes_stand() -> None:

@@ -11,6 +11,7 @@ from tests.support import line_tests, tests_of
 from tests.support.coverage_contexts import called_by
 from tests.support.named_blocks import Names, blocks_of
 
+SHAPE, TEST_FILE = (f"{folder}.py" for folder in ("hil/shape", "tests/test_shape"))
 SOURCE = '''"""Module."""
 
 from hil.other import scale
@@ -45,7 +46,7 @@ def test_limit():
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """Return a tree with a module and a test of it."""
-    for name, text in (("hil/shape.py", SOURCE), ("tests/test_shape.py", TEST)):
+    for name, text in ((SHAPE, SOURCE), (TEST_FILE, TEST)):
         path = tmp_path / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
@@ -53,7 +54,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_blocks_are_functions_methods_and_statements(root: Path) -> None:
-    blocks = {block.name: block for block in blocks_of(root / "hil/shape.py", root)}
+    blocks = {block.name: block for block in blocks_of(root / SHAPE, root)}
     assert list(blocks) == ["LIMIT", "Row", "Row.size", "Row.area", "largest"]
     assert blocks["Row.area"].body == (15,)
     assert (blocks["largest"].first, blocks["largest"].last) == (18, 22)
@@ -62,8 +63,8 @@ def test_blocks_are_functions_methods_and_statements(root: Path) -> None:
 
 
 def test_name_belongs_to_the_tests_and_functions_that_name_it(root: Path) -> None:
-    limit, _, size, area, _ = blocks_of(root / "hil/shape.py", root)
-    assert Names(root).users(limit) == ({"tests/test_shape.py::test_limit"}, {area})
+    limit, _, size, area, _ = blocks_of(root / SHAPE, root)
+    assert Names(root).users(limit) == ({TEST_FILE + "::test_limit"}, {area})
     assert Names(root).users(size) == (set(), {area})
 
 
@@ -80,19 +81,19 @@ def test_narrowest_tests_of_each_run_of_lines_come_first(root: Path, monkeypatch
     monkeypatch.setattr(line_tests, "MAP", root / "map.json")
     monkeypatch.setattr(tests_of, "ROOT", root)
     monkeypatch.setattr(tests_of, "MAP", root / "map.json")
-    narrow, wide = "tests/test_shape.py::test_limit", "tests/test_shape.py::test_gone"
-    line_tests.write_map({"hil/shape.py": {narrow: 1 << 19, wide: 0b1111 << 19}})
+    narrow, wide = TEST_FILE + "::test_limit", TEST_FILE + "::test_gone"
+    line_tests.write_map({SHAPE: {narrow: 1 << 19, wide: 0b1111 << 19}})
     written = json.loads((root / "map.json").read_text())
-    assert [run[:2] for run in written["files"]["hil/shape.py"]["largest"][1:]] == [[1, 1], [2, 4]]
-    largest = blocks_of(root / "hil/shape.py", root)[-1]
+    assert [run[:2] for run in written["files"][SHAPE]["largest"][1:]] == [[1, 1], [2, 4]]
+    largest = blocks_of(root / SHAPE, root)[-1]
     known = tests_of.LineMap(root / "map.json")
     assert known.tests(largest, 19) == ([narrow], True)  # a test that is gone is left out
     assert known.tests(largest, 21) == ([], True)
-    (root / "hil/shape.py").write_text(SOURCE.replace("best = 0.0", "best = -1.0"))
-    assert known.tests(blocks_of(root / "hil/shape.py", root)[-1], 21) == ([narrow], False)
+    (root / SHAPE).write_text(SOURCE.replace("best = 0.0", "best = -1.0"))
+    assert known.tests(blocks_of(root / SHAPE, root)[-1], 21) == ([narrow], False)
 
 
-@pytest.mark.parametrize("target", ["", "hil", "tests/conftest.py", "hil/no_such.py", "hil/errors.py:2"])
+@pytest.mark.parametrize("target", ["", "hil", "tests/conftest.py", "hil/" + "no_such.py", "hil/errors.py:2"])
 def test_what_is_no_line_of_the_program_is_bad_input(target: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert tests_of.main([target]) == 2
     assert capsys.readouterr().err.startswith(f"tests-of: FILE={target}: ")

@@ -139,6 +139,7 @@ def test_a_test_that_loads_all_cores_itself_fails(tmp_path: Path) -> None:
     assert ended(started(tmp_path, LOADED.format(hogs=HOGS)))[0] == "1 failed"
 
 
+@pytest.mark.slow
 @pytest.mark.wires
 def test_a_test_that_other_programs_keep_from_the_cores_is_undecided(tmp_path: Path) -> None:
     process = started(tmp_path, "import os\nos.nice(5)\n" + LOADED.format(hogs=0))

@@ -1,6 +1,6 @@
 """What hil overrides in numba's compiler, one test for each: its failure names the version of numba that changes it.
 
-Written for numba 0.61 to 0.66.
+Written for numba 0.63 to 0.68.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil.cli import recordings
+from hil.cli import campaign_recordings
 from hil.cli.main import execute
 from hil.errors import BadInput
 from hil.monte_carlo.placement import outcomes_of, place, place_run
@@ -72,7 +72,7 @@ def test_run_is_placed_and_one_outside_fails(
         summary = SUMMARY
 
     monkeypatch.setattr("hil.api.recordings.open_recording", lambda _: Opened)
-    assert recordings.place_recordings(["run.mcap"], campaign=str(tmp_path)) == 1
+    assert campaign_recordings.place_recordings(["run.mcap"], campaign=str(tmp_path)) == 1
     assert "1 of 4 outcomes outside 999 cases" in capsys.readouterr().out
 
 
