@@ -48,7 +48,7 @@ def least_levels(scenario: Scenario, rig: Rig) -> Array:
     variance, gain, gain_speed = _steady(noise, 1.0 / rig.vmu.rate_hz, walk_mps)
     turned = math.radians(budget.vision_misalignment_sigma_deg)
     left = distance * np.array([budget.vision_scale_sigma, turned, turned])
-    known = linear.lengths(np.stack(np.broadcast_arrays(left, budget.vision_bias_sigma_m), axis=-1))
+    known = np.sqrt(square(left) + square(np.array(budget.vision_bias_sigma_m)))
     poses = params.cusum_go / params.mean_shift
     missed, _ = largest_missed(params, gain, gain_speed, poses, params.cusum_go, 0, np.inf)
     levels: Array = params.sigmas_go * np.sqrt(variance + square(known)) + missed * math.sqrt(square(noise) + variance)

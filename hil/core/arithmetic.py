@@ -12,7 +12,7 @@ _KEY: Final = "formulas"
 _PACKAGES: Final = ("numpy", "scipy", "numba", "llvmlite")  # they draw random words and generate code
 
 
-def surroundings() -> dict[str, str]:
+def formula_versions() -> dict[str, str]:
     """Return the version of the formulas and those of the packages that can matter, by the keys of a recording."""
     return {_KEY: str(FORMULAS), **{name: importlib.metadata.version(name) for name in _PACKAGES}}
 
@@ -22,7 +22,7 @@ def why_bits_may_differ(run: Mapping[str, str]) -> str:
 
     Headers of versions before 0.3 state no formulas, and not all packages.
     """
-    here, recorded = surroundings(), {_KEY: "1", **run}
+    here, recorded = formula_versions(), {_KEY: "1", **run}
     other = [
         f"{name} {recorded[name]} (here {here[name]})" for name in here if recorded.get(name, here[name]) != here[name]
     ]

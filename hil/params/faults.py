@@ -14,7 +14,7 @@ from hil.core.messages import Array, new
 from hil.dynamics import imu_faults, target_faults, thruster_faults
 from hil.dynamics.imu_errors import IMU_ERRORS
 from hil.dynamics.thruster_errors import THRUSTER_ERRORS
-from hil.maths import elementary, linear, quat
+from hil.maths import elementary, quat
 from hil.models import axis_faults
 from hil.models.faults import AT, AT_ARRIVAL, FAULTS, KIND, NUMBER, OPTION, SEED_BITS, SIZE, UNTIL, VALUE
 from hil.models.plume import PLUME_PARAMS
@@ -119,5 +119,5 @@ def _gain(scale_error: Triple, misalignment_deg: Triple) -> Array:
     if not any(scale_error) and not any(misalignment_deg):
         return np.zeros((3, 3))
     axes = quat.to_matrix(quat.from_rotation_vector(np.radians(misalignment_deg)))
-    gain: Array = linear.product(np.diag(1.0 + np.array(scale_error)), axes) - np.eye(3)
+    gain: Array = (1.0 + np.array(scale_error))[:, None] * axes - np.eye(3)
     return gain

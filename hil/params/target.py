@@ -62,7 +62,7 @@ def known_rate(scenario: Scenario) -> Array:
 def inertia(target: MovingTarget) -> Array:
     """Return the inertia (3, 3) of the target's body, kg m^2, in its axes."""
     axes = quat.to_matrix(principal_axes(target))
-    found: Array = linear.product(linear.product(axes.T, np.diag(target.moments_kg_m2)), axes)
+    found: Array = linear.product(axes.T * np.array(target.moments_kg_m2), axes)
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.config.motion_digest import motion_digest
 from hil.config.scenario import Scenario
-from hil.core.arithmetic import surroundings
+from hil.core.arithmetic import formula_versions
 from hil.core.build_info import build_info
 from hil.core.clock import utc_text
 from hil.core.files import sha256_of
@@ -47,7 +47,7 @@ def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHe
         "calibration_motion": motion_digest(rig),
         "calibration_sign_off": (rig.sign_off.digest or "") if rig.sign_off else "",
         "mcap": importlib.metadata.version("mcap"),
-        **surroundings(),
+        **formula_versions(),
         "without_fixed_bits": ", ".join(_without_fixed_bits(scenario)),
         **file_digests({"scenario": scenario.model_dump(mode="json"), "rig": rig.model_dump(mode="json")}),
     }
