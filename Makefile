@@ -35,7 +35,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # nor does what else a user has set or installed change the tests
 unexport PYTHONPATH PYTHONHOME PYTHONOPTIMIZE PYTHONWARNINGS PYTEST_ADDOPTS PYTEST_PLUGINS
 PYTEST := $(BIN)/pytest --disable-plugin-autoload -p xdist.plugin -p pytest_timeout -p _hypothesis_pytestplugin \
-	-p hil.pytest_plugin.plugin
+	-p hil.parts.campaigns.pytest_plugin.plugin
 
 .PHONY: demo test slow tests-of oracle bench lateness accessibility docs docs-links wheel tidy
 .DELETE_ON_ERROR:

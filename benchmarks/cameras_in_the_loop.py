@@ -21,9 +21,9 @@ from typing import Any
 
 from hil.api.runs import judged_run
 from hil.config.load import load_rig, load_scenario
+from hil.parts.wires.wired import WiredBench
 from hil.session.build import Job, check, wired_bench
 from hil.session.warm_up import compile_kernels
-from hil.session.wired import WiredBench
 
 SIDES = ("left", "right")
 

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.config.load import load_rig, load_scenario
-from hil.monte_carlo.batch import Spec, run_batch
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.engines import LocalEngine
+from hil.parts.campaigns.batch import Spec, run_batch
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.engines import LocalEngine
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 GOAL, LEAST = 10_000.0, 2_000.0

@@ -27,13 +27,13 @@ import numpy as np
 import uvicorn
 
 from hil.config.load import shipped
-from hil.console.app import make_app
-from hil.console.columns import INDEX
-from hil.console.live_view import Client
-from hil.console.service import ConsoleService
-from hil.console.session import Choice
-from hil.console.strangers import Access
 from hil.loop.overrun_monitor import lateness_percentiles_us
+from hil.parts.console.app import make_app
+from hil.parts.console.columns import INDEX
+from hil.parts.console.live_view import Client
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.session import Choice
+from hil.parts.console.strangers import Access
 
 PATIENT = (
     "rig.vmu.timeout_s=10.0",

@@ -17,10 +17,10 @@ from hil.bench.field_of_view import camera_errors
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import AXES_SAMPLE
-from hil.drivers.emulated_axes import EmulatedAxes
-from hil.drivers.shared_state import SharedAxisState
 from hil.loop.rate_keeper import SimulatedRate
 from hil.params import bench as bench_params
+from hil.parts.emulation.emulated_axes import EmulatedAxes
+from hil.parts.emulation.shared_state import SharedAxisState
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.session.build import in_memory
 from hil.setup.assembly import Job, axes_at_start

@@ -19,10 +19,10 @@ import numpy as np
 from hil.config.load import load_rig, load_scenario
 from hil.core.gnc_records import GNC_INPUT, GNC_OUTPUT, GncMode
 from hil.core.messages import new
-from hil.fmi.package import build
 from hil.gnc_backends.c_header import HEADER_FILE
 from hil.gnc_backends.library import open_library
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.fmi.package import build
 from hil.setup.gnc_setup import gnc_setup
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "gnc_c"

@@ -28,10 +28,10 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.clock import WallClock
 from hil.core.gnc_records import GNC_INPUT_3, GNC_OUTPUT, GNC_SETUP
 from hil.core.realtime import RealTime, no_garbage_collection
-from hil.frmn.link import Link
 from hil.frmn.mailboxes import Role
-from hil.gnc_backends.udp import gnc_link
 from hil.loop.rate_keeper import WallClockRate
+from hil.parts.links.link import Link
+from hil.parts.links.udp_gnc import gnc_link
 from hil.session import build
 from hil.session.warm_up import warm_up
 from hil.setup.gnc_setup import make_udp_gnc
@@ -192,7 +192,7 @@ def ping_loop(hosts: Hosts, rate_hz: float, count: int, to: Trips) -> None:
 
 PINGS = {"link": ping_link, "plain": ping_plain, "pyzmq": ping_pyzmq, "loop": ping_loop}
 NAMES = {
-    "link": "cells by hil.frmn.link",
+    "link": "cells by hil.parts.links.link",
     "plain": "plain UDP of the same size",
     "pyzmq": "pyzmq PAIR over TCP",
     "loop": "hil dss with hil gnc, running free",
@@ -238,7 +238,7 @@ def _answers(line: str, here: str, there: str) -> None:
         while pong.poll(10_000):
             pong.send(pong.recv()[:BACK])
     else:
-        from hil.cli.gnc import gnc
+        from hil.parts.links.cli.gnc import gnc
 
         gnc("scheme-1", dss=f"{there}:{PORTS['loop']}")
 

@@ -26,7 +26,7 @@ from hil.loop import core, mock_bench
 from hil.loop.compiled import run_cycles as shell
 from hil.loop.compiled.run_stats import count_cycle
 from hil.models.camera_timing import TIME_SLACK_S
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
 from hil.sensors.vision_unit.transit import forget_frames
 
 ROWS = (

@@ -15,9 +15,9 @@ import numpy as np
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.render import Conditions, TargetRenderer, film
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.render import Conditions, TargetRenderer, film
+from hil.parts.monitor.sources import VideoFrame
 
 RANGES_M = (1.4, 2.0, 4.0, 8.0, 14.0, 20.0, 35.0)
 

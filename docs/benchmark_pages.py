@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hil.report.benchmark_page import HEAD, MEANING, cells_of
+from hil.parts.campaigns.benchmark_page import HEAD, MEANING, cells_of
 
 _DATA = Path(__file__).parent / "benchmark.json"
 

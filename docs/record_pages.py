@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from hil.core import manipulator_records, messages
 from hil.core.fields import Fields, markdown_table
 from hil.gnc_backends.c_header import BACKEND_STRUCTS, STRUCTS
-from hil.loop.model_stage import RECORDS as MODEL_RECORDS
-from hil.monitor.results import PORTION_FIELDS
+from hil.parts.fmi.model_stage import RECORDS as MODEL_RECORDS
+from hil.parts.monitor.results import PORTION_FIELDS
 
 Section = str | Fields
 """Text, or the fields of a table."""
@@ -25,8 +25,8 @@ def records() -> str:
             """# Records
 
 Layout of the records that a recording holds and that the stages of a cycle exchange, from the field tables in
-`hil/core/messages.py`, its neighbours `*_records.py` and `hil/monitor/results.py`. Offsets are in bytes from the start
-of the record; types are those of numpy, little-endian; nested records have a table of their own.
+`hil/core/messages.py`, its neighbours `*_records.py` and `hil/parts/monitor/results.py`. Offsets are in bytes from the
+start of the record; types are those of numpy, little-endian; nested records have a table of their own.
 [Frames](../../explanation/frames.md). Records of an [external GNC](gnc-records.md).
 
 ## Cycle

@@ -22,10 +22,10 @@ from hil.safety.monitor import CHECKS, Checks
 CODECS: Final = {
     "Rails on Modbus": "hil.drivers.rails.codec",
     "Digital lines on Modbus TCP": "hil.drivers.io.codec",
-    "Command words of a flight computer": "hil.drivers.command_words.codec",
+    "Command words of a flight computer": "hil.parts.links.command_word_codec",
     "Datagrams between hosts": "hil.frmn.wire",
-    "Tag of a datagram": "hil.frmn.authentication",
-    "Messages of the console": "hil.console.message",
+    "Tag of a datagram": "hil.parts.links.authentication",
+    "Messages of the console": "hil.parts.console.message",
 }
 """Title of a section -> module whose docstring describes the format."""
 FRAMES: Final = ("hil", "euler-mm")

@@ -20,14 +20,9 @@ if "numba" not in sys.modules:  # which would reset its configuration
 
 if TYPE_CHECKING:
     from hil import errors
-    from hil.api.bench import Bench
-    from hil.api.campaign_results import Campaign, Comparison, StudyResults, SweepResults, compare
-    from hil.api.campaigns import campaign, rare_event, sobol_indices, sweep
     from hil.api.jobs import load_rig, load_scenario
-    from hil.api.margins import margins
     from hil.api.recordings import Recording, Replay
     from hil.api.recordings import open_recording as open
-    from hil.api.requirements import RunRequirement
     from hil.api.results import RecordGroup, Run
     from hil.api.runs import run
     from hil.config.rig import Rig
@@ -36,7 +31,12 @@ if TYPE_CHECKING:
     from hil.core.line_protocol import LineProtocol
     from hil.core.settings import Setting
     from hil.gnc_backends.kernel_backend import kernel_backend
-    from hil.monitor.monitor import DockingMonitor
+    from hil.parts.campaigns.api.bench import Bench
+    from hil.parts.campaigns.api.campaign_results import Campaign, Comparison, StudyResults, SweepResults, compare
+    from hil.parts.campaigns.api.campaigns import campaign, rare_event, sobol_indices, sweep
+    from hil.parts.campaigns.api.margins import margins
+    from hil.parts.campaigns.api.requirements import RunRequirement
+    from hil.parts.monitor.monitor import DockingMonitor
     from hil.sensors.module import Component, SensorError, SensorModule
     from hil.vmu.unit import VisionUnit
 
@@ -78,37 +78,37 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Bench": "hil.api.bench",
-    "Campaign": "hil.api.campaign_results",
-    "Comparison": "hil.api.campaign_results",
+    "Bench": "hil.parts.campaigns.api.bench",
+    "Campaign": "hil.parts.campaigns.api.campaign_results",
+    "Comparison": "hil.parts.campaigns.api.campaign_results",
     "Component": "hil.sensors.module",
-    "DockingMonitor": "hil.monitor.monitor",
+    "DockingMonitor": "hil.parts.monitor.monitor",
     "LineProtocol": "hil.core.line_protocol",
     "RecordGroup": "hil.api.results",
     "Recording": "hil.api.recordings",
     "Replay": "hil.api.recordings",
     "Rig": "hil.config.rig",
     "Run": "hil.api.results",
-    "RunRequirement": "hil.api.requirements",
+    "RunRequirement": "hil.parts.campaigns.api.requirements",
     "Scenario": "hil.config.scenario",
     "SensorError": "hil.sensors.module",
     "SensorModule": "hil.sensors.module",
     "Setting": "hil.core.settings",
-    "StudyResults": "hil.api.campaign_results",
-    "SweepResults": "hil.api.campaign_results",
+    "StudyResults": "hil.parts.campaigns.api.campaign_results",
+    "SweepResults": "hil.parts.campaigns.api.campaign_results",
     "VisionUnit": "hil.vmu.unit",
     "__version__": "hil.core.build_info:VERSION",
-    "campaign": "hil.api.campaigns",
-    "compare": "hil.api.campaign_results",
+    "campaign": "hil.parts.campaigns.api.campaigns",
+    "compare": "hil.parts.campaigns.api.campaign_results",
     "kernel_backend": "hil.gnc_backends.kernel_backend",
     "load_rig": "hil.api.jobs",
     "load_scenario": "hil.api.jobs",
-    "margins": "hil.api.margins",
+    "margins": "hil.parts.campaigns.api.margins",
     "open": "hil.api.recordings:open_recording",
-    "rare_event": "hil.api.campaigns",
+    "rare_event": "hil.parts.campaigns.api.campaigns",
     "run": "hil.api.runs",
-    "sobol_indices": "hil.api.campaigns",
-    "sweep": "hil.api.campaigns",
+    "sobol_indices": "hil.parts.campaigns.api.campaigns",
+    "sweep": "hil.parts.campaigns.api.campaigns",
 }
 """Name -> module, and the name there if it is another one."""
 

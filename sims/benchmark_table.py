@@ -13,8 +13,8 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from hil.api import benchmark
-from hil.report.benchmark_page import above_table_v, rows_and_ideals
+from hil.parts.campaigns.api import benchmark
+from hil.parts.campaigns.benchmark_page import above_table_v, rows_and_ideals
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 LAWS: Final = {

@@ -19,8 +19,8 @@ from rich.table import Table
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.maths import chi_square
-from hil.monte_carlo.batch import Rows, Spec
-from hil.monte_carlo.engines import LocalEngine
+from hil.parts.campaigns.batch import Rows, Spec
+from hil.parts.campaigns.engines import LocalEngine
 
 ECCENTRICITIES: Final = (0.0, 0.001, 0.005, 0.01, 0.03, 0.09)
 TAIL: Final = 0.0005  # of the 99.9 % band, on either side

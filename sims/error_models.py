@@ -18,7 +18,7 @@ from rich.table import Table
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.config.tables.dispersions import Dispersions
-from hil.monte_carlo.batch import Rows, Spec, run_batch
+from hil.parts.campaigns.batch import Rows, Spec, run_batch
 
 SET: Final = "data-sheet"
 BUDGET: Final = {

@@ -31,17 +31,17 @@ from rich.table import Table
 from hil.api.jobs import IN_LOCK_STEP
 from hil.config.load import load_rig, load_scenario
 from hil.config.tables.faults import EMULATED
-from hil.console.remote_operator import OutgoingMessages, RemoteOperator
-from hil.console.status import CELLS
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
-from hil.drivers.fault_injection import FaultControl
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import Tick
 from hil.loop.runner import Runner
+from hil.parts.console.remote_operator import OutgoingMessages, RemoteOperator
+from hil.parts.console.status import CELLS
+from hil.parts.emulation.fault_injection import FaultControl
+from hil.parts.wires.wired import WiredBench
 from hil.session.build import Job, check, wired_bench
 from hil.session.warm_up import warm_up
-from hil.session.wired import WiredBench
 
 
 class Attendance(Enum):

@@ -27,8 +27,8 @@ from hil.drivers.mock_axes import MockAxes
 from hil.gnc_backends.c_header import HEADER_FILE
 from hil.maths import euler
 from hil.models.bodies import clearance
-from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import bench as bench_params
+from hil.parts.campaigns.case_runner import CaseRunner
 from hil.session import build
 from hil.session.build import Job
 

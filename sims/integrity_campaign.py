@@ -30,12 +30,12 @@ from hil.config.load import Loaded, load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.faults import TimedFault
-from hil.monte_carlo.batch import Rows, Spec
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.dispersions import Design, case_seed, drawn_fault
-from hil.monte_carlo.engines import LocalEngine
-from hil.monte_carlo.figure import stanford_figure
-from hil.monte_carlo.outcome import row_of
+from hil.parts.campaigns.batch import Rows, Spec
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.dispersions import Design, case_seed, drawn_fault
+from hil.parts.campaigns.engines import LocalEngine
+from hil.parts.campaigns.figure import stanford_figure
+from hil.parts.campaigns.outcome import row_of
 
 THREATS: Final = Path(__file__).with_name("threats.toml")
 WITHOUT_GUARD: Final = ("rig.guard.enabled=false", "rig.rails.following_error_max_m=0.5")

@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import Scene
-from hil.monitor.features import ACROSS, DISC, UPRIGHT
-from hil.monitor.frame_tracker import FrameTracker
-from hil.monitor.kernels.edge_samples import BAR
-from hil.monitor.kernels.quantities import derive
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.render import TargetRenderer, film
-from hil.monitor.results import NEAR, QUANTITIES, FrameResult
-from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.features import ACROSS, DISC, UPRIGHT
+from hil.parts.monitor.frame_tracker import FrameTracker
+from hil.parts.monitor.kernels.edge_samples import BAR
+from hil.parts.monitor.kernels.quantities import derive
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.render import TargetRenderer, film
+from hil.parts.monitor.results import NEAR, QUANTITIES, FrameResult
+from hil.parts.monitor.settings import MonitorSettings
+from hil.parts.monitor.sources import VideoFrame
 
 Floats = NDArray[np.float64]
 

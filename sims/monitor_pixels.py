@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.render import Conditions, TargetRenderer
-from hil.monitor.settings import MonitorSettings
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.render import Conditions, TargetRenderer
+from hil.parts.monitor.settings import MonitorSettings
+from hil.parts.monitor.sources import VideoFrame
 from sims.monitor_paper import PaperTracker
 
 Floats = NDArray[np.float64]

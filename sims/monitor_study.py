@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.kernels.quantities import quantities
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.render import Conditions, TargetRenderer, film
-from hil.monitor.results import QUANTITIES, Result
-from hil.monitor.settings import MonitorSettings
+from hil.parts.monitor.kernels.quantities import quantities
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.render import Conditions, TargetRenderer, film
+from hil.parts.monitor.results import QUANTITIES, Result
+from hil.parts.monitor.settings import MonitorSettings
 
 Floats = NDArray[np.float64]
 

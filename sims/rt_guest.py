@@ -52,8 +52,8 @@ def can() -> str:
 
     from hil.config.load import load_rig
     from hil.core.clock import WallClock
-    from hil.drivers.shared_state import SharedAxisState
     from hil.drivers.turntable.cia402 import setup
+    from hil.parts.emulation.shared_state import SharedAxisState
 
     # the processor may be emulated: wall-clock limits are longer, those of bench time by its clock
     setup.REPLY_WALL_S, setup._ENABLE_WALL_S, setup._RESET_WALL_S = 20.0, 60.0, 5.0

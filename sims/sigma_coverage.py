@@ -23,7 +23,7 @@ import vmu_study
 
 from hil.config.load import load_scene
 from hil.core.messages import Array
-from hil.monitor.results import FAR, NEAR, QUANTITIES
+from hil.parts.monitor.results import FAR, NEAR, QUANTITIES
 
 ALLOWED = (90.0, 98.0)
 FEWEST = 100

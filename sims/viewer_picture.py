@@ -23,7 +23,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 import hil
 from hil.maths import quat
-from hil.recording.ros2 import export_ros2
+from hil.parts.export.ros2 import export_ros2
 
 _COLOURS = ("#0072b2", "#e69f00", "#009e73")
 _SHOWN_AT_S = 40.0

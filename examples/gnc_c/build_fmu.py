@@ -14,9 +14,9 @@ import numpy as np
 
 from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_INPUT_FIELDS, GNC_OUTPUT_FIELDS, GNC_SETUP_FIELDS
-from hil.fmi.mapping import record_fields
-from hil.fmi.package import Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
+from hil.parts.fmi.mapping import record_fields
+from hil.parts.fmi.package import Model, ModelVariable, build
 
 HERE = Path(__file__).parent
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.core.fields import record_dtype
-from hil.fmi.mapping import record_fields
-from hil.fmi.package import Model, ModelVariable, build
-from hil.loop.model_stage import RECORDS
+from hil.parts.fmi.mapping import record_fields
+from hil.parts.fmi.model_stage import RECORDS
+from hil.parts.fmi.package import Model, ModelVariable, build
 
 
 def part_model(source: Path) -> Model:

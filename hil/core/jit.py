@@ -33,10 +33,10 @@ from hil.core.kernel_folder import kernel_folder, lock_kernel_file, read_kernel_
 from hil.core.kernel_library import EntryCompiler, InlineCompiler, StaleCaller, WrappedCompiler
 
 _numba_config: Any = numba.config
-_OF_IMAGES = ("hil.vmu.", "hil.monitor.")
+_OF_IMAGES = ("hil.vmu.", "hil.parts.monitor.")
 _NOT_INLINED = (
     *_OF_IMAGES,
-    "hil.console.",
+    "hil.parts.console.",
     "hil.gnc.estimation.joint_filter",
     "hil.gnc.estimation.pose_model",
     "hil.gnc.backend_step",

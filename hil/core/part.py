@@ -77,7 +77,7 @@ class Part:
     opencv: bool = False
     """Whether its kernels need OpenCV."""
     modules: Sequence[str] = ()
-    """Packages and modules of which it is made, for the import contract."""
+    """Packages and modules of which it is made besides ``hil.parts.NAME``, for the import contract."""
 
     def claims(self) -> Iterator[str]:
         """Yield what no other part may have as well."""

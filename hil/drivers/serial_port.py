@@ -10,7 +10,7 @@ import serial
 from hil.core.clock import BenchClock
 from hil.core.part import provided
 
-_HANDLERS: Final = "hil.drivers.serial_urls"
+_HANDLERS: Final = "hil.parts.emulation.serial_urls"
 
 
 def open_serial(clock: BenchClock, path: str, baud: int, **settings: Any) -> serial.Serial:

@@ -15,7 +15,7 @@ Every datagram is a header of 32 bytes and a payload, little-endian, and fits in
         24  f8    time_s    time of sending by the writer's own clock
         32        payload
 
-On the wire a tag follows (``hil.frmn.authentication``).
+On the wire a tag follows (``hil.parts.links.authentication``).
 """
 
 from __future__ import annotations

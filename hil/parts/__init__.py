@@ -55,26 +55,21 @@ VISION: Final = Part(
     summary="Vision unit: poses from images of LEDs or printed boards, and its calibration.",
     commands={
         "vmu": PartCommand(
-            "hil.cli.vmu:vmu",
+            "hil.parts.vision.cli.vmu:vmu",
             "Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.",
         ),
         "calibrate": PartCommand(
-            "hil.cli.calibrate:calibrate",
+            "hil.parts.vision.cli.calibrate:calibrate",
             "Calibrate the vision unit from views at known bench positions, or check an earlier calibration for drift.",
         ),
     },
-    provides={"replay of images": "hil.cli.replay_images:replay_images"},
+    provides={"replay of images": "hil.parts.vision.cli.replay_images:replay_images"},
     uses=lambda scenario, rig: bool(rig.vmu.drift_check.views),
-    check_run="hil.checks.drift_views:check_drift_views",
-    attach="hil.commission.calibration_drive:attach",
-    kernels={"vmu": "hil.setup.rendered_vision:compile_kernels"},
+    check_run="hil.parts.vision.drift_views:check_drift_views",
+    attach="hil.parts.vision.calibration_drive:attach",
+    kernels={"vmu": "hil.parts.vision.rendered_vision:compile_kernels"},
     opencv=True,
-    modules=(
-        "hil.vmu", "hil.checks.drift_views", "hil.cli.vmu", "hil.cli.calibrate", "hil.cli.calibrate_tables",
-        "hil.cli.replay_images", "hil.commission.calibration_drive", "hil.commission.view_plan",
-        "hil.drivers.vmu.cameras", "hil.processes.vision_unit", "hil.recording.replay_images",
-        "hil.setup.rendered_vision",
-    ),
+    modules=("hil.vmu",),
 )  # fmt: skip
 
 CAMPAIGNS: Final = Part(
@@ -82,72 +77,63 @@ CAMPAIGNS: Final = Part(
     summary="Many runs: dispersions, rare events, sensitivities, requirements, benchmarks, tests of a test campaign.",
     commands={
         "campaign": PartCommand(
-            "hil.cli.campaign:campaign",
+            "hil.parts.campaigns.cli.campaign:campaign",
             "Run many cases of a scenario with its dispersions on the mock rig: pass rate, worst cases, why cases "
             "fail.",
         ),
         "explain": PartCommand(
-            "hil.cli.explain:explain",
+            "hil.parts.campaigns.cli.explain:explain",
             "Explain why cases of a campaign fail, or a recorded run: the first violated limit, its drivers and "
             "thresholds.",
         ),
         "margins": PartCommand(
-            "hil.cli.margins:margins",
+            "hil.parts.campaigns.cli.margins:margins",
             "Search how much later poses, stamps, thrusters and axes may be before the first case of a campaign "
             "fails.",
         ),
         "benchmark": PartCommand(
-            "hil.cli.benchmark:benchmark",
+            "hil.parts.campaigns.cli.benchmark:benchmark",
             "Fly all scenarios, dispersion sets and single faults with one GNC, and write one table and one page.",
         ),
         "fusion": PartCommand(
-            "hil.cli.fusion:fusion",
+            "hil.parts.campaigns.cli.fusion:fusion",
             "Simulate the fusion filters over many runs (bench paper IV.A): errors, bound, ratio, NEES.",
         ),
         "ci": PartCommand(
-            "hil.cli.ci:ci",
+            "hil.parts.campaigns.cli.ci:ci",
             "Run a campaign on the mock rig and a run in lock-step, judge requirements and tests, compare with the "
             "base.",
         ),
         "recordings place": PartCommand(
-            "hil.cli.campaign_recordings:place_recordings", "Place recorded runs in the distribution of a campaign."
+            "hil.parts.campaigns.cli.campaign_recordings:place_recordings", "Place recorded runs in the distribution of a campaign."
         ),
     },
     provides={
-        "case": "hil.api.campaign_results:campaign_case",
-        "report of a campaign": "hil.monte_carlo.page:write_page",
-        "evidence of recordings": "hil.cli.campaign_recordings:add_to_evidence",
+        "case": "hil.parts.campaigns.api.campaign_results:campaign_case",
+        "report of a campaign": "hil.parts.campaigns.page:write_page",
+        "evidence of recordings": "hil.parts.campaigns.cli.campaign_recordings:add_to_evidence",
     },
-    kernels={"fusion": "hil.monte_carlo.fusion:compile_kernels"},
-    modules=(
-        "hil.monte_carlo", "hil.pytest_plugin", "hil.api.bench", "hil.api.benchmark", "hil.api.campaign_request",
-        "hil.api.campaign_results", "hil.api.campaigns", "hil.api.margins", "hil.api.requirements",
-        "hil.cli.benchmark", "hil.cli.campaign", "hil.cli.campaign_recordings",
-        "hil.cli.ci", "hil.cli.explain", "hil.cli.fusion", "hil.cli.margins",
-        "hil.report.benchmark_page", "hil.report.requirements_page",
-    ),
+    kernels={"fusion": "hil.parts.campaigns.fusion:compile_kernels"},
 )  # fmt: skip
 
 WIRES: Final = Part(
     name="wires",
     summary="Drivers of rails, turntables, digital I/O and sensors on wires, their I/O process and its watchdog.",
     provides={
-        "rig.kind=hardware": "hil.session.wired:wired_bench",
+        "rig.kind=hardware": "hil.parts.wires.wired:wired_bench",
         "rig.kind=hardware: locks": "hil.drivers.wire_lock:locked_wires",
-        "rig.kind=hardware: preflight": "hil.preflight.devices:hardware_checks",
+        "rig.kind=hardware: preflight": "hil.parts.wires.devices:hardware_checks",
     },
     uses=lambda scenario, rig: rig.kind != "mock",
-    check_rig="hil.checks.clock:check_clock",
+    check_rig="hil.parts.wires.clock:check_clock",
     check_run="hil.drivers.wire_lock:wires_in_use",
     modules=(
         "hil.drivers.checksums", "hil.drivers.cyclic_exchange", "hil.drivers.io.codec", "hil.drivers.io.coupler",
-        "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor",
-        "hil.drivers.loop_thread", "hil.drivers.ptp", "hil.drivers.rails",
-        "hil.drivers.remote", "hil.drivers.serial_port", "hil.drivers.split_axes", "hil.drivers.turntable",
-        "hil.drivers.vmu.codec", "hil.drivers.vmu.driver", "hil.drivers.vmu.entry", "hil.drivers.vmu.frame_codec",
-        "hil.drivers.vmu.sender", "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock", "hil.preflight.devices",
-        "hil.processes.io_server", "hil.processes.watchdog", "hil.checks.clock", "hil.session.wired",
-        "hil.setup.line_sensors", "hil.setup.meters",
+        "hil.drivers.io.driver", "hil.drivers.io.entry", "hil.drivers.line_sensor", "hil.drivers.loop_thread",
+        "hil.drivers.ptp", "hil.drivers.rails", "hil.drivers.remote", "hil.drivers.serial_port",
+        "hil.drivers.split_axes", "hil.drivers.turntable", "hil.drivers.vmu.codec", "hil.drivers.vmu.driver",
+        "hil.drivers.vmu.entry", "hil.drivers.vmu.frame_codec", "hil.drivers.vmu.sender",
+        "hil.drivers.vmu.unit_clock", "hil.drivers.wire_lock",
     ),
 )  # fmt: skip
 
@@ -156,27 +142,22 @@ MONITOR: Final = Part(
     summary="Docking monitor: range and angles from the images of a television camera.",
     commands={
         "monitor": PartCommand(
-            "hil.cli.monitor:monitor",
+            "hil.parts.monitor.cli:monitor",
             "Measure range, range rate and angles on the video of an approach, each with its standard deviation.",
         ),
     },
     tables=("monitor", "rig.monitor_camera"),
-    provides={"monitor.source": "hil.params.monitor:monitor_sensor"},
+    provides={"monitor.source": "hil.parts.monitor.params:monitor_sensor"},
     uses=lambda scenario, rig: scenario.monitor.has_images,
-    attachments="hil.session.with_docking_monitor:attachments",
-    attach="hil.session.with_docking_monitor:attach",
-    kernels={"monitor": "hil.session.with_docking_monitor:compile_kernels"},
+    attachments="hil.parts.monitor.session:attachments",
+    attach="hil.parts.monitor.session:attach",
+    kernels={"monitor": "hil.parts.monitor.session:compile_kernels"},
     opencv=True,
-    lines={"monitor": "hil.report.docking_monitor:monitor_lines"},
+    lines={"monitor": "hil.parts.monitor.report:monitor_lines"},
     sinks={
-        "portions": PartSink(64, "/monitor/portions", "hil.Portion", "hil.monitor.results:PORTION_FIELDS"),
+        "portions": PartSink(64, "/monitor/portions", "hil.Portion", "hil.parts.monitor.results:PORTION_FIELDS"),
         "monitor_images": PartSink(16),
     },
-    modules=(
-        "hil.monitor", "hil.cameras.docking", "hil.cli.monitor", "hil.params.monitor", "hil.processes.docking_monitor",
-        "hil.report.docking_monitor", "hil.sensors.docking_monitor", "hil.session.with_docking_monitor",
-        "hil.setup.docking_monitor", "hil.setup.portion_samples",
-    ),
 )  # fmt: skip
 
 CONSOLE: Final = Part(
@@ -184,15 +165,12 @@ CONSOLE: Final = Part(
     summary="Console: the page that displays and commands a session, its operators, and live viewers.",
     commands={
         "console": PartCommand(
-            "hil.cli.console:console",
+            "hil.parts.console.cli.console:console",
             "Serve the page that displays and commands a session at the bench, until Ctrl-C.",
         ),
-        "operators": PartCommand("hil.cli.operators:app", "Keys of the operators of a console."),
+        "operators": PartCommand("hil.parts.console.cli.operators:app", "Keys of the operators of a console."),
     },
-    modules=(
-        "hil.console", "hil.cli.console", "hil.cli.operators", "hil.processes.console_session",
-        "hil.processes.foxglove_server", "hil.recording.foxglove_server",
-    ),
+    modules=("hil.recording.foxglove_server",),
 )  # fmt: skip
 
 EMULATION: Final = Part(
@@ -200,31 +178,18 @@ EMULATION: Final = Part(
     summary="Emulators of all devices on their wires, with faults, by the wall clock or in lock-step.",
     commands={
         "emulate": PartCommand(
-            "hil.cli.emulate:emulate",
+            "hil.parts.emulation.cli:emulate",
             "Start the emulated devices of a rig, print their addresses, and run until Ctrl-C.",
         ),
     },
     provides={
-        "rig.kind=emulated": "hil.session.emulated:emulated_bench",
-        "rig.kind=emulated: preflight": "hil.preflight.emulated:emulated_checks",
-        "rig.kind=emulated: operator": "hil.commission.emulated_operator:AutoOperator",
-        "rig.kind=emulated: faults": "hil.drivers.fault_injection:FaultControl",
-        "rig.host.time=lock_step": "hil.core.lock_step:LockStepClock",
-        "rig.host.time=lock_step: serial": "hil.drivers.counted_serial:CountedSerial",
+        "rig.kind=emulated": "hil.parts.emulation.session:emulated_bench",
+        "rig.kind=emulated: preflight": "hil.parts.emulation.preflight:emulated_checks",
+        "rig.kind=emulated: operator": "hil.parts.emulation.operator:AutoOperator",
+        "rig.kind=emulated: faults": "hil.parts.emulation.fault_injection:FaultControl",
+        "rig.host.time=lock_step": "hil.parts.emulation.lock_step:LockStepClock",
+        "rig.host.time=lock_step: serial": "hil.parts.emulation.counted_serial:CountedSerial",
     },
-    modules=(
-        "hil.cli.emulate", "hil.commission.emulated_operator", "hil.core.lock_step", "hil.core.lock_step_asyncio",
-        "hil.core.lock_step_page",
-        "hil.drivers.cameras.emulator", "hil.drivers.emulated_axes", "hil.drivers.emulated_devices",
-        "hil.drivers.fault_injection", "hil.drivers.io.emulator", "hil.drivers.line_sensor.emulator",
-        "hil.drivers.pty_line", "hil.drivers.rails.emulator", "hil.drivers.rails.modbus_server",
-        "hil.drivers.serial_urls", "hil.drivers.shared_state", "hil.drivers.turntable.ascii.emulator",
-        "hil.drivers.counted_serial", "hil.drivers.modbus_tcp", "hil.drivers.turntable.cia402.drive",
-        "hil.drivers.turntable.cia402.modes", "hil.drivers.turntable.cia402.emulator",
-        "hil.drivers.vmu.emulated_camera", "hil.drivers.vmu.emulator",
-        "hil.preflight.emulated", "hil.processes.emulators", "hil.session.emulated",
-        "hil.setup.true_axes", "hil.setup.emulated_cameras", "hil.setup.emulated_vision",
-    ),
 )  # fmt: skip
 
 CAMERAS: Final = Part(
@@ -232,13 +197,14 @@ CAMERAS: Final = Part(
     summary="Cameras by GenICam, GenTL and V4L2, and rendered ones.",
     commands={
         "cameras": PartCommand(
-            "hil.cli.cameras:app", "Cameras of the vision unit: find them, show their images, focus their lenses."
+            "hil.parts.cameras.cli.cameras:app",
+            "Cameras of the vision unit: find them, show their images, focus their lenses.",
         ),
     },
-    provides={"vmu.source=rendered": "hil.cameras.pose_sensor:rendered_pose_sensor"},
+    provides={"vmu.source=rendered": "hil.parts.cameras.pose_sensor:rendered_pose_sensor"},
     uses=lambda scenario, rig: scenario.vmu.source in ("rendered", "cameras"),
-    attachments="hil.cameras.pose_sensor:attachments",
-    modules=("hil.cameras", "hil.cli.camera_aid", "hil.cli.cameras", "hil.drivers.cameras", "hil.processes.camera"),
+    attachments="hil.parts.cameras.pose_sensor:attachments",
+    modules=("hil.drivers.cameras",),
 )
 
 LINKS: Final = Part(
@@ -246,24 +212,17 @@ LINKS: Final = Part(
     summary="GNC on another computer: UDP datagrams, command words, and the check of a GNC.",
     commands={
         "gnc": PartCommand(
-            "hil.cli.gnc:app",
+            "hil.parts.links.cli.gnc:app",
             "Run the GNC of a scenario for a bench in another process or on another computer, until the bench "
             "disconnects.",
         ),
         "dss": PartCommand(
-            "hil.cli.dss:dss",
+            "hil.parts.links.cli.dss:dss",
             "Run the bench, with dynamics and vision unit, for a GNC in another process or on another computer.",
         ),
     },
     tables=("rig.flight_computer", "rig.gnc_link"),
-    provides={"rig.flight_computer.command_words": "hil.gnc_backends.command_words:command_word_gnc"},
-    modules=(
-        "hil.cli.dss", "hil.cli.gnc", "hil.cli.gnc_check", "hil.drivers.command_words", "hil.frmn.authentication",
-        "hil.frmn.link", "hil.frmn.link_statistics", "hil.frmn.mirror", "hil.frmn.udp",
-        "hil.gnc_backends.command_words", "hil.gnc_backends.udp", "hil.gnc_backends.udp_receiver",
-        "hil.gnc_backends.udp_records", "hil.gnc_check", "hil.processes.binary_gnc_server", "hil.processes.gnc_server",
-        "hil.setup.udp_gnc",
-    ),
+    provides={"rig.flight_computer.command_words": "hil.parts.links.command_words:command_word_gnc"},
 )  # fmt: skip
 
 FMI: Final = Part(
@@ -271,22 +230,18 @@ FMI: Final = Part(
     summary="Functional mock-up units: GNC and parts of the plant in FMUs, the bench as an FMU.",
     commands={
         "fmu-export": PartCommand(
-            "hil.cli.fmu_export:fmu_export",
+            "hil.parts.fmi.cli:fmu_export",
             "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
         ),
     },
     tables=("models",),
     provides={
-        "gnc.fmu": "hil.gnc_backends.isolated:open_fmu",
-        "backend in an FMU": "hil.gnc_backends.fmu:FmuBackend",
-        "models": "hil.setup.plant_models:model_stage",
+        "gnc.fmu": "hil.parts.fmi.isolated:open_fmu",
+        "backend in an FMU": "hil.parts.fmi.backend:FmuBackend",
+        "models": "hil.parts.fmi.plant_models:model_stage",
     },
     uses=lambda scenario, rig: bool(scenario.models),
-    check_run="hil.setup.plant_models:check_models",
-    modules=(
-        "hil.fmi", "hil.cli.fmu_export", "hil.gnc_backends.fmu", "hil.gnc_backends.isolated", "hil.loop.model_stage",
-        "hil.monte_carlo.plant_fmu", "hil.processes.isolated_fmu", "hil.setup.plant_models",
-    ),
+    check_run="hil.parts.fmi.plant_models:check_models",
 )  # fmt: skip
 
 COMMISSIONING: Final = Part(
@@ -294,15 +249,14 @@ COMMISSIONING: Final = Part(
     summary="First power-up of a rig, its identification and its sign-off.",
     commands={
         "identify": PartCommand(
-            "hil.cli.identify:identify",
+            "hil.parts.commissioning.cli.identify:identify",
             "Move one axis at a time, a few millimetres or tenths of a degree, and measure its delay and bandwidth.",
         ),
         "commission": PartCommand(
-            "hil.cli.commission:commission",
+            "hil.parts.commissioning.cli.commission:commission",
             "Take a rig from its emergency stop, one axis at a time, to a slow dry run, and sign it off.",
         ),
     },
-    modules=("hil.commission", "hil.cli.commission", "hil.cli.identify"),
 )
 
 EXPORT: Final = Part(
@@ -310,12 +264,11 @@ EXPORT: Final = Part(
     summary="Recordings for other programs: Parquet, CSV, images, bags of ROS 2.",
     commands={
         "export": PartCommand(
-            "hil.cli.export:export",
+            "hil.parts.export.cli:export",
             "Write the numbers of a recording as Parquet or CSV, its camera images, or all of it as a bag of ROS 2.",
         ),
     },
-    provides={"table of cycles": "hil.recording.export:write_cycles"},
-    modules=("hil.cli.export", "hil.recording.export", "hil.recording.export_images", "hil.recording.ros2"),
+    provides={"table of cycles": "hil.parts.export.table:write_cycles"},
 )
 
 PARTS: Final = (

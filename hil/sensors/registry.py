@@ -34,7 +34,7 @@ SHIPPED: Final = {
     "lidar": "hil.sensors.lidar:Lidar",
     "star_tracker": "hil.sensors.star_tracker:StarTracker",
     "pose": "hil.sensors.pose:ExternalPose",
-    "docking_monitor": "hil.sensors.docking_monitor:DockingMonitorSensor",
+    "docking_monitor": "hil.parts.monitor.sensor:DockingMonitorSensor",
 }
 """Kind -> module and class."""
 

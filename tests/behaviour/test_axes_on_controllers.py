@@ -17,20 +17,20 @@ import hil
 from hil.config.load import load_rig
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import ROTARY_NAMES, Rails, Rig
-from hil.console.session_state import SessionState, bench_description
-from hil.console.status import StatusWriter
 from hil.core.clock import SimulatedClock
 from hil.core.messages import AxisFeedback, Homing
 from hil.core.modes import Mode
 from hil.drivers.mock_axes import MockAxes
-from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.split_axes import make_axes
 from hil.errors import BadInput, DeviceError, LinkLost, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.target_stage import AxesTogether, HeldAxes
-from hil.recording.export import export
+from hil.parts.console.session_state import SessionState, bench_description
+from hil.parts.console.status import StatusWriter
+from hil.parts.emulation.shared_state import SharedAxisState
+from hil.parts.export.ros2 import export_ros2
+from hil.parts.export.table import export
 from hil.recording.read import load
-from hil.recording.ros2 import export_ros2
 from hil.recording.session import recording
 from hil.session.build import runner as make_runner
 from hil.setup import assembly

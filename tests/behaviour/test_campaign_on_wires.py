@@ -14,7 +14,7 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import WallClock
-from hil.drivers.emulated_devices import EmulatedDevices
+from hil.parts.emulation.emulated_devices import EmulatedDevices
 from tests.support.pytest_runs import environment, pytest_command, pytest_run
 from tests.support.run_settings import HARDWARE_WIRES, UNHURRIED
 from tests.system.test_killed_processes import lab_file

@@ -17,16 +17,16 @@ import pytest
 
 import hil
 from hil.core.child_process import ChildProcess
-from hil.drivers.fault_injection import FaultControl
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
+from hil.parts.emulation.fault_injection import FaultControl
 
 pytestmark = pytest.mark.wires(limit_s=0.05)  # what a process has to end after SIGTERM
 
 CHILD = """
 import sys, time
 from hil.core.child_process import serve
-from hil.drivers.fault_injection import Faults
-from hil.processes.emulators import FaultInjectionService
+from hil.parts.emulation.fault_injection import Faults
+from hil.parts.emulation.process import FaultInjectionService
 
 class Emulator:
     def __init__(self, configuration):
@@ -234,8 +234,8 @@ def test_every_module_that_is_started_exists_and_every_module_of_processes_is_st
     children = {f"hil.processes.{path.stem}" for path in (folder / "processes").glob("*.py")}
     assert started == children - {
         "hil.processes.__init__",
-        "hil.processes.gnc_server",
-        "hil.processes.binary_gnc_server",
+        "hil.parts.links.gnc_server",
+        "hil.parts.links.binary_gnc_server",
     }
     for name in sorted(started):
         importlib.import_module(name)

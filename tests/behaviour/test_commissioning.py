@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.commission.prompt import ScriptedPrompt, StepFailed
-from hil.commission.steps import Commissioning, CommissioningPlan, Findings, TruePosition
 from hil.core.modes import Mode
 from hil.drivers.io.mock import MockIo
 from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
+from hil.parts.commissioning.prompt import ScriptedPrompt, StepFailed
+from hil.parts.commissioning.steps import Commissioning, CommissioningPlan, Findings, TruePosition
 from hil.session import build
 from tests.support.run_settings import make_job
 

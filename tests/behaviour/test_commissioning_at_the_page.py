@@ -12,17 +12,17 @@ from typing import Any
 
 import pytest
 
-from hil.commission.sign_off import free_file
-from hil.commission.steps import Commissioning, CommissioningPlan, Findings
-from hil.console.remote_operator import OutgoingMessages
-from hil.console.session import CommissioningOperator
-from hil.console.status import CELLS
 from hil.core.modes import Mode
 from hil.core.operator_commands import StopCommanded
 from hil.drivers.io.mock import MockIo
 from hil.errors import SafetyTrip
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.safety_io_stage import SafetyIoStage
+from hil.parts.commissioning.sign_off import free_file
+from hil.parts.commissioning.steps import Commissioning, CommissioningPlan, Findings
+from hil.parts.console.remote_operator import OutgoingMessages
+from hil.parts.console.session import CommissioningOperator
+from hil.parts.console.status import CELLS
 from hil.session import build
 from tests.behaviour.test_commissioning import STEP_S, Button, X
 from tests.support.run_settings import make_job

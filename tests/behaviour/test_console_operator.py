@@ -13,8 +13,6 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.config.tables.host import OnLoss
-from hil.console.remote_operator import OutgoingMessages, RemoteOperator
-from hil.console.status import CELLS, MODES, empty_status, status_of
 from hil.core.clock import SimulatedClock
 from hil.core.modes import Mode
 from hil.frmn.mailbox import MailboxBlock
@@ -22,6 +20,8 @@ from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
+from hil.parts.console.remote_operator import OutgoingMessages, RemoteOperator
+from hil.parts.console.status import CELLS, MODES, empty_status, status_of
 from hil.session import build
 from hil.setup.live_tuning import packed
 from tests.support.run_settings import make_job

@@ -8,7 +8,7 @@ import pytest
 import hil
 from hil.config.load import load_scenario
 from hil.errors import BadInput
-from hil.monte_carlo.dispersions import Design
+from hil.parts.campaigns.dispersions import Design
 
 
 @pytest.mark.parametrize("eccentricity", [0.005, 0.09])

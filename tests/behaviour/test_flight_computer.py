@@ -9,8 +9,8 @@ import tty
 import numpy as np
 import pytest
 
-from hil.drivers.command_words.codec import Word, encode
 from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
+from hil.parts.links.command_word_codec import Word, encode
 from hil.session import build
 from tests.support.run_settings import UNHURRIED, make_job
 

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 import pytest
 
-from hil.cameras.aid_server import AidServer
 from hil.cli.main import execute
 from hil.config.tables.cameras import VisionCameras
 from hil.drivers.cameras.base import Camera, CameraFrame, to_8_bits
-from hil.drivers.cameras.emulator import CameraEmulator
 from hil.drivers.cameras.interfaces import open_camera
 from hil.errors import DeviceError
+from hil.parts.cameras.aid_server import AidServer
+from hil.parts.emulation.cameras import CameraEmulator
 from tests.support.emulated_cameras import LEFT, emulated
 
 pytestmark = pytest.mark.wires

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.commission.identification import AxisResult, Identification
 from hil.core.messages import AXES, new
 from hil.core.modes import Mode
 from hil.errors import BenchError, LinkLost, SafetyTrip
 from hil.loop.motion_sequences import MotionSequencer
+from hil.parts.commissioning.identification import AxisResult, Identification
 from hil.session import build
 from tests.support.run_settings import make_job
 

@@ -24,8 +24,8 @@ from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.io.codec import Function, LineMap
 from hil.drivers.io.coupler import Coupler
 from hil.drivers.io.driver import ModbusIo
-from hil.drivers.io.emulator import IDENTITY, IoEmulator
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.parts.emulation.digital_io import IDENTITY, IoEmulator
 
 pytestmark = pytest.mark.wires
 

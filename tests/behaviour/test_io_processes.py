@@ -30,7 +30,7 @@ from hil.drivers.remote.processes import IoProcesses
 from hil.drivers.remote.requests import IoRequests
 from hil.drivers.remote.server import LOOP_SILENCE_MAX_S
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError
-from hil.processes.io_server import IoServer
+from hil.parts.wires.io_server import IoServer
 
 pytestmark = pytest.mark.wires
 

@@ -17,9 +17,9 @@ from hil.errors import LinkLost
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
 from hil.maths.random_streams import stream
-from hil.monitor.render import Conditions, TargetRenderer
-from hil.monitor.results import PORTION
-from hil.setup.docking_monitor import LiveClock, MonitorOutcome, MonitorProcess, MonitorRings, RingPortions
+from hil.parts.monitor.render import Conditions, TargetRenderer
+from hil.parts.monitor.results import PORTION
+from hil.parts.monitor.setup import LiveClock, MonitorOutcome, MonitorProcess, MonitorRings, RingPortions
 from tests.support.emulated_cameras import emulated, require_libaravis
 from tests.support.run_settings import typed
 

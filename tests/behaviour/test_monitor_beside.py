@@ -20,10 +20,10 @@ from hil.core.messages import CYCLE
 from hil.errors import LinkLost
 from hil.frmn.ring import Reader, Ring
 from hil.frmn.search_region import SearchRegion
-from hil.monitor.results import PORTION
-from hil.report.docking_monitor import judge_monitor, monitor_lines
+from hil.parts.monitor.report import judge_monitor, monitor_lines
+from hil.parts.monitor.results import PORTION
+from hil.parts.monitor.setup import MonitorOutcome, MonitorProcess, MonitorRings, monitor_recorded
 from hil.session import build
-from hil.setup.docking_monitor import MonitorOutcome, MonitorProcess, MonitorRings, monitor_recorded
 from tests.support.run_settings import UNHURRIED, make_job, typed
 
 pytestmark = pytest.mark.xdist_group("docking monitor")

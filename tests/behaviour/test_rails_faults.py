@@ -13,14 +13,14 @@ import pytest
 from hil.config.load import load_rig
 from hil.config.rig import Modbus, ModbusAxis, Rails
 from hil.core.clock import WallClock
-from hil.core.lock_step import LockStepConductor
 from hil.core.messages import Homing
-from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, ControlFlags, RegisterMap, Status
 from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import RailsEmulator, RtuRailsEmulator
-from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
+from hil.parts.emulation.emulated_axes import WATCHDOG_S
+from hil.parts.emulation.lock_step import LockStepConductor
+from hil.parts.emulation.rails import RailsEmulator, RtuRailsEmulator
+from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 from tests.support.lock_step import GRID_S, in_lock_step, serving
 
 RIGS = ("emulated", "emulated-rtu")

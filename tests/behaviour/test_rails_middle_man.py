@@ -22,11 +22,11 @@ import pytest
 from hil.config.load import load_rig
 from hil.config.rig import Rails
 from hil.core.clock import WallClock
-from hil.drivers.emulated_axes import EmulatedAxes
 from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import RtuRailsEmulator
-from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import DeviceError
+from hil.parts.emulation.emulated_axes import EmulatedAxes
+from hil.parts.emulation.rails import RtuRailsEmulator
+from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 
 pytestmark = pytest.mark.wires
 

@@ -22,12 +22,12 @@ from hil.config.tables.rail_map import RailMap
 from hil.core.clock import WallClock
 from hil.drivers import loop_thread
 from hil.drivers.base import AxisGroup
-from hil.drivers.emulated_axes import WATCHDOG_S
 from hil.drivers.rails.codec import Command, ControlFlags, State, Status
 from hil.drivers.rails.driver import ModbusRails
-from hil.drivers.rails.emulator import RailsEmulator
-from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput, BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
+from hil.parts.emulation.emulated_axes import WATCHDOG_S
+from hil.parts.emulation.rails import RailsEmulator
+from hil.parts.emulation.shared_state import SharedAxisState
 
 pytestmark = pytest.mark.wires
 
@@ -39,9 +39,9 @@ PARK = [1.0, 0.0, 0.5]
 CHILD = """
 import json, sys, threading
 from hil.core.clock import WallClock
-from hil.drivers.shared_state import SharedAxisState
+from hil.parts.emulation.shared_state import SharedAxisState
 from hil.config.rig import Rails
-from hil.drivers.rails.emulator import RailsEmulator
+from hil.parts.emulation.rails import RailsEmulator
 emulator = RailsEmulator(Rails.model_validate_json(sys.argv[1]), WallClock(), SharedAxisState.create())
 print(json.dumps(emulator.start()), flush=True)
 emulator.run(threading.Event())

@@ -11,10 +11,10 @@ import tty
 import pytest
 
 from hil.core.clock import WallClock
-from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
-from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.errors import ProtocolError
+from hil.parts.emulation.ascii_turntable import AsciiTurntableEmulator
+from hil.parts.emulation.shared_state import SharedAxisState
 from tests.behaviour.test_turntable_timeouts import error_of, eventually
 from tests.support.turntable_bench import turntable
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.core.clock import WallClock
-from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.errors import DriveFault, FaultKind, LinkLost, SafetyTrip
+from hil.parts.emulation.cia402 import Cia402Emulator
 from tests.support.lock_step import GRID_S
 from tests.support.turntable_bench import DRIVERS, PARK_DEG, error_of, eventually, served, turntable
 

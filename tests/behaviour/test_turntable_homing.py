@@ -9,9 +9,9 @@ import pytest
 
 from hil.config.load import configs_folder
 from hil.core.messages import Homing
-from hil.drivers.shared_state import ChainState
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.errors import DriveFault, FaultKind, LinkTimeout, ProtocolError
+from hil.parts.emulation.shared_state import ChainState
 from tests.support.turntable_bench import PARK_DEG, error_of, eventually, served
 
 INCREMENTAL = {"encoder": "incremental", "home_deg": 1.0, "homing_rate_degps": 5.0}

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from hil.core.clock import WallClock
-from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import DeviceError, LinkLost, LinkTimeout
+from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 from tests.support.turntable_bench import DRIVERS, EMULATORS, turntable
 
 pytestmark = pytest.mark.wires
@@ -148,7 +148,7 @@ CHILD = """
 import json, sys, threading
 from hil.core.clock import WallClock
 from hil.config.rig import Turntable
-from hil.drivers.shared_state import SharedAxisState
+from hil.parts.emulation.shared_state import SharedAxisState
 from {module} import {emulator}
 emulator = {emulator}(Turntable.model_validate_json(sys.argv[1]), WallClock(int(sys.argv[2])), SharedAxisState.create())
 print(json.dumps(emulator.start()), flush=True)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from hil.cli.main import BAD_INPUT, FAILED, PASSED, execute
-from hil.cli.vmu import COLUMNS
 from hil.config.vmu_geometry import VmuGeometry
+from hil.parts.vision.cli.vmu import COLUMNS
 from hil.vmu.geometry import camera_pair, led_positions
 from hil.vmu.render import Extras, Reflection, RingAppearance, RingRenderer
 from tests.support.vmu_scene import Truth, ring

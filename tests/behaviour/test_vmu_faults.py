@@ -11,11 +11,11 @@ import pytest
 
 from hil.config.rig import Vmu, VmuLine
 from hil.core.clock import Order
-from hil.core.lock_step import LockStepConductor
 from hil.core.messages import PoseFrame
 from hil.drivers.vmu.driver import Rs422Vmu
-from hil.drivers.vmu.emulator import VmuEmulator
 from hil.errors import DeviceError, LinkLost, LinkTimeout, ProtocolError
+from hil.parts.emulation.lock_step import LockStepConductor
+from hil.parts.emulation.vision_unit import VmuEmulator
 from tests.support.lock_step import in_lock_step, serving
 
 POSE = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)

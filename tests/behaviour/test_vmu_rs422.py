@@ -18,13 +18,13 @@ from hil.core.child_process import ChildProcess
 from hil.core.clock import WallClock
 from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
-from hil.drivers.pty_line import PtyLine
 from hil.drivers.vmu import COUNTERS
 from hil.drivers.vmu.codec import STATUS_NO_POSE
 from hil.drivers.vmu.driver import Rs422Vmu
-from hil.drivers.vmu.emulator import VmuEmulator
 from hil.drivers.vmu.frame_codec import frame_codec
 from hil.errors import DeviceError, DriveFault, LinkLost, LinkTimeout
+from hil.parts.emulation.pty_line import PtyLine
+from hil.parts.emulation.vision_unit import VmuEmulator
 
 pytestmark = pytest.mark.wires
 
@@ -36,7 +36,7 @@ import numpy as np
 from hil.core.clock import WallClock
 from hil.config.rig import Vmu
 from hil.core.child_process import serve
-from hil.drivers.vmu.emulator import VmuEmulator
+from hil.parts.emulation.vision_unit import VmuEmulator
 from hil.core.messages import PoseFrame
 pose = PoseFrame(0, 0.0, 0.0, np.array([0.1, -0.2, 3.0]), np.array([0.0, 0.0, 0.0, 1.0]), np.eye(6) * 1e-4)
 def unit(c):

@@ -32,16 +32,16 @@ from hil.core.clock import BenchClock, Order, SimulatedClock
 from hil.core.messages import Homing
 from hil.drivers.axes import ServoAxes
 from hil.drivers.base import AxisGroup, Jogs
-from hil.drivers.fault_injection import Faults
 from hil.drivers.mock_axes import MockAxes
 from hil.drivers.remote.devices import IoLink, RemoteAxes
 from hil.drivers.remote.io_layout import IO, IoSharedMemory
 from hil.drivers.remote.requests import IoRequests
-from hil.drivers.shared_state import SharedAxisState
 from hil.drivers.split_axes import make_axes
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, SafetyTrip
-from hil.processes.io_server import IoServer
+from hil.parts.emulation.fault_injection import Faults
+from hil.parts.emulation.shared_state import SharedAxisState
+from hil.parts.wires.io_server import IoServer
 from tests.support import example_driver
 from tests.support.lock_step import in_lock_step, serving
 

@@ -14,9 +14,9 @@ from hil.core.clock import Order, SimulatedClock
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo
 from hil.drivers.io.driver import ModbusIo
-from hil.drivers.io.emulator import IoEmulator
 from hil.drivers.io.mock import MockIo
 from hil.errors import DeviceError, LinkTimeout
+from hil.parts.emulation.digital_io import IoEmulator
 from tests.support.lock_step import in_lock_step, serving
 
 PUMP_TIMEOUT_S = 0.4  # generous: the machine that tests run on does other things too

@@ -16,9 +16,9 @@ from hil.core.clock import Order, SimulatedClock
 from hil.core.messages import PoseFrame
 from hil.drivers.base import PoseSource
 from hil.drivers.vmu.driver import Rs422Vmu
-from hil.drivers.vmu.emulator import VmuEmulator
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import DeviceError, LinkTimeout
+from hil.parts.emulation.vision_unit import VmuEmulator
 from tests.support.lock_step import in_lock_step, serving
 
 CONFIG = load_rig("emulated").value.vmu

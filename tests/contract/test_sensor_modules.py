@@ -14,7 +14,7 @@ import hil
 from hil.config.load import load_rig, load_scenario
 from hil.core.gnc_records import GncHealth
 from hil.core.sensor_records import ACCEPTED, NOT_USED, SENSOR_ARRIVAL
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
 from hil.recording import read
 from hil.recording.replay import replay
 from hil.sensors import check
@@ -141,7 +141,7 @@ def test_samples_are_recorded_exported_and_replayed(tmp_path: Path) -> None:
     (path,) = tmp_path.glob("*.mcap")
     recording = hil.open(path)
     assert recording.replay().identical
-    from hil.recording.export import export
+    from hil.parts.export.table import export
 
     written = {file.name: rows for file, rows in export(path, "csv", tmp_path / "run.csv")}
     assert written["run-sensor-ranger.csv"] == 60

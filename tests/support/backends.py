@@ -9,9 +9,9 @@ import numpy as np
 
 from hil.core.fields import record_dtype
 from hil.core.gnc_records import GNC_SETUP_FIELDS, NAVIGATION_INPUT_FIELDS, NAVIGATION_OUTPUT_FIELDS
-from hil.fmi.mapping import record_fields
-from hil.fmi.package import Model, ModelVariable, build
 from hil.gnc_backends.c_header import HEADER_FILE
+from hil.parts.fmi.mapping import record_fields
+from hil.parts.fmi.package import Model, ModelVariable, build
 from tests.support.external_gnc import ROOT, changed, compile_c
 
 EXAMPLES = ROOT / "examples" / "backends"

@@ -17,9 +17,9 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from hil.console.columns import INDEX
-from hil.console.message import unpack
 from hil.core.operator_keys import OperatorKey
+from hil.parts.console.columns import INDEX
+from hil.parts.console.message import unpack
 from tests.support.run_settings import typed
 
 _PATIENCE = {

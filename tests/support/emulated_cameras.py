@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hil.core.clock import WallClock
-from hil.drivers.cameras.emulator import CameraEmulator
 from hil.drivers.cameras.libaravis import aravis
 from hil.errors import DeviceError, LinkLost
+from hil.parts.emulation.cameras import CameraEmulator
 
 LEFT, RIGHT = "127.0.0.2", "127.0.0.3"
 

@@ -14,39 +14,38 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parent.parent.parent / "hil"
 EXEMPT: Final = {
-    "commission": "fits with stated uncertainties",
+    "parts/commissioning": "fits with stated uncertainties",
     "vmu": "measurements from pictures",
-    "monitor": "measurements from pictures",
-    "cameras": "pictures",
-    "console": "display",
-    "cli": "display",
-    "gnc_check": "tests of another's GNC, with tolerances",
+    "parts/monitor": "measurements from pictures",
+    "parts/cameras": "pictures",
+    "parts/console": "display",
+    "parts/links/gnc_check": "tests of another's GNC, with tolerances",
     "preflight": "measurements of the host",
-    "pytest_plugin": "display",
+    "parts/campaigns/pytest_plugin": "display",
     "gnc/estimation/shadow_filter.py": "the independent filter of filterpy",
-    "fmi/units.py": "powers of units, which are whole",
+    "parts/fmi/units.py": "powers of units, which are whole",
     "maths/order_statistics.py": "statistics of the rows of a campaign",
-    "monte_carlo/drivers.py": "regressions on the rows of a campaign",
-    "monte_carlo/explain.py": "statistics of the rows of a campaign",
-    "monte_carlo/figure.py": "display",
-    "monte_carlo/fusion.py": "the study of the filters alone",
-    "monte_carlo/fusion_interval.py": "the study of the filters alone",
-    "monte_carlo/fusion_kernel.py": "the study of the filters alone",
-    "monte_carlo/margins.py": "statistics of the rows of a campaign",
-    "monte_carlo/statistics.py": "statistics of the rows of a campaign",
-    "monte_carlo/sobol_indices.py": "statistics of the rows of a campaign",
+    "parts/campaigns/drivers.py": "regressions on the rows of a campaign",
+    "parts/campaigns/explain.py": "statistics of the rows of a campaign",
+    "parts/campaigns/figure.py": "display",
+    "parts/campaigns/fusion.py": "the study of the filters alone",
+    "parts/campaigns/fusion_interval.py": "the study of the filters alone",
+    "parts/campaigns/fusion_kernel.py": "the study of the filters alone",
+    "parts/campaigns/margins.py": "statistics of the rows of a campaign",
+    "parts/campaigns/statistics.py": "statistics of the rows of a campaign",
+    "parts/campaigns/sobol_indices.py": "statistics of the rows of a campaign",
     "drivers/vmu/frame_codec.py": "Euler angles that emulators send",
     "recording/foxglove.py": "display",
     "recording/foxglove_scene.py": "display",
-    "recording/ros2.py": "export",
+    "parts/export/ros2.py": "export",
     "recording/catalogue.py": "display",
     "report/comparison.py": "statistics of two runs",
-    "report/docking_monitor.py": "comparison with measurements from pictures",
     "report/figures.py": "display",
     "report/latency.py": "fits with stated uncertainties",
     "sensors/check.py": "tests of a sensor's module, with tolerances",
 }
-"""Packages and files whose numbers are in no row, verdict or record of a run, and why they may differ."""
+"""Packages and files whose numbers are in no row, verdict or record of a run, and why they may differ; so are those of
+the command line."""
 
 _FUNCTIONS: Final = """
     sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp exp2 expm1 log log2 log10 log1p pow cbrt hypot
@@ -62,7 +61,7 @@ def places() -> Iterator[str]:
     """Yield each place of such arithmetic: file, line and what it is."""
     for path in sorted(ROOT.rglob("*.py")):
         name = path.relative_to(ROOT).as_posix()
-        if name in EXEMPT or name.partition("/")[0] in EXEMPT:
+        if {"cli", "cli.py"} & {*name.split("/")} or any(f"{name}/".startswith(f"{exempt}/") for exempt in EXEMPT):
             continue
         for line, what in faults_of(ast.parse(path.read_text(encoding="utf-8")), path.parent.name == "sensors"):
             yield f"hil/{name}:{line}: {what}"

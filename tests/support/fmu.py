@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
-from hil.fmi.archive import DESCRIPTION
-from hil.fmi.package import build
+from hil.parts.fmi.archive import DESCRIPTION
+from hil.parts.fmi.package import build
 from tests.support.external_gnc import C_EXAMPLE, changed
 
 BINARY = "binaries/linux64/gnc.so"

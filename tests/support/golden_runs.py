@@ -24,9 +24,9 @@ import numpy as np
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.dispersions import Design, case_seed
-from hil.monte_carlo.outcome import row_of
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.dispersions import Design, case_seed
+from hil.parts.campaigns.outcome import row_of
 from hil.recording import session as recording_session
 from hil.recording.read import load
 from hil.recording.replay import replay

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from hil.core.child_process import Service
 from hil.core.clock import Order
-from hil.core.lock_step import LockStepConductor
+from hil.parts.emulation.lock_step import LockStepConductor
 
 GRID_S = 0.02
 

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from hil.config.load import load_scene
 from hil.config.scene import CameraTolerances, Scene
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.results import QUANTITIES, Result
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.results import QUANTITIES, Result
+from hil.parts.monitor.sources import VideoFrame
 from tests.support.disturbance_verdicts import USUAL_ROW, Expectation, SeedResult
 from tests.support.tv_pixels import TvCamera, TvTarget
 

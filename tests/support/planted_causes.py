@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.config.load import load_rig, load_scenario
-from hil.monte_carlo.campaign import CampaignJob
-from hil.monte_carlo.engines import LocalEngine
+from hil.parts.campaigns.campaign import CampaignJob
+from hil.parts.campaigns.engines import LocalEngine
 
 _START: Final = (
     "initial.position_m=[0.42,0.0,0.0]", "initial.attitude_deg=[0.0,0.0,0.0]", "requirements.required_ready_s=20.0",

@@ -12,7 +12,7 @@ import threading
 from functools import cache
 from pathlib import Path
 
-PLUGIN = "hil.pytest_plugin.plugin"
+PLUGIN = "hil.parts.campaigns.pytest_plugin.plugin"
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -61,8 +61,8 @@ def _server() -> subprocess.Popen[str]:
 def _serve() -> None:
     import pytest
 
-    import hil.monte_carlo.placement
-    import hil.pytest_plugin.campaign_session
+    import hil.parts.campaigns.placement
+    import hil.parts.campaigns.pytest_plugin.campaign_session
     import hil.report.page
 
     hil.run("scheme-1", duration_s=0.1)  # loads the kernels

@@ -100,5 +100,5 @@ def without_pictures() -> Iterator[None]:
     """Let campaigns draw no pictures of their cases, and write no page: both take longer than short flights."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("draw_percentiles", "draw_integrity", "write_page"):
-            patch.setattr(f"hil.api.campaign_request.{name}", lambda *_: None)
+            patch.setattr(f"hil.parts.campaigns.api.campaign_request.{name}", lambda *_: None)
         yield

@@ -13,17 +13,17 @@ import numpy as np
 from hil.config.load import load_rig, load_scenario
 from hil.core.operator_commands import AutoResumeOperator
 from hil.errors import DeviceError
-from hil.frmn.link import Link
 from hil.frmn.ring import Telemetry
-from hil.frmn.udp import LOOPBACK, Address
-from hil.gnc_backends.udp import UdpGnc, gnc_link
 from hil.loop.cycle import Loop
 from hil.loop.runner import Outcome
 from hil.loop.session_parts import SessionParts
-from hil.processes.gnc_server import GncServer, gnc_side, wants_of
+from hil.parts.links.gnc_server import GncServer, gnc_side, wants_of
+from hil.parts.links.link import Link
+from hil.parts.links.setup import make_udp_gnc, mirror_to
+from hil.parts.links.udp import LOOPBACK, Address
+from hil.parts.links.udp_gnc import UdpGnc, gnc_link
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.setup.udp_gnc import make_udp_gnc, mirror_to
 
 LOCAL: Address = (LOOPBACK, 0)
 

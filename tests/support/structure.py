@@ -49,7 +49,7 @@ def lines(names: Iterable[str]) -> int:
 @cache
 def part_of(module: str) -> str:
     """Return the name of the part that ``module`` is of: that with its longest prefix, otherwise the core."""
-    owners = {prefix: part.name for part in PARTS for prefix in part.modules}
+    owners = {prefix: part.name for part in PARTS for prefix in (f"{ABOVE}.{part.name}", *part.modules)}
     prefixes = [module.rsplit(".", n)[0] for n in range(module.count(".") + 1)]
     return next((owners[prefix] for prefix in prefixes if prefix in owners), CORE.name)
 
@@ -78,7 +78,7 @@ def imports(module: str, inside_functions: bool = True) -> frozenset[str]:
 
 def core_imports() -> list[Import]:
     """Return the imports of the core from parts, those inside functions included."""
-    core = [name for name in modules() if part_of(name) == CORE.name and not name.startswith(ABOVE)]
+    core = [name for name in modules() if part_of(name) == CORE.name and name != ABOVE]
     found = [Import(part_of(each), name, each) for name in core for each in imports(name)]
     return sorted(each for each in found if each.part != CORE.name)
 

@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 import uvicorn
 
-from hil.console.app import make_app
-from hil.console.remote_operator import CONFIRMATIONS
-from hil.console.service import ConsoleService
-from hil.console.session import Choice
-from hil.console.session_state import SessionState, bench_description
-from hil.console.status import MODES, empty_status
-from hil.console.strangers import Access
-from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE, Homing
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.parts.console.app import make_app
+from hil.parts.console.remote_operator import CONFIRMATIONS
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.session import Choice
+from hil.parts.console.session_state import SessionState, bench_description
+from hil.parts.console.status import MODES, empty_status
+from hil.parts.console.strangers import Access
+from hil.parts.console.tuner import Tuner
 
 FAULTS = {"rails": {"kinds": {"stuck": {"of_axis": True, "value": "s", "default": 1.0}}, "axes": ["x", "y", "z"]}}
 OPEN = Access()

@@ -7,12 +7,12 @@ from contextlib import closing, contextmanager
 import numpy as np
 
 from hil.config.rig import AsciiTurntableLine, Cia402, GimbalAxis, Servo, Turntable
-from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.drivers.turntable.ascii.driver import AsciiTurntable
-from hil.drivers.turntable.ascii.emulator import AsciiTurntableEmulator
 from hil.drivers.turntable.cia402.driver import Cia402Turntable
-from hil.drivers.turntable.cia402.emulator import Cia402Emulator
 from hil.errors import DeviceError
+from hil.parts.emulation.ascii_turntable import AsciiTurntableEmulator
+from hil.parts.emulation.cia402 import Cia402Emulator
+from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 from tests.support.lock_step import GRID_S, in_lock_step, serving
 
 DRIVERS = {"cia402": Cia402Turntable, "ascii": AsciiTurntable, "acu": AsciiTurntable}

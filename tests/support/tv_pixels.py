@@ -1,6 +1,6 @@
 """Television images of a docking target for the monitor: rays through each pixel, supersampled at the edges.
 
-It shares no mathematics with ``hil.monitor``: its own rotation, planes and lens. It has what the monitor does not
+It shares no mathematics with ``hil.parts.monitor``: its own rotation, planes and lens. It has what the monitor does not
 model: lens distortion, pixel aspect, gamma and S-curve, overexposure, vibration, fields, lost frames, a shadow beside
 an arm.
 """

@@ -17,8 +17,8 @@ from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Outcome
-from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import gnc as gnc_params
+from hil.parts.campaigns.case_runner import CaseRunner
 from hil.report.summary import summarise
 from hil.session import build
 from hil.setup.assembly import make_gnc

@@ -8,11 +8,11 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from hil.api import benchmark
 from hil.api.jobs import job_of
 from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.errors import BadInput
+from hil.parts.campaigns.api import benchmark
 
 pytestmark = pytest.mark.xdist_group("campaign")
 LQR = Path(__file__).parents[2] / "examples/backends/lqr.py"

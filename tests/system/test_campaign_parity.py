@@ -8,9 +8,9 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.loop.runner import COMPLETED, Outcome
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.dispersions import Design, case_seed
-from hil.monte_carlo.outcome import row_of
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.dispersions import Design, case_seed
+from hil.parts.campaigns.outcome import row_of
 from hil.report.summary import summarise
 from hil.session import build
 from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits

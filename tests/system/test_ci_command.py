@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from hil.api.runs import run
-from hil.cli import ci as command
 from hil.cli.main import execute
+from hil.parts.campaigns.cli import ci as command
 from tests.support.pytest_runs import pytest_run
 from tests.support.run_settings import without_pictures
 

@@ -14,17 +14,17 @@ import pytest
 
 from hil.checks.compatibility import sign_off_gap
 from hil.cli.main import execute
-from hil.commission.emulated_operator import AutoOperator
-from hil.commission.prompt import ScriptedPrompt, StepFailed
-from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.core.modes import Mode
-from hil.drivers.fault_injection import FaultControl
 from hil.loop.runner import Runner
+from hil.parts.commissioning.prompt import ScriptedPrompt, StepFailed
+from hil.parts.commissioning.steps import Commissioning, CommissioningPlan
+from hil.parts.emulation.fault_injection import FaultControl
+from hil.parts.emulation.operator import AutoOperator
+from hil.parts.wires.wired import WiredBench
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.session.wired import WiredBench
 
 pytestmark = pytest.mark.wires
 

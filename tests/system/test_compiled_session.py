@@ -21,8 +21,8 @@ from hil.loop.compiled.cycles import CompiledCycles
 from hil.loop.cycle import Cycles, PythonCycles
 from hil.loop.rate_keeper import Tick
 from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Outcome, Runner
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.dispersions import Design, case_seed
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.recording import session as recording_session
 from hil.recording.sinks import RecordingSinks
 from hil.report.summary import summarise

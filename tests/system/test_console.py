@@ -18,10 +18,10 @@ import pytest
 
 from hil.cli.main import BAD_INPUT, PASSED, execute
 from hil.config.tables.required_parts import PART_COLUMNS
-from hil.console.serve import is_loopback
-from hil.console.session import Choice
-from hil.console.session_process import SessionProcess
 from hil.core.operator_keys import new_key, write_operators
+from hil.parts.console.serve import is_loopback
+from hil.parts.console.session import Choice
+from hil.parts.console.session_process import SessionProcess
 from hil.recording.catalogue import Catalogue
 from hil.recording.read import load
 from hil.recording.replay import replay

@@ -13,8 +13,8 @@ import pytest
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from hil.console.app import _REQUEST_PERIOD_S
-from hil.console.strangers import Access
+from hil.parts.console.app import _REQUEST_PERIOD_S
+from hil.parts.console.strangers import Access
 from tests.support.console_client import Page, console
 from tests.support.run_settings import NEAR, typed
 from tests.support.stub_console import stub_console

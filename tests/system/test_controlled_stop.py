@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from hil.api.jobs import IN_LOCK_STEP
-from hil.core.lock_step import LockStepConductor
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
-from hil.drivers.fault_injection import FaultControl
 from hil.loop.controlled_stop import OFF_RAMP_S, REACTION_S
 from hil.loop.runner import Runner
+from hil.parts.emulation.fault_injection import FaultControl
+from hil.parts.emulation.lock_step import LockStepConductor
+from hil.parts.wires.wired import WiredBench
 from hil.session import build
 from hil.session.warm_up import warm_up
-from hil.session.wired import WiredBench
 from tests.support.lock_step import GRID_S
 from tests.support.run_settings import make_job
 

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from hil.core.modes import Mode
-from hil.drivers.fault_injection import FaultControl
+from hil.parts.emulation.fault_injection import FaultControl
 from hil.session.build import check
 from hil.session.build import runner as make_runner
 from hil.session.warm_up import warm_up

@@ -9,9 +9,9 @@ from hil.config.load import load_rig, load_scenario, shipped
 from hil.core.messages import CYCLE
 from hil.gnc.estimation.navigation import VISION_ALONE, VISION_AND_IMU
 from hil.loop.runner import COMPLETED
-from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import gnc as gnc_params
 from hil.params.sensors import error_states
+from hil.parts.campaigns.case_runner import CaseRunner
 
 KEY = "gnc.navigation.budget"
 PLAIN = (

@@ -9,9 +9,9 @@ import pytest
 
 from hil.api.jobs import IN_LOCK_STEP
 from hil.core.modes import Mode
+from hil.parts.wires.wired import WiredBench
 from hil.session.build import check, wired_bench
 from hil.session.warm_up import warm_up
-from hil.session.wired import WiredBench
 from sims.fault_matrix import CONTINUES, TIGHT, Attendance, FaultCase, matrix, representatives, run_case
 from tests.support.run_settings import PATIENT_RELAY, make_job
 

@@ -13,8 +13,8 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.tables.faults import RESPONSES, TERMS
 from hil.core.messages import Array
 from hil.maths import quat
-from hil.monte_carlo.case_runner import COMPLETED, CaseRunner
-from hil.monte_carlo.outcome import row_of
+from hil.parts.campaigns.case_runner import COMPLETED, CaseRunner
+from hil.parts.campaigns.outcome import row_of
 from hil.session import build
 from tests.support.plain_filters import PLAIN
 from tests.support.rows import assert_same_bits

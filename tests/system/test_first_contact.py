@@ -23,7 +23,7 @@ KERNEL_AND_KEY = """
 import numpy as np
 from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
 from hil.errors import BadInput
-from hil.frmn.authentication import users_key_file
+from hil.parts.links.authentication import users_key_file
 from hil.maths.limits import cut_to_range
 cut_to_range(np.zeros(3), np.zeros(3), np.ones(3), np.empty(3))
 print(kernel_folder())

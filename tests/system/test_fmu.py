@@ -16,12 +16,12 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
-from hil.fmi.archive import DESCRIPTION
 from hil.gnc_backends.library import open_library
-from hil.gnc_check.check import check_gnc
-from hil.gnc_check.gnc_under_test import LibraryUnderTest
 from hil.loop.runner import COMPLETED
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.fmi.archive import DESCRIPTION
+from hil.parts.links.gnc_check.check import check_gnc
+from hil.parts.links.gnc_check.gnc_under_test import LibraryUnderTest
 from hil.session import build
 from tests.support.external_gnc import MEASURED, USES_ALL, c_example
 from tests.support.fmu import BINARY, described, example_fmu, repacked

@@ -17,9 +17,9 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
-from hil.fmi.archive import DESCRIPTION
-from hil.fmi.binary import OK, Fmu, platform_folders
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.fmi.archive import DESCRIPTION
+from hil.parts.fmi.binary import OK, Fmu, platform_folders
 
 pytestmark = pytest.mark.slow
 

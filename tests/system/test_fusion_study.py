@@ -15,10 +15,10 @@ from scipy.stats import chi2
 from hil.cli.main import execute
 from hil.config.scenario import Scenario
 from hil.core.messages import new
-from hil.monte_carlo import fusion
-from hil.monte_carlo.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_batch, run_fusion
-from hil.monte_carlo.fusion_interval import largest_ratio
-from hil.monte_carlo.fusion_kernel import STUDY_RESULT
+from hil.parts.campaigns import fusion
+from hil.parts.campaigns.fusion import INITIAL_SIGMA, VMU_SIGMA, Reading, Study, run_batch, run_fusion
+from hil.parts.campaigns.fusion_interval import largest_ratio
+from hil.parts.campaigns.fusion_kernel import STUDY_RESULT
 
 READINGS: tuple[Reading, Reading] = ("swapped", "printed")
 AXES = ("position_rmse_m", "position_bound_m", "position_ratio", "position_max_m",

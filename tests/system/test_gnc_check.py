@@ -14,8 +14,8 @@ from hil.cli.main import execute
 from hil.config.load import load_scenario
 from hil.errors import BadInput
 from hil.gnc_backends.shared_library import LibraryBackend
-from hil.gnc_check.check import Report, check_gnc
-from hil.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
+from hil.parts.links.gnc_check.check import Report, check_gnc
+from hil.parts.links.gnc_check.gnc_under_test import LibraryUnderTest, ProgramUnderTest, check_link
 from tests.support.external_gnc import C_EXAMPLE, PYTHON_EXAMPLE, c_example, compile_c
 
 SCALAR_FIRST = (

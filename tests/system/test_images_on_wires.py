@@ -11,10 +11,10 @@ from hil.cli.main import execute
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import GEOMETRY_FILE, SCENE_FILE
+from hil.parts.vision.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.images import pairs
 from hil.recording.read import load
 from hil.recording.replay import replay
-from hil.recording.replay_images import replay_monitor, replay_vision_unit
 from tests.support.run_settings import UNHURRIED, typed
 
 pytestmark = pytest.mark.wires

@@ -8,7 +8,7 @@ import pytest
 
 from hil.api.jobs import IN_LOCK_STEP
 from hil.config.load import load_rig, load_scenario
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
 from sims.integrity_cases import CASES, IntegrityCase, run, run_emulated
 
 KEEP_OUT_M = 0.25

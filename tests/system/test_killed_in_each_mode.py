@@ -21,7 +21,7 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import WallClock
-from hil.drivers.emulated_devices import EmulatedDevices
+from hil.parts.emulation.emulated_devices import EmulatedDevices
 from tests.system.test_killed_processes import lab_file
 
 pytestmark = [pytest.mark.wires, pytest.mark.slow]

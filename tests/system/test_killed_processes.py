@@ -19,7 +19,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import RAIL_NAMES, Rig
 from hil.core.clock import WallClock
-from hil.drivers.emulated_devices import EmulatedDevices
+from hil.parts.emulation.emulated_devices import EmulatedDevices
 from tests.support.run_settings import typed
 
 pytestmark = pytest.mark.wires

@@ -13,9 +13,9 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.render import Conditions, TargetRenderer, film
-from hil.monitor.results import QUANTITIES
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.render import Conditions, TargetRenderer, film
+from hil.parts.monitor.results import QUANTITIES
 
 pytestmark = pytest.mark.xdist_group("docking monitor")
 

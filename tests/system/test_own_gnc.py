@@ -18,8 +18,8 @@ from hil.core.messages import CYCLE
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.loop.runner import COMPLETED, Outcome
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.outcome import row_of
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.outcome import row_of
 from hil.recording.read import load
 from hil.recording.replay import replay
 from hil.session import build

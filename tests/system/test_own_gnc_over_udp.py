@@ -14,10 +14,10 @@ import pytest
 
 from hil.cli.main import execute
 from hil.config.load import load_scenario
-from hil.frmn.authentication import link_key
 from hil.gnc_backends.library import open_library
-from hil.processes.binary_gnc_server import BINARY_WANTS, OFFERS, BinaryGncServer
-from hil.processes.gnc_server import GncServer, gnc_side, wants_of
+from hil.parts.links.authentication import link_key
+from hil.parts.links.binary_gnc_server import BINARY_WANTS, OFFERS, BinaryGncServer
+from hil.parts.links.gnc_server import GncServer, gnc_side, wants_of
 from tests.support.external_gnc import C_EXAMPLE, MEASURED, PYTHON_EXAMPLE, USES_ALL, c_example, compile_c
 from tests.support.fmu import example_fmu
 from tests.support.run_settings import typed

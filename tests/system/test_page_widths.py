@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.console.strangers import Access
 from hil.core.modes import Mode
 from hil.core.operator_keys import OperatorKey, write_key
+from hil.parts.console.strangers import Access
 from hil.report import html
 from tests.support.browsers import ChromiumPage, ask_by, chromium, until
 from tests.support.stub_console import stub_console

@@ -12,7 +12,7 @@ import pytest
 import hil
 from hil.cli.main import BAD_INPUT, execute
 from hil.errors import BadInput
-from hil.fmi.package import build
+from hil.parts.fmi.package import build
 from tests.support.external_gnc import changed
 from tests.support.fmu import described, script
 from tests.support.rows import assert_same_bits

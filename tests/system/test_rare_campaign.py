@@ -23,13 +23,13 @@ import hil
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.maths.random_streams import noise_source
-from hil.monte_carlo.batch import Batch, Case, Rows, Spec
-from hil.monte_carlo.campaign import CampaignJob
-from hil.monte_carlo.outcome import failed_row
-from hil.monte_carlo.rare_campaign import POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
-from hil.monte_carlo.rare_events import RareEvent
-from hil.monte_carlo.statistics import wilson
-from hil.monte_carlo.stored_campaign import StoredCampaign
+from hil.parts.campaigns.batch import Batch, Case, Rows, Spec
+from hil.parts.campaigns.campaign import CampaignJob
+from hil.parts.campaigns.outcome import failed_row
+from hil.parts.campaigns.rare_campaign import POINT_COLUMNS, RareCampaign, RareSettings, verdict_line
+from hil.parts.campaigns.rare_events import RareEvent
+from hil.parts.campaigns.statistics import wilson
+from hil.parts.campaigns.stored_campaign import StoredCampaign
 
 pytestmark = pytest.mark.xdist_group("campaign")
 

@@ -17,10 +17,10 @@ from hil.config.load import load_scene
 from hil.config.scene import Scene
 from hil.config.vmu_geometry import VmuGeometry
 from hil.core.camera_images import GEOMETRY_FILE, SCENE_FILE
+from hil.parts.vision.replay_images import replay_monitor, replay_vision_unit
 from hil.recording.images import pairs, recorded_images
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay
-from hil.recording.replay_images import replay_monitor, replay_vision_unit
 from tests.support.run_settings import typed
 
 pytestmark = pytest.mark.xdist_group("vision unit")

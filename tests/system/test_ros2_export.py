@@ -11,8 +11,8 @@ import pytest
 from mcap.reader import make_reader
 
 from hil.cli.main import execute
+from hil.parts.export.ros2 import TOPICS, definition, export_ros2, in_hill, start_ns
 from hil.recording.read import Recorded, load
-from hil.recording.ros2 import TOPICS, definition, export_ros2, in_hill, start_ns
 from hil.report.page import report
 from tests.support.run_settings import typed
 
@@ -97,7 +97,7 @@ def test_failed_export_leaves_nothing_behind(
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("hil.recording.ros2._metadata", fail)
+    monkeypatch.setattr("hil.parts.export.ros2._metadata", fail)
     with pytest.raises(Exception, match="No space left"):
         export_ros2(recorded.path, tmp_path / "bag")
     assert list(tmp_path.iterdir()) == []

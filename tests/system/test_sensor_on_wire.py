@@ -9,8 +9,8 @@ import pytest
 
 import hil
 from hil.core.sensor_records import ACCEPTED
-from hil.drivers.fault_injection import FaultControl
 from hil.errors import BadInput
+from hil.parts.emulation.fault_injection import FaultControl
 from hil.recording import read
 from hil.session.build import check, wired_bench
 from tests.support.run_settings import HARDWARE_WIRES, make_job

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.commission.emulated_operator import AutoOperator
-from hil.commission.steps import Commissioning, CommissioningPlan
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, StopCommanded
+from hil.parts.commissioning.steps import Commissioning, CommissioningPlan
+from hil.parts.emulation.operator import AutoOperator
 from hil.session import build
 from hil.session.warm_up import warm_up
 from tests.support.run_settings import UNHURRIED, make_job

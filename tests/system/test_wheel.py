@@ -57,7 +57,7 @@ def test_wheel_has_configs_page_header_and_types(wheel: Path) -> None:
     assert sources <= names  # kernels of an earlier "make wheel" are not sources
     assert {f"hil/{p.relative_to(ROOT).as_posix()}" for p in (ROOT / "configs").rglob("*.toml")} <= names
     assert {"hil/py.typed", "hil/core/commit.txt"} <= names
-    assert any(name.startswith("hil/console/page/") for name in names)
+    assert any(name.startswith("hil/parts/console/page/") for name in names)
 
 
 def test_wheel_without_kernels_is_pure_and_has_the_files_of_hil_init(wheel: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
-from hil.monte_carlo.case_runner import CaseRunner
-from hil.monte_carlo.outcome import row_of
+from hil.parts.campaigns.case_runner import CaseRunner
+from hil.parts.campaigns.outcome import row_of
 from tests.support.run_settings import faults_setting
 
 pytestmark = pytest.mark.xdist_group("campaign")

@@ -20,7 +20,7 @@ from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
 from hil.drivers.vmu import CAMERA_COUNTERS, COUNTERS
 from hil.frmn.mailboxes import BY_NUMBER
-from hil.monte_carlo.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
+from hil.parts.campaigns.outcome import COUNTS, FLAGS, NUMBERS, TEXTS
 from hil.report.limits import LIMITS
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,11 +9,11 @@ from acme_rails import codec
 from acme_rails.codec import Status
 from hil.config.rig import Rails
 from hil.core.clock import BenchClock
-from hil.drivers.emulated_axes import STEP_S, EmulatedAxes
-from hil.drivers.fault_injection import FaultyChannel
-from hil.drivers.pty_line import PtyLine
-from hil.drivers.shared_state import SharedAxisState
 from hil.maths.random_streams import stream
+from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes
+from hil.parts.emulation.fault_injection import FaultyChannel
+from hil.parts.emulation.pty_line import PtyLine
+from hil.parts.emulation.shared_state import SharedAxisState
 
 MODEL = "ACME-3R"
 

@@ -68,7 +68,7 @@ class CameraProcesses:
                 }
                 descriptors = (ring.descriptor, self._wake)
                 self._children.append(
-                    ChildProcess(f"{name} camera", "hil.processes.camera", configuration, descriptors)
+                    ChildProcess(f"{name} camera", "hil.parts.cameras.process", configuration, descriptors)
                 )
             for camera, child in zip(cameras, self._children, strict=True):
                 ready = child.wait_ready(_READY_WALL_S)

@@ -10,7 +10,7 @@ ENTRY: Final = DriverEntry(
     "io",
     "modbus",
     driver="hil.drivers.io.driver:ModbusIo",
-    emulator="hil.drivers.io.emulator:IoEmulator",
+    emulator="hil.parts.emulation.digital_io:IoEmulator",
     wires=[WireKey("", "tcp")],
     identity=lambda io: io.identity.model_dump(exclude_none=True),
     keeps_bench_time=lambda table: True,

@@ -63,7 +63,7 @@ TCP: Final = DriverEntry(
     "rails",
     "modbus",
     driver="hil.drivers.rails.driver:ModbusRails",
-    emulator="hil.drivers.rails.emulator:RailsEmulator",
+    emulator="hil.parts.emulation.rails:RailsEmulator",
     wires=[WireKey(f"modbus.{name}", "tcp", name) for name in LINEAR_NAMES],
     check=_check_tcp,
     identity=_identity,
@@ -74,7 +74,7 @@ RTU: Final = DriverEntry(
     "rails",
     "modbus_rtu",
     driver="hil.drivers.rails.driver:ModbusRails",
-    emulator="hil.drivers.rails.emulator:RtuRailsEmulator",
+    emulator="hil.parts.emulation.rails:RtuRailsEmulator",
     # a pseudo terminal has no parity bit; the emulated line accounts for its time
     wires=[WireKey("rtu.port", "serial", emulated={"parity": "none"})],
     check=_check_rtu,

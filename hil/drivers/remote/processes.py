@@ -18,7 +18,7 @@ from hil.drivers.remote.requests import IoRequests
 
 _READY_WALL_S: Final = 60.0
 _ORDERS: Final = {IO: Order.IO, WATCHDOG: Order.WATCHDOG}
-_MODULES: Final = {IO: "hil.processes.io_server", WATCHDOG: "hil.processes.watchdog"}
+_MODULES: Final = {IO: "hil.parts.wires.io_server", WATCHDOG: "hil.parts.wires.watchdog"}
 
 
 class _ChildLink:

@@ -56,7 +56,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 def test_importing_a_subpackage_hides_no_public_name() -> None:
-    code = "import hil.monte_carlo.store, hil, hil.cli.run; assert callable(hil.campaign) and callable(hil.run)"
+    code = "import hil.parts.campaigns.store, hil, hil.cli.run; assert callable(hil.campaign) and callable(hil.run)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import hil
-from hil.api.requirements import write_run_evidence
 from hil.api.results import Run, RunData
 from hil.api.runs import run as run_scenario
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
+from hil.parts.campaigns.api.requirements import write_run_evidence
 
 STEP_S = 0.02
 SCENARIO = hil.load_scenario("scheme-1")

@@ -6,10 +6,10 @@ import inspect
 from dataclasses import fields
 from typing import get_type_hints
 
-from hil.api.campaigns import SharedArguments, StudyArguments, campaign, rare_event, sobol_indices
 from hil.api.runs import RunArguments, run
-from hil.cli.campaign import CaseOptions, EngineOptions, StudyOptions, VariationOptions
 from hil.cli.run import StoredCaseOptions
+from hil.parts.campaigns.api.campaigns import SharedArguments, StudyArguments, campaign, rare_event, sobol_indices
+from hil.parts.campaigns.cli.campaign import CaseOptions, EngineOptions, StudyOptions, VariationOptions
 
 NAMES = {"duration": "duration_s", "settings": "overrides"}
 """Option of the command -> argument."""

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hil.cameras.aid import WANTED_PEAK, SetUpAid, led_level, side_numbers
-from hil.cameras.aid_server import AidServer
 from hil.drivers.cameras.base import CameraFrame
 from hil.drivers.cameras.brightness import BrightnessControl, brightest_hundredth
+from hil.parts.cameras.aid import WANTED_PEAK, SetUpAid, led_level, side_numbers
+from hil.parts.cameras.aid_server import AidServer
 from hil.vmu.detect import SpotDetector
 
 SHAPE = (240, 320)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.cameras.docking import EncoderTrack, RenderedCamera, view
 from hil.checks.compatibility import axes_at, check_monitor
 from hil.config.load import load_rig, load_scenario, load_scene
 from hil.config.rig import Rig
@@ -14,7 +13,8 @@ from hil.config.tables.docking_monitor import DockingMonitorConfig
 from hil.core.messages import CYCLE
 from hil.maths import euler
 from hil.params import bench as bench_params
-from hil.params.monitor import mounting
+from hil.parts.monitor.camera import EncoderTrack, RenderedCamera, view
+from hil.parts.monitor.params import mounting
 
 STEP_S = 0.02
 PLACED = DockingMonitorConfig(camera_position_m=(0.8, 0.1, -0.5), target_position_m=(-0.3, 0.05, -0.45))

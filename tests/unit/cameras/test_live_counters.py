@@ -6,11 +6,11 @@ from unittest.mock import create_autospec
 
 import numpy as np
 
-from hil.cameras.live import LiveVision
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import Clock
 from hil.drivers.cameras.pairing import TimedFrame
 from hil.drivers.vmu import CAMERA_COUNTERS
+from hil.parts.cameras.live import LiveVision
 from hil.setup.assembly import with_cameras
 from hil.vmu.estimators import PoseEstimate, PoseEstimator
 

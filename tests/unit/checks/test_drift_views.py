@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.checks.drift_views import check_drift_views
 from hil.config.load import load_rig, load_scenario
 from hil.core.clock import SimulatedClock
 from hil.errors import BadInput, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.session_parts import SessionParts
+from hil.parts.vision.drift_views import check_drift_views
 from hil.session.build import in_memory
 from hil.setup.assembly import with_cameras
 from hil.vmu.calibration.job import DriftCheck, DriftLimits

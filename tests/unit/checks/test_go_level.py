@@ -7,7 +7,7 @@ import pytest
 
 from hil.checks.go_level import go_warnings, least_levels
 from hil.config.load import load_rig, load_scenario
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
 
 RIG = load_rig("mock").value
 RANGE_FINDER = (

@@ -9,8 +9,8 @@ from hil.checks import target_motion
 from hil.checks.target_motion import THRUST_FRACTION, check_target_motion, plan_accelerations, planned, tumble_over
 from hil.config.load import load_rig, load_scenario
 from hil.errors import BadInput
-from hil.monte_carlo.dispersions import Design
 from hil.params import gnc as gnc_params
+from hil.parts.campaigns.dispersions import Design
 from tests.support.plain_filters import PLAIN
 
 

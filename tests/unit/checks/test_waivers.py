@@ -26,11 +26,11 @@ from hil.config.load import load_rig, load_scenario, shipped
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.limits import RIG_LIMITS, SCENARIO_LIMITS, Kind, Limit, excess, values
-from hil.console.live_view import Client
-from hil.console.service import OPEN_QUESTION, ConsoleService
-from hil.console.session import Choice
-from hil.console.session_state import bench_description
 from hil.errors import BadInput
+from hil.parts.console.live_view import Client
+from hil.parts.console.service import OPEN_QUESTION, ConsoleService
+from hil.parts.console.session import Choice
+from hil.parts.console.session_state import bench_description
 from hil.report.page import report
 from hil.report.summary import summary_of
 from hil.report.table import print_waived

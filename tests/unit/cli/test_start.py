@@ -24,8 +24,8 @@ SLOW_TO_IMPORT = {
     "scipy.special",
     "scipy.stats",
     "serial.tools",
-    "hil.cameras.docking",
-    "hil.monitor.monitor",
+    "hil.parts.monitor.camera",
+    "hil.parts.monitor.monitor",
 }
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hil.commission.identity import expected_identity
 from hil.config.load import load_rig
+from hil.parts.commissioning.identity import expected_identity
 
 
 @pytest.mark.parametrize("rig", ["mock", "emulated"])

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hil.commission.response_fit import Series, SweepFit, fit_sine, fit_step, fit_sweep
 from hil.models.servo import servo_step
+from hil.parts.commissioning.response_fit import Series, SweepFit, fit_sine, fit_step, fit_sweep
 
 DT = 0.02
 KP, TAU = 25.0, 0.008  # of the shipped rails

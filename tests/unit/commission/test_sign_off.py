@@ -12,14 +12,14 @@ from rich.console import Console
 
 from hil.checks.compatibility import check_sign_off, sign_off_gap
 from hil.checks.waivers import waivers
-from hil.cli.commission import Terminal
 from hil.cli.main import execute
-from hil.commission.sign_off import as_toml, signed_before
-from hil.commission.steps import AxisFindings, Findings
 from hil.config.load import load_rig, load_scenario
 from hil.config.motion_digest import motion_digest
 from hil.config.rig import Rig
 from hil.core.operator_keys import OperatorKey, write_operators
+from hil.parts.commissioning.cli.commission import Terminal
+from hil.parts.commissioning.sign_off import as_toml, signed_before
+from hil.parts.commissioning.steps import AxisFindings, Findings
 from hil.report.summary import sign_off_summary
 from hil.report.table import print_sign_off, print_waived
 from tests.support.run_settings import HARDWARE_WIRES

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil.bench.kinematics import pose_of_axes
-from hil.commission.view_plan import Clearance, PlanRequest, plan_views
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.params import bench as bench_params
+from hil.parts.vision.view_plan import Clearance, PlanRequest, plan_views
 from hil.vmu.calibration.model import Setup, TurntableModel, project_view
 from hil.vmu.calibration.refine import weak_prior
 from hil.vmu.geometry import geometry_of_rig

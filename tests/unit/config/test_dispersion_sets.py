@@ -8,7 +8,7 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario, shipped
 from hil.errors import BadInput
-from hil.monte_carlo.dispersions import Design
+from hil.parts.campaigns.dispersions import Design
 
 
 def test_every_shipped_set_disperses_the_shipped_scenarios() -> None:

@@ -10,13 +10,13 @@ from typing import Any, cast
 
 import pytest
 
-from hil.console.live_view import Client
-from hil.console.remote_operator import CONFIRMATIONS, RemoteOperator
-from hil.console.service import ConsoleService
-from hil.console.session import Choice
-from hil.console.status import MODES, empty_status
 from hil.core.modes import Mode
 from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.parts.console.live_view import Client
+from hil.parts.console.remote_operator import CONFIRMATIONS, RemoteOperator
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.session import Choice
+from hil.parts.console.status import MODES, empty_status
 from hil.recording.audit import Actor
 
 ANN, BOB = Client("a" * 16, "ann", "a" * 16), Client("b" * 16, "bob", "b" * 16, "confirm")

@@ -12,14 +12,14 @@ import pytest
 from hil.config.live_tunable import live_ranges, range_of, within
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
-from hil.console import app
-from hil.console.lease import RequestRejected
-from hil.console.live_view import Client
-from hil.console.service import ConsoleService
-from hil.console.session import Choice
-from hil.console.session_manager import CLIENTS_MAX
-from hil.console.session_process import SessionProcess
-from hil.console.tuner import Tuner
+from hil.parts.console import app
+from hil.parts.console.lease import RequestRejected
+from hil.parts.console.live_view import Client
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.session import Choice
+from hil.parts.console.session_manager import CLIENTS_MAX
+from hil.parts.console.session_process import SessionProcess
+from hil.parts.console.tuner import Tuner
 from hil.setup.assembly import Job
 
 ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")

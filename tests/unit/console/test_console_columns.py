@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hil.console.columns import COLUMNS, INDEX, console_rows
 from hil.core.clock import SimulatedClock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.params import bench as bench_params
+from hil.parts.console.columns import COLUMNS, INDEX, console_rows
 from hil.session import build
 from tests.support.run_settings import make_job
 

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from websockets.sync.client import connect
 
-from hil.console.service import ConsoleService
-from hil.console.strangers import Access
 from hil.core.operator_keys import OperatorKey
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.strangers import Access
 from tests.support.console_client import Page, hello
 from tests.support.stub_console import StubSession, stub_console
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hil.console.lease import Lease, RequestRejected
-from hil.console.live_view import Client
+from hil.parts.console.lease import Lease, RequestRejected
+from hil.parts.console.live_view import Client
 
 ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")
 

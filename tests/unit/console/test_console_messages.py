@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.console.columns import COLUMNS, INDEX, decimated
-from hil.console.live_view import BACKLOG, MAX_ROWS, Cursor, RowStore
-from hil.console.message import ImageMessage, pack, unpack
+from hil.parts.console.columns import COLUMNS, INDEX, decimated
+from hil.parts.console.live_view import BACKLOG, MAX_ROWS, Cursor, RowStore
+from hil.parts.console.message import ImageMessage, pack, unpack
 
 
 def rows(n: int, start: int = 0) -> np.ndarray:

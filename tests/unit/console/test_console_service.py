@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from hil.config.load import load_scene
-from hil.console.live_view import Client
-from hil.console.message import ImageMessage, pack, unpack
-from hil.console.remote_operator import CONFIRMATIONS
-from hil.console.service import ConsoleService
-from hil.console.session import Choice, SignedBy
-from hil.console.session_state import SessionState
 from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
+from hil.parts.console.live_view import Client
+from hil.parts.console.message import ImageMessage, pack, unpack
+from hil.parts.console.remote_operator import CONFIRMATIONS
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.session import Choice, SignedBy
+from hil.parts.console.session_state import SessionState
 
 
 @pytest.fixture

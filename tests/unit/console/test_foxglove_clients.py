@@ -21,16 +21,16 @@ import pytest
 from mcap.reader import make_reader
 from websockets.exceptions import ConnectionClosed
 
-from hil.console.foxglove_clients import FoxgloveClients
-from hil.console.foxglove_process import BENCH_TOPIC, SERVICES, LiveSession, request_of
-from hil.console.service import ConsoleService
-from hil.console.session import Choice
-from hil.console.tuner import Tuner
 from hil.core.camera_images import IMAGE, image_row
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import Ring
+from hil.parts.console.foxglove_clients import FoxgloveClients
+from hil.parts.console.foxglove_process import BENCH_TOPIC, SERVICES, LiveSession, request_of
+from hil.parts.console.service import ConsoleService
+from hil.parts.console.session import Choice
+from hil.parts.console.tuner import Tuner
 from hil.recording import schema
 from hil.recording.foxglove_images import PICTURE_TOPICS
 from hil.recording.recorder import ring_dtypes

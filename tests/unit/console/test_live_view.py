@@ -8,17 +8,17 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hil.cameras.docking import chaser_position, view
-from hil.console.live_view import Client, LiveView, picture_of
-from hil.console.message import ImageMessage, pack, unpack
-from hil.console.session_process import SessionProcess
-from hil.console.status import empty_status
 from hil.core.camera_images import IMAGE, Exposure, image_row
 from hil.core.messages import CYCLE
 from hil.frmn.ring import Ring
 from hil.maths import euler
-from hil.monitor.results import PORTION, Portion, portion_row
-from hil.params.monitor import mounting
+from hil.parts.console.live_view import Client, LiveView, picture_of
+from hil.parts.console.message import ImageMessage, pack, unpack
+from hil.parts.console.session_process import SessionProcess
+from hil.parts.console.status import empty_status
+from hil.parts.monitor.camera import chaser_position, view
+from hil.parts.monitor.params import mounting
+from hil.parts.monitor.results import PORTION, Portion, portion_row
 from tests.support.run_settings import make_job
 
 JOB = make_job(1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.console.session_state import SILENT_S, RecordingStatus
+from hil.parts.console.session_state import SILENT_S, RecordingStatus
 from hil.recording.recorder import STATE
 
 

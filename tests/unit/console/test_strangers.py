@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hil.console.lease import RequestRejected
-from hil.console.strangers import FairSlots, GuessLimiter
+from hil.parts.console.lease import RequestRejected
+from hil.parts.console.strangers import FairSlots, GuessLimiter
 
 
 def test_newcomer_displaces_the_oldest_of_the_address_that_has_most() -> None:

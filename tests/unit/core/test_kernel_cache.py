@@ -201,7 +201,7 @@ def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path, mon
     assert run_with_cache(f"{names}; print(cached('cycle'))", tmp_path, PACKAGE.parent).stdout == "False\n"
 
 
-@pytest.mark.parametrize("module", ["hil.fmi.step", "hil.session.build"])
+@pytest.mark.parametrize("module", ["hil.parts.fmi.step", "hil.session.build"])
 def test_every_start_compiles_for_the_same_processor(module: str) -> None:
     code = f"""
 import {module}

@@ -12,8 +12,8 @@ from contextlib import suppress
 import pytest
 
 from hil.core.clock import Order
-from hil.core.lock_step import LockStepClock, LockStepConductor
 from hil.errors import LinkTimeout
+from hil.parts.emulation.lock_step import LockStepClock, LockStepConductor
 
 HOUR_S = 3600.0
 

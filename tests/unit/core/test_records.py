@@ -12,7 +12,7 @@ from docs import record_pages
 from hil.core import gnc_records, manipulator_records, messages
 from hil.core.fields import Field, Fields, leaf_fields, markdown_table, record_dtype
 from hil.core.messages import VMU_FRAME, PoseFrame
-from hil.monitor import results
+from hil.parts.monitor import results
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -19,12 +19,12 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
 from hil.config.tables.flight_computer import FlightComputer, WordsCan, WordsLine
 from hil.core.messages import MAX_POSES, POSE, PoseFrame
-from hil.drivers.command_words.codec import CommandWordDecoder, Word, decode_can, encode, encode_can
-from hil.drivers.command_words.receiver import CommandWordReceiver, PoseForwarder
 from hil.drivers.vmu.frame_codec import FrameDecoder, frame_codec
 from hil.errors import BadInput, LinkLost, LinkTimeout
-from hil.gnc_backends.command_words import CommandWordGnc
 from hil.loop.core_memory import CycleData
+from hil.parts.links.command_word_codec import CommandWordDecoder, Word, decode_can, encode, encode_can
+from hil.parts.links.command_word_receiver import CommandWordReceiver, PoseForwarder
+from hil.parts.links.command_words import CommandWordGnc
 from hil.setup.gnc_setup import backend_setup
 
 

@@ -11,8 +11,8 @@ from hil.config.load import load_rig
 from hil.config.rig import HeldLinearAxes
 from hil.core.clock import WallClock
 from hil.core.messages import Homing
-from hil.drivers.emulated_axes import EmulatedAxes
-from hil.drivers.shared_state import ChainState, SharedAxisState
+from hil.parts.emulation.emulated_axes import EmulatedAxes
+from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 
 Make = Callable[..., EmulatedAxes]
 PERIOD_S = 0.02

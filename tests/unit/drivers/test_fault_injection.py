@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.config.tables.faults import EMULATED
-from hil.drivers.fault_injection import ControlPort, FaultControl, Faults, FaultyWire
+from hil.parts.emulation.fault_injection import ControlPort, FaultControl, Faults, FaultyWire
 
 PACKET = bytes(range(32))
 

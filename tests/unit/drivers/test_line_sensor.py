@@ -15,8 +15,8 @@ import serial
 
 from hil.core.clock import WallClock
 from hil.drivers.line_sensor.driver import LineSensor, LineSettings
-from hil.drivers.line_sensor.emulator import LineSensorEmulator
 from hil.errors import LinkLost
+from hil.parts.emulation.line_sensor import LineSensorEmulator
 from hil.sensors import check
 from hil.sensors.range_finder import DimetixLines, RangeFinder
 from hil.sensors.registry import sensor

@@ -10,8 +10,8 @@ from hil.core.messages import Homing
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
 from hil.drivers.turntable.cia402.codec import DriveState
-from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.errors import FaultKind
+from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
 
 COUNTS_PER_TURN = 10_000_000
 

@@ -20,11 +20,11 @@ from hil.drivers.turntable.ascii.frames import BrokenLine
 from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiProtocol, CommandRefused
 from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.can_port import SerialFrames, encode_serial
-from hil.drivers.turntable.cia402.drive import EmulatedCia402Drive
 from hil.drivers.turntable.cia402.eds import SHIPPED, Eds
 from hil.drivers.turntable.cia402.node import Node
 from hil.drivers.turntable.cia402.setup import DriveSetup, PortNetwork
 from hil.errors import DeviceError, DriveFault
+from hil.parts.emulation.cia402_drive import EmulatedCia402Drive
 
 FEW, MANY = 20_000, 1_000_000
 COUNTS = [FEW, pytest.param(MANY, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])]

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.fmi import archive
-from hil.fmi.archive import DESCRIPTION, Archive, FmuError
-from hil.fmi.description import parse
+from hil.parts.fmi import archive
+from hil.parts.fmi.archive import DESCRIPTION, Archive, FmuError
+from hil.parts.fmi.description import parse
 
 
 def made(path: Path, files: dict[str, bytes]) -> Path:

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from hil.fmi.archive import FmuError
-from hil.fmi.units import FmiUnit, parse_unit, to_si, unit_of_bases
+from hil.parts.fmi.archive import FmuError
+from hil.parts.fmi.units import FmiUnit, parse_unit, to_si, unit_of_bases
 
 
 @pytest.mark.parametrize(

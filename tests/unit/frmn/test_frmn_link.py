@@ -14,12 +14,12 @@ import pytest
 from hil.core.gnc_records import GNC_INPUT_3, GNC_OUTPUT, GNC_SETUP
 from hil.errors import BadInput
 from hil.frmn import wire
-from hil.frmn.authentication import TAG_BYTES
-from hil.frmn.link import Arrival, Link
-from hil.frmn.link_statistics import ClockOffset, DatagramStats
 from hil.frmn.mailboxes import MAILBOXES, Role
-from hil.frmn.udp import Address, parse_address
 from hil.frmn.wire import DatagramKind
+from hil.parts.links.authentication import TAG_BYTES
+from hil.parts.links.link import Arrival, Link
+from hil.parts.links.link_statistics import ClockOffset, DatagramStats
+from hil.parts.links.udp import Address, parse_address
 from tests.unit.frmn.test_frmn_wire import good_ones, nonsense
 
 LOCAL: Address = ("127.0.0.1", 0)

@@ -7,10 +7,10 @@ import time
 import numpy as np
 
 from hil.core.messages import CYCLE
-from hil.frmn.link import Link
 from hil.frmn.mailboxes import GNC_FILTERS, MAILBOXES, Role
-from hil.frmn.mirror import MIRRORED, Mirror
-from hil.gnc_backends.udp_receiver import ReceiveBuffers
+from hil.parts.links.link import Link
+from hil.parts.links.mirror import MIRRORED, Mirror
+from hil.parts.links.udp_receiver import ReceiveBuffers
 
 
 class Rows:

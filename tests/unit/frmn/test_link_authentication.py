@@ -19,10 +19,10 @@ import pytest
 from hil.core.gnc_records import GNC_OUTPUT
 from hil.errors import BadInput
 from hil.frmn import wire
-from hil.frmn.authentication import TAG_BYTES, link_key, tag_of, users_key_file
-from hil.frmn.link import Link
 from hil.frmn.mailboxes import MAILBOXES, Role
 from hil.frmn.wire import DatagramKind
+from hil.parts.links.authentication import TAG_BYTES, link_key, tag_of, users_key_file
+from hil.parts.links.link import Link
 
 LOCAL = ("127.0.0.1", 0)
 KEY = b"k" * 32

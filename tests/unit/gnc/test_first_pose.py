@@ -8,7 +8,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.loop.runner import COMPLETED
-from hil.monte_carlo.case_runner import CaseRunner
+from hil.parts.campaigns.case_runner import CaseRunner
 from tests.support.run_settings import faults_setting
 
 _DURATION_S = 5.0

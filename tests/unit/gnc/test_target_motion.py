@@ -15,9 +15,9 @@ from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc.estimation.target_orbit import HILL_STEP
 from hil.maths import quat
 from hil.models.rotating_frame import tumble_rate
-from hil.monte_carlo.case_runner import CaseRunner
 from hil.params import error_state
 from hil.params import gnc as gnc_params
+from hil.parts.campaigns.case_runner import CaseRunner
 from tests.support.plain_filters import PLAIN
 
 SCENARIO = load_scenario("tumbling-5", PLAIN).value

@@ -9,10 +9,10 @@ from hil.config.tables.io import Io
 from hil.core.clock import SimulatedClock, WallClock
 from hil.core.messages import IoOutputs
 from hil.drivers.io.mock import MockIo
-from hil.drivers.shared_state import ChainState, SharedAxisState
 from hil.errors import LinkTimeout, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.safety_io_stage import CLOSING_TIME_S, SafetyIoStage
+from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 
 STEP_S = 0.02
 

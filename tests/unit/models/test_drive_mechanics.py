@@ -12,10 +12,10 @@ from hil.config.load import load_rig
 from hil.config.tables.mechanics import RailMechanics
 from hil.core.clock import WallClock
 from hil.drivers.axes import MechanicalAxes, ServoAxes
-from hil.drivers.emulated_axes import EmulatedAxes
-from hil.drivers.shared_state import SharedAxisState
 from hil.errors import BadInput
 from hil.models.drive_mechanics import friction_step, spring_force
+from hil.parts.emulation.emulated_axes import EmulatedAxes
+from hil.parts.emulation.shared_state import SharedAxisState
 
 RAILS = load_rig("emulated-machine").value.rails
 STEP_S = 0.002

@@ -9,10 +9,10 @@ import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import CameraTolerances
-from hil.monitor.displacement import off_the_line, repeated
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.results import Result
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.displacement import off_the_line, repeated
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.results import Result
+from hil.parts.monitor.sources import VideoFrame
 from tests.support.monitor_disturbances import EXACT, portion_truth, random_approach
 from tests.support.tv_areas import AreaTarget, TargetErrors
 from tests.support.tv_pixels import Image, TvCamera

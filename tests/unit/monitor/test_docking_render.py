@@ -11,9 +11,9 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.models import docking_view
-from hil.monitor import render
-from hil.monitor.render import Conditions, FlatShape, Glare, TargetRenderer, film
-from hil.monitor.sources import LOWER, UPPER
+from hil.parts.monitor import render
+from hil.parts.monitor.render import Conditions, FlatShape, Glare, TargetRenderer, film
+from hil.parts.monitor.sources import LOWER, UPPER
 
 DATA = Path(__file__).parents[2] / "data" / "docking"
 AHEAD = np.zeros(3)

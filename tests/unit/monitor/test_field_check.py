@@ -13,12 +13,12 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
-from hil.monitor.field_check import FieldCheck, FieldDifference
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.motion import Motion
-from hil.monitor.render import Conditions, TargetRenderer
-from hil.monitor.results import Result
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.field_check import FieldCheck, FieldDifference
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.motion import Motion
+from hil.parts.monitor.render import Conditions, TargetRenderer
+from hil.parts.monitor.results import Result
+from hil.parts.monitor.sources import VideoFrame
 
 PLACE = np.array([0.15, -0.1, 5.0]), np.array([-0.02, -0.03, 0.03])
 RATES = np.array([0.004, -0.003, -0.08]), np.array([5e-4, -1e-3, 1e-3])

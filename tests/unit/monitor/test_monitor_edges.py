@@ -9,10 +9,10 @@ from scipy.special import ndtr
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise, Scene
 from hil.models import docking_view
-from hil.monitor.features import ACROSS, DISC, UPRIGHT, target_features
-from hil.monitor.kernels import edge_samples, edges, pose
-from hil.monitor.kernels.edge_samples import EDGE_SAMPLE
-from hil.monitor.render import Conditions, TargetRenderer
+from hil.parts.monitor.features import ACROSS, DISC, UPRIGHT, target_features
+from hil.parts.monitor.kernels import edge_samples, edges, pose
+from hil.parts.monitor.kernels.edge_samples import EDGE_SAMPLE
+from hil.parts.monitor.render import Conditions, TargetRenderer
 
 Floats = np.ndarray
 

@@ -9,10 +9,10 @@ import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import Scene
-from hil.monitor.kernels.pose import FOCAL, UNKNOWNS
-from hil.monitor.motion import MotionFit, MotionSolution, transition
-from hil.monitor.results import FrameDetection, FrameResult
-from hil.monitor.settings import MonitorSettings
+from hil.parts.monitor.kernels.pose import FOCAL, UNKNOWNS
+from hil.parts.monitor.motion import MotionFit, MotionSolution, transition
+from hil.parts.monitor.results import FrameDetection, FrameResult
+from hil.parts.monitor.settings import MonitorSettings
 
 SIGMAS = np.array([2e-3, 2e-3, 1e-3, 3e-4, 3e-4, 2e-4, 0.02])
 FINE = 0.05 * SIGMAS

@@ -8,9 +8,9 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import PixelNoise
 from hil.models import docking_view
-from hil.monitor.kernels.quantities import derive, quantities
-from hil.monitor.render import Conditions, TargetRenderer, film
-from hil.monitor.results import QUANTITIES
+from hil.parts.monitor.kernels.quantities import derive, quantities
+from hil.parts.monitor.render import Conditions, TargetRenderer, film
+from hil.parts.monitor.results import QUANTITIES
 from sims import monitor_paper as paper
 from sims.monitor_paper import PaperFrame, PaperMotionFit, pair
 

@@ -9,10 +9,10 @@ import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import Box, Labels, Scene, Target
-from hil.monitor.features import quarter_rolled, target_features
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.results import ANY_ROLL_QUANTITIES, QUANTITIES, Result
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.features import quarter_rolled, target_features
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.results import ANY_ROLL_QUANTITIES, QUANTITIES, Result
+from hil.parts.monitor.sources import VideoFrame
 from tests.support.monitor_disturbances import MONITOR_ROWS
 from tests.support.tv_pixels import TvCamera, TvTarget
 

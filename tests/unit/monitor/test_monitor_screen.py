@@ -11,11 +11,11 @@ import pytest
 from hil.config.load import load_scene
 from hil.config.scene import SceneCamera
 from hil.errors import BadInput
-from hil.monitor.results import QUANTITIES, FrameDetection, Portion, portion_of, portion_row
-from hil.monitor.screen import drawing, plots
-from hil.monitor.screen.overlay import annotated_shapes
-from hil.monitor.screen.screen import HEIGHT, WIDTH, Screen, ScreenFile
-from hil.monitor.sources import LOWER, UPPER, VideoFrame
+from hil.parts.monitor.results import QUANTITIES, FrameDetection, Portion, portion_of, portion_row
+from hil.parts.monitor.screen import drawing, plots
+from hil.parts.monitor.screen.overlay import annotated_shapes
+from hil.parts.monitor.screen.screen import HEIGHT, WIDTH, Screen, ScreenFile
+from hil.parts.monitor.sources import LOWER, UPPER, VideoFrame
 
 GREY_FRAME = VideoFrame(0, 0.0, np.full((576, 768), 90, np.uint8))
 SCALE = 600 / 576  # image to screen

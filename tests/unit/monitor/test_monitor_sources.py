@@ -11,7 +11,7 @@ import pytest
 from hil.config.load import Loaded, load_scene
 from hil.config.scene import Scene
 from hil.errors import BadInput
-from hil.monitor.sources import LOWER, UPPER, WHOLE, open_source
+from hil.parts.monitor.sources import LOWER, UPPER, WHOLE, open_source
 
 COUNT = 12
 

@@ -10,13 +10,13 @@ import pytest
 
 from hil.config.load import load_scene
 from hil.config.scene import Outline, Scene, Target
-from hil.monitor.features import OUTLINE, target_features
-from hil.monitor.kernels.quantities import quantities
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.render import parts_of
-from hil.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
-from hil.monitor.screen.overlay import CIRCLE, shapes
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.features import OUTLINE, target_features
+from hil.parts.monitor.kernels.quantities import quantities
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.render import parts_of
+from hil.parts.monitor.results import FAR_QUANTITIES, QUANTITIES, Result
+from hil.parts.monitor.screen.overlay import CIRCLE, shapes
+from hil.parts.monitor.sources import VideoFrame
 from tests.support.tv_pixels import TvCamera, TvTarget
 
 Corners = tuple[tuple[float, float], ...]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hil.config.load import load_scene
-from hil.monitor.monitor import DockingMonitor
-from hil.monitor.sources import VideoFrame
+from hil.parts.monitor.monitor import DockingMonitor
+from hil.parts.monitor.sources import VideoFrame
 from tests.support.monitor_disturbances import MONITOR_ROWS
 from tests.support.tv_pixels import Image, TvCamera, TvTarget
 

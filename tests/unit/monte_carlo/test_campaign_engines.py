@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.monte_carlo.engines import _PART, _Parts
+from hil.parts.campaigns.engines import _PART, _Parts
 
 
 def test_parts_of_a_batch_are_put_together_in_the_order_of_the_cases_whoever_is_done_first() -> None:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.monte_carlo.outcome import failed_row
-from hil.monte_carlo.statistics import compare, mean_interval, summarise, wilson
-from hil.monte_carlo.store import Store
+from hil.parts.campaigns.outcome import failed_row
+from hil.parts.campaigns.statistics import compare, mean_interval, summarise, wilson
+from hil.parts.campaigns.store import Store
 
 
 def finished(folder: Path, rows: list[dict[str, Any]], names: list[str]) -> Store:

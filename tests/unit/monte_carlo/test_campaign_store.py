@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from hil.errors import BadInput, CampaignStopped
-from hil.monte_carlo.outcome import failed_row
-from hil.monte_carlo.store import BATCH, Store
+from hil.parts.campaigns.outcome import failed_row
+from hil.parts.campaigns.store import BATCH, Store
 
 IDENTITY = {"scenario": "scheme-1", "seed": 0}
 

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 
 from hil.config.load import load_scenario
 from hil.errors import BadInput
-from hil.monte_carlo.dispersions import Design, case_seed
+from hil.parts.campaigns.dispersions import Design, case_seed
 
 PLAIN = "dispersions.sampling=random"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.monte_carlo.drivers import Candidates, Term, auc, find_drivers, threshold
+from hil.parts.campaigns.drivers import Candidates, Term, auc, find_drivers, threshold
 
 NAMES = [f"n{j}" for j in range(12)]
 

@@ -17,11 +17,9 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import ProbabilisticRequirement
 from hil.errors import BadInput
 from hil.maths.order_statistics import cases_needed
-from hil.monte_carlo.campaign import CampaignJob, scenario_digest
-from hil.monte_carlo.placement import RecordedRun, evidence_of_runs
-from hil.monte_carlo.statistics import judge_requirement, tolerance_bound
-from hil.report import html
-from hil.report.requirements_page import (
+from hil.parts.campaigns.campaign import CampaignJob, scenario_digest
+from hil.parts.campaigns.placement import RecordedRun, evidence_of_runs
+from hil.parts.campaigns.requirements_page import (
     campaign_rows,
     evidence_files,
     junit,
@@ -29,6 +27,8 @@ from hil.report.requirements_page import (
     run_row,
     with_open_steps,
 )
+from hil.parts.campaigns.statistics import judge_requirement, tolerance_bound
+from hil.report import html
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "how-to" / "run-a-campaign.md"

@@ -10,8 +10,8 @@ from scipy.stats import norm
 
 from hil.core.messages import Array
 from hil.maths.random_streams import MixedSeed, noise_source, stream
-from hil.monte_carlo.importance_campaign import importance_estimate, peaks_of
-from hil.monte_carlo.importance_density import (
+from hil.parts.campaigns.importance_campaign import importance_estimate, peaks_of
+from hil.parts.campaigns.importance_density import (
     ImportanceDensity,
     PilotCases,
     block_normals,

@@ -10,9 +10,9 @@ from typing import Any, cast
 import pytest
 
 from hil.config.load import load_scenario
-from hil.monte_carlo.campaign import CampaignJob
-from hil.monte_carlo.engines import LocalEngine
-from hil.monte_carlo.margins import DelayedPart, delay_margins
+from hil.parts.campaigns.campaign import CampaignJob
+from hil.parts.campaigns.engines import LocalEngine
+from hil.parts.campaigns.margins import DelayedPart, delay_margins
 
 RUNS = 4
 

@@ -11,10 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from hil.cli import campaign_recordings
 from hil.cli.main import execute
 from hil.errors import BadInput
-from hil.monte_carlo.placement import outcomes_of, place, place_run
+from hil.parts.campaigns.cli import campaign_recordings
+from hil.parts.campaigns.placement import outcomes_of, place, place_run
 
 SUMMARY: dict[str, Any] = {
     "scenario": "scheme-1",

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hil.core.messages import Array
-from hil.monte_carlo.rare_campaign import halving_factor
-from hil.monte_carlo.sobol_indices import index_rows, sobol_indices, sobol_point
+from hil.parts.campaigns.rare_campaign import halving_factor
+from hil.parts.campaigns.sobol_indices import index_rows, sobol_indices, sobol_point
 
 
 def ishigami(unit: Array) -> Array:
@@ -84,7 +84,7 @@ def test_factor_that_halves_an_event_is_that_of_the_normal_tail() -> None:
 
 
 def test_picture_of_the_largest_indices(tmp_path: Path) -> None:
-    from hil.monte_carlo.figure import draw_indices
+    from hil.parts.campaigns.figure import draw_indices
 
     rows = index_rows(sobol_indices(*outcomes(ishigami, 50, 3, 1)), ["a", "b", "c", "noise"])
     draw_indices({"sobol": {"control_margin": rows, "propellant_kg": []}}, tmp_path / "sobol.png")

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from hil.core.messages import Array
 from hil.errors import BadInput
 from hil.maths.random_streams import MixedSeed, noise_source, stream
-from hil.monte_carlo.rare_events import (
+from hil.parts.campaigns.rare_events import (
     ALWAYS,
     ESTIMATED,
     FRESH,
@@ -24,7 +24,7 @@ from hil.monte_carlo.rare_events import (
     chain_correlation,
     mixed_seeds,
 )
-from hil.monte_carlo.subset_simulation import subset_simulation
+from hil.parts.campaigns.subset_simulation import subset_simulation
 
 ONE_IN_A_MILLION = float(norm.isf(1e-6))
 

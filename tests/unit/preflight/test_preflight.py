@@ -18,9 +18,9 @@ from hil.drivers.mock_axes import MockAxes
 from hil.drivers.split_axes import RigDrivers
 from hil.drivers.vmu.mock import MockVmu
 from hil.errors import ProtocolError
-from hil.preflight import devices
+from hil.parts.wires import devices
+from hil.parts.wires.devices import device_checks
 from hil.preflight.check import PreflightCheck, all_passed
-from hil.preflight.devices import device_checks
 from hil.preflight.host import HostFacts, Privileges, host_checks, probe_host
 from hil.preflight.lateness import Lateness, histogram_lines, lateness_check, pause_check, summarise
 from hil.preflight.run import overtravel_check, preflight, reachability_check

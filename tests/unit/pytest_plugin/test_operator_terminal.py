@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.errors import BadInput, BenchError
-from hil.pytest_plugin.operator_terminal import OperatorTerminal
+from hil.parts.campaigns.pytest_plugin.operator_terminal import OperatorTerminal
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from hil.config.load import configs_folder
-from hil.console.foxglove_process import BENCH_SCHEMA, BENCH_TOPIC, SERVICES
 from hil.core.camera_images import CAMERAS
+from hil.parts.console.foxglove_process import BENCH_SCHEMA, BENCH_TOPIC, SERVICES
 from hil.recording import foxglove
 from hil.recording.foxglove_images import ANNOTATIONS, PICTURE_TOPICS
 

@@ -20,8 +20,8 @@ from hil.core.camera_images import IMAGE_BYTES, image_row
 from hil.core.fields import record_dtype
 from hil.core.messages import CYCLE, CYCLE_FIELDS, POSE_FIELDS
 from hil.errors import BadInput
+from hil.parts.export.table import export
 from hil.recording import read, schema
-from hil.recording.export import export
 from hil.recording.read import contents, load
 from hil.recording.recover import recover
 from hil.recording.schema import LOG_ENTRY

@@ -12,7 +12,7 @@ from hil.config.load import load_scenario, shipped
 from hil.config.scenario import Scenario
 from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.errors import BadInput
-from hil.monte_carlo.outcome import FLAGS
+from hil.parts.campaigns.outcome import FLAGS
 from hil.report.table import PART_TEXTS
 from hil.report.verdict import acceptance, is_accepted, not_required_text
 

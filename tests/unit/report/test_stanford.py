@@ -11,7 +11,7 @@ import pytest
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.loop.compiled.run_stats import counted
-from hil.monte_carlo.figure import draw_integrity, stanford_figure
+from hil.parts.campaigns.figure import draw_integrity, stanford_figure
 from hil.report.figures import figures
 from hil.report.verdict import verdict_of
 

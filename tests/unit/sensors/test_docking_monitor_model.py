@@ -7,10 +7,10 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.maths import quat
-from hil.params.monitor import mounting
 from hil.params.sensors import sensors_of, settings_row
+from hil.parts.monitor.params import mounting
+from hil.parts.monitor.sensor import AXES, UNOBSERVED_RAD
 from hil.sensors.check import Trial
-from hil.sensors.docking_monitor import AXES, UNOBSERVED_RAD
 
 ALIGNED = np.array([0.0, 0.0, 0.0, 1.0])
 BEHIND_M = 1.1

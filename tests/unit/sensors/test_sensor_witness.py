@@ -11,13 +11,13 @@ from hil.core.sensor_records import ACCEPTED, LATE, NOT_USED, REJECTED, SENSOR_S
 from hil.gnc.estimation.sensor_fusion import SENSOR_FUSION_STATE
 from hil.gnc.estimation.sensor_witness import compare_witnesses
 from hil.maths import quat
-from hil.monitor.kernels.quantities import of_chaser
-from hil.monitor.results import QUANTITIES, Portion
 from hil.params import gnc as gnc_params
-from hil.params.monitor import mounting
 from hil.params.sensors import sensors_of, settings_row
+from hil.parts.monitor.kernels.quantities import of_chaser
+from hil.parts.monitor.params import mounting
+from hil.parts.monitor.portion_samples import write_sample
+from hil.parts.monitor.results import QUANTITIES, Portion
 from hil.sensors.check import Trial
-from hil.setup.portion_samples import write_sample
 
 R_M = np.array([3.0, -0.2, 0.1])
 AHEAD = np.array([1.0, 0.0, 0.0])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.api.campaign_results import job_of_case
 from hil.core.clock import SimulatedClock
 from hil.loop.rate_keeper import SimulatedRate
-from hil.monte_carlo.dispersions import Design
+from hil.parts.campaigns.api.campaign_results import job_of_case
+from hil.parts.campaigns.dispersions import Design
 from hil.session.build import in_memory
 from hil.setup.assembly import Job
 from tests.support.run_settings import make_job

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import pytest
 
-from hil.console.session import Choice
+from hil.parts.console.session import Choice
 from hil.session import warm_up
 from hil.session.warm_up import FIRST_START, compile_kernels
 from hil.setup.assembly import Job

@@ -8,8 +8,8 @@ import pytest
 from hil.config.load import load_rig
 from hil.core.messages import CYCLE
 from hil.drivers.mock_axes import MockAxes
+from hil.parts.wires.meters import ExchangeRates
 from hil.report.latency import with_exchanges
-from hil.setup.meters import ExchangeRates
 
 
 class CountedAxes(MockAxes):

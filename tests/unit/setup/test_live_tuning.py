@@ -13,13 +13,13 @@ from hil.config.gnc_override import with_other_gnc
 from hil.config.live_tunable import live_ranges, range_of, value_of
 from hil.config.load import load_rig, load_scenario
 from hil.config.scenario import Scenario
-from hil.console.lease import RequestRejected
-from hil.console.tuner import Tuner, unit_of
 from hil.core.operator_commands import Operator
 from hil.errors import BadInput
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
+from hil.parts.console.lease import RequestRejected
+from hil.parts.console.tuner import Tuner, unit_of
 from hil.recording.audit import Actor
 from hil.recording.read import Recorded, load
 from hil.recording.replay import replay

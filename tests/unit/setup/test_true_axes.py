@@ -10,9 +10,9 @@ import pytest
 from hil.bench import kinematics
 from hil.config.load import load_rig
 from hil.core.messages import AXES, CYCLE, new
-from hil.drivers.shared_state import SharedAxisState
 from hil.params import bench as bench_params
-from hil.setup.true_axes import TrueAxesWatch
+from hil.parts.emulation.shared_state import SharedAxisState
+from hil.parts.emulation.true_axes import TrueAxesWatch
 
 STEP_S = 0.02
 NOW_S = 7.3

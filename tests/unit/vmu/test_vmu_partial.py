@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.cli.vmu import row
 from hil.core.messages import POSITION_ONLY
 from hil.drivers.vmu.codec import checked_pose
+from hil.parts.vision.cli.vmu import row
 from hil.vmu.kernels.records import FIT
 from hil.vmu.partial import OK_POSITION, OK_SIGHT, partial_pose
 from hil.vmu.unit import Solution, VisionUnit

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.cameras.live import check_shutters, middle_row_s
 from hil.config.vmu_geometry import VmuGeometry
 from hil.drivers.cameras.node_map import NodeMap
 from hil.errors import DeviceError
+from hil.parts.cameras.live import check_shutters, middle_row_s
 from hil.vmu.unit import VisionUnit
 from tests.support.vmu_disturbances import PERIOD_S, VERY_GOOD, Frames, Tally, known_geometry
 from tests.support.vmu_rolling import TOP_DOWN_S, drawn_rolling, rolling_approach

@@ -31,7 +31,7 @@ ENTRY: Final = DriverEntry(
     "turntable",
     "ascii",
     driver="hil.drivers.turntable.ascii.driver:AsciiTurntable",
-    emulator="hil.drivers.turntable.ascii.emulator:AsciiTurntableEmulator",
+    emulator="hil.parts.emulation.ascii_turntable:AsciiTurntableEmulator",
     wires=[WireKey("ascii.port", "serial")],
     check_files=_check_files,
     identity=_identity,

@@ -48,7 +48,7 @@ ENTRY: Final = DriverEntry(
     "turntable",
     "cia402",
     driver="hil.drivers.turntable.cia402.driver:Cia402Turntable",
-    emulator="hil.drivers.turntable.cia402.emulator:Cia402Emulator",
+    emulator="hil.parts.emulation.cia402:Cia402Emulator",
     wires=[WireKey("cia402.channel", "can")],
     check_files=_check_files,
     identity=_identity,

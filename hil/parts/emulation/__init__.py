@@ -1,0 +1,1 @@
+"""Emulators of all devices on their wires, by the wall clock or in lock-step."""

@@ -1,0 +1,188 @@
+"""Emulator of an ASCII turntable controller: any protocol file, on a pseudo terminal with the line's timing."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import Final
+
+from hil.config.load import load_protocol
+from hil.config.rig import GIMBAL_NAMES, Turntable
+from hil.core.clock import BenchClock
+from hil.core.messages import Homing
+from hil.drivers.turntable.ascii.frames import BrokenLine
+from hil.drivers.turntable.ascii.protocol import DEVICE, AsciiCommand, AsciiProtocol, CommandRefused, FieldValues
+from hil.errors import BadInput
+from hil.maths.random_streams import stream
+from hil.parts.emulation.emulated_axes import STEP_S, EmulatedAxes, ReadChain
+from hil.parts.emulation.fault_injection import FaultyChannel
+from hil.parts.emulation.pty_line import PtyLine
+from hil.parts.emulation.shared_state import SharedAxisState
+
+_ALL: Final = (0, 1, 2)
+
+
+class AsciiTurntableEmulator:
+    """Controller of roll, pitch, yaw on ``config.ascii``; serve it with ``run`` in a process of its own.
+
+    Faults of the wire apply to its replies; a dead wire transfers no requests either.
+    """
+
+    def __init__(
+        self,
+        config: Turntable,
+        clock: BenchClock,
+        shared: SharedAxisState,
+        chain: ReadChain | None = None,
+        seed: int = 0,
+        name: str = "turntable",
+    ) -> None:
+        if config.ascii is None:
+            raise BadInput.single("rig", "turntable.ascii", "is missing")
+        protocol = load_protocol(config.ascii.protocol).value
+        self._clock = clock
+        self._bits = protocol.status
+        self._words = protocol.emulator
+        self._torque_off = protocol.faults.torque_off or self._words.drive_fault
+        self._following_error = protocol.faults.following_error or self._words.drive_fault
+        self._has_flags = protocol.faults.kind == "flags"
+        self.protocol = AsciiProtocol(protocol)
+        self.gimbals = EmulatedAxes(name, config, clock, shared, chain=chain, seed=seed)
+        self.faults = self.gimbals.faults
+        self._channel = FaultyChannel(self.faults, stream(seed, "wire"))
+        self.splitter = self.protocol.requests.splitter()
+        self._enabled = [False, False, False]
+        self._homing = [False, False, False]  # until the axis is at rest again
+        self._quick_stopped = False
+        self.fault = [0, 0, 0]
+        self._frozen: FieldValues | None = None
+        self._line = PtyLine(config.ascii.baud, clock)
+
+    def start(self) -> dict[str, str]:
+        """Return the path of the line."""
+        return {self.faults.device: self._line.path}
+
+    def run(self, stop: threading.Event) -> None:
+        """Serve the line until ``stop`` is set."""
+        line, step_s = self._line, self._clock.paced_s(STEP_S)
+        while not stop.is_set():
+            data = line.read(step_s)
+            if self.faults.value("link_down") is not None:
+                data = b""
+            self._advance()
+            for request in self.splitter.feed(data) if data else ():
+                reply = self.answer(request)
+                if reply:
+                    self._channel.put(reply, self._clock.now_s())
+            for reply in self._channel.due(self._clock.now_s()):
+                line.write(reply)
+                self._advance()
+
+    def close(self) -> None:
+        """Close the line."""
+        self._line.close()
+
+    def answer(self, text: bytes) -> bytes:
+        """Execute one request; return the reply, b"" for a broken line."""
+        try:
+            sequence, line, axis, values = self.protocol.decode_request(text)
+        except BrokenLine:
+            return b""  # its sequence number is not reliable: no reply
+        except CommandRefused as refused:
+            return self.protocol.refusal(int(str(refused), 16), self._words.unknown)
+        if self._refuses(line.action, axis):
+            return self.protocol.refusal(sequence, self._words.refused)
+        self._execute(line, axis, values)
+        return self.protocol.reply(sequence, line, axis, self._report())
+
+    def _refuses(self, action: str, axis: int) -> bool:
+        axes = _ALL if axis == DEVICE else (axis,)
+        if action == "enable":
+            return any(self.fault[i] or self.gimbals.moving(i) or self.gimbals.torque_off for i in axes)
+        return action == "home" and not all(self._enabled[i] for i in axes)
+
+    def _execute(self, line: AsciiCommand, axis: int, values: FieldValues) -> None:
+        for i in _ALL if axis == DEVICE else (axis,):
+            if line.action == "set":
+                position = values.get(("position", i), self.gimbals.position[i])
+                self._follow(i, float(position), float(values.get(("rate", i), 0.0)))
+            elif line.action == "enable":
+                self._enabled[i] = True
+                self._quick_stopped = False
+                self.gimbals.enable(i)
+                self._hold(i)
+            elif line.action == "hold":
+                self._hold(i)
+            elif line.action == "quick_stop":
+                self._quick_stopped = True
+                self._disable(i)
+            elif line.action == "clear_faults":
+                self.fault[i] = 0
+                self.gimbals.astray[i] = False
+            elif line.action == "home" and self.gimbals.homing[i] is not Homing.DONE:
+                self._homing[i] = True
+                self.gimbals.home(i)
+
+    def _follow(self, axis: int, position_rad: float, rate_radps: float) -> None:
+        if self._enabled[axis]:
+            self.gimbals.follow(axis, position_rad, rate_radps, self._clock.now_s())
+
+    def _hold(self, axis: int) -> None:
+        """Hold the present position; the watchdog applies to setpoints only."""
+        if self._enabled[axis]:
+            held = float(self.gimbals.position[axis])
+            self.gimbals.follow(axis, held, 0.0, self._clock.now_s(), watchdog_s=math.inf)
+
+    def _disable(self, axis: int) -> None:
+        self._enabled[axis] = False
+        self.gimbals.brake(axis)
+
+    def _advance(self) -> None:
+        self.gimbals.advance(self._clock.now_s())
+        for axis, name in enumerate(GIMBAL_NAMES):
+            self._homing[axis] &= self.gimbals.homing[axis] is Homing.UNDER_WAY or self.gimbals.moving(axis)
+            switched = self.faults.pop("drive_fault", name)
+            if switched is not None:
+                self._fail(axis, round(switched) or self._words.drive_fault)
+            if self.gimbals.overdue[axis]:
+                self.gimbals.overdue[axis] = False
+                self._fail(axis, self._words.command_timeout)
+            if self.gimbals.torque_off and self._enabled[axis]:
+                self._fail(axis, self._torque_off)
+            if self.gimbals.astray[axis] and not self.fault[axis]:
+                self._fail(axis, self._following_error)
+
+    def _fail(self, axis: int, number: int) -> None:
+        self.fault[axis] = self.fault[axis] | number if self._has_flags else self.fault[axis] or number
+        self._disable(axis)
+
+    def _status(self, axis: int) -> int:
+        homing, limit = self.gimbals.homing[axis], self.gimbals.limit[axis]
+        shown = {
+            "enabled": self._enabled[axis],
+            "fault": self.fault[axis] != 0,
+            "quick_stopped": self._quick_stopped,
+            "moving": self.gimbals.moving(axis),
+            "homed": homing is Homing.DONE,
+            "not_homed": homing is not Homing.DONE,
+            "homing": self._homing[axis],
+            "homing_failed": homing is Homing.FAILED,
+            "limit_low": limit < 0,
+            "limit_high": limit > 0,
+        }
+        return sum(getattr(self._bits, name) or 0 for name, on in shown.items() if on)
+
+    def _report(self) -> FieldValues:
+        """Return the values of all fields of replies; constant while the device is frozen."""
+        if self._frozen is not None and self.faults.value("freeze") is not None:
+            return self._frozen
+        words = self._words
+        report: FieldValues = {("model", DEVICE): words.model, ("serial", DEVICE): words.serial}
+        report |= {("firmware", DEVICE): words.firmware, ("ignore", DEVICE): ""}
+        for axis in _ALL:
+            report["position", axis] = float(self.gimbals.position[axis])
+            report["rate", axis] = float(self.gimbals.rate[axis])
+            report["status", axis] = self._status(axis)
+            report["fault", axis] = self.fault[axis]
+        self._frozen = report
+        return report

@@ -1,0 +1,225 @@
+"""Emulated CiA 402 drive: NMT, PDOs and power state machine over its object dictionary.
+
+Frames in, frames out; no wire, no clock. The axis is a ``DriveAxis``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from hil.drivers.turntable.cia402 import codec as codec
+from hil.drivers.turntable.cia402.can_port import Frame
+from hil.drivers.turntable.cia402.codec import DriveState
+from hil.drivers.turntable.cia402.objects import MappedPdo, ObjectDictionary
+from hil.parts.emulation.cia402_modes import DriveAxis, DriveMotion
+
+_REMOTE = 0x0200  # statusword: the controlword is executed
+_VOLTAGE = 0x0010
+_GENERIC_ERROR = 0x01  # error register
+_COMMUNICATION_ERROR = 0x10
+_SDO_ABORT = 0x80
+
+_POWERED: Final = (DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP_ACTIVE)
+_NMT_STATES: Final = {codec.NMT_START: codec.OPERATIONAL, codec.NMT_STOP: codec.STOPPED}
+
+_S = DriveState
+# (state, command in the controlword) -> next state; CiA 402-2, power drive system FSA
+_MOVES: Final = {
+    (_S.SWITCH_ON_DISABLED, "shutdown"): _S.READY,
+    (_S.READY, "switch on"): _S.SWITCHED_ON,
+    (_S.READY, "enable"): _S.SWITCHED_ON,
+    (_S.SWITCHED_ON, "enable"): _S.ENABLED,
+    (_S.SWITCHED_ON, "shutdown"): _S.READY,
+    (_S.ENABLED, "switch on"): _S.SWITCHED_ON,
+    (_S.ENABLED, "shutdown"): _S.READY,
+    (_S.ENABLED, "quick stop"): _S.QUICK_STOP_ACTIVE,
+    (_S.READY, "quick stop"): _S.SWITCH_ON_DISABLED,
+    (_S.SWITCHED_ON, "quick stop"): _S.SWITCH_ON_DISABLED,
+    (_S.READY, "disable voltage"): _S.SWITCH_ON_DISABLED,
+    (_S.SWITCHED_ON, "disable voltage"): _S.SWITCH_ON_DISABLED,
+    (_S.ENABLED, "disable voltage"): _S.SWITCH_ON_DISABLED,
+    (_S.QUICK_STOP_ACTIVE, "disable voltage"): _S.SWITCH_ON_DISABLED,
+}
+
+
+def command_of(controlword: int) -> str:
+    """Return the command in the low bits of a controlword."""
+    if not controlword & 0x02:
+        return "disable voltage"
+    if not controlword & 0x04:
+        return "quick stop"
+    if not controlword & 0x01:
+        return "shutdown"
+    return "enable" if controlword & 0x08 else "switch on"
+
+
+class EmulatedCia402Drive:
+    """A drive on node ``node_id`` that moves ``axis``. ``watchdog_s``: default of object 0x1400:05.
+
+    Every method that can cause traffic returns the frames to send.
+    """
+
+    def __init__(self, node_id: int, axis: DriveAxis, watchdog_s: float) -> None:
+        self.node_id = node_id
+        self.state = DriveState.SWITCH_ON_DISABLED
+        self.operational = False
+        self.objects = ObjectDictionary(round(watchdog_s * 1000.0))
+        self._axis = axis
+        window = self.objects[codec.FOLLOWING_ERROR_WINDOW], self.objects[codec.FOLLOWING_ERROR_TIME_OUT]
+        window[0].value, window[1].value = axis.window()
+        self._motion = DriveMotion(axis, self.objects)
+        self._nmt_state = codec.PRE_OPERATIONAL
+        self._beat_due_s = 0.0
+        self._controlword = 0
+        self._fresh_target = False
+        self._pdos: dict[int, MappedPdo] = {}
+        self._status_due_s = 0.0
+        self._status_sent: tuple[int, int] | None = None
+
+    def boot(self) -> list[Frame]:
+        """Return the boot-up message."""
+        return [(codec.HEARTBEAT_ID + self.node_id, b"\x00")]
+
+    def on_frame(self, identifier: int, data: bytes, now_s: float) -> list[Frame]:
+        """Receive one frame of the bus; return the frames that the drive sends in response."""
+        if identifier == codec.SYNC_ID:
+            return self._on_sync()
+        if identifier == codec.NMT_ID:
+            return self._on_nmt(data)
+        if identifier == codec.SDO_REQUEST_ID + self.node_id:
+            return self._on_sdo(data, now_s) + self.status(now_s)
+        pdo = self._pdos.get(identifier)
+        if pdo is None or len(data) < pdo.layout.size:
+            return []
+        pdo.unpack(data)
+        if identifier == codec.RPDO1_ID + self.node_id:
+            self._fresh_target = True
+        else:
+            self._control(now_s)
+        return self.status(now_s)
+
+    def advance(self, now_s: float) -> list[Frame]:
+        """Advance to ``now_s``; return heartbeat, status and other frames due."""
+        frames: list[Frame] = []
+        if self._axis.torque_off() and self.state in _POWERED:
+            frames += self.fail(codec.TORQUE_OFF)
+        if self._axis.astray() and self.state is not DriveState.FAULT:
+            frames += self.fail(codec.FOLLOWING_ERROR)
+        if self.state is DriveState.ENABLED:
+            self._motion.advance(now_s)
+        period_ms = self.objects.value(codec.HEARTBEAT_PRODUCER) & 0xFFFF
+        if period_ms and now_s >= self._beat_due_s:
+            self._beat_due_s = now_s + period_ms * 1e-3
+            frames.append((codec.HEARTBEAT_ID + self.node_id, bytes((self._nmt_state,))))
+        return frames + self.status(now_s)
+
+    def status(self, now_s: float) -> list[Frame]:
+        """Return the status PDO when the statusword has changed or its timer has run out."""
+        pdo = self._pdos.get(codec.TPDO2_ID + self.node_id)
+        current = (self._statusword(), self._axis.limit())
+        if pdo is None or (current == self._status_sent and now_s < self._status_due_s):
+            return []
+        self._status_sent = current
+        timer_ms = self.objects.value(codec.STATUS_PDO.parameter, codec.PDO_EVENT_TIMER)
+        self._status_due_s = now_s + timer_ms * 1e-3 if timer_ms else math.inf
+        self._refresh()
+        return [(pdo.identifier, pdo.pack())]
+
+    def fail(self, code: int) -> list[Frame]:
+        """Brake, enter the fault state, send the emergency message."""
+        self._axis.brake()
+        self.state = DriveState.FAULT
+        return self._emergency(code, _GENERIC_ERROR)
+
+    def overdue(self) -> list[Frame]:
+        """Quick stop because setpoints have ceased (CiA 402 abort connection option 3), with emergency message."""
+        if self.state is not DriveState.ENABLED:
+            return []
+        self._enter(DriveState.QUICK_STOP_ACTIVE)
+        return self._emergency(codec.RPDO_TIMEOUT, _COMMUNICATION_ERROR)
+
+    def _emergency(self, code: int, register: int) -> list[Frame]:
+        self.objects[codec.ERROR_CODE].value = code
+        self.objects[codec.ERROR_REGISTER].value = register
+        return [(codec.EMCY_ID + self.node_id, codec.encode_emergency(code, register))]
+
+    def _control(self, now_s: float) -> None:
+        word = self.objects.value(codec.CONTROLWORD) & 0xFFFF
+        rising, falling = word & ~self._controlword, self._controlword & ~word
+        self._controlword = word
+        if self.state is not DriveState.FAULT:
+            self._enter(_MOVES.get((self.state, command_of(word)), self.state))
+            if self.state is DriveState.ENABLED:
+                self._motion.control(word, rising, falling, now_s)
+        elif rising & codec.FAULT_RESET:
+            self.objects[codec.ERROR_CODE].value = 0
+            self.objects[codec.ERROR_REGISTER].value = 0
+            self._axis.clear_astray()
+            self._enter(DriveState.SWITCH_ON_DISABLED)
+
+    def _enter(self, state: DriveState) -> None:
+        if state is self.state:
+            return
+        self.state = state
+        if state is DriveState.ENABLED:
+            self._axis.enable()
+            self._motion.begin()
+        elif state is DriveState.QUICK_STOP_ACTIVE:
+            self._axis.brake()
+        else:
+            self._axis.disable()
+
+    def _statusword(self) -> int:
+        word = self.state.bits | _REMOTE | _VOLTAGE
+        is_homing = self._motion.mode == codec.HOMING
+        return word | self._motion.statusword() if is_homing or self.state is DriveState.ENABLED else word
+
+    def _refresh(self) -> None:
+        """Update the measured objects."""
+        objects = self.objects
+        objects[codec.POSITION_ACTUAL].value, objects[codec.VELOCITY_ACTUAL].value = self._axis.feedback()
+        objects[codec.STATUSWORD].value = self._statusword()
+        limit = self._axis.limit()
+        objects[codec.DIGITAL_INPUTS].value = codec.LOW_LIMIT * (limit < 0) | codec.HIGH_LIMIT * (limit > 0)
+        objects[codec.MODE_DISPLAY].value = objects[codec.MODE].value
+
+    def _on_sync(self) -> list[Frame]:
+        if self._fresh_target and self.state is DriveState.ENABLED:
+            self._motion.on_sync()
+        self._fresh_target = False
+        pdo = self._pdos.get(codec.TPDO1_ID + self.node_id)
+        if pdo is None or pdo.transmission != 1:
+            return []
+        self._refresh()
+        return [(pdo.identifier, pdo.pack())]
+
+    def _on_nmt(self, data: bytes) -> list[Frame]:
+        if len(data) != 2 or data[1] not in (0, self.node_id):
+            return []
+        self.operational = data[0] == codec.NMT_START
+        self._nmt_state = _NMT_STATES.get(data[0], codec.PRE_OPERATIONAL)
+        self._pdos = self.objects.map_pdos() if self.operational else {}
+        self._status_sent = None
+        if data[0] not in (codec.NMT_RESET_NODE, codec.NMT_RESET_COMMUNICATION):
+            if not self.operational and self.state is DriveState.ENABLED:
+                self._enter(DriveState.QUICK_STOP_ACTIVE)  # abort connection option 3
+            return []
+        self.objects[codec.HEARTBEAT_PRODUCER].value = 0
+        self._enter(DriveState.SWITCH_ON_DISABLED)
+        return self.boot()
+
+    def _on_sdo(self, data: bytes, now_s: float) -> list[Frame]:
+        if len(data) != 8 or data[0] == _SDO_ABORT:
+            return []
+        self._refresh()
+        reply, written = self.objects.serve(data, self.operational)
+        if written == codec.CONTROLWORD:
+            self._control(now_s)
+        elif written == codec.MODE and self.state is DriveState.ENABLED:
+            self._motion.begin()
+        elif written in (codec.FOLLOWING_ERROR_WINDOW, codec.FOLLOWING_ERROR_TIME_OUT):
+            counts = self.objects.value(codec.FOLLOWING_ERROR_WINDOW) & codec.UNLIMITED_WINDOW
+            time_out_ms = self.objects.value(codec.FOLLOWING_ERROR_TIME_OUT) & 0xFFFF
+            self._axis.set_window(math.inf if counts == codec.UNLIMITED_WINDOW else counts, time_out_ms)
+        return [(codec.SDO_REPLY_ID + self.node_id, reply)]

@@ -1,0 +1,1 @@
+"""GNC on another computer, and the check of a GNC."""

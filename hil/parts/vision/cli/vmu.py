@@ -1,0 +1,328 @@
+"""``hil vmu``: LED images, from files or cameras, to poses: in a CSV file and on an RS-422 line."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, nullcontext, suppress
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from hil.cli.options import (
+    Check,
+    File,
+    Flag,
+    Group,
+    Integer,
+    OptionalCase,
+    OptionalInteger,
+    Output,
+    Positive,
+    above_zero,
+    bounded,
+)
+from hil.cli.output import deliver, file_path_problem, say
+from hil.cli.progress import ProgressBar
+from hil.errors import BadInput
+
+if TYPE_CHECKING:
+    from hil.config.vmu_geometry import VmuGeometry
+    from hil.parts.cameras.live import CameraPairs
+    from hil.vmu.pose import Prediction
+    from hil.vmu.sources import ImageFolder, Pair, StreamPairs
+    from hil.vmu.unit import Solution, VisionUnit
+
+_PASSED, _FAILED = 0, 1
+_POSE = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+COLUMNS = (
+    "frame",
+    "t_s",
+    "status",
+    "n_leds",
+    *_POSE,
+    *(f"sigma_{name}" for name in _POSE),
+    "epipolar_px",
+    "scale",
+    *(f"sight_{axis}" for axis in "xyz"),
+    "sigma_sight_rad",
+    "doubt",
+)
+_START_SIGMA_M, _START_SIGMA_DEG = 0.1, 5.0
+
+
+def _pose_problem(values: tuple[float, ...]) -> str:
+    return "" if all(map(math.isfinite, values)) else "must be six numbers: x y z in m, rotation vector in deg"
+
+
+def _csv_problem(path: str) -> str:
+    return "-: give the name of a file" if path == "-" else file_path_problem(path)
+
+
+def _overlay_problem(path: str) -> str:
+    if not Path(path).absolute().parent.is_dir():
+        return f"{path}: its parent folder does not exist"
+    is_file = Path(path).exists() and not Path(path).is_dir()
+    return f"{path}: is a file, give the name of a folder" if is_file else ""
+
+
+StartPose = Annotated[
+    tuple[float, float, float, float, float, float] | None, Parameter(negative=()), Check(_pose_problem)
+]
+CsvFile = Annotated[str, Check(_csv_problem)]
+Overlay = Annotated[Output, Check(_overlay_problem)]
+
+
+@dataclass(frozen=True)
+class TrackStartOptions:
+    """Options of the frames to evaluate."""
+
+    start_frame: OptionalCase = None
+    """First frame to evaluate."""
+    frames: Annotated[OptionalInteger, bounded(1)] = None
+    """Number of frames to evaluate."""
+    start_pose: StartPose = None
+    """Initial pose, x y z in m and rotation vector in deg: resolves symmetric LEDs."""
+
+
+@dataclass(frozen=True)
+class SenderOptions:
+    """Options of the RS-422 output."""
+
+    rs422: str | None = None
+    """Serial port to which each pose is sent at the frame's time, as by the vision unit."""
+    baud: Annotated[Integer, above_zero(at_most=1e9)] = 460_800
+    """Baud rate of that port."""
+    fast: Flag = False
+    """Send each pose as soon as it is solved."""
+
+
+_START_DEFAULTS, _SENDER_DEFAULTS = TrackStartOptions(), SenderOptions()
+
+
+def vmu(
+    folder: str,
+    /,
+    *,
+    geometry: str,
+    out: CsvFile,
+    rate_hz: Positive = 6.25,
+    overlay: Overlay = None,
+    start: Group[TrackStartOptions] = _START_DEFAULTS,
+    sender: Group[SenderOptions] = _SENDER_DEFAULTS,
+    json: File = None,
+) -> int:
+    """Compute poses with status and sigma from LED images (left/NNNN.png, right/NNNN.png), one row per frame.
+
+    Parameters
+    ----------
+    folder
+        Folder with the folders left and right; or two videos, left.mkv,right.mkv; or two cameras, camera:0,1 or GenICam
+        cameras with software trigger, camera:192.168.1.10,192.168.1.11 (hil cameras list).
+    geometry
+        File of LED layout and cameras, JSON or TOML (docs/explanation/vision-unit.md).
+    out
+        CSV file to write.
+    rate_hz
+        Frame rate: the time of a frame is its number divided by this.
+    overlay
+        Folder for one image per frame: spots, identities, reprojected LEDs, pose.
+    json
+        File for the counts, - for standard output.
+    """
+    from hil.cli.warm_up import exit_on_ctrl_c
+    from hil.config.load import load_geometry
+    from hil.drivers.vmu.sender import FrameSender
+    from hil.vmu.sources import ImageFolder, StreamPairs, names_two
+    from hil.vmu.unit import VisionUnit
+
+    loaded = load_geometry(geometry).value
+    images: ImageFolder | StreamPairs | CameraPairs
+    if (cameras := _genicam(folder)) is not None:
+        images, count = _camera_pairs(cameras, loaded, rate_hz), None
+    elif names_two(folder):
+        images = StreamPairs(folder)
+        count = images.count
+    else:
+        images = ImageFolder(Path(folder), start.start_frame)
+        _check_size(images, loaded, geometry)
+        count = len(images)
+    live = isinstance(images, StreamPairs) and images.live
+    endless = live or cameras is not None
+    console = Console(stderr=True)
+    with exit_on_ctrl_c(), console.status("compiling the kernels that are not cached"):
+        unit = VisionUnit(loaded)
+        unit.warm_up()
+    if overlay is not None:
+        Path(overlay).mkdir(exist_ok=True)
+    first = _start(start.start_pose)
+    rows, solutions = [], []
+    with ExitStack() as stack:
+        if not isinstance(images, ImageFolder):
+            stack.enter_context(closing(images))
+        line = None if sender.rs422 is None else stack.enter_context(closing(FrameSender(sender.rs422, sender.baud)))
+        bar = stack.enter_context(ProgressBar(console, "frames"))
+        stack.enter_context(suppress(KeyboardInterrupt) if endless else nullcontext())
+        paced = sender.rs422 is not None and not sender.fast
+        evaluated = islice(_on_time(images, rate_hz, live, paced and cameras is None), start.frames)
+        for done, (t_s, pair) in enumerate(evaluated):
+            solution = solve(unit, pair, t_s, first if done == 0 else None)
+            if line is not None:
+                line.send(solution.frame(0, t_s), t_s)
+            rows.append(row(pair.frame, solution))
+            solutions.append(solution)
+            if overlay is not None:
+                _write_overlay(Path(overlay), unit, pair, solution)
+            bar.show(f"frame {pair.frame} {solution.status}", (done + 1) / count if count else 0.0)
+    write_csv(rows, out)
+    summary = summarise(solutions, folder)
+    deliver(summary, json, lambda: _print(summary, out, Console()))
+    return _PASSED if summary["solved"] else _FAILED
+
+
+def _genicam(source: str) -> list[str] | None:
+    """Return the identifiers of two GenICam cameras, None if ``source`` names something else."""
+    from hil.vmu.sources import CAMERAS
+
+    names = [name.strip() for name in source.removeprefix(CAMERAS).split(",")]
+    if not source.startswith(CAMERAS) or len(names) != 2 or any(name.isdecimal() for name in names):
+        return None
+    return names
+
+
+def _camera_pairs(cameras: Sequence[str], geometry: VmuGeometry, rate_hz: float) -> CameraPairs:
+    from hil.config.rig import Vmu
+    from hil.config.tables.cameras import VisionCameras
+    from hil.parts.cameras.live import CameraPairs
+
+    wait_s = 0.5 / rate_hz  # poses are not due at once
+    settings = VisionCameras(left=cameras[0], right=cameras[1], pair_within_s=0.1 / rate_hz, pair_wait_s=wait_s)
+    vmu = Vmu.model_validate({"driver": "cameras", "cameras": settings, "rate_hz": rate_hz, "timeout_s": 2.0})
+    return CameraPairs(vmu, geometry)
+
+
+def _on_time(images: Iterable[Pair], rate_hz: float, live: bool, paced: bool) -> Iterator[tuple[float, Pair]]:
+    """Yield each pair with the time of its exposure, s: cameras by the clock, others by their number.
+
+    Cameras are sampled at ``rate_hz``, frames between are dropped; others wait for their time if paced.
+    """
+    zero_s, due_s = time.monotonic(), 0.0
+    for pair in images:
+        now_s = time.monotonic() - zero_s
+        if live:
+            if now_s >= due_s:
+                due_s = max(due_s + 1.0 / rate_hz, now_s)
+                yield now_s, pair
+            continue
+        t_s = pair.frame / rate_hz
+        if paced:
+            time.sleep(max(0.0, t_s - now_s))
+        yield t_s, pair
+
+
+def solve(unit: VisionUnit, pair: Pair, t_s: float, prediction: Prediction | None = None) -> Solution:
+    """Return the solution of ``pair``; one unreadable image counts as lost, two as rejected."""
+    from hil.vmu.sources import UNREADABLE
+
+    if pair.unreadable and pair.left is None and pair.right is None:
+        return unit.rejected(t_s, UNREADABLE)
+    return unit.solve(pair.left, pair.right, t_s, prediction)
+
+
+def row(frame: int, solution: Solution) -> dict[str, Any]:
+    """Return the row of ``solution`` under COLUMNS; nan without a pose."""
+    import numpy as np
+
+    values, sigmas = np.full(6, math.nan), np.sqrt(np.diag(solution.covariance))
+    values[:3] = solution.t
+    if solution.pose is not None:
+        values[3:] = solution.pose.rotation_vector
+    partial = solution.partial
+    sight = [math.nan] * 4 if partial is None else [*partial.sight, partial.sight_sigma_rad]
+    numbers = [f"{value:.9g}" for value in (*values, *sigmas, solution.epipolar_px, solution.scale, *sight)]
+    head = (frame, f"{solution.t_s:.6f}", solution.status, solution.n_leds)
+    doubt = "" if solution.doubt is None else str(solution.doubt)
+    return dict(zip(COLUMNS, (*head, *numbers, doubt), strict=True))
+
+
+def write_csv(rows: Sequence[dict[str, Any]], path: str) -> None:
+    """Write ``rows`` to ``path``, completely or not at all."""
+    partial = Path(f"{path}.part")
+    with partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    os.replace(partial, path)
+
+
+def summarise(solutions: Sequence[Solution], folder: str) -> dict[str, Any]:
+    """Return the numbers of ``hil vmu --json``."""
+    from hil.vmu.identify import OK
+
+    counts = Counter(solution.status for solution in solutions)
+    measured = [solution for solution in solutions if solution.status == OK]
+    degrees = sum(solution.degrees for solution in measured)
+    chi2 = sum(solution.chi2 for solution in measured)
+    return {
+        "folder": folder,
+        "frames": len(solutions),
+        "solved": len(measured),
+        "status": dict(sorted(counts.items())),
+        "chi2_per_degree": chi2 / degrees if degrees else None,
+        "searched": sum(solution.full_frame for solution in measured),
+    }
+
+
+def _check_size(images: ImageFolder, geometry: VmuGeometry, path: str) -> None:
+    """Raise BadInput if the first readable images all have another size than the geometry's."""
+    for pair in images:
+        found = [(i, c) for i, c in ((pair.left, geometry.left), (pair.right, geometry.right)) if i is not None]
+        if not found:
+            continue
+        if all(image.shape != (camera.height, camera.width) for image, camera in found):
+            image, camera = found[0]
+            text = f"{camera.width} x {camera.height}, but frame {pair.frame} is {image.shape[1]} x {image.shape[0]}"
+            raise BadInput.single(path, "width, height", text)
+        return
+    raise BadInput.single(path, "", "no image can be read in the folder")
+
+
+def _start(values: Sequence[float] | None) -> Prediction | None:
+    if values is None:
+        return None
+    import numpy as np
+
+    from hil.vmu.track import prediction_at
+
+    return prediction_at(np.array(values[:3]), np.radians(np.array(values[3:])), _START_SIGMA_M, _START_SIGMA_DEG)
+
+
+def _write_overlay(folder: Path, unit: VisionUnit, pair: Pair, solution: Solution) -> None:
+    import cv2
+
+    from hil.vmu.overlay import draw
+
+    image = draw(unit.solver.scene, pair.left, pair.right, solution, f"frame {pair.frame}  {solution.t_s:.2f} s")
+    path = folder / f"{pair.frame:04d}.png"
+    if not cv2.imwrite(str(path), image):
+        raise BadInput.single("--overlay", "", f"{path}: cannot be written")
+
+
+def _print(summary: dict[str, Any], out: str, console: Console) -> None:
+    from hil.vmu.unit import WRONG_SIZE
+
+    text = ", ".join(f"{count} {status}" for status, count in summary["status"].items())
+    say(f"{summary['frames']} frames: {text}", console)
+    if summary["chi2_per_degree"] is not None:
+        say(f"chi-square per degree of freedom {summary['chi2_per_degree']:.2f}", console)
+    if WRONG_SIZE in summary["status"]:
+        say(f"{WRONG_SIZE}: images of another size than the geometry's", console, "red")
+    say(f"poses in {out}", console)

@@ -1,0 +1,1 @@
+"""Devices on wires in a session; their drivers are in ``hil.drivers``."""

@@ -1,0 +1,212 @@
+"""Checks of a rig's clock, links and devices: each device is opened, identified, sampled and closed."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from serial.tools import list_ports
+
+from hil.config.rig import Rig
+from hil.config.scenario import Scenario
+from hil.config.tables.host import ClockConfig
+from hil.core.clock import WallClock
+from hil.drivers.base import AxisGroup, PoseSource
+from hil.drivers.ptp import read_status
+from hil.drivers.split_axes import RigDrivers, make_drivers
+from hil.drivers.wire_lock import locked_wires
+from hil.errors import BenchError, DeviceError, LinkTimeout
+from hil.loop.rate_keeper import WallClockRate
+from hil.loop.safety_io_stage import SafetyIoStage, chain_kept_closed
+from hil.parts.wires.clock import ptp_problem
+from hil.preflight.check import PreflightCheck
+
+_FIRST_SAMPLE_S = 5.0
+_POLL_S = 0.01
+
+
+def hardware_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[PreflightCheck]:
+    """Return the checks of clock, links and devices of a hardware rig. enable_drives: its axes are opened."""
+    with locked_wires(rig):
+        return wired_checks(scenario, rig, WallClock(), enable_drives)
+
+
+def wired_checks(scenario: Scenario, rig: Rig, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
+    """Return the checks of clock, links and devices of a rig whose wires have addresses."""
+    return [ptp_check(rig.clock), *port_checks(rig), *_devices(rig, scenario, clock, enable_drives)]
+
+
+def _devices(rig: Rig, scenario: Scenario, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
+    """Return the checks of the devices, with the safety chain closed for enabled ones."""
+    drivers = make_drivers(rig, clock)
+    if rig.io is None or not rig.has_io:
+        return device_checks(drivers, rig, clock, enable_drives)
+    if not enable_drives:
+        advice = "opened with --devices, which closes the safety chain"
+        skipped = PreflightCheck("device io", None, "skipped", advice)
+        return [skipped, *device_checks(drivers, rig, clock, enable_drives)]
+    rate = WallClockRate(clock, scenario.step_s)
+    lines = SafetyIoStage(rig.io.make_driver(clock), np.zeros(rig.io.thruster_lines, dtype=np.int64))
+    try:
+        lines.open(rate)
+        with chain_kept_closed(lines, rate):
+            enabled = "" if rig.io.inputs.local_enable is None else "local enabling input on, "
+            fine = PreflightCheck(
+                "device io", True, f"identified, emergency stop released, {enabled}safety chain closes"
+            )
+            return [fine, *device_checks(drivers, rig, clock, enable_drives)]
+    except BenchError as error:
+        advice = (
+            "release the emergency stop, close the interlocks, switch the local enabling input on, "
+            "check the coupler's link (docs/explanation/safety.md)"
+        )
+        return [PreflightCheck("device io", False, str(error), advice)]
+    finally:
+        lines.stop(clock.now_s())
+        lines.close()
+
+
+def device_checks(drivers: RigDrivers, rig: Rig, clock: WallClock, enable_drives: bool) -> list[PreflightCheck]:
+    """Return a check for each axis group and the vision unit."""
+    checks = []
+    for name, group in drivers.axes.items():
+        unit = "m" if rig.axis_groups[name].si_per_unit == 1.0 else "deg"
+        if enable_drives:
+            checks.append(_axes(group, unit, clock))
+        else:
+            advice = "opened with --devices, which enables its drives: they hold their positions"
+            checks.append(PreflightCheck(f"device {group.name}", None, "skipped", advice))
+    checks.append(_source(drivers.poses, clock))
+    return checks
+
+
+def _axes(group: AxisGroup, unit: str, clock: WallClock) -> PreflightCheck:
+    def sample() -> str:
+        feedback = group.read(clock.now_s())
+        values = np.degrees(feedback.position) if unit == "deg" else feedback.position
+        names = [name.rpartition(".")[2] for name in group.axis_names]
+        positions = ", ".join(f"{name} {value:.3f}" for name, value in zip(names, values, strict=True))
+        return f"identified, at {positions} {unit}"
+
+    def release() -> None:
+        group.stop(clock.now_s())
+        group.close()
+
+    return _check_device(group.name, lambda: group.open(clock.now_s()), sample, release)
+
+
+def _source(source: PoseSource, clock: WallClock) -> PreflightCheck:
+    def sample() -> str:
+        frames = source.poll(clock.now_s())
+        if not frames:
+            raise LinkTimeout(source.name, "no pose")
+        return f"pose at {np.linalg.norm(frames[-1].t_v):.3f} m from the camera"
+
+    return _check_device(source.name, lambda: source.open(clock.now_s()), sample, source.close)
+
+
+def _check_device(
+    name: str, start: Callable[[], None], sample: Callable[[], str], release: Callable[[], None]
+) -> PreflightCheck:
+    """Open a device, wait for its first sample, and release it in any case."""
+    try:
+        start()
+        return PreflightCheck(f"device {name}", True, _first_sample(sample))
+    except BenchError as error:
+        advice = "check its power and its link (docs/how-to/set-up-a-rig.md); hil emulate starts a device that responds"
+        return PreflightCheck(f"device {name}", False, str(error), advice)
+    finally:
+        release()
+
+
+def _first_sample(sample: Callable[[], str]) -> str:
+    """Wait for the first sample and return it."""
+    deadline = time.monotonic() + _FIRST_SAMPLE_S
+    while True:
+        try:
+            return sample()
+        except LinkTimeout:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(_POLL_S)
+
+
+_NETWORK = Path("/sys/class/net")
+
+
+def port_checks(rig: Rig) -> list[PreflightCheck]:
+    """Return a check per link of ``rig``; a kind without a check is reported as not checked."""
+    checks = {"serial": _serial, "tcp": _tcp, "can": _can}
+    return [
+        checks[wire.kind](wire.key, wire.address)
+        if wire.kind in checks
+        else PreflightCheck(f"wire {wire.key}", None, f"{wire.address}: not checked, no port of this computer")
+        for wire in rig.wires()
+        if wire.address is not None
+    ]
+
+
+def _serial(key: str, address: str) -> PreflightCheck:
+    name = f"port {key}"
+    if not Path(address).exists():
+        present = ", ".join(sorted(port.device for port in list_ports.comports())) or "none"
+        return PreflightCheck(
+            name, False, f"{address}: no such port", f"connect it or correct the key; present: {present}"
+        )
+    if not os.access(address, os.R_OK | os.W_OK):
+        group = _group_of(address)
+        advice = f"sudo usermod -aG {group} $USER, then log in again"
+        return PreflightCheck(name, False, f"{address}: no read and write permission for this user", advice)
+    return PreflightCheck(name, True, f"{address}: readable and writable")
+
+
+def _group_of(path: str) -> str:
+    try:
+        return Path(path).group()
+    except (OSError, KeyError):
+        return "dialout"
+
+
+def _tcp(key: str, address: str) -> PreflightCheck:
+    name = f"host {key}"
+    host, _, port = address.rpartition(":")
+    try:
+        resolved = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0][4][0]
+    except OSError as error:
+        advice = "correct the key, or add the host to /etc/hosts"
+        return PreflightCheck(name, False, f"{address}: {error.strerror or error}", advice)
+    found = address if resolved == host else f"{address} is {resolved}"
+    return PreflightCheck(name, True, found)
+
+
+def _can(key: str, address: str) -> PreflightCheck:
+    name = f"CAN {key}"
+    state = _NETWORK / address / "operstate"
+    if not state.exists():
+        advice = f"connect {address} or create it with ip link add; see ip -details link"
+        return PreflightCheck(name, False, f"{address}: no such interface", advice)
+    operstate = state.read_text(encoding="ascii").strip()
+    if operstate == "down":
+        return PreflightCheck(name, False, f"{address}: down", f"sudo ip link set {address} up type can bitrate ...")
+    return PreflightCheck(name, True, f"{address}: {operstate}")
+
+
+def ptp_check(clock: ClockConfig) -> PreflightCheck:
+    """Return state and offset of PTP; a note unless ``clock.ptp_max_offset_us`` requires it."""
+    advice = "start ptp4l, and phc2sys for a clock of the network card (docs/how-to/prepare-the-computer.md)"
+    try:
+        status = read_status(clock.ptp_socket, clock.ptp_domain)
+    except DeviceError as error:
+        required = clock.ptp_max_offset_us is not None
+        return PreflightCheck("PTP", False if required else None, str(error), advice if required else "")
+    value = str(status)
+    if clock.ptp_max_offset_us is None:
+        return PreflightCheck("PTP", None, value)
+    problem = ptp_problem(clock)
+    return PreflightCheck(
+        "PTP", not problem, problem or f"{value}, allowed {clock.ptp_max_offset_us:g} us", advice if problem else ""
+    )
