@@ -105,7 +105,8 @@ CAMPAIGNS: Final = Part(
             "base.",
         ),
         "recordings place": PartCommand(
-            "hil.parts.campaigns.cli.campaign_recordings:place_recordings", "Place recorded runs in the distribution of a campaign."
+            "hil.parts.campaigns.cli.campaign_recordings:place_recordings",
+            "Place recorded runs in the distribution of a campaign."
         ),
     },
     provides={

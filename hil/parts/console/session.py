@@ -1,8 +1,8 @@
 """One session at the bench, in a process of its own (``hil.parts.console.console_session``).
 
 It exchanges messages with the console over a socket pair (``hil.parts.console.remote_operator``). It sends, in this
-order, ``{"word": ...}`` for each step of the start, ``{"hello": ...}`` with the descriptors of the shared memory once the
-bench is ready, the messages of ``RemoteOperator``, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` if
+order, ``{"word": ...}`` for each step of the start, ``{"hello": ...}`` with the descriptors of the shared memory once
+the bench is ready, the messages of ``RemoteOperator``, and at last ``{"ended": ...}``, or ``{"refused": [...]}`` if
 it cannot start.
 
 A commissioning adds questions of its steps: {"question": {"number": 3, "text": "Has the carriage moved ..."}} to the
