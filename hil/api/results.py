@@ -21,7 +21,7 @@ from hil.core.messages import ARRIVAL, CYCLE, Array, Event
 from hil.core.part import imported, part_sinks, provided
 from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
-from hil.loop.runner import Outcome
+from hil.loop.outcome import Outcome
 from hil.report.limits import why_of
 from hil.report.summary import limits_of
 from hil.report.verdict import Verdict, verdict_of

@@ -31,7 +31,8 @@ from hil.gnc_backends.backend import PARTS
 from hil.gnc_backends.base import GncBackend
 from hil.gnc_backends.python_backend import PythonGnc, class_name
 from hil.loop.motion_sequences import ProgressCallback
-from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.loop.outcome import Outcome
+from hil.loop.runner import STOPPED_BY_OPERATOR, Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.report.long_run import accumulate
 from hil.report.summary import summarise

@@ -6,14 +6,12 @@ geometry, plan, filters) or the verdict (requirements): they are fixed for the w
 
 from __future__ import annotations
 
-import difflib
-import json
 from functools import cache
 from typing import Any, Final
 
-from pydantic import BaseModel, field_validator
+from pydantic import BaseModel
 
-from hil.config.tables.model import ConfigModel, Live
+from hil.config.tables.model import Live
 
 BACKEND_SETTINGS: Final = ("gnc.navigation.settings.", "gnc.control.settings.")
 """Beginnings of the keys that backends declare; each may change, within the range that its backend declares."""
@@ -32,33 +30,6 @@ def live_ranges(model: type[BaseModel], place: str = "") -> dict[str, Live]:
         if isinstance(inner, type) and issubclass(inner, BaseModel):
             found |= live_ranges(inner, key)
     return found
-
-
-def _of_scenario() -> dict[str, Live]:
-    from hil.config.scenario import Scenario  # has a table of this module
-
-    return live_ranges(Scenario)
-
-
-class LiveTuning(ConfigModel):
-    """Table ``[console]`` of a scenario: settings that the operator may change during a run."""
-
-    adjustable: tuple[str, ...] = ()
-    """Dotted keys that the operator may change during a run."""
-
-    @field_validator("adjustable")
-    @classmethod
-    def _each_is_live_tunable(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        ranges = _of_scenario() if value else {}
-        for key in value:
-            if key not in ranges and not key.startswith(BACKEND_SETTINGS):
-                close = difflib.get_close_matches(key, ranges, n=1, cutoff=0.8)
-                hint = f"did you mean {close[0]}? " if close else ""
-                allowed = ", ".join(ranges)
-                raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {allowed}")
-            if value.count(key) > 1:
-                raise ValueError(f"{json.dumps(key)}: is listed twice")
-        return value
 
 
 @cache

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import difflib
+import json
 import math
 from typing import Annotated, Final, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from hil.config.live_tunable import LiveTuning
+from hil.config.live_tunable import BACKEND_SETTINGS, live_ranges
 from hil.config.tables.bench_scale import BenchScale
 from hil.config.tables.dispersions import Dispersions
 from hil.config.tables.docking_monitor import DockingMonitorConfig
@@ -752,6 +754,27 @@ class Reachability(ConfigModel):
     """About each body axis."""
     startup_lag_s: NotNegative = 0.2
     """Time in which the axes, at rest at the start pose, must catch up with a start in motion."""
+
+
+class LiveTuning(ConfigModel):
+    """Table ``[console]`` of a scenario: settings that the operator may change during a run."""
+
+    adjustable: tuple[str, ...] = ()
+    """Dotted keys that the operator may change during a run."""
+
+    @field_validator("adjustable")
+    @classmethod
+    def _each_is_live_tunable(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        ranges = live_ranges(Scenario) if value else {}
+        for key in value:
+            if key not in ranges and not key.startswith(BACKEND_SETTINGS):
+                close = difflib.get_close_matches(key, ranges, n=1, cutoff=0.8)
+                hint = f"did you mean {close[0]}? " if close else ""
+                allowed = ", ".join(ranges)
+                raise ValueError(f"{json.dumps(key)}: cannot be changed in flight: {hint}allowed: {allowed}")
+            if value.count(key) > 1:
+                raise ValueError(f"{json.dumps(key)}: is listed twice")
+        return value
 
 
 class Scenario(ConfigModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from hil.models.profile import along_line, duration
 from hil.safety.guard_alarms import guard_alarm
 from hil.safety.monitor import SafetyMonitor
 
-if TYPE_CHECKING:
-    from hil.loop.target_stage import RotatedTarget
-
 
 class SafetyInputs(NamedTuple):
     """Inputs of the bench, None for one that it does not have.
@@ -41,6 +38,20 @@ class SafetyInputs(NamedTuple):
 NO_INPUTS: Final = SafetyInputs()
 
 
+class ShownRotation(Protocol):
+    """Manipulator that shows the rotation of the target, see ``hil.loop.target_stage``. params: MANIPULATOR."""
+
+    params: np.record
+    feedback: AxisFeedback
+
+    def seed(self, now_s: float) -> None: ...
+    def shown_at_rest(self, r_CT_H: Array, q_CH: Array) -> ChaserMotion: ...
+    def follow(self, relative: ChaserMotion, now_s: float) -> ChaserMotion: ...
+    def relate_setpoint(self, axes: np.record) -> None: ...
+    def brake(self, now_s: float) -> bool: ...
+    def at_rest(self, now_s: float) -> bool: ...
+
+
 class BenchStage:
     """Rails and turntable as one machine that realises the chaser's pose.
 
@@ -54,7 +65,7 @@ class BenchStage:
         turntable: AxisGroup,
         memory: CoreMemory,
         safety: SafetyMonitor,
-        manipulator: RotatedTarget | None = None,
+        manipulator: ShownRotation | None = None,
         inputs: SafetyInputs = NO_INPUTS,
     ) -> None:
         self.rails = rails

@@ -16,41 +16,23 @@ from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
 from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
-from hil.core.realtime import DefaultScheduling, Grant, no_garbage_collection
+from hil.core.realtime import DefaultScheduling, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
 from hil.loop.controlled_stop import BRAKE_CONFIRMED_S, BrakeTimes, ControlledStop, RootCause
 from hil.loop.cycle import Cycles, CyclesOf, Loop, PythonCycles
 from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer
+from hil.loop.outcome import Outcome
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
 from hil.loop.safety_io_stage import SAFETY_CHAIN
 from hil.loop.session_parts import SessionParts
-from hil.safety.alarms import Alarm, alarm_from_error
+from hil.safety.alarms import alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
 _LONG_PAUSE_S: Final = 0.03
 _CAUSED_BY_PAUSES: Final = (SAFETY_CHAIN, "age of the setpoint", "age of the feedback", "following error")
-
-
-@dataclass(slots=True)
-class Outcome:
-    """Result of a run: ``history`` (n,) of CYCLE, reason of its end, and counters."""
-
-    history: np.ndarray
-    stop: str
-    faults: list[str] = field(default_factory=list)
-    mode: Mode = Mode.OFF
-    overruns: int = 0
-    skipped_periods: int = 0
-    privileges: list[Grant] = field(default_factory=list)
-    limited_cycles: int = 0
-    vision_counters: dict[str, int] = field(default_factory=dict)
-    events: list[Event] = field(default_factory=list)
-    alarms: list[Alarm] = field(default_factory=list)
-    measured: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Numbers that the rows do not have, by the table of the JSON that they belong to."""
 
 
 @dataclass(frozen=True, slots=True)

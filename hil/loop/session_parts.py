@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from hil.core.operator_commands import Operator
 from hil.core.realtime import SchedulingPolicy
 from hil.frmn.ring import Telemetry
 from hil.loop.motion_sequences import ProgressCallback
+from hil.loop.outcome import Outcome
 from hil.loop.sensor_stage import SampleSource
-
-if TYPE_CHECKING:
-    from hil.loop.runner import Outcome, Runner
 
 
 class PartResult(NamedTuple):
@@ -63,8 +61,8 @@ class SessionParts:
     """Called before each opening of the devices; raise BenchError if the bench must not run."""
     process_pauses: Callable[[], dict[str, float]] = dict
     """Returns the pauses by the host, s, of the processes that serve the devices."""
-    on_built: list[Callable[[Runner], None]] = field(default_factory=list)
-    """Called with the runner before it starts."""
+    on_built: list[Callable[[Any], None]] = field(default_factory=list)
+    """Called with the ``Runner`` before it starts."""
     controls: dict[str, Any] = field(default_factory=dict)
     """What an operator can set in a part while the session lasts, by name."""
     results: list[Callable[[Outcome], PartResult | None]] = field(default_factory=list)

@@ -11,7 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.loop.runner import Outcome, Runner
+from hil.loop.outcome import Outcome
+from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
 from hil.report.tally import Tally
 from hil.report.verdict import Verdict

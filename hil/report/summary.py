@@ -20,7 +20,8 @@ from hil.gnc.control import rule_of
 from hil.gnc_backends.approach_events import DOCKING_GO
 from hil.gnc_backends.backend_registry import backend_file
 from hil.gnc_backends.shared_library import digest_of
-from hil.loop.runner import COMPLETED, Outcome
+from hil.loop.outcome import Outcome
+from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params
 from hil.params.ready import ROW_NAMES
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part

@@ -16,8 +16,9 @@ from hil.config.tables.host import OnLoss
 from hil.core.clock import SimulatedClock
 from hil.core.modes import Mode
 from hil.frmn.mailbox import MailboxBlock
+from hil.loop.outcome import Outcome
 from hil.loop.rate_keeper import SimulatedRate
-from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.loop.runner import STOPPED_BY_OPERATOR, Runner
 from hil.loop.session_parts import SessionParts
 from hil.params import gnc as gnc_params
 from hil.parts.console.remote_operator import OutgoingMessages, RemoteOperator

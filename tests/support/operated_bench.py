@@ -10,7 +10,8 @@ import numpy as np
 
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
-from hil.loop.runner import Outcome, Runner
+from hil.loop.outcome import Outcome
+from hil.loop.runner import Runner
 from hil.session import build
 from tests.support.run_settings import make_job
 

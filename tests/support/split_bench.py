@@ -15,7 +15,7 @@ from hil.core.operator_commands import AutoResumeOperator
 from hil.errors import DeviceError
 from hil.frmn.ring import Telemetry
 from hil.loop.cycle import Loop
-from hil.loop.runner import Outcome
+from hil.loop.outcome import Outcome
 from hil.loop.session_parts import SessionParts
 from hil.parts.links.gnc_server import GncServer, gnc_side, wants_of
 from hil.parts.links.link import Link

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.cli.main import execute
-from hil.loop.runner import Outcome
+from hil.loop.outcome import Outcome
 from hil.session import build
 from tests.support.plain_filters import PLAIN
 from tests.support.run_settings import make_job

@@ -16,7 +16,8 @@ from hil.api.jobs import job_of
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
 from hil.errors import BadInput
-from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Outcome
+from hil.loop.outcome import Outcome
+from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR
 from hil.params import gnc as gnc_params
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.report.summary import summarise

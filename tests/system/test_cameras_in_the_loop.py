@@ -21,7 +21,7 @@ from hil.cli.main import BAD_INPUT, SAFE_STOPPED, execute
 from hil.config.load import load_rig, load_scenario
 from hil.config.rig import Rig
 from hil.drivers.cameras.base import SIDES
-from hil.loop.runner import Outcome
+from hil.loop.outcome import Outcome
 from hil.maths.random_streams import stream
 from hil.parts.emulation.emulated_cameras import images_of_folder, rendered_cameras
 from hil.session.build import Job, wired_bench

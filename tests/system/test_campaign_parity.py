@@ -7,7 +7,8 @@ import pytest
 
 from hil.config.load import load_rig, load_scenario
 from hil.core.messages import CYCLE
-from hil.loop.runner import COMPLETED, Outcome
+from hil.loop.outcome import Outcome
+from hil.loop.runner import COMPLETED
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.outcome import row_of

@@ -19,8 +19,9 @@ from hil.core.modes import Mode
 from hil.loop.compiled import cycles
 from hil.loop.compiled.cycles import CompiledCycles
 from hil.loop.cycle import Cycles, PythonCycles
+from hil.loop.outcome import Outcome
 from hil.loop.rate_keeper import Tick
-from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Outcome, Runner
+from hil.loop.runner import COMPLETED, STOPPED_BY_OPERATOR, Runner
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.recording import session as recording_session

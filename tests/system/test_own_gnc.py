@@ -17,7 +17,8 @@ from hil.core.gnc_records import GncState
 from hil.core.messages import CYCLE
 from hil.core.modes import Mode
 from hil.core.operator_commands import Operator, OperatorCommand
-from hil.loop.runner import COMPLETED, Outcome
+from hil.loop.outcome import Outcome
+from hil.loop.runner import COMPLETED
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.outcome import row_of
 from hil.recording.read import load

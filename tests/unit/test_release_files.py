@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hil.cli.main import _EXTRAS
-from hil.parts.campaigns.pytest_plugin.plugin import OPTIONS
+from hil.parts.campaigns.pytest_plugin.options import OPTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 USES = sorted((ROOT / "requirements").glob("*.txt"))

@@ -13,8 +13,9 @@ from hil.core.realtime import RealTime
 from hil.errors import BadInput
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import NoTelemetry, Ring, Telemetry
+from hil.loop.outcome import Outcome
 from hil.loop.rate_keeper import WallClockRate
-from hil.loop.runner import Outcome, Runner
+from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
 from hil.parts.console.remote_operator import RemoteOperator
 from hil.parts.wires.wired import TELEMETRY_ROWS, WiredBench

@@ -26,7 +26,8 @@ from hil.config.tables.model import ConfigModel
 from hil.core.operator_commands import OperatorCommand, StopCommanded
 from hil.errors import BadInput, BenchError
 from hil.frmn.mailbox import MailboxBlock
-from hil.loop.runner import Outcome, Runner
+from hil.loop.outcome import Outcome
+from hil.loop.runner import Runner
 from hil.loop.session_parts import PartResult
 from hil.parts.console.bench import ConsoleBench, opened
 from hil.parts.console.remote_operator import OutgoingMessages, RemoteOperator

@@ -15,9 +15,9 @@ from hil.core.messages import AXES
 from hil.core.modes import Mode
 from hil.core.sensor_records import MAX_SENSORS
 from hil.errors import BenchError
+from hil.loop.bench_stage import ShownRotation
 from hil.loop.runner import Runner
 from hil.loop.safety_io_stage import SafetyIoStage
-from hil.loop.target_stage import RotatedTarget
 
 MODES: Final = tuple(Mode)
 AXES_SHOWN: Final = len(BENCH_AXES) + len(GIMBAL_NAMES) + FURTHER_AXES_MAX
@@ -99,7 +99,7 @@ class StatusWriter:
         out.limited_cycles = bench.limited_cycles
         return self.record
 
-    def _read_manipulator(self, manipulator: RotatedTarget) -> None:
+    def _read_manipulator(self, manipulator: ShownRotation) -> None:
         """Write the axes of the chaser's rig in the lab and relative to the target."""
         bench, out, target = self._runner.loop.bench, self._view, manipulator.feedback
         rails, turntable = bench.feedback

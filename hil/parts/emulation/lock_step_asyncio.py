@@ -8,12 +8,7 @@ import selectors
 import socket
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
-
-from hil.parts.emulation.lock_step import LockStepWire
-
-if TYPE_CHECKING:
-    from hil.parts.emulation.lock_step import LockStepClock
+from typing import Any, Final
 
 _DELIVERY_WALL_S: Final = 5e-5  # between two looks for bytes and connections that the kernel delivers
 
@@ -21,7 +16,8 @@ _DELIVERY_WALL_S: Final = 5e-5  # between two looks for bytes and connections th
 class _CountedSocket(socket.socket):
     """A connected socket whose bytes are counted. on_close: called with its descriptor before that is released."""
 
-    wire: LockStepWire
+    wire: Any
+    """Its ``LockStepWire``."""
     on_close: Callable[[int], object]
 
     def recv(self, size: int, *args: Any) -> bytes:
@@ -44,13 +40,13 @@ class _CountedSocket(socket.socket):
 
 
 class _LockStepSelector(selectors.DefaultSelector):
-    """Selector that waits in bench time, and for bytes that are counted as long as the kernel takes to deliver them."""
+    """Selector that waits in bench time, and for counted bytes as long as the kernel takes to deliver them."""
 
-    def __init__(self, clock: LockStepClock) -> None:
+    def __init__(self, clock: Any) -> None:
         super().__init__()
         self._clock = clock
-        self.wires: dict[int, LockStepWire] = {}
-        """By descriptor."""
+        self.wires: dict[int, Any] = {}
+        """Wires, LockStepWire, by descriptor."""
         self.accepts = False
         self.called = clock.event()
 
@@ -80,9 +76,9 @@ class _LockStepSelector(selectors.DefaultSelector):
 
 
 class LockStepEventLoop(asyncio.SelectorEventLoop):
-    """Event loop of one participant."""
+    """Event loop of one participant in the bench time of ``clock``, a LockStepClock."""
 
-    def __init__(self, clock: LockStepClock) -> None:
+    def __init__(self, clock: Any) -> None:
         self._waits = _LockStepSelector(clock)
         self.clock = clock
         self.wires = self._waits.wires
@@ -90,7 +86,7 @@ class LockStepEventLoop(asyncio.SelectorEventLoop):
         super().__init__(self._waits)
 
     def time(self) -> float:
-        return self.clock.now_s()
+        return float(self.clock.now_s())
 
     async def create_server(self, *args: Any, **kwargs: Any) -> asyncio.Server:
         server = await super().create_server(*args, **kwargs)
@@ -109,7 +105,7 @@ class LockStepEventLoop(asyncio.SelectorEventLoop):
         counted = _CountedSocket(fileno=sock.detach())
         counted.setblocking(False)
         wires = self.wires
-        counted.wire = wires[counted.fileno()] = LockStepWire(self.clock, key, int(not accepted), of_line=False)
+        counted.wire = wires[counted.fileno()] = self.clock.wire(key, int(not accepted), of_line=False)
         counted.on_close = lambda descriptor: wires.pop(descriptor, None)
         return super()._make_socket_transport(  # type: ignore[misc]
             counted, protocol, waiter, extra=extra, server=server

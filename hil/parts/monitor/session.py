@@ -17,7 +17,7 @@ from hil.errors import DeviceError
 from hil.frmn.image_memory import RunTime
 from hil.frmn.ring import NoTelemetry, Ring
 from hil.frmn.search_region import SearchRegion
-from hil.loop.runner import Outcome
+from hil.loop.outcome import Outcome
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.params.sensors import MONITOR, sensors_of
 from hil.parts.monitor.portion_samples import PortionSamples, PortionSource

@@ -27,8 +27,9 @@ from hil.core.modes import AT_REST, Mode
 from hil.core.operator_commands import Operator, OperatorCommand
 from hil.errors import BadInput, BenchError
 from hil.gnc_backends.python_backend import PythonGnc
+from hil.loop.outcome import Outcome
 from hil.loop.rate_keeper import WallClockRate
-from hil.loop.runner import Outcome, Runner
+from hil.loop.runner import Runner
 from hil.parts.campaigns.api.requirements import RunRequirement, write_run_evidence
 from hil.parts.campaigns.requirements_page import EvidenceRow
 from hil.safety.alarms import Alarm

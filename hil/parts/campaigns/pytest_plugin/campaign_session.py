@@ -24,10 +24,11 @@ from hil.errors import BadInput, BenchError
 from hil.parts.campaigns.api.bench import Bench
 from hil.parts.campaigns.campaign import scenario_digest
 from hil.parts.campaigns.pytest_plugin.conditions import RunConditions, conditions_of, digest_of_test, requirements_of
-from hil.parts.campaigns.pytest_plugin.day import DAY_FILE, FAILED, PASSED, SKIPPED, CampaignRun, CampaignTest, Day
+from hil.parts.campaigns.pytest_plugin.day import DAY_FILE, Day
 from hil.parts.campaigns.pytest_plugin.operator_terminal import OperatorTerminal
-from hil.parts.campaigns.pytest_plugin.plugin import option_of
+from hil.parts.campaigns.pytest_plugin.options import option_of
 from hil.parts.campaigns.pytest_plugin.procedure_bench import ProcedureBench, completed
+from hil.parts.campaigns.pytest_plugin.results import FAILED, PASSED, SKIPPED, CampaignRun, CampaignTest
 from hil.parts.campaigns.requirements_page import NOT_VERIFIED, VERIFIED, EvidenceRow
 from hil.report.comparison import key_numbers
 

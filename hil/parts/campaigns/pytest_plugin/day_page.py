@@ -7,12 +7,12 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from hil.parts.campaigns.pytest_plugin.results import CampaignRun, CampaignTest
 from hil.parts.campaigns.requirements_page import EvidenceRow, requirements_table, requirements_verdict, steps_text
 from hil.report import html
 
 if TYPE_CHECKING:
     from hil.api.recordings import Recording
-    from hil.parts.campaigns.pytest_plugin.day import CampaignRun, CampaignTest
 
 _RUN_NUMBERS: Final = ("ready, s", "least margin to Table III", "position rmse x y z, mm", "propellant, kg")
 _TWIN_HEAD: Final = (

@@ -1,7 +1,7 @@
 """Hooks and fixtures of the pytest plugin, by which a test campaign runs on any rig.
 
-pytest imports this module in each of its runs, of other projects too: it imports no other part of the package before a
-test uses a fixture or an option of it, and adds its options after those of all others, none that exists already.
+pytest imports this module in each of its runs, of other projects too: it imports nothing but its options before a test
+uses a fixture or an option of it, and adds its options after those of all others, none that exists already.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
+from hil.parts.campaigns.pytest_plugin.options import OPTIONS, attribute, option_of
+
 if TYPE_CHECKING:
     from hil.api.results import Run
     from hil.config.rig import Rig
@@ -20,14 +22,6 @@ if TYPE_CHECKING:
     from hil.parts.campaigns.pytest_plugin.day import Day
     from hil.parts.campaigns.pytest_plugin.procedure_bench import ProcedureBench
 
-OPTIONS: Final[dict[str, dict[str, Any]]] = {
-    "--rig": {"metavar": "RIG", "help": "mock, emulated (in lock-step), or a rig file; results are written"},
-    "--wall-clock": {"action": "store_true", "help": "run an emulated rig by the wall clock instead of in lock-step"},
-    "--resume": {"action": "store_true", "help": "continue the latest day: omit what has passed on this rig"},
-    "--results": {"metavar": "DIR", "help": "folder of the results, default: a folder of this day in hil_results"},
-    "--operator": {"metavar": "NAME", "help": "operator of a hardware rig; prompted for if omitted"},
-    "--operator-terminal": {"metavar": "TTY", "default": "/dev/tty", "help": "terminal at the bench for confirmations"},
-}
 _VALUED: Final = {name for name, attributes in OPTIONS.items() if "metavar" in attributes}
 _MARKERS: Final = (
     "requirement(id, text=...): the test is evidence for a requirement; or requirement(hil.RunRequirement(...))",
@@ -47,19 +41,10 @@ def pytest_load_initial_conftests(
     group = parser.getgroup("hil", "test campaign on a bench (hil)")
     for name, attributes in OPTIONS.items():
         with suppress(Exception):  # a name of another plugin or of a conftest file stays with it
-            group.addoption(name, dest=_attribute(name), **attributes)
+            group.addoption(name, dest=attribute(name), **attributes)
     with suppress(ValueError):
         parser.addini("hil_scenario", "scenario of tests without a scenario marker", default="scheme-1")
         parser.addini("hil_results", "folder in which each day of a test campaign has one", default="results")
-
-
-def _attribute(option: str) -> str:
-    return f"hil_{option.strip('-').replace('-', '_')}"
-
-
-def option_of(config: pytest.Config, option: str) -> Any:
-    """Return the value of one of ``OPTIONS``; None without one."""
-    return config.getoption(_attribute(option), None)
 
 
 @pytest.hookimpl
