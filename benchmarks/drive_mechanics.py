@@ -22,8 +22,8 @@ from hil.params import bench as bench_params
 from hil.parts.emulation.emulated_axes import EmulatedAxes
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil.sensors.vision_unit import parameters as vmu_params
+from hil.session.assembly import Job, axes_at_start
 from hil.session.build import in_memory
-from hil.setup.assembly import Job, axes_at_start
 
 EFFECTS = {
     "friction": ("friction_coulomb", "friction_breakaway", "friction_viscous"),

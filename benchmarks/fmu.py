@@ -23,7 +23,7 @@ from hil.gnc_backends.c_header import HEADER_FILE
 from hil.gnc_backends.library import open_library
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.fmi.package import build
-from hil.setup.gnc_setup import gnc_setup
+from hil.session.gnc_setup import gnc_setup
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "gnc_c"
 STEPS, BLOCKS, CASES = 2000, 30, 15

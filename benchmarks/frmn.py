@@ -33,8 +33,8 @@ from hil.loop.rate_keeper import WallClockRate
 from hil.parts.links.link import Link
 from hil.parts.links.udp_gnc import gnc_link
 from hil.session import build
+from hil.session.gnc_setup import make_udp_gnc
 from hil.session.warm_up import warm_up
-from hil.setup.gnc_setup import make_udp_gnc
 
 THERE, BACK = 32 + GNC_INPUT_3.itemsize, 32 + GNC_OUTPUT.itemsize
 PORTS = {"link": 24701, "plain": 24702, "pyzmq": 24703, "loop": 24704}

@@ -24,7 +24,7 @@ from hil.gnc_backends.backend import PARTS, OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS
 from hil.gnc_backends.library import key_of
 from hil.gnc_backends.python_backend import PythonGnc, class_name
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 
 Overrides = Mapping[str, Any]
 Settings = Sequence[str]

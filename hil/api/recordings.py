@@ -28,7 +28,7 @@ from hil.recording.replay import Difference, Replayed, replay
 from hil.report.summary import summary_of
 from hil.report.verdict_parts import navigation_numbers
 from hil.safety.alarms import Alarm
-from hil.setup.assembly import make_backend
+from hil.session.assembly import make_backend
 
 _ALARM_FIELDS = {field.name for field in fields(Alarm)}
 

@@ -27,7 +27,7 @@ from hil.report.summary import limits_of
 from hil.report.verdict import Verdict, verdict_of
 from hil.safety.alarms import Alarm
 from hil.sensors.vision_unit import columns as vmu_columns
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

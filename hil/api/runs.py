@@ -38,8 +38,8 @@ from hil.report.long_run import accumulate
 from hil.report.summary import summarise
 from hil.report.verdict import Verdict
 from hil.session import build
+from hil.session.assembly import Job
 from hil.session.warm_up import Compilation
-from hil.setup.assembly import Job
 
 log = logging.getLogger("hil")
 """Logger of the API: start of processes (INFO), compilation (WARNING)."""

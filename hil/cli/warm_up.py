@@ -40,9 +40,9 @@ def warm_up(*groups: str) -> int:
     groups
         Compile only these: gnc, stages, loop, verdict; of parts: vmu, fusion, monitor.
     """
+    from hil.cli.precompile import groups as all_groups
     from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
-    from hil.processes.precompile import groups as all_groups
-    from hil.setup.compiled import mark_kernels_cached
+    from hil.session.compiled import mark_kernels_cached
 
     known = all_groups()
     allowed = ", ".join(known)
@@ -78,7 +78,7 @@ def _compile_group(group: str) -> float:
     """Compile a group of kernels in a child process; return the time that it took, s. Raises LinkLost if it fails."""
     from hil.core.child_process import ChildProcess
 
-    with ChildProcess(f"precompile process, {group}", "hil.processes.precompile", {"group": group}) as child:
+    with ChildProcess(f"precompile process, {group}", "hil.cli.precompile", {"group": group}) as child:
         return float(child.wait_ready(_GROUP_WALL_S)["seconds"])
 
 

@@ -23,7 +23,7 @@ NO_POSES: Final = np.zeros(MAX_POSES, POSE).view(np.recarray)
 
 
 class BackendSetup(NamedTuple):
-    """What an external GNC's backend is made from, see ``hil.setup.gnc_setup.backend_setup``.
+    """What an external GNC's backend is made from, see ``hil.session.gnc_setup.backend_setup``.
 
     setup: GNC_SETUP. params: GNC_PARAMS, of which approach and allocation are used.
     """

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from hil.config.rig import Rig
+from hil.core.camera_images import ImageSink
 from hil.core.clock import BenchClock
 from hil.core.operator_commands import Operator
 from hil.core.realtime import SchedulingPolicy
+from hil.frmn.image_memory import ImageMemory
 from hil.frmn.ring import Telemetry
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.outcome import Outcome
 from hil.loop.sensor_stage import SampleSource
+
+
+class Recording(Protocol):
+    """Sinks of a recording by name, see ``hil.recording.sinks.RecordingSinks``."""
+
+    def __getitem__(self, name: str) -> Telemetry: ...
+    def attach(self, parts: SessionParts) -> None: ...
+    def image_encoder(self, rig: Rig) -> ImageSink | None: ...
+    def image_memory(self) -> ImageMemory | None: ...
 
 
 class PartResult(NamedTuple):

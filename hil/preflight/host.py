@@ -14,7 +14,7 @@ from hil.core.messages import CYCLE
 from hil.core.realtime import FIFO_PRIORITY
 from hil.errors import DeviceError
 from hil.preflight.check import PreflightCheck
-from hil.setup.compiled import kernels_are_cached
+from hil.session.compiled import kernels_are_cached
 
 _CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNORS = Path("/sys/devices/system/cpu")
@@ -39,7 +39,7 @@ class Privileges:
 def probe_privileges() -> Privileges:
     """Return what a child of this process is refused."""
     try:
-        with ChildProcess("privileges probe", "hil.processes.privileges_probe", {}) as child:
+        with ChildProcess("privileges probe", "hil.preflight.privileges_probe", {}) as child:
             return Privileges(**child.receive(_PROBE_TIMEOUT_S))
     except DeviceError as error:
         return Privileges(*[f"could not be probed: {error}"] * 2)

@@ -44,7 +44,7 @@ def measure(period_s: float, duration_s: float = DURATION_S) -> Lateness:
     """
     configuration = {"period_s": period_s, "duration_s": duration_s}
     try:
-        with ChildProcess("lateness probe", "hil.processes.lateness_probe", configuration) as child:
+        with ChildProcess("lateness probe", "hil.preflight.lateness_probe", configuration) as child:
             found = child.receive(duration_s + _START_S)
     except DeviceError as error:
         raise RuntimeError(f"the lateness could not be measured: {error}") from error

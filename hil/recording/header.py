@@ -19,7 +19,7 @@ from hil.params.sensors import sensors_of
 from hil.recording import audit
 from hil.recording.schema import HELD_FILE, PARTS_FILE, SENSORS_FILE, VERSION
 from hil.recording.writer import RecordingHeader
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 
 
 def header_of(job: Job, rig_name: str, run: str, started_ns: int) -> RecordingHeader:

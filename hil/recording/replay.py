@@ -26,8 +26,8 @@ from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params
 from hil.recording.read import Recorded, RowBatch
 from hil.recording.schema import flat_fields
-from hil.setup.assembly import make_backend
-from hil.setup.live_tuning import with_setting
+from hil.session.assembly import make_backend
+from hil.session.live_tuning import with_setting
 
 COMPARED: Final = ("navigation", "nees_position", "nees_attitude", "reference", "supervision", "command")
 """Records that the GNC writes, in this order."""

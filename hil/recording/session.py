@@ -30,7 +30,7 @@ from hil.recording.header import header_of
 from hil.recording.parts import PartedFile
 from hil.recording.sinks import RecordingSinks
 from hil.recording.writer import RecordingHeader, RecordingStats
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 
 _RING_S: Final = 5.0  # of cycles: longest pause of the recorder without loss
 _ROWS_LEAST: Final = 2048
@@ -235,7 +235,7 @@ class _RecorderProcess:
             "state": self.state.descriptor,
         }
         descriptors = (*(ring.descriptor for ring in self._rings.values()), self.state.descriptor)
-        self._child = ChildProcess("recorder process", "hil.processes.recorder", configuration, descriptors)
+        self._child = ChildProcess("recorder process", "hil.recording.recorder_process", configuration, descriptors)
         try:
             problem = self._child.wait_ready(_READY_WALL_S)["problem"]
         except DeviceError as error:

@@ -16,8 +16,8 @@ from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
 from hil.report.tally import Tally
 from hil.report.verdict import Verdict
-from hil.setup import assembly
-from hil.setup.assembly import Job
+from hil.session import assembly
+from hil.session.assembly import Job
 
 _PAUSE_WALL_S: Final = 0.02  # between two blocks while the loop runs in real time
 

@@ -1,1 +1,1 @@
-"""Sessions: a bench built for a rig, run and closed."""
+"""Sessions: the loop of a scenario, assembled and built for a rig, warmed up and run."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hil.checks import compatibility
 from hil.checks.abort import check_abort
@@ -22,14 +22,11 @@ from hil.errors import BadInput, Problem
 from hil.loop.motion_sequences import ProgressCallback
 from hil.loop.rate_keeper import Rate, SimulatedRate, WallClockRate
 from hil.loop.runner import Runner
-from hil.loop.session_parts import SessionParts
-from hil.setup.assembly import Job as Job
-from hil.setup.assembly import assemble, core_memory, library_problems, mocks
-from hil.setup.compiled import compiled_cycles
-from hil.setup.compiled import runs_compiled as runs_compiled
-
-if TYPE_CHECKING:
-    from hil.recording.sinks import RecordingSinks
+from hil.loop.session_parts import Recording, SessionParts
+from hil.session.assembly import Job as Job
+from hil.session.assembly import assemble, core_memory, library_problems, mocks
+from hil.session.compiled import compiled_cycles
+from hil.session.compiled import runs_compiled as runs_compiled
 
 
 def check(job: Job) -> None:
@@ -89,7 +86,7 @@ def runner(
     on_progress: ProgressCallback = lambda *_: None,
     announce: Callable[[str], None] = lambda _: None,
     operator: Operator | None = None,
-    sinks: RecordingSinks | None = None,
+    sinks: Recording | None = None,
 ) -> Iterator[Runner]:
     """Give a Runner for ``job``; see ``opened``.
 
@@ -101,7 +98,7 @@ def runner(
 
 
 @contextmanager
-def opened(job: Job, parts: SessionParts, sinks: RecordingSinks | None = None) -> Iterator[Runner]:
+def opened(job: Job, parts: SessionParts, sinks: Recording | None = None) -> Iterator[Runner]:
     """Give a Runner for ``job``, built from ``parts``; the processes that it needs run as long as this lasts.
 
     Devices and ``sinks`` of a recording add to ``parts``, then the parts of the program that the job uses. Raises
@@ -124,7 +121,7 @@ def opened(job: Job, parts: SessionParts, sinks: RecordingSinks | None = None) -
         yield in_memory(job, rate, parts, sinks.image_encoder(rig) if sinks else None)
 
 
-def attach_parts(job: Job, parts: SessionParts, sinks: RecordingSinks | None, stack: ExitStack) -> None:
+def attach_parts(job: Job, parts: SessionParts, sinks: Recording | None, stack: ExitStack) -> None:
     """Let the recording and each part that ``job`` uses add to ``parts``; ``stack`` ends what they have started."""
     if sinks:
         sinks.attach(parts)
@@ -133,7 +130,7 @@ def attach_parts(job: Job, parts: SessionParts, sinks: RecordingSinks | None, st
 
 
 def wired_bench(
-    job: Job, announce: Callable[[str], None] = lambda _: None, sinks: RecordingSinks | None = None
+    job: Job, announce: Callable[[str], None] = lambda _: None, sinks: Recording | None = None
 ) -> AbstractContextManager[Any]:
     """Return the ``WiredBench`` of ``job``'s rig, which is not a mock; its processes run as long as its context lasts.
 

@@ -27,9 +27,9 @@ from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
 from hil.params import bench as bench_params
+from hil.session.assembly import Job, start_axes
 from hil.session.build import in_memory, runs_compiled
-from hil.setup.assembly import Job, start_axes
-from hil.setup.compiled import Kernels, kernels_are_cached, mark_kernels_cached
+from hil.session.compiled import Kernels, kernels_are_cached, mark_kernels_cached
 
 FIRST_START = "first start: compiling the kernels for this computer, once"
 _CYCLES = 10
@@ -102,7 +102,7 @@ def _compile_beside(child: ChildProcess, group: Kernels, job: Job) -> None:
 
 @contextmanager
 def _compiler_of_the_gnc() -> Iterator[ChildProcess]:
-    with ChildProcess("precompile process", "hil.processes.precompile", {"group": "run"}) as child:
+    with ChildProcess("precompile process", "hil.cli.precompile", {"group": "run"}) as child:
         try:
             yield child
         finally:

@@ -32,8 +32,8 @@ from hil.parts.export.ros2 import export_ros2
 from hil.parts.export.table import export
 from hil.recording.read import load
 from hil.recording.session import recording
+from hil.session import assembly
 from hil.session.build import runner as make_runner
-from hil.setup import assembly
 from tests.support.lock_step import in_lock_step, serving
 from tests.support.run_settings import make_job
 

@@ -24,7 +24,7 @@ from hil.params import gnc as gnc_params
 from hil.parts.console.remote_operator import OutgoingMessages, RemoteOperator
 from hil.parts.console.status import CELLS, MODES, empty_status, status_of
 from hil.session import build
-from hil.setup.live_tuning import packed
+from hil.session.live_tuning import packed
 from tests.support.run_settings import make_job
 
 LEASE_S = 1.0

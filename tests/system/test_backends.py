@@ -22,8 +22,8 @@ from hil.params import gnc as gnc_params
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.report.summary import summarise
 from hil.session import build
-from hil.setup.assembly import make_gnc
-from hil.setup.live_tuning import with_setting
+from hil.session.assembly import make_gnc
+from hil.session.live_tuning import with_setting
 from tests.support.backends import DEAD_BAND, EKF, LQR, OBSERVER, kernel_file, observer_fmu, observer_library
 from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits
 from tests.support.run_settings import make_job

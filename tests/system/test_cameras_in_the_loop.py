@@ -24,9 +24,9 @@ from hil.drivers.cameras.base import SIDES
 from hil.loop.outcome import Outcome
 from hil.maths.random_streams import stream
 from hil.parts.emulation.emulated_cameras import images_of_folder, rendered_cameras
+from hil.session.assembly import start_axes
 from hil.session.build import Job, wired_bench
 from hil.session.warm_up import warm_up
-from hil.setup.assembly import start_axes
 from hil.vmu.geometry import geometry_of_rig
 from tests.support.emulated_cameras import LEFT, RIGHT, emulated, require_libaravis
 from tests.support.run_settings import NEAR, UNHURRIED, typed

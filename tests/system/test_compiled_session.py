@@ -29,7 +29,7 @@ from hil.recording.sinks import RecordingSinks
 from hil.report.summary import summarise
 from hil.session import build
 from hil.session.build import Job
-from hil.setup.compiled import python_only
+from hil.session.compiled import python_only
 from tests.support.external_gnc import c_example
 from tests.support.plain_filters import PLAIN
 from tests.support.rows import assert_same_bits

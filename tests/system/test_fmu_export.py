@@ -14,7 +14,7 @@ from hil.core.gnc_records import GNC_SETUP_FIELDS
 from hil.core.messages import CYCLE
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.fmi.mapping import record_fields
-from hil.setup.gnc_setup import gnc_setup
+from hil.session.gnc_setup import gnc_setup
 from tests.support.external_gnc import c_example
 from tests.support.fmu import example_fmu
 

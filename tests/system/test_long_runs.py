@@ -19,9 +19,9 @@ from hil.loop.rate_keeper import SimulatedRate
 from hil.recording import parts, read
 from hil.recording.read import load
 from hil.recording.replay import replay
+from hil.session import assembly
 from hil.session.build import in_memory
 from hil.session.warm_up import warm_up
-from hil.setup import assembly
 from tests.support.run_settings import make_job
 
 pytestmark = pytest.mark.xdist_group("campaign")

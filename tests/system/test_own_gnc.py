@@ -24,7 +24,7 @@ from hil.parts.campaigns.outcome import row_of
 from hil.recording.read import load
 from hil.recording.replay import replay
 from hil.session import build
-from hil.setup.assembly import library_problems
+from hil.session.assembly import library_problems
 from tests.support.external_gnc import MEASURED, PYTHON_EXAMPLE, USES_ALL, c_example
 from tests.support.rows import OF_DIGITAL_LINES, assert_same_bits
 from tests.support.run_settings import make_job, typed

@@ -19,7 +19,7 @@ from hil.params import bench as bench_params
 from hil.sensors.mounting import camera_pose
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.session import build
-from hil.setup.pose_model import make_pose_sensor
+from hil.session.pose_model import make_pose_sensor
 from hil.vmu.geometry import geometry_of_rig
 from tests.support.run_settings import make_job
 

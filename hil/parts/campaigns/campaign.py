@@ -41,9 +41,9 @@ from hil.parts.campaigns.statistics import (
 )
 from hil.parts.campaigns.store import Store, atomic_write
 from hil.session import build
+from hil.session.assembly import Job
+from hil.session.compiled import kernels_are_cached
 from hil.session.warm_up import compile_group
-from hil.setup.assembly import Job
-from hil.setup.compiled import kernels_are_cached
 
 RIG: Final = "mock"
 

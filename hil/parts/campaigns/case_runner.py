@@ -40,8 +40,8 @@ from hil.safety.guard_alarms import guard_alarm, is_of_guard
 from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.model import VISION_NOISE
-from hil.setup.assembly import axes_at_start, draw_initial_imu_errors
-from hil.setup.gnc_setup import gnc_setup
+from hil.session.assembly import axes_at_start, draw_initial_imu_errors
+from hil.session.gnc_setup import gnc_setup
 
 _NO_HISTORY = np.zeros(0, CYCLE)
 _NO_AXES_SAMPLES = np.zeros(0, AXES_SAMPLE)

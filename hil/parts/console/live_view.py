@@ -24,7 +24,7 @@ from hil.parts.console.status import status_of
 from hil.parts.monitor.camera import chaser_position
 from hil.parts.monitor.params import mounting
 from hil.parts.monitor.results import Portion, portion_of
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 
 MAX_ROWS: Final = 250
 """Largest number of rows in a message: delayed rows are decimated, so that no client falls behind."""

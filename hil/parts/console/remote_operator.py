@@ -39,7 +39,7 @@ from hil.loop.runner import Runner
 from hil.parts.console.status import StatusWriter
 from hil.recording.audit import Actor
 from hil.recording.sinks import EventRecorder
-from hil.setup.live_tuning import unpacked
+from hil.session.live_tuning import unpacked
 
 STATUS_PERIOD_WALL_S: Final = 0.05
 _PACKETS_PER_CYCLE: Final = 8

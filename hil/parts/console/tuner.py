@@ -17,8 +17,8 @@ from hil.core.part import provided
 from hil.gnc_backends.backend_registry import declared_setting
 from hil.params import gnc as gnc_params
 from hil.parts.console.lease import RequestRejected
-from hil.setup.assembly import Job
-from hil.setup.live_tuning import check_in_flight, packed, with_setting
+from hil.session.assembly import Job
+from hil.session.live_tuning import check_in_flight, packed, with_setting
 
 _UNITS: Final = {
     "_per_s": "1/s",

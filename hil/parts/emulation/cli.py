@@ -54,7 +54,7 @@ def _emulate_cameras(scenario: str, folder: str | None, settings: Settings, geom
     from hil.parts.cameras.pose_sensor import calibrated_geometry
     from hil.parts.emulation.emulated_camera import emulated_camera
     from hil.parts.emulation.emulated_cameras import images_at_start, images_of_folder
-    from hil.setup.assembly import with_cameras
+    from hil.session.assembly import with_cameras
 
     loaded = load_scenario(scenario, settings)
     rig = with_cameras(loaded, load_rig("emulated", settings)).value

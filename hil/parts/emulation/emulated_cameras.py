@@ -29,7 +29,7 @@ from hil.parts.monitor.camera import view
 from hil.parts.monitor.render import Conditions, TargetRenderer
 from hil.parts.monitor.setup import MONITOR_ADDRESS
 from hil.sensors.vision_unit import parameters as vmu_params
-from hil.setup.assembly import start_axes
+from hil.session.assembly import start_axes
 from hil.vmu.estimators import board_of
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.sources import ImageFolder

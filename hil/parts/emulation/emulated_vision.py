@@ -29,8 +29,8 @@ from hil.parts.emulation.line_sensor import LineSensorEmulator
 from hil.parts.emulation.shared_state import SharedAxisState
 from hil.sensors.check import Trial
 from hil.sensors.measurement import noise_of
-from hil.setup.assembly import start_axes
-from hil.setup.pose_model import make_pose_sensor, transport
+from hil.session.assembly import start_axes
+from hil.session.pose_model import make_pose_sensor, transport
 
 SeenAxes = Callable[[float], tuple[Array, Array]]
 """Rails, m, and turntable, rad, (3,) each, that show at a bench time what the cameras see."""

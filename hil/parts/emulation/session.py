@@ -15,8 +15,8 @@ from hil.parts.emulation.lock_step import LockStepConductor
 from hil.parts.emulation.true_axes import TrueAxesWatch
 from hil.parts.wires.wired import WiredBench, Wires, in_real_time, wired_bench
 from hil.recording.sinks import RecordingSinks
-from hil.setup.assembly import Job
-from hil.setup.sample_sources import wired_sensors
+from hil.session.assembly import Job
+from hil.session.sample_sources import wired_sensors
 
 _GRID_S: Final = 0.02  # lock-step: longest time between two steps of emulators and servers
 

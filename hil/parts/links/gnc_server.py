@@ -27,8 +27,8 @@ from hil.maths.arrays import copy_into
 from hil.parts.links import udp_records
 from hil.parts.links.link import PORT_CLOSED, Arrival, Link
 from hil.parts.links.udp import Address, shown
-from hil.setup.assembly import make_gnc
-from hil.setup.gnc_setup import gnc_setup
+from hil.session.assembly import make_gnc
+from hil.session.gnc_setup import gnc_setup
 
 _OFFERS: Final = ("gnc.flight", "gnc.output", "gnc.filters")
 WANTS: Final = ("gnc.setup", "gnc.input")

@@ -11,7 +11,7 @@ from hil.params import gnc as gnc_params
 from hil.parts.links.link import Link
 from hil.parts.links.mirror import Mirror
 from hil.parts.links.udp_gnc import UdpGnc
-from hil.setup.gnc_setup import backend_setup
+from hil.session.gnc_setup import backend_setup
 
 
 def make_udp_gnc(scenario: Scenario, link: Link, config: GncLink, lock_step: bool, period_s: float | None) -> UdpGnc:

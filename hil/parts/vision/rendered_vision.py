@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.config.load import load_rig, load_scenario
 from hil.parts.cameras.pose_sensor import rendered_pose_sensor
-from hil.setup.assembly import start_axes
+from hil.session.assembly import start_axes
 from hil.vmu.geometry import geometry_of_rig
 from hil.vmu.unit import VisionUnit
 

@@ -9,7 +9,7 @@ from hil.core.clock import BenchClock
 from hil.drivers.line_sensor.driver import LineSensor, LineSettings
 from hil.errors import LinkLost
 from hil.params.sensors import sensors_of
-from hil.setup.sample_sources import wired_sensors
+from hil.session.sample_sources import wired_sensors
 
 
 def line_sensors(scenario: Scenario, rig: Rig, clock: BenchClock) -> list[LineSensor]:

@@ -27,7 +27,7 @@ from hil.loop.session_parts import SessionParts
 from hil.parts.wires.line_sensors import line_sensors
 from hil.parts.wires.meters import ClockWatch, ExchangeRates
 from hil.recording.sinks import EventRecorder, RecordingSinks
-from hil.setup.assembly import Devices, Job, assemble
+from hil.session.assembly import Devices, Job, assemble
 
 _FRAMES_TO_ARM: Final = 2
 TELEMETRY_ROWS: Final = 2048  # 41 s at 50 Hz: a reader that comes later misses rows

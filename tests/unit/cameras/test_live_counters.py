@@ -11,7 +11,7 @@ from hil.core.clock import Clock
 from hil.drivers.cameras.pairing import TimedFrame
 from hil.drivers.vmu import CAMERA_COUNTERS
 from hil.parts.cameras.live import LiveVision
-from hil.setup.assembly import with_cameras
+from hil.session.assembly import with_cameras
 from hil.vmu.estimators import PoseEstimate, PoseEstimator
 
 

@@ -12,8 +12,8 @@ from hil.errors import BadInput, SafetyTrip
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.session_parts import SessionParts
 from hil.parts.vision.drift_views import check_drift_views
+from hil.session.assembly import with_cameras
 from hil.session.build import in_memory
-from hil.setup.assembly import with_cameras
 from hil.vmu.calibration.job import DriftCheck, DriftLimits
 from tests.support.run_settings import make_job
 

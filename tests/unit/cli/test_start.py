@@ -51,7 +51,7 @@ import sys
 sys.modules["cv2"] = None
 from hil.cli.main import execute
 from hil.core.part import without_opencv
-from hil.processes.precompile import groups
+from hil.cli.precompile import groups
 for group in groups().keys() - set(without_opencv()):
     groups()[group]()
 execute(["run", "scheme-1", "--duration", "0.1", "--set", "monitor.source=model"])

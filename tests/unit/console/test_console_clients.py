@@ -20,7 +20,7 @@ from hil.parts.console.session import Choice
 from hil.parts.console.session_manager import CLIENTS_MAX
 from hil.parts.console.session_process import SessionProcess
 from hil.parts.console.tuner import Tuner
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 
 ANN, BOB = Client("a" * 16, "ann"), Client("b" * 16, "bob")
 

@@ -193,7 +193,7 @@ def test_kernels_in_a_wheel_are_used_where_they_are(copy: Path, tmp_path: Path) 
 
 
 def test_kernels_of_another_processor_do_not_count_as_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = "from hil.setup.compiled import mark_kernels_cached as mark, kernels_are_cached as cached"
+    names = "from hil.session.compiled import mark_kernels_cached as mark, kernels_are_cached as cached"
     with monkeypatch.context() as other:
         other.setenv("NUMBA_CPU_NAME", "generic")
         done = run_with_cache(f"{names}; mark('cycle'); print(cached('cycle'))", tmp_path, PACKAGE.parent)

@@ -25,7 +25,7 @@ from hil.loop.core_memory import CycleData
 from hil.parts.links.command_word_codec import CommandWordDecoder, Word, decode_can, encode, encode_can
 from hil.parts.links.command_word_receiver import CommandWordReceiver, PoseForwarder
 from hil.parts.links.command_words import CommandWordGnc
-from hil.setup.gnc_setup import backend_setup
+from hil.session.gnc_setup import backend_setup
 
 
 def test_bytes_of_a_word() -> None:

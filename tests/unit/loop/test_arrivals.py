@@ -8,7 +8,7 @@ from hil.config.rig import Rig
 from hil.core.messages import ARRIVAL, MAX_POSES, PoseFrame
 from hil.core.observable import ObservableList
 from hil.loop.stages import VisionStage
-from hil.setup.assembly import core_memory
+from hil.session.assembly import core_memory
 from tests.support.run_settings import make_job
 
 

@@ -10,7 +10,7 @@ from hil.report.limits import sentence, shown, stop_of_alarm, unit_of
 from hil.report.summary import summarise
 from hil.safety.alarms import Alarm
 from hil.session import build
-from hil.setup.assembly import Job
+from hil.session.assembly import Job
 from tests.support.run_settings import make_job
 
 

@@ -10,8 +10,8 @@ from hil.core.clock import SimulatedClock
 from hil.loop.rate_keeper import SimulatedRate
 from hil.parts.campaigns.api.campaign_results import job_of_case
 from hil.parts.campaigns.dispersions import Design
+from hil.session.assembly import Job
 from hil.session.build import in_memory
-from hil.setup.assembly import Job
 from tests.support.run_settings import make_job
 
 MODULE = """

@@ -12,8 +12,8 @@ import pytest
 
 from hil.parts.console.session import Choice
 from hil.session import warm_up
+from hil.session.assembly import Job
 from hil.session.warm_up import FIRST_START, compile_kernels
-from hil.setup.assembly import Job
 from tests.support.run_settings import make_job
 
 Steps = list[str]

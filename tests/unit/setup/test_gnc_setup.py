@@ -13,7 +13,7 @@ from hil.core.messages import Array, new
 from hil.gnc.estimation.target_orbit import HILL_STEP, move_hill_frame
 from hil.models.rotating_frame import tumble_rate
 from hil.params import gnc as gnc_params
-from hil.setup.gnc_setup import gnc_setup
+from hil.session.gnc_setup import gnc_setup
 
 
 def test_orbit_in_the_setup_gives_the_rate_that_the_filters_use() -> None:

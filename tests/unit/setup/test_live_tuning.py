@@ -27,7 +27,7 @@ from hil.recording.session import recording
 from hil.recording.sinks import EventRecorder
 from hil.report.summary import summarise
 from hil.session import build
-from hil.setup.live_tuning import packed, unpacked, with_setting
+from hil.session.live_tuning import packed, unpacked, with_setting
 from tests.support.plain_filters import PLAIN
 
 NOISE = "gnc.pkf.accelerometer_noise_mps2"

@@ -18,8 +18,8 @@ from hil.parts.campaigns.dispersions import Design, case_seed
 from hil.parts.campaigns.sobol_indices import sobol_point
 from hil.parts.campaigns.statistics import compare as compare_columns
 from hil.parts.campaigns.stored_campaign import StoredCampaign
+from hil.session.assembly import Job
 from hil.session.warm_up import compile_kernels
-from hil.setup.assembly import Job
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -16,7 +16,7 @@ from hil.parts.links.gnc_check import test_cases
 from hil.parts.links.gnc_check.estimate import check_estimate
 from hil.parts.links.gnc_check.gnc_under_test import GncUnderTest, Played, play, pushes
 from hil.parts.links.gnc_check.test_cases import Change, CheckCase, Player, along
-from hil.setup.gnc_setup import gnc_setup
+from hil.session.gnc_setup import gnc_setup
 
 _OFFSET_M: Final = 0.15
 _ROTATION_RAD: Final = math.radians(2.0)

@@ -13,8 +13,8 @@ from hil.loop.compiled.cycles import CompiledCycles, MockSources
 from hil.loop.compiled.run_cycles import run_cycles
 from hil.loop.cycle import Cycles, CyclesOf, Loop
 from hil.loop.rate_keeper import SimulatedRate
-from hil.setup.assembly import Job, Mocks
-from hil.setup.pose_model import PoseModel
+from hil.session.assembly import Job, Mocks
+from hil.session.pose_model import PoseModel
 
 Kernels = Literal["loop", "cycle"]
 """Groups of kernels: those of the compiled loop, and those that the cycle in Python calls one by one."""

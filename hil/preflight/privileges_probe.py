@@ -1,6 +1,6 @@
 """Privileges probe: requests the real-time privileges of a run and sends what was refused.
 
-``python -m hil.processes.privileges_probe`` is started by ``hil.preflight.host``; the privileges end with it.
+``python -m hil.preflight.privileges_probe`` is started by ``hil.preflight.host``; the privileges end with it.
 """
 
 from hil.core.child_process import Parent

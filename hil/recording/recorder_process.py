@@ -1,7 +1,7 @@
 """Recorder process of a paced run.
 
-``python -m hil.processes.recorder`` is started by ``hil.recording.session``. It outlives its parent: the file of a run
-whose process has died is closed in order.
+``python -m hil.recording.recorder_process`` is started by ``hil.recording.session``. It outlives its parent: the file
+of a run whose process has died is closed in order.
 """
 
 import signal

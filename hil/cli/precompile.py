@@ -17,8 +17,8 @@ from hil.core.child_process import Parent
 from hil.core.messages import CYCLE, IMU, MAX_POSES, POSE, TRUTH, new
 from hil.core.part import imported, part_kernels
 from hil.params import dynamics as dynamics_params
-from hil.setup.assembly import Job, make_gnc
-from hil.setup.compiled import mark_kernels_cached
+from hil.session.assembly import Job, make_gnc
+from hil.session.compiled import mark_kernels_cached
 
 
 class _NoPoses:

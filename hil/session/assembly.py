@@ -54,9 +54,9 @@ from hil.params.sensors import sensors_of
 from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.monitor import SafetyMonitor, safety_limits
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
-from hil.setup.gnc_setup import approach_event_log, backend_setup, gnc_setup
-from hil.setup.pose_model import PoseSensor, make_pose_sensor, transport
-from hil.setup.sample_sources import sample_sources, wired_sensors
+from hil.session.gnc_setup import approach_event_log, backend_setup, gnc_setup
+from hil.session.pose_model import PoseSensor, make_pose_sensor, transport
+from hil.session.sample_sources import sample_sources, wired_sensors
 
 ROWS_MAX = 100_000
 """Rows of a run that are kept in memory, 0.2 GB; of a longer one they are handed over part by part."""

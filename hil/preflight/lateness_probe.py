@@ -1,6 +1,6 @@
 """Lateness probe: keeps the rate of an empty loop for some seconds and sends the lateness of each cycle.
 
-``python -m hil.processes.lateness_probe`` is started by ``hil.preflight.lateness``.
+``python -m hil.preflight.lateness_probe`` is started by ``hil.preflight.lateness``.
 """
 
 from hil.core.child_process import Message, Parent

@@ -1,1 +1,0 @@
-"""Assembly of a loop from scenario and rig."""
