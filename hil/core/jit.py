@@ -16,7 +16,7 @@ import hashlib
 import importlib
 import pickle
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import IO, Any, TypeVar, cast
 
@@ -103,10 +103,16 @@ class KernelCache:
             return None
         types = tuple(getattr(signature, "args", signature))
         key = hashlib.sha256(
-            f"{types} {codegen.magic_tuple()} {_numba_config.USING_SVML} {self._kind}".encode()
+            f"{types} {_fields(types)} {codegen.magic_tuple()} {_numba_config.USING_SVML} {self._kind}".encode()
         ).hexdigest()[:16]
         name = self._function.__qualname__.replace("<locals>", "")
         return f"{self._function.__module__}/{name}-{digest}-{key}.nbc"
+
+
+def _fields(types: Iterable[Any]) -> list[Any]:
+    """Return the names of the fields of all named tuples in ``types``, which the names of their types do not hold."""
+    tuples = [each for each in types if isinstance(each, numba.types.BaseTuple)]
+    return [(getattr(each, "fields", ()), _fields(each.types)) for each in tuples]
 
 
 @cache

@@ -7,11 +7,14 @@ import shutil
 import subprocess
 import sys
 import time
+from collections import namedtuple
 from pathlib import Path
 
 import pytest
+from numba import typeof
 
 import hil
+from hil.core import jit
 from hil.core.jit import kernel
 
 PACKAGE = Path(hil.__file__).parent
@@ -217,3 +220,9 @@ def test_cache_that_cannot_be_written_is_one_clear_line() -> None:
     line = refusal_of_a_run(Path("/proc/hil"))
     assert line.startswith("kernel cache: /proc/hil: cannot be written")
     assert "set HIL_CACHE_DIR" in line
+
+
+def test_code_for_a_named_tuple_depends_on_the_names_of_its_fields() -> None:
+    one, other = (typeof(namedtuple("Point", names)(1.0, (2.0, 3.0))) for names in ("x y", "y x"))
+    assert str(one) == str(other)
+    assert jit._fields([one]) != jit._fields([other])
