@@ -117,7 +117,7 @@ def print_camera(fit: CameraFit, scene: Scene, console: Console) -> None:
 
 def print_check(checked: DriftCheck, limits: DriftLimits, console: Console) -> None:
     """Print a drift check."""
-    found, known = checked.drift, checked.known
+    found, known = checked.drift, checked.stored
 
     show = partial(say, console=console)
     table = _table(

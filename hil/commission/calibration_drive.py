@@ -236,7 +236,7 @@ class CameraDriftCheck:
         except BadInput as error:
             raise DeviceError(NAME, f"{WHAT}: {'; '.join(problem.message for problem in error.problems)}") from error
         self.result = drift_as_json(checked, limits)
-        since = f"calibration {checked.known.label.id} of {checked.known.label.date}"
+        since = f"calibration {checked.stored.label.id} of {checked.stored.label.date}"
         found, limit = checked.refusal(limits)
         if found:
             raise SafetyTrip(NAME, f"{WHAT} against {since}:", found, limit)

@@ -92,8 +92,8 @@ class SetpointLimiter:
     def _is_astray(self, now_s: float, measured: tuple[float, float, float], bridged_s: float) -> bool:
         """Return whether the axis is further from the stream, while it catches up, than it moves in ``bridged_s``."""
         delivered = self._position if self._mean is None else self._mean.value()[0]
-        place = measured[1] + measured[2] * (now_s - measured[0])
-        return abs(place - delivered) > self._rate_max * bridged_s
+        position = measured[1] + measured[2] * (now_s - measured[0])
+        return abs(position - delivered) > self._rate_max * bridged_s
 
     def _catch_up_smoothly(
         self, mean: _SlidingMean, position: float, rate: float, step_s: float
@@ -131,9 +131,9 @@ class SetpointLimiter:
         energy = twice + math.copysign(rate * rate, rate * behind)
         ending = math.copysign(math.sqrt(abs(energy)), energy)  # of one that brakes as well
         side = math.copysign(1.0, behind)
-        wanted = side * min(side * rate + closing, ending)
-        wanted = min(self._rate_max, max(-self._rate_max, wanted))
-        self._rate = min(self._rate + change, max(self._rate - change, wanted))
+        target_rate = side * min(side * rate + closing, ending)
+        target_rate = min(self._rate_max, max(-self._rate_max, target_rate))
+        self._rate = min(self._rate + change, max(self._rate - change, target_rate))
         self._position += self._rate * step_s
 
 
@@ -153,9 +153,9 @@ class _SlidingMean:
 
     def add(self, step_s: float, position: float) -> None:
         """Add the position ``step_s`` after the last one."""
-        before_s, before, integral = self._points[-1]
-        moved, t_s = position - self._origin, before_s + step_s
-        self._points.append((t_s, moved, integral + 0.5 * (before + moved) * step_s))
+        previous_s, previous, integral = self._points[-1]
+        moved, t_s = position - self._origin, previous_s + step_s
+        self._points.append((t_s, moved, integral + 0.5 * (previous + moved) * step_s))
         while self._points[1][0] <= t_s - self._span_s:
             self._points.popleft()
 

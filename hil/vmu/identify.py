@@ -116,11 +116,11 @@ class Identifier:
 
         mature: the prediction is that of a long track, which a single pair of images does not overrule.
         """
-        found = self._by_hypotheses(view, prediction, mature)
-        unknown = found.status in (NO_MATCH, GEOMETRY, TOO_FEW) and view.counts.max() < MAX_SPOTS
+        identification = self._by_hypotheses(view, prediction, mature)
+        unknown = identification.status in (NO_MATCH, GEOMETRY, TOO_FEW) and view.counts.max() < MAX_SPOTS
         if unknown and (apart := self._each_alone(view)) != OK:
             return LedIdentification(apart)
-        return found
+        return identification
 
     def _by_hypotheses(self, view: View, prediction: Prediction | None, mature: bool) -> LedIdentification:
         if max(view.counts) < 3:
@@ -158,15 +158,15 @@ class Identifier:
             return tracked
         return LedIdentification(AMBIGUOUS, candidates=[alone.fit], jump=True)
 
-    def partly(self, view: View, found: LedIdentification) -> bool:
-        """Return whether one of the candidates of ``found`` is the true pose, so that what they agree on is known.
+    def partly(self, view: View, verdict: LedIdentification) -> bool:
+        """Return whether one of the candidates of ``verdict`` is the true pose, so that what they agree on is known.
 
         The lights have to be those of the LEDs: hardly any of another pattern, none that the best candidate leaves out
         near it, and none at all with three LEDs, which other lights may be as well.
         """
-        if found.open or found.jump or not found.candidates or not fits_within_budget(found.candidates[0]):
+        if verdict.open or verdict.jump or not verdict.candidates or not fits_within_budget(verdict.candidates[0]):
             return False
-        best = found.candidates[0]
+        best = verdict.candidates[0]
         used = (best["spot"] >= 0).sum(axis=1)
         if self._log_false_alarms(view, best, None) > _RANDOM or used.min() < 2:
             return False
@@ -183,15 +183,15 @@ class Identifier:
         """
         rest = without_spots(view, best)
         if rest.counts.min() >= _SECOND or rest.counts.max() >= _OWN:
-            found = self._patterns(rest)
-            return found if len(found) else self._touching(rest)
+            patterns = self._patterns(rest)
+            return patterns if len(patterns) else self._touching(rest)
         if rest.counts.min() < _SECOND - 1:
             return np.zeros(0, FIT)
         for n in np.flatnonzero((best["spot"] >= 0).all(axis=0)):
             others = best.copy()
             others["spot"][:, n] = -1
-            if len(found := self._patterns(without_spots(view, others))):
-                return found
+            if len(patterns := self._patterns(without_spots(view, others))):
+                return patterns
         return np.zeros(0, FIT)
 
     def _patterns(self, rest: View) -> np.ndarray:

@@ -115,8 +115,8 @@ class Pairing:
         if self._shift is None or shift == self._shift:
             self._shift, self._other = shift, (0, 0)
             return True
-        before, count = self._other
-        self._other = (shift, count + 1 if shift == before else 1)
+        previous, count = self._other
+        self._other = (shift, count + 1 if shift == previous else 1)
         if self._other[1] >= _SHIFT_AGREED:
             self._shift, self._other = shift, (0, 0)
             return True
