@@ -143,7 +143,7 @@ def find_circles(prepared: Prepared, left: float, top: float, line_step: float) 
 
     left, top: px, the region's first pixel in the image; line_step: px from one line of the region to the next.
     """
-    found: list[CircleCandidate] = []
+    circles: list[CircleCandidate] = []
     for level in prepared.thresholds:
         _, binary = cv2.threshold(prepared.image, level, 255, cv2.THRESH_BINARY)
         contours: Any = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
@@ -151,9 +151,9 @@ def find_circles(prepared: Prepared, left: float, top: float, line_step: float) 
         for contour in contours:
             shape = _circle_of(contour, prepared.image.shape, left, top, line_step)
             if shape is not None:
-                found.append(shape)
-    found.sort(key=lambda one: one.coverage * one.clean, reverse=True)
-    return _distinct(found)
+                circles.append(shape)
+    circles.sort(key=lambda one: one.coverage * one.clean, reverse=True)
+    return _distinct(circles)
 
 
 def _circle_of(
@@ -179,9 +179,9 @@ def _circle_of(
     return CircleCandidate(float(circle[0]), float(circle[1]), float(circle[2]), share, clean)
 
 
-def _distinct(found: list[CircleCandidate]) -> list[CircleCandidate]:
+def _distinct(circles: list[CircleCandidate]) -> list[CircleCandidate]:
     kept: list[CircleCandidate] = []
-    for one in found:
+    for one in circles:
         reach = 0.04 * one.radius + 2.0
         if all(
             math.hypot(one.u - other.u, one.v - other.v) > reach or abs(one.radius - other.radius) > reach
