@@ -105,10 +105,10 @@ class Fmu:
 
     def address(self, name: str) -> int:
         """Return the address of the function ``name``, without prefix. Raises FmuError."""
-        found = getattr(self._loaded, self._prefix + name, None)
-        if found is None:
+        function = getattr(self._loaded, self._prefix + name, None)
+        if function is None:
             raise FmuError(f"has no function {self._prefix}{name}")
-        return ctypes.cast(found, _POINTER).value or 0
+        return ctypes.cast(function, _POINTER).value or 0
 
     def instantiate(self, name: str) -> int:
         """Return the address of a new component. Raises FmuError."""
