@@ -78,15 +78,15 @@ def opposing_thrusters(wrenches: Array) -> np.ndarray:
     """
     masks, totals, arm = _all_sets(wrenches)
     scale = np.array([1.0, 1.0, 1.0, arm, arm, arm])
-    found = np.zeros((len(wrenches), len(wrenches)), dtype=np.int64)
+    opposing = np.zeros((len(wrenches), len(wrenches)), dtype=np.int64)
     for j, wrench in enumerate(wrenches):
         size = linear.length(wrench / scale)
-        left = linear.lengths((totals + wrench) / scale) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
-        left[masks[:, j] != 0] = np.inf
-        best = _best(left)
-        if best >= 0 and left[best] < _OPPOSED_FRACTION:
-            found[j] = masks[best]
-    return found
+        remaining = linear.lengths((totals + wrench) / scale) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
+        remaining[masks[:, j] != 0] = np.inf
+        best = _best(remaining)
+        if best >= 0 and remaining[best] < _OPPOSED_FRACTION:
+            opposing[j] = masks[best]
+    return opposing
 
 
 def _all_sets(wrenches: Array) -> tuple[np.ndarray, Array, float]:
@@ -107,14 +107,14 @@ def _candidates(wrenches: Array, full_thrust: bool) -> tuple[np.ndarray, Array, 
     cost = np.full((AXES_OF_A_BODY, 2, len(masks)), np.inf)
     for axis in range(AXES_OF_A_BODY):
         for sign_index, sign in enumerate((-1.0, 1.0)):
-            wanted = sign * scaled[:, axis]
-            unwanted = np.sqrt(np.maximum(np.sum(square(scaled), axis=1) - square(wanted), 0.0))
-            useful = wanted > 1e-6
+            along = sign * scaled[:, axis]
+            unwanted = np.sqrt(np.maximum(np.sum(square(scaled), axis=1) - square(along), 0.0))
+            useful = along > 1e-6
             if not useful.any():
                 continue
-            of_set = unwanted[useful] / wanted[useful]
+            of_set = unwanted[useful] / along[useful]
             if full_thrust:
-                of_set -= _COST_PER_THRUSTER * wanted[useful] / wanted.max()
+                of_set -= _COST_PER_THRUSTER * along[useful] / along.max()
             else:
                 of_set += _COST_PER_THRUSTER * masks[useful].sum(axis=1)
             cost[axis, sign_index, useful] = of_set

@@ -196,9 +196,9 @@ class FmuBackend:
             places = {variable.name: i for i, variable in enumerate(variables)}
             values = [[0.0] * variable.size for variable in variables]
             for element in self.setup:
-                if (place := places.get(element.variable.name)) is not None:
-                    (number,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
-                    values[place][element.index] = (number - element.shift) / element.factor
+                if (number := places.get(element.variable.name)) is not None:
+                    (value,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
+                    values[number][element.index] = (value - element.shift) / element.factor
             self.fmu.set_values(component, access, variables, [number for row in values for number in row])
         for name, value in parameters.items():
             self.fmu.set_variable(component, name, value)
@@ -319,10 +319,10 @@ class _Tables:
 
 def _by_access(elements: Iterable[MappedElement]) -> dict[str, list[FmiVariable]]:
     """Return the variables of ``elements``, each once, by the functions that set and get them."""
-    found: dict[str, dict[str, FmiVariable]] = {}
+    by_access: dict[str, dict[str, FmiVariable]] = {}
     for element in elements:
-        found.setdefault(element.variable.access, {})[element.variable.name] = element.variable
-    return {access: list(variables.values()) for access, variables in found.items()}
+        by_access.setdefault(element.variable.access, {})[element.variable.name] = element.variable
+    return {access: list(variables.values()) for access, variables in by_access.items()}
 
 
 def _text(text: str) -> np.ndarray:
