@@ -404,10 +404,10 @@ class AxisGroupTable(DeviceTable):
             return {name: self}
         taken = [axis for controller in self.own_controllers for axis in controller.axes]
         rest = tuple(axis for axis in self.axis_names if axis not in taken)
-        found = {name: self._part_of(rest, {})}
+        parts = {name: self._part_of(rest, {})}
         for controller in self.own_controllers:
-            found[part_name(name, controller)] = self._part_of(controller.axes, controller.changes)
-        return found
+            parts[part_name(name, controller)] = self._part_of(controller.axes, controller.changes)
+        return parts
 
     def _part_of(self, axes: tuple[str, ...], changes: Mapping[str, Any]) -> AxisGroupTable:
         part = self.model_copy(update={"controllers": (), **changes})
@@ -419,8 +419,8 @@ class AxisGroupTable(DeviceTable):
         table = super().connected(name, addresses)
         if not self.own_controllers:
             return table
-        found = [each.connected(part_name(name, each), addresses) for each in self.own_controllers]
-        return table.model_copy(update={"controllers": tuple(found)})
+        controllers = tuple(each.connected(part_name(name, each), addresses) for each in self.own_controllers)
+        return table.model_copy(update={"controllers": controllers})
 
     @property
     def wire_keys(self) -> list[WireKey]:
@@ -462,8 +462,8 @@ def check_ids(key: str, ids: tuple[int, ...], table: AxisGroupTable) -> None:
     """Raise ValueError if ``ids``, in the order of all axes that ``table`` may have, lack one of its axes."""
     last = table.axis_numbers[-1]
     if last >= len(ids):
-        missing, wanted = table.all_names[last], ", ".join(table.all_names[: last + 1])
-        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {wanted}")
+        missing, required = table.all_names[last], ", ".join(table.all_names[: last + 1])
+        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {required}")
 
 
 class HeldAtPlace(AxisGroupTable):
@@ -483,10 +483,10 @@ class HeldAtPlace(AxisGroupTable):
             raise ValueError(f"an axis is missing, allowed: {', '.join(self.all_names)}")
         if len(places) != len(self.axis_names):
             raise ValueError(f"{key} {list(places)}: one for each of {', '.join(self.axis_names)}")
-        for name, axis, place in zip(self.axis_names, self.axes, places, strict=True):
+        for name, axis, position in zip(self.axis_names, self.axes, places, strict=True):
             low, high = axis.in_file("travel")
-            if not low <= place <= high:
-                raise ValueError(f"{key}: {name} {place:g}, allowed {low:g} to {high:g}")
+            if not low <= position <= high:
+                raise ValueError(f"{key}: {name} {position:g}, allowed {low:g} to {high:g}")
         return self
 
 
@@ -902,11 +902,11 @@ class Rig(ConfigModel):
 
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""
-        found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
         lines = [Wire(f"sensors.{name}.port", "serial", line.port) for name, line in self.sensors.items()]
-        return found + lines + self.flight_computer.wires()
+        return wires + lines + self.flight_computer.wires()
 
     def missing_wires(self) -> list[str]:
         """Return the keys of devices' wires that the file does not name."""
-        found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
-        return [wire.required_key for wire in found if wire.address is None]
+        wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        return [wire.required_key for wire in wires if wire.address is None]

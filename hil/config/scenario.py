@@ -799,8 +799,8 @@ class Scenario(ConfigModel):
     def _sensors_with_faults_exist(self) -> Self:
         for fault in self.faults:
             if fault.family == "sensor" and fault.member not in self.sensors:
-                known = ", ".join(map(device_of, self.sensors)) or "none"
-                raise ValueError(f'faults: device = "{fault.device}": the scenario\'s sensors are {known}')
+                devices = ", ".join(map(device_of, self.sensors)) or "none"
+                raise ValueError(f'faults: device = "{fault.device}": the scenario\'s sensors are {devices}')
         return self
 
     @model_validator(mode="after")

@@ -283,11 +283,11 @@ def _reactions(scenario: Scenario) -> np.record:
 
 def target_orbit(scenario: Scenario) -> np.record:
     """Return TARGET_ORBIT: the target's orbit with the errors of the GNC's ephemeris."""
-    known, params = scenario.gnc_orbit, new(TARGET_ORBIT)
-    params.mean_motion = mean_motion(known)
-    params.eccentricity = known.eccentricity
-    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(known)
-    params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg) + ahead)
+    orbit, params = scenario.gnc_orbit, new(TARGET_ORBIT)
+    params.mean_motion = mean_motion(orbit)
+    params.eccentricity = orbit.eccentricity
+    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(orbit)
+    params.mean_anomaly = mean_anomaly(orbit.eccentricity, math.radians(orbit.true_anomaly_deg) + ahead)
     params.tumble = known_tumble(scenario, params.mean_motion)
     params.estimated = scenario.target.motion != "aligned" and scenario.gnc.target.rate_sigma_degps > 0.0
     params.moments, params.q_PB = scenario.target.moments_kg_m2, principal_axes(scenario.target)
@@ -357,7 +357,7 @@ def guidance(scenario: Scenario) -> np.record:
 def approach_monitor(scenario: Scenario) -> np.record:
     """Return APPROACH_MONITOR_PARAMS."""
     params = new(APPROACH_MONITOR_PARAMS)
-    corridor, wanted = scenario.gnc.corridor, scenario.requirements
+    corridor, needs = scenario.gnc.corridor, scenario.requirements
     params.cone = elementary.tan(math.radians(corridor.half_angle_deg))
     params.minimum_radius = corridor.minimum_radius_m
     params.closing_floor = corridor.closing_rate_mps
@@ -377,11 +377,11 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.alert_corridor, params.alert_angle = alert.alert_corridor_fraction, math.radians(alert.alert_attitude_deg)
     at_s = scenario.gnc.abort.at_s
     params.abort_at_s = math.inf if at_s is None else at_s
-    params.ready_point = (wanted.axial_distance_m, 0.0, 0.0)
-    params.ready_distance = (wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m)
-    params.ready_rate = (wanted.axial_rate_mps, wanted.radial_rate_mps, wanted.radial_rate_mps)
-    params.ready_angle = math.radians(wanted.angle_deg)
-    params.ready_angular_rate = math.radians(wanted.angular_rate_degps)
+    params.ready_point = (needs.axial_distance_m, 0.0, 0.0)
+    params.ready_distance = (needs.axial_tolerance_m, needs.radial_distance_m, needs.radial_distance_m)
+    params.ready_rate = (needs.axial_rate_mps, needs.radial_rate_mps, needs.radial_rate_mps)
+    params.ready_angle = math.radians(needs.angle_deg)
+    params.ready_angular_rate = math.radians(needs.angular_rate_degps)
     params.level_sigmas = protection_sigmas(scenario)
     # the built-in navigation watches innovations every 45 deg between the axes
     watches = scenario.gnc.navigation.backend in config.BUILT_IN["navigation"]
@@ -449,9 +449,9 @@ def _sets_without(thrusters: Thrusters, excluded: np.ndarray) -> np.ndarray:
 
 def _square(table: np.ndarray) -> np.ndarray:
     """Return ``table`` (n, n) in the shape of GNC_PARAMS."""
-    n, found = len(table), np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
-    found[:n, :n] = table
-    return found
+    n, padded = len(table), np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
+    padded[:n, :n] = table
+    return padded
 
 
 def control(scenario: Scenario, strength: Array) -> np.record:

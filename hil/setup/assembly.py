@@ -318,13 +318,13 @@ def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array,
 
     def axes() -> tuple[Array, Array]:
         if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
-            found = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
+            positions = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
         else:
-            found = bench.feedback[0].position, bench.feedback[1].position
+            positions = bench.feedback[0].position, bench.feedback[1].position
         if rotated is not None:
             at = target.servo.position if isinstance(target, MockAxes) else rotated.feedback.position
-            return relative_axes(bench.params, rotated.params, *found, at)
-        return found
+            return relative_axes(bench.params, rotated.params, *positions, at)
+        return positions
 
     return axes
 
