@@ -219,12 +219,12 @@ class Identification:
         self._target.rail_m, self._target.gimbal_rad = position[:3], position[3:]
         self._target.rail_mps, self._target.gimbal_radps = speed[:3], speed[3:]
 
-    def _next(self, before: Tick, counts: bool = True) -> Tick:
+    def _next(self, previous: Tick, counts: bool = True) -> Tick:
         """Wait for the next cycle, with the safety checks of a run."""
         tick = self._sequencer.tick()
         self._sequencer.hold_requested(Mode.PLACING)
         if counts:
-            self._done_s += tick.now_s - before.now_s
+            self._done_s += tick.now_s - previous.now_s
         if self._sequencer.ticks % _PROGRESS_CYCLES == 0:
             self._on_progress(self._title, min(1.0, self._done_s / self._all_s))
         return tick

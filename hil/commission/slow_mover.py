@@ -165,9 +165,9 @@ class SlowMover:
         if abs(measured - commanded) <= (_DEVIATION_M if axis < 3 else _DEVIATION_RAD):
             return
         name = self._bench.axis_names[axis]
-        found = f"{shown(axis, measured)} by the encoder"
+        observed = f"{shown(axis, measured)} by the encoder"
         if commanded * measured < 0.0:
             advice = "encoder and motor have opposite signs: invert one of them in the drive"
-            raise StepFailed(f"{name}: sign", shown(axis, commanded), found, advice)
+            raise StepFailed(f"{name}: sign", shown(axis, commanded), observed, advice)
         advice = "the axis does not follow: check brake, coupling, encoder and the drive's error message"
-        raise StepFailed(f"{name}: following", shown(axis, commanded), found, advice)
+        raise StepFailed(f"{name}: following", shown(axis, commanded), observed, advice)

@@ -297,9 +297,9 @@ class GncServer:
     def _arrivals(self) -> np.ndarray:
         """Return the measurements of further sensors in the input, (n,) of SENSOR_ARRIVAL."""
         n = int(self._input.measured.n_measurements)
-        found = np.zeros(n, SENSOR_ARRIVAL)
-        found["sample"] = self._input.measured.measurements[:n]
-        return found
+        arrivals = np.zeros(n, SENSOR_ARRIVAL)
+        arrivals["sample"] = self._input.measured.measurements[:n]
+        return arrivals
 
     def _actuate(self, cycle: int) -> None:
         """Run control on the present estimate and write the reply to the input ``cycle``."""

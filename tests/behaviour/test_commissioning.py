@@ -184,7 +184,7 @@ def test_no_of_the_technician_ends_it_with_the_axes_stopped(words: str, step: st
     assert trial.found is None
     assert trial.fails is not None
     assert trial.fails.what == step
-    assert "the technician" in trial.fails.found
+    assert "the technician" in trial.fails.observed
     assert trial.calls == ([] if step.startswith("io") else ["stop", "close"])
     assert words in trial.prompt.questions[-1]
 
@@ -212,7 +212,7 @@ def test_axis_that_deviates_from_its_encoder_is_detected_by_measurement(factor: 
     assert trial.fails is not None
     assert trial.fails.what == f"turntable.yaw: {step}"
     assert "+2.000 deg within 2 %" in trial.fails.expected
-    assert f"{2.0 * factor:+.3f} deg measured" in trial.fails.found
+    assert f"{2.0 * factor:+.3f} deg measured" in trial.fails.observed
     assert trial.calls == ["stop", "close"]
 
 
@@ -248,7 +248,7 @@ def test_encoder_that_does_not_go_with_the_command_is_found(factor: float, step:
     assert trial.fails is not None
     assert trial.fails.what == f"rails.x: {step}"
     assert word in trial.fails.advice
-    assert "by the encoder" in trial.fails.found
+    assert "by the encoder" in trial.fails.observed
     assert trial.calls == ["stop", "close"]
     assert float(np.ptp(np.array(trial.places)[:, X])) <= 0.02 + 1e-9
 
@@ -260,7 +260,7 @@ def test_emergency_stop_with_a_broken_wire_is_found_before_anything_is_opened() 
     trial = commissioned((X,), prepare=broken)
     assert trial.fails is not None
     assert trial.fails.expected == "input opens"
-    assert "still closed after 120 s" in trial.fails.found
+    assert "still closed after 120 s" in trial.fails.observed
     assert trial.calls == []
 
 
@@ -276,7 +276,7 @@ def test_relay_that_closes_by_itself_after_the_release_is_found() -> None:
 
     trial = commissioned((X,), prepare=by_itself)
     assert trial.fails is not None
-    assert trial.fails.found == "closed without reset"
+    assert trial.fails.observed == "closed without reset"
     assert trial.calls == []
 
 
