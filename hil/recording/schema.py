@@ -102,8 +102,8 @@ def describe(name: str, fields: Fields) -> bytes:
         "encoding": "packed record, little-endian; type as in numpy",
         "size": dtype.itemsize,
         "fields": [
-            {**place, "unit": field.unit, "frame": field.frame, "description": field.meaning}
-            for place, field in zip(flat_fields(dtype), leaf_fields(fields), strict=True)
+            {**entry, "unit": field.unit, "frame": field.frame, "description": field.meaning}
+            for entry, field in zip(flat_fields(dtype), leaf_fields(fields), strict=True)
         ],
     }
     return json.dumps(table, indent=1).encode()
@@ -202,10 +202,10 @@ def with_present_names(model: str, table: Table) -> Table:
             value = [present_key(model, key) for key in value]
         elif model == "Scenario" and isinstance(value, str):
             value = _VALUES.get((*parents, last), {}).get(value, value)
-        place = present
+        node = present
         for parent in parents:
-            place = place.setdefault(parent, {})
-        place[last] = value
+            node = node.setdefault(parent, {})
+        node[last] = value
     return present
 
 

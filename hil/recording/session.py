@@ -152,7 +152,7 @@ def _plain(name: str) -> str:
 
 def required_sinks(job: Job) -> set[str]:
     """Return the names in ``RecordingSinks`` to which a run of ``job`` writes: rings of images are large."""
-    scenario, wanted = job.scenario.value, image_policy(job.rig.value).encoding != "none"
+    scenario, with_images = job.scenario.value, image_policy(job.rig.value).encoding != "none"
     required = {"cycles", "arrivals", "log"}
     if scenario.imu_samples > 1:
         required.add("imu_samples")
@@ -164,10 +164,10 @@ def required_sinks(job: Job) -> set[str]:
         required.add("manipulator_samples")
     if job.rig.value.groups_at_places:
         required.add("held_samples")
-    if scenario.vmu.source == "rendered" and wanted:
+    if scenario.vmu.source == "rendered" and with_images:
         required.add("images")
     for used in used_parts(scenario, job.rig.value):
-        required |= {name for name, sink in used.part.sinks.items() if sink.topic or wanted}
+        required |= {name for name, sink in used.part.sinks.items() if sink.topic or with_images}
     return required
 
 
