@@ -160,7 +160,7 @@ def read_back(geometry: VmuGeometry, source: str) -> StoredCalibration:
     if calibration is None:
         raise BadInput.single(source, "calibration", "is missing: a file written by hil calibrate is required")
     if calibration.target.startswith(HAND_HELD):
-        text = f'"{calibration.target}": has no bench positions to compare with; calibrate with views at known positions'
+        text = f'"{calibration.target}": has no bench positions to compare with; calibrate with views at given ones'
         raise BadInput.single(source, "calibration.target", text)
     n = len(calibration.covariance)
     if n not in (COMMON, COMMON + 3 * len(geometry.leds_m)):

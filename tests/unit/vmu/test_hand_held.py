@@ -144,7 +144,7 @@ def test_command_writes_a_geometry_file_from_pairs_of_images(mock_rig: Rig, tmp_
     )
     assert geometry.calibration is not None
     assert geometry.calibration.target == "hand-held board 9x6 40 mm"
-    with pytest.raises(BadInput, match="no positions of a bench"):
+    with pytest.raises(BadInput, match="no bench positions"):
         read_back(geometry, str(out))
 
 
