@@ -118,11 +118,11 @@ def _judged(store: Store, scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def draw_margins(found: list[dict[str, Any]], path: Path) -> None:
+def draw_margins(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw the rate of accepted cases of each part against its delay into ``path``."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     plot = figure.subplots()
-    for each in found:
+    for each in rows:
         delays = [1e3 * point["delay_s"] for point in each["points"]]
         rates = [100.0 * point["pass_rate"]["rate"] for point in each["points"]]
         plot.plot(delays, rates, marker="o", markersize=4, label=each["part"])

@@ -216,9 +216,9 @@ def verdict_line(rare: dict[str, Any]) -> str:
         extreme = _number(rare["extreme"])
         return f"{event}: never met, probability below {rare_events.LEAST:g}; extreme {extreme} of {cases}"
     if rare["verdict"] == rare_events.STUCK:
-        known = f"{rare['without_value']} cases have no value; " if rare["without_value"] else ""
+        missing = f"{rare['without_value']} cases have no value; " if rare["without_value"] else ""
         return (
-            f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {known}"
+            f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {missing}"
             f"probability at most {rare['high']:.2g}, {cases}"
         )
     if rare["probability"] is None:
@@ -248,7 +248,7 @@ def stored_seed(case: int, campaign_seed: int, parents: Callable[[int], tuple[in
     line = [(case, *parents(case))]
     while line[-1][1] != rare_events.FRESH:
         line.append((line[-1][1], *parents(line[-1][1])))
-    found = MixedSeed.fresh(case_seed(campaign_seed, line[-1][0]))
+    mixed = MixedSeed.fresh(case_seed(campaign_seed, line[-1][0]))
     for number, _, scale in reversed(line[:-1]):
-        found = found.moved(case_seed(campaign_seed, number), scale)
-    return found
+        mixed = mixed.moved(case_seed(campaign_seed, number), scale)
+    return mixed
