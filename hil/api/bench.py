@@ -265,8 +265,8 @@ class Bench:
         runner = self._operator.runner
         if runner is None:
             raise self._ended_error("read the encoders")
-        found: np.record = runner.loop.now.feedback.copy()
-        return found
+        feedback: np.record = runner.loop.now.feedback.copy()
+        return feedback
 
     def target_feedback(self) -> np.record:
         """Return the newest encoder samples of the rotary manipulator: ``angle_rad``, ``rate_radps``, (3,) each.
@@ -279,9 +279,9 @@ class Bench:
         manipulator = runner.loop.bench.manipulator
         if manipulator is None:
             raise BenchError(f"bench: cannot read the target's encoders, {self._request.rig_name} rotates no target")
-        found = new(record_dtype(GIMBALS_FIELDS))
-        found.angle_rad, found.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
-        return found
+        feedback = new(record_dtype(GIMBALS_FIELDS))
+        feedback.angle_rad, feedback.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
+        return feedback
 
     def axis_feedback(self, axis: str) -> tuple[float, float]:
         """Return the newest position and rate of one axis, by its encoder: m and m/s, or rad and rad/s.
@@ -293,12 +293,12 @@ class Bench:
             raise self._ended_error("read the encoders")
         groups = zip((runner.loop.bench.rails, runner.loop.bench.turntable), runner.loop.bench.feedback, strict=True)
         others = ((group.axes, group.feedback) for group in runner.loop.target.groups)
-        for device, found in (*groups, *others):
+        for device, feedback in (*groups, *others):
             if axis in device.axis_names:
                 number = device.axis_names.index(axis)
-                return float(found.position[number]), float(found.rate[number])
-        known = ", ".join(self._job.rig.value.axis_names)
-        raise BadInput.single("axis_feedback", "", f"{axis!r}: must be one of {known}")
+                return float(feedback.position[number]), float(feedback.rate[number])
+        names = ", ".join(self._job.rig.value.axis_names)
+        raise BadInput.single("axis_feedback", "", f"{axis!r}: must be one of {names}")
 
     def home(self, timeout_s: float = 180.0) -> None:
         """Home the axes that need it."""
@@ -409,10 +409,10 @@ class Bench:
     def _execute_step(self, step: _Step) -> bool:
         if not self._thread.is_alive():
             raise self._ended_error(step.name)
-        found = self._operator.execute(step)
-        if not found and self._failure is not None:
+        completed = self._operator.execute(step)
+        if not completed and self._failure is not None:
             raise self._failure
-        return found
+        return completed
 
     def _ended_error(self, what: str) -> BenchError:
         why = f": {self.result.stop}" if self.result is not None else ""

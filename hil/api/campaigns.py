@@ -146,8 +146,8 @@ def sweep(
     if not swept.values:
         raise BadInput.single("values", "", "must be one number or more")
     more: Any = options
-    found: SweepResults = campaign(scenario, runs, out, seed, overrides=overrides, sweep=swept, **more)
-    return found
+    results: SweepResults = campaign(scenario, runs, out, seed, overrides=overrides, sweep=swept, **more)
+    return results
 
 
 def rare_event(
@@ -195,10 +195,10 @@ def rare_event(
         Invalid arguments, with one line per error.
     """
     more: Any = options
-    found: StudyResults = campaign(
+    study: StudyResults = campaign(
         scenario, runs, out, seed, overrides=overrides, workers=workers, rare=event, method=method, **more
     )
-    return found
+    return study
 
 
 def sobol_indices(
@@ -215,5 +215,5 @@ def sobol_indices(
     The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
     more: Any = options
-    found: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)
-    return found
+    study: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)
+    return study

@@ -111,8 +111,8 @@ class Replay:
         own: OwnBackends = NO_BACKENDS,
     ) -> None:
         kept: list[np.ndarray] = []
-        found = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now), own)
-        self.recording, self.scenario, self.changed, self.result, self.navigation = recording, *found
+        replayed = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now), own)
+        self.recording, self.scenario, self.changed, self.result, self.navigation = recording, *replayed
         recorded, rows = recording.recorded, np.concatenate(kept) if kept else recording.history[:0]
         numbers = recording.summary | {"navigation": self.navigation["replayed"]}
         self.run = Recording(replace(recorded, cycles=rows, scenario=self.scenario, summary=numbers))
@@ -159,7 +159,7 @@ def _replayed(
     gnc: str | Path | PythonGnc | None,
     settings: Settings,
     batches: Iterable[RowBatch] | None,
-    keep: Callable[[np.ndarray, np.ndarray], None] = lambda before, now: None,
+    keep: Callable[[np.ndarray, np.ndarray], None] = lambda original, now: None,
     own: OwnBackends = NO_BACKENDS,
 ) -> tuple[Scenario, bool, Replayed, dict[str, dict[str, Any]]]:
     """Return scenario, whether the GNC is another one, replay and errors of the estimate. Raises BadInput.
@@ -184,14 +184,14 @@ def _replayed(
         backend = make_backend(scenario, own)
     errors = {which: new(NAVIGATION_SUMS) for which in ("recorded", "replayed")}
 
-    def add(before: np.ndarray, now: np.ndarray) -> None:
-        for which, rows in (("recorded", before), ("replayed", now)):
+    def add(original: np.ndarray, now: np.ndarray) -> None:
+        for which, rows in (("recorded", original), ("replayed", now)):
             count_navigation_of_rows(SETTLED_S, errors[which], rows.view(np.ndarray))
-        keep(before, now)
+        keep(original, now)
 
-    found = replay(recorded, scenario, backend, batches, add)
+    replayed = replay(recorded, scenario, backend, batches, add)
     raise_user_error(backend)
-    return scenario, changed, found, {which: navigation_numbers(sums) for which, sums in errors.items()}
+    return scenario, changed, replayed, {which: navigation_numbers(sums) for which, sums in errors.items()}
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:

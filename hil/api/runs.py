@@ -114,10 +114,10 @@ def run(
         with named_as_argument():
             build.check(job)
         compilation.finish(log.warning)
-    found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
-    if STOPPED_BY_OPERATOR in found.summary["faults"]:
+    completed = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
+    if STOPPED_BY_OPERATOR in completed.summary["faults"]:
         raise KeyboardInterrupt(STOPPED_BY_OPERATOR)
-    return found
+    return completed
 
 
 def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple[Job, dict[str, Any]]:
@@ -137,11 +137,11 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
 def run_or_raise(request: RunRequest) -> Run:
     """Return the results of ``run_job``; in simulated time raise what an object of the user has raised."""
     runners: list[Runner] = []
-    found = run_job(replace(request, prepare=lambda parts: parts.on_built.append(runners.append)))
+    completed = run_job(replace(request, prepare=lambda parts: parts.on_built.append(runners.append)))
     if request.job.rig.value.kind == "mock" and not request.job.paced:
         for runner in runners:
             raise_user_error(runner.loop.gnc)
-    return found
+    return completed
 
 
 def raise_user_error(gnc: GncBackend) -> None:
@@ -193,12 +193,12 @@ def run_job(request: RunRequest) -> Run:
         with build.opened(job, parts, recorder.sinks if recorder else None) as runner:
             outcome = runner.run()
             results = parts.results_of(outcome)
-        found = judged_run(job, request.rig_name, outcome, results, numbers(outcome))
-        found.summary.update(request.more | request.link_stats())
+        judged = judged_run(job, request.rig_name, outcome, results, numbers(outcome))
+        judged.summary.update(request.more | request.link_stats())
         if recorder:
-            kept = recorder.finish(found.summary)
-            found.summary["recording"] = {"file": str(recorder.path), "dropped": kept.dropped, "problem": kept.problem}
-    return found
+            kept = recorder.finish(judged.summary)
+            judged.summary["recording"] = {"file": str(recorder.path), "dropped": kept.dropped, "problem": kept.problem}
+    return judged
 
 
 def judged_run(
@@ -214,6 +214,6 @@ def judged_run(
     summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers)
     summary |= {result.table: result.numbers for result in results}
     rows = {name: rows for result in results for name, rows in result.rows.items()}
-    found = run_of(job, rig, outcome, summary, rows)
-    found.verdict = verdict
-    return found
+    judged = run_of(job, rig, outcome, summary, rows)
+    judged.verdict = verdict
+    return judged
