@@ -95,10 +95,10 @@ class _Nearest:
         least, which = math.inf, 0
         for moving, turns, band_m in self._moving:
             attitude = q if turns else _NO_TURN
-            left = clearance(moving, centre, attitude, v, 0.0, self._fixed, 0.0, self._brake, 1.0, _FAR_M, self._found)
-            left -= points.margin[k] + band_m
-            if left < least:
-                least, which = left, int(self._found[WHICH])
+            gap = clearance(moving, centre, attitude, v, 0.0, self._fixed, 0.0, self._brake, 1.0, _FAR_M, self._found)
+            gap -= points.margin[k] + band_m
+            if gap < least:
+                least, which = gap, int(self._found[WHICH])
         return least, which
 
 
@@ -117,12 +117,12 @@ def _points(plan: list[PlanSample], margins: Array) -> _Points:
     numbers, r, rotation, v = [], [], [], []
     between = np.linspace(0.0, 1.0, _BETWEEN + 1)[1:, None]
     for k, moment in enumerate(plan):
-        before = plan[k - 1] if k and plan[k - 1].abort_s == moment.abort_s else moment
-        fraction = between if before is not moment else between[-1:]
+        previous = plan[k - 1] if k and plan[k - 1].abort_s == moment.abort_s else moment
+        fraction = between if previous is not moment else between[-1:]
         numbers += [k] * len(fraction)
-        r.append(before.r_CT_H + fraction * (moment.r_CT_H - before.r_CT_H))
-        rotation.append(before.rotation + fraction * (moment.rotation - before.rotation))
-        faster = before if linear.length(before.v_CT_H) > linear.length(moment.v_CT_H) else moment
+        r.append(previous.r_CT_H + fraction * (moment.r_CT_H - previous.r_CT_H))
+        rotation.append(previous.rotation + fraction * (moment.rotation - previous.rotation))
+        faster = previous if linear.length(previous.v_CT_H) > linear.length(moment.v_CT_H) else moment
         v.append(np.broadcast_to(faster.v_CT_H, (len(fraction), 3)))
     q = np.array([quat.from_rotation_vector(each) for each in np.concatenate(rotation)])
     half = linear.lengths(margins)[numbers]

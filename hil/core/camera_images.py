@@ -137,14 +137,14 @@ def image_row(
 
 def overlay_json(shapes: Sequence[Shape], size_max: int = OVERLAY_BYTES) -> bytes:
     """Return the first of ``shapes`` that fit into a JSON list of ``size_max`` bytes; shapes with a nan are dropped."""
-    texts, left = [], size_max - 2
+    texts, remaining = [], size_max - 2
     for shape in shapes:
         try:
             text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
         except ValueError:
             continue
-        left -= len(text) + 1
-        if left < 0:
+        remaining -= len(text) + 1
+        if remaining < 0:
             break
         texts.append(text)
     return b"[" + b",".join(texts) + b"]"

@@ -141,8 +141,8 @@ def _why_not(folder: Path) -> str:
     return "" if free >= _FREE_BYTES else f"has {free >> 20} MiB of free space, {_FREE_BYTES >> 20} are needed"
 
 
-def _why_unsafe(path: Path, found: os.stat_result) -> str:
-    reason = why_unsafe(found)
+def _why_unsafe(path: Path, status: os.stat_result) -> str:
+    reason = why_unsafe(status)
     return f"{path.name} {reason}, whose code it would run" if reason else ""
 
 

@@ -63,9 +63,9 @@ class MixedSeed(int):
     means: Mapping[str, np.ndarray] = MappingProxyType({})
 
     def __new__(cls, seeds: Sequence[int], weights: Sequence[float]) -> Self:
-        found = super().__new__(cls, seeds[0])
-        found.seeds, found.weights = tuple(seeds), tuple(weights)
-        return found
+        mixed = super().__new__(cls, seeds[0])
+        mixed.seeds, mixed.weights = tuple(seeds), tuple(weights)
+        return mixed
 
     def __getnewargs__(self) -> tuple[tuple[int, ...], tuple[float, ...]]:  # type: ignore[override]
         return self.seeds, self.weights
@@ -82,9 +82,9 @@ class MixedSeed(int):
 
     def shifted(self, means: Mapping[str, np.ndarray]) -> Self:
         """Return this noise with ``means`` added to its standard normals."""
-        found = type(self)(self.seeds, self.weights)
-        found.means = means
-        return found
+        mixed = type(self)(self.seeds, self.weights)
+        mixed.means = means
+        return mixed
 
 
 class _MixedNoise:
