@@ -137,10 +137,10 @@ def select(sets, n, command):
     for j in range(n):
         on[j] = 0
     for axis in range(6):
-        wanted = command.force[axis] if axis < 3 else command.torque[axis - 3]
-        if wanted != 0:
+        demand = command.force[axis] if axis < 3 else command.torque[axis - 3]
+        if demand != 0:
             row = axis + 6 if axis < 3 and command.boost != 0 else axis
-            sign = 1 if wanted > 0 else -1
+            sign = 1 if demand > 0 else -1
             for j in range(n):  # votes
                 on[j] += sign * (sets[row, 1, j] - sets[row, 0, j])
     for j in range(n):

@@ -146,9 +146,9 @@ def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, p
     reach = lead * params.correction_rate[axis]
     s = min(reach, max(-reach, error)) + lead * (rate + pending)
     band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
-    wanted = -math.copysign(max(0.0, abs(s) - band), s) / lead
+    delta_v = -math.copysign(max(0.0, abs(s) - band), s) / lead
     sense = math.copysign(1.0, sustained)
-    return sense * max(sense * wanted, -max(0.0, _JUST_FIRED * pulse + sense * (pending + coming)))
+    return sense * max(sense * delta_v, -max(0.0, _JUST_FIRED * pulse + sense * (pending + coming)))
 
 
 @kernel
@@ -210,8 +210,8 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
     most = params.go_fraction * params.rate_max[axis]
     while cycles != 0 and pulse > COAST_OF_TOLERANCE * params.rate_max[axis] and abs(error) <= tolerance:
         gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
-        left = owed + feedback * cycles / asked - gain
-        after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))
+        remaining = owed + feedback * cycles / asked - gain
+        after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, remaining)))
         leaves = abs(error) > params.go_fraction * tolerance and error * rate >= 0.0
         if after <= max(abs(rate), most) or (leaves and abs(cycles) == 1):
             break
@@ -220,7 +220,7 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
 
 
 @kernel
-def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sustained, acceleration, command):
+def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, feed_forward, sustained, acceleration, command):
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
     feed: FEED_FORWARD, of which the firings are used. error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their
@@ -247,7 +247,7 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sust
             time = predicted_burn(error, rate + command.owed[axis], acceleration, lead, bands, shortest)
         else:
             time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
-        owed, coming, feedback = command.owed[axis], wanted * period * dt, 0.0
+        owed, coming, feedback = command.owed[axis], feed_forward * period * dt, 0.0
         if command.boost == 0 and is_steady(params, axis, error, sustained, pulse):
             feedback = modulation(
                 params, axis, error, rate, sigma, sigma_rate, sustained, pulse, owed, coming
@@ -269,13 +269,13 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sust
         command.owed[axis] -= (firing_time(cycles, least, extra, dt) - feedback) * acceleration
         command.cycles_left[axis] = cycles
         command.until_decision[axis] = period
-    command.owed[axis] += wanted * dt
+    command.owed[axis] += feed_forward * dt
     command.until_decision[axis] -= 1
-    left = command.cycles_left[axis]
+    remaining = command.cycles_left[axis]
     demand = 0
-    if left > 0:
+    if remaining > 0:
         demand = 1
-    elif left < 0:
+    elif remaining < 0:
         demand = -1
     command.cycles_left[axis] -= demand
     if axis < 3:

@@ -348,9 +348,9 @@ def advance(params, state, t_s, go, held):
 
     go: 1 at the order to continue, refused if the next phase is not allowed. held: HOLDS_FINAL, HOLDS_HOLD, 0.
     """
-    found = STAYED
+    move = STAYED
     if go != 0 and kind_of(params, state.phase) == WAIT:
-        found = REFUSED
+        move = REFUSED
     _plan_again(params, state, t_s)
     ends = _ends_at(params, state, go)
     while ends <= t_s:
@@ -368,9 +368,9 @@ def advance(params, state, t_s, go, held):
         _keep_attitude(state, 1.0)
         state.phase += 1
         _aim(params, state)
-        found = MOVED
+        move = MOVED
         ends = _ends_at(params, state, go)
-    return found
+    return move
 
 
 @kernel

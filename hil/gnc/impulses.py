@@ -171,14 +171,14 @@ def gather(program):
     total, moment, falls = 0.0, 0.0, False
     for k in range(1, last + 1):
         size = size_of(program.u[k]) if k < last else 0.0
-        before = size_of(program.u[k - 1]) if k > 1 else 0.0
-        ends = size <= _SMALL * program.sum or (falls and size > before)
+        previous = size_of(program.u[k - 1]) if k > 1 else 0.0
+        ends = size <= _SMALL * program.sum or (falls and size > previous)
         if ends and total > 0.0 and kept < MAX_IMPULSES - 1:
             program.at_s[kept] = moment / total
             kept += 1
         if ends:
             total, moment = 0.0, 0.0
-        falls = size < before
+        falls = size < previous
         if size > _SMALL * program.sum:
             total += size
             moment += size * program.at_s[k]

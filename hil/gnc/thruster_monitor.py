@@ -152,8 +152,8 @@ def _explain(params, residual, thrust, explained):
             if turn == 0:
                 most = max(most, part)
                 continue
-            found = possible and abs(error) >= _THRUST_MIN * max(0.5, thrust[j]) and part >= _TIE * most
-            explained[j] = error if found and square - part <= _UNEXPLAINED_MAX * square else 0.0
+            is_failed = possible and abs(error) >= _THRUST_MIN * max(0.5, thrust[j]) and part >= _TIE * most
+            explained[j] = error if is_failed and square - part <= _UNEXPLAINED_MAX * square else 0.0
 
 
 @kernel
@@ -369,9 +369,9 @@ def _measure_axis_pulses(params, state, thrust, rate):
 def _mean_thrust(params, state, delay, out):
     """Write the expected mean (n,) over the last two cycles, with the valves ``delay`` cycles late."""
     last = (state.row - delay + DELAYS) % DELAYS
-    before = (last - 1 + DELAYS) % DELAYS
+    earlier = (last - 1 + DELAYS) % DELAYS
     for j in range(params.n):
-        out[j] = 0.5 * (state.past[last, j] + state.past[before, j])
+        out[j] = 0.5 * (state.past[last, j] + state.past[earlier, j])
 
 
 @kernel

@@ -106,9 +106,9 @@ def take_apart(out, cycle, n_thrusters, navigation, control):
         copy_into(control.torque, out.torque)
     else:
         copy_into(control.on, out.on)
-    fault, place = backend_outputs.fault_of_demands(control, n_thrusters)
+    fault, index = backend_outputs.fault_of_demands(control, n_thrusters)
     if fault != FINE or out.estimate == 0:
-        return fault, place
+        return fault, index
     copy_into(navigation.r_CT_H, out.r_CT_H_m)
     copy_into(navigation.v_CT_H, out.v_CT_H_mps)
     copy_into(navigation.q_CH, out.q_CH)

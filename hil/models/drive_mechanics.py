@@ -109,9 +109,9 @@ def drive_mechanics_step(axes, m, dt):
         rigid = m.stiffness[i] == 0.0
         for _ in range(n):
             error = axes.setpoint[i] - encoder_reading(motor, m.encoder_step[i])
-            wanted = axes.feedforward[i] + axes.kp[i] * error
-            wanted = min(axes.rate_max[i], max(-axes.rate_max[i], wanted))
-            acceleration = (wanted - reference) / axes.tau[i]
+            demand = axes.feedforward[i] + axes.kp[i] * error
+            demand = min(axes.rate_max[i], max(-axes.rate_max[i], demand))
+            acceleration = (demand - reference) / axes.tau[i]
             acceleration = min(axes.acceleration_max[i], max(-axes.acceleration_max[i], acceleration))
             reference += h * acceleration
             behind = reference - motor_rate

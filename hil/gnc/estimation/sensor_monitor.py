@@ -82,7 +82,7 @@ def watch(params, monitor, n, arrival, passes):
 
 
 @kernel
-def bound_missed(params, found, monitor, n):
+def bound_missed(params, innovation, monitor, n):
     """Raise the ``missed`` errors by what a fault of one of ``n`` components leads to before it is found.
 
     found: INNOVATION. The fault is a step or a ramp of the component, which the expected value follows by
@@ -91,18 +91,18 @@ def bound_missed(params, found, monitor, n):
     """
     steps = min(params.cusum_limit / params.mean_shift, max(1.0, monitor.accepted / _CONFIRMED_FRACTION))
     for c in range(n):
-        follows, speed = 1.0 - found.noise[c, c] / found.s[c, c], 0.0
+        follows, speed = 1.0 - innovation.noise[c, c] / innovation.s[c, c], 0.0
         if not follows > _NO_CHANGE:
             continue
         for i in range(3):
-            speed += found.h[c, R + i] * found.gain[c, V + i] * monitor.interval_s
+            speed += innovation.h[c, R + i] * innovation.gain[c, V + i] * monitor.interval_s
         step, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 0, np.inf)
         ramp, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 1, np.inf)
-        size = max(step, ramp) * math.sqrt(found.s[c, c]) / follows
+        size = max(step, ramp) * math.sqrt(innovation.s[c, c]) / follows
         for i in range(3):
-            monitor.missed_m[i] = max(monitor.missed_m[i], size * abs(found.gain[c, R + i]))
-            monitor.missed_mps[i] = max(monitor.missed_mps[i], size * abs(found.gain[c, V + i]))
-            monitor.missed_rad = max(monitor.missed_rad, size * abs(found.gain[c, ROTATION + i]))
+            monitor.missed_m[i] = max(monitor.missed_m[i], size * abs(innovation.gain[c, R + i]))
+            monitor.missed_mps[i] = max(monitor.missed_mps[i], size * abs(innovation.gain[c, V + i]))
+            monitor.missed_rad = max(monitor.missed_rad, size * abs(innovation.gain[c, ROTATION + i]))
 
 
 @kernel

@@ -246,21 +246,21 @@ def write_input(params, of_pkf, errors, filters, step):
 
 
 @kernel
-def bias_innovation(of_pkf, errors, filters, mean, count, found):
-    """Write innovation and sensitivity of the ``mean`` (3,) of ``count`` quiet readings into ``found`` (INNOVATION)."""
-    fill_matrix(found.h, 0.0)
+def bias_innovation(of_pkf, errors, filters, mean, count, innovation):
+    """Write innovation and sensitivity of the ``mean`` (3,) of ``count`` quiet readings into ``innovation``."""
+    fill_matrix(innovation.h, 0.0)
     for i in range(3):
-        found.value[i] = mean[i] - filters.pkf.x[6 + i]
-        found.h[i, BIAS + i] = found.h[i, errors.disturbance + i] = 1.0
-        fill(found.noise[i], 0.0)
-        found.noise[i, i] = of_pkf.sigma_accelerometer**2 / count
+        innovation.value[i] = mean[i] - filters.pkf.x[6 + i]
+        innovation.h[i, BIAS + i] = innovation.h[i, errors.disturbance + i] = 1.0
+        fill(innovation.noise[i], 0.0)
+        innovation.noise[i, i] = of_pkf.sigma_accelerometer**2 / count
 
 
 @kernel
-def admit_jump(errors, filters, found):
+def admit_jump(errors, filters, innovation):
     """Take an innovation of quiet readings that neither bias nor disturbance explain as a possible change of both."""
     for i in range(3):
-        square = found.value[i] ** 2
+        square = innovation.value[i] ** 2
         filters.p[BIAS + i, BIAS + i] += square
         d = errors.disturbance + i
         filters.p[d, d] += square

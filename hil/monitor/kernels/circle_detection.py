@@ -63,8 +63,8 @@ def fit_circle(points, near, start, turns):
         for i in range(n):
             du, dv = points[i, 0] - start[0], points[i, 1] - start[1]
             distance = math.hypot(du, dv)
-            left = distance - start[2]
-            if abs(left) > near or distance <= 0.0:
+            residual = distance - start[2]
+            if abs(residual) > near or distance <= 0.0:
                 continue
             used += 1
             a, b = du / distance, dv / distance
@@ -74,9 +74,9 @@ def fit_circle(points, near, start, turns):
             s11 += b * b
             s12 += b
             s22 += 1.0
-            t0 += a * left
-            t1 += b * left
-            t2 += left
+            t0 += a * residual
+            t1 += b * residual
+            t2 += residual
         c00, c01, c02 = s11 * s22 - s12 * s12, s02 * s12 - s01 * s22, s01 * s12 - s02 * s11
         det = s00 * c00 + s01 * c01 + s02 * c02
         if used < 6 or abs(det) < 1e-9:

@@ -163,13 +163,13 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
                     state[STATE_FULL] = 1
                     return
                 state[STATE_TRIPLES] += 1
-                found = ray_lengths(
+                n_solutions = ray_lengths(
                     y1, y2, y3, squares[p, q], squares[p, s], squares[q, s], here, vectors, values, lengths
                 )
-                if found == 0:
+                if n_solutions == 0:
                     continue
                 axes_of_three(leds[p], leds[q], leds[s], there)
-                for m in range(found):
+                for m in range(n_solutions):
                     for e in range(3):
                         ends[0, e] = lengths[m, 0] * y1[e]
                         ends[1, e] = lengths[m, 1] * y2[e]
