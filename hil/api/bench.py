@@ -1,6 +1,6 @@
 """Bench under a test procedure in Python: ``hil.Bench``.
 
-The session runs in a thread of its own; the procedure's commands go through the queue of an operator, as those of the
+The session runs in a thread of its own; the procedure's commands go through an operator's queue, like commands of the
 console do. While a command is executed the procedure waits: its thread must not compete with the loop's.
 """
 
@@ -37,7 +37,7 @@ from hil.session.warm_up import compile_kernels
 
 Until = Literal["ready", "end"] | float
 _ON_HOLD: Final = "on hold"
-_POLL_WALL_S: Final = 0.2  # of the procedure's thread, so that Ctrl-C is noticed
+_POLL_WALL_S: Final = 0.2  # polling period of the procedure's thread, so that Ctrl-C is noticed
 _END_WALL_S: Final = 60.0
 _OPEN_S: Final = 60.0
 
@@ -184,7 +184,7 @@ class Bench:
         record: str | Path | None = None,
         speed: float = 1.0,
     ) -> None:
-        """Check the arguments, which are those of ``hil.run``. Raises BadInput; nothing moves and nothing is opened.
+        """Check the arguments: see ``hil.run``. Raises BadInput; nothing moves and nothing is opened.
 
         overrides: ``{"faults": [...]}`` injects faults. speed: relative to real time, on rigs that run in real time.
         """
@@ -233,7 +233,7 @@ class Bench:
 
     @property
     def alarms(self) -> list[Alarm]:
-        """Alarms of the session so far, as in ``Run.alarms``, those of high priority first; kept after its end."""
+        """Alarms of the session so far, as in ``Run.alarms``, high priority first; kept after its end."""
         runner = self._operator.runner
         return list(runner.safety.alarms.all()) if runner is not None else []
 
@@ -243,7 +243,7 @@ class Bench:
 
     @property
     def evidence(self) -> list[EvidenceRow]:
-        """Result, margin and status of each requirement, of the run so far: that of the last ``start`` or ``resume``.
+        """Result, margin and status of each requirement, of the run so far, since the last ``start`` or ``resume``.
 
         Raises BenchError before the first of them has returned.
         """
@@ -286,7 +286,7 @@ class Bench:
     def axis_feedback(self, axis: str) -> tuple[float, float]:
         """Return the newest position and rate of one axis, by its encoder: m and m/s, or rad and rad/s.
 
-        axis: as of ``jog``. Raises BadInput.
+        axis: as in ``jog``. Raises BadInput.
         """
         runner = self._operator.runner
         if runner is None:

@@ -29,7 +29,7 @@ _TIMED: Final = 3
 
 
 class Row(NamedTuple):
-    """A campaign of the set. name: also that of its folder. faults: as of ``[[faults]]``."""
+    """A campaign of the set. name: also the name of its folder. faults: tables as in ``[[faults]]``."""
 
     name: str
     scenario: str

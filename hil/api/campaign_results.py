@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None, unit: Array | None = None) -> Job:
-    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed.
+    """Return the job of a campaign's case: its true scenario, the GNC's scenario, and its own seed.
 
     mixed: that seed in a campaign of a rare event or of Sobol' indices. unit: in the latter, the point of the dispersed
     numbers in the unit cube.
@@ -42,7 +42,7 @@ def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None, unit: Array
 def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str]:
     """Return the job of a case of the campaign in ``folder``, the campaign's seed, and a note if the scenario differs.
 
-    job: the nominal run; seed and duration are those of the campaign. Raises BadInput.
+    job: the nominal run with the campaign's seed and duration. Raises BadInput.
     """
     stored = StoredCampaign(folder)
     job = replace(job, seed=stored.seed, duration_s=stored.duration_s)
@@ -60,7 +60,7 @@ def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str
 def campaign_case(job: Job, case: int, folder: str | Path | None) -> tuple[Job, dict[str, Any], str]:
     """Return the job of a case, what the summary of its run has of it, and a note, "" for none. Raises BadInput.
 
-    folder: of the campaign; None for that of the scenario and seed of ``job``.
+    folder: of the campaign; None: named by scenario and seed of ``job``.
     """
     if folder is None:
         return job_of_case(job, case), {"campaign_seed": job.seed, "case": case}, ""
@@ -85,7 +85,7 @@ class Campaign:
     def accepted_rate(self) -> dict[str, float | int]:
         """Fraction of the cases that are accepted: completed, not aborted, all parts that the scenario requires.
 
-        Keys as of ``pass_rate``.
+        Keys: as in ``pass_rate``.
         """
         rate: dict[str, float | int] = self.summary["pass_rate"]["accepted"]
         return rate

@@ -34,7 +34,7 @@ class StudyArguments(CampaignArguments, total=False):
 
 
 class SharedArguments(CampaignArguments, total=False):
-    """Further arguments of studies, as of ``hil.campaign``."""
+    """Further arguments of studies, as in ``hil.campaign``."""
 
     duration_s: float | None
 
@@ -212,7 +212,7 @@ def sobol_indices(
 ) -> StudyResults:
     """Compute Sobol' indices of the outcomes, of each dispersed number and the noise, from ``rows`` x (d + 3) cases.
 
-    The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
+    Other parameters and errors: see ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
     more: Any = options
     study: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)

@@ -98,7 +98,7 @@ def _path(argument: str, value: object) -> str:
 
 
 def rig_name(rig: str | Path | Rig) -> str:
-    """Return the name of a rig in reports: as given, or that of the object."""
+    """Return the name of a rig in reports: as given, or the object's name."""
     return rig.name if isinstance(rig, Rig) else str(rig)
 
 

@@ -36,7 +36,7 @@ _ALARM_FIELDS = {field.name for field in fields(Alarm)}
 def open_recording(path: str | Path) -> Recording:
     """Return the run recorded at ``path`` (``*.mcap`` of ``hil run --record``).
 
-    Recordings of earlier versions and truncated ones can be read; of those the intact part. Raises BadInput for a file
+    Recordings of earlier versions and truncated ones can be read as far as intact. Raises BadInput for a file
     that is no recording or cannot be read.
     """
     return Recording(load(Path(path)))
@@ -119,7 +119,7 @@ class Replay:
 
     @property
     def identical(self) -> bool:
-        """Whether the GNC's records and events are those of the recording, bit by bit."""
+        """Whether the GNC's records and events equal the recorded ones bit by bit."""
         return self.result.identical
 
     @property
@@ -195,7 +195,7 @@ def _replayed(
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:
-    """Return the alarms of the summary; of a run that broke off, those of the log, as far as it has them."""
+    """Return the alarms of the summary or, for a run that broke off, of the log."""
     if recorded.summary is not None:
         return [Alarm(**{k: v for k, v in a.items() if k in _ALARM_FIELDS}) for a in recorded.summary.get("alarms", ())]
     return [Alarm(n["bench_s"], n["name"], "", "", "", n["message"]) for n in recorded.log if n["kind"] == "alarm"]

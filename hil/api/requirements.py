@@ -100,7 +100,7 @@ class RunRequirement:
     def check(self, run: Run) -> EvidenceRow:
         """Return the evidence of ``run``: result, margin and status.
 
-        The margin is that of the value that is exceeded for ``for_s``; a value that is not a number exceeds all limits.
+        The margin is at the value that is exceeded for ``for_s``; a value that is not a number exceeds all limits.
         Raises BadInput if the quantity has not one number per cycle.
         """
         evidence = f"run of {run.summary['scenario']} on {run.summary['rig']}, seed {run.summary['seed']}, {run.stop}"

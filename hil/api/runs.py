@@ -79,7 +79,7 @@ def run(
     overrides
         Dotted keys or nested tables to values: ``{"gnc.control.deadband_m": 0.004, "rig.vmu.timeout_s": 0.5}``.
     faults
-        Faults to inject, tables with the keys of ``[[faults]]``, in addition to those of the scenario:
+        Faults to inject, tables with the keys of ``[[faults]]``, in addition to the scenario's faults:
         ``[{"device": "vmu", "kind": "no_pose", "at_s": 60.0}]``.
     gnc
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_backend``.
@@ -88,7 +88,7 @@ def run(
     options
         ``case=``: number of a case of the campaign of this scenario and seed, or of that in the folder ``campaign=``;
         ``dispersions=``: a set or a file for it. ``navigation=``, ``control=``: backends in place of the scenario's: a
-        class or an object with ``step(inp)``, a kernel (``hil.kernel_backend``), or a name as of
+        class or an object with ``step(inp)``, a kernel (``hil.kernel_backend``), or a name as in
         ``gnc.control.backend``: ``package:name``, ``file.py:name``, the path of a shared library.
 
     Raises

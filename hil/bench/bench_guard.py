@@ -22,13 +22,13 @@ from hil.models.bodies import BODIES, are_apart, chord, travel_to_rest
 from hil.sensors.vision_unit.pose import deviation
 
 POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(9, 16)
-"""What was found, in addition to ``keep_out``; the numbers follow those of the compiled loop's other reasons to end."""
+"""What was found, in addition to ``keep_out``; the numbers follow the compiled loop's other reasons to end."""
 
 _KEPT = 64  # samples of the encoders, for the times of exposure
 _SLOW_S, _FAST_S = 10.0, 0.4  # time constants of the means of estimate minus encoders: of a filter, of an alarm
-_ESTIMATE_SIGMAS = 3.0  # of the estimate, by which it may be off in addition
-_LEVEL_FRACTION = 0.9  # of a protection level: an alarm comes before the error is beyond it
-_HYSTERESIS = 0.8  # of a limit, below which an estimate that was beyond it is well again
+_ESTIMATE_SIGMAS = 3.0  # standard deviations by which the estimate may be off in addition
+_LEVEL_FRACTION = 0.9  # fraction of a protection level: an alarm comes before the error is beyond it
+_HYSTERESIS = 0.8  # fraction of a limit, below which an estimate that was beyond it is accepted again
 
 BENCH_GUARD_PARAMS = np.dtype(
     [
@@ -49,7 +49,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("axis_max", "f8", 6),  # m and rad, at rest
         ("axis_per_speed_s", "f8"),
         ("axis_cycles", "i8"),
-        ("axis_decay", "f8", 6),  # of the distance from the demand in a cycle
+        ("axis_decay", "f8", 6),  # decay per cycle of the distance from the demand
         ("step_s", "f8"),
         ("vision_sigmas", "f8"),
         ("vision_position", "f8"),  # m
@@ -57,7 +57,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("vision_frames", "i8"),
         ("startup_s", "f8"),
         ("settled_cycles", "i8"),  # after which the axes count as having caught up
-        ("spacing_s", "f8"),  # of the kept samples
+        ("spacing_s", "f8"),  # spacing of the kept samples
         ("estimate_position", "f8"),  # m, largest mean error of an estimate ...
         ("estimate_attitude", "f8"),  # rad
         ("calibration_position", "f8"),  # m, by which camera and axes may differ
@@ -78,7 +78,7 @@ BENCH_GUARD_MEMORY = np.dtype(
         ("model", "f8", 6),  # position of each axis by the model of its drive
         ("vision_frames", "i8"),  # in a row beyond the limit
         ("vision_code", "i8"),  # VISION_POSITION or VISION_ATTITUDE
-        ("vision", BREACH),  # of the last one
+        ("vision", BREACH),  # last breach by these codes
         ("kept", "i8"),
         ("newest", "i8"),
         ("kept_s", "f8", _KEPT),
@@ -96,7 +96,7 @@ BENCH_GUARD_MEMORY = np.dtype(
 
 @kernel
 def _chaser_meets(params, truth, breach):
-    """Return whether the bodies of the chaser, braking now, would come too near to those of the target."""
+    """Return whether the bodies of the chaser, braking now, would come too near to the target's bodies."""
     rate, speed = 0.0, 0.0
     for i in range(3):
         rate += abs(truth.w_CI_C[i]) + abs(truth.w_HI_H[i])

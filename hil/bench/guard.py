@@ -44,14 +44,14 @@ GUARD = np.dtype(
 
 FOLLOWING, TRAVEL, NOT_FINITE = range(1, 4)
 COLLISION = 16
-"""Bodies of the bench too near to each other; the numbers between are those of ``keep_out`` and ``bench_guard``."""
+"""Bodies of the bench too near to each other; the numbers between belong to ``keep_out`` and ``bench_guard``."""
 BY_ENCODERS = 32
-"""Added to those of ``keep_out`` for the position by the encoders."""
+"""Added to a code of ``keep_out`` that holds for the position by the encoders."""
 
 
 @kernel
 def bodies_meet(moving, r, q, v, rate, fixed, least, reaction_s, deceleration, turning_deceleration, breach):
-    """Return whether braking would not keep two bodies apart by ``least``, m. Arguments as of ``clearance``.
+    """Return whether braking would not keep two bodies apart by ``least``, m. Arguments: see ``clearance``.
 
     ``breach`` (BREACH) then has the number of the pair, the distance as ``value``, the closing rate as ``low`` and
     the least distance allowed at it as ``high``.

@@ -41,10 +41,10 @@ BENCH_PARAMS = np.dtype(
 MOTION = np.dtype(
     [
         ("position", "f8", 6),  # rails, then gimbals
-        ("rate", "f8", 6),  # of the last step
-        ("wanted_rate", "f8", 6),  # of the last target, without its lead
+        ("rate", "f8", 6),  # rate of the last step
+        ("wanted_rate", "f8", 6),  # rate of the last target, without its lead
         ("newest", "i8"),  # place in the two arrays below
-        ("kept_position", "f8", (6, SETPOINTS_KEPT)),  # of the last setpoints, before their mean is taken
+        ("kept_position", "f8", (6, SETPOINTS_KEPT)),  # last setpoints, before their mean is taken
         ("kept_rate", "f8", (6, SETPOINTS_KEPT)),
     ],
     align=True,
@@ -52,7 +52,7 @@ MOTION = np.dtype(
 """Last setpoints within travel, speed and acceleration."""
 
 SPAN = np.dtype([("known", "i8"), ("begin", AXES), ("end", AXES)], align=True)
-"""Axes at begin and end of a cycle, without limits. known: 1 if ``end`` is that of the present motion."""
+"""Axes at begin and end of a cycle, without limits. known: 1 if ``end`` belongs to the present motion."""
 
 
 @kernel

@@ -19,7 +19,7 @@ WANTED_PEAK: Final = 180.0
 """Grey level of the median spot's peak at the right exposure: room for near LEDs, noise far below it."""
 _FULL_SCALE: Final = 255.0
 _BEST_WIDTH_PX: Final = (0.8, 2.5)
-_RING_PX: Final = 4.0  # of a mark: times the spot's width
+_RING_PX: Final = 4.0  # radius of a mark: times the spot's width
 _SPOTS_SHOWN: Final = 64
 
 

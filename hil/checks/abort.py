@@ -22,7 +22,7 @@ from hil.params import gnc as gnc_params
 
 KEY = "gnc.abort.one_thruster_failed"
 STUCK_OPEN = "stuck open"
-_UNWANTED_MAX = 0.8  # of the wanted force or torque of a set
+_UNWANTED_MAX = 0.8  # fraction of the demanded force or torque of a set
 _RANGES = 50  # between ready point and start
 _DETECTION_CYCLES = 3  # beyond ``thruster_open_s``
 
@@ -115,7 +115,7 @@ def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     return ""
 
 
-_SAMPLES = 200  # of a transfer
+_SAMPLES = 200  # samples of a transfer
 _PAST_END_S = 1e-6
 
 

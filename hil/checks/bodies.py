@@ -28,7 +28,7 @@ _ROUNDING_M: Final = 1e-9
 
 
 def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for the bodies of the chaser, and one for those of the bench, that the plan brings too near.
+    """Return a problem each for bodies of the chaser and of the bench that the plan brings too near.
 
     What counts is the distance after braking from the planned speed, less the band of positions and attitudes about the
     plan that the reachability check uses as well. Without bodies, or with thrusters that cannot move an axis, there is
@@ -53,7 +53,7 @@ def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
 
 
 def _chaser(scenario: Scenario) -> np.record:
-    """Return GUARD with the bodies of chaser and target in place of those of turntable and lab."""
+    """Return GUARD with the bodies of chaser and target in place of turntable and lab."""
     monitor, guard = gnc_params.approach_monitor(scenario), new(GUARD)
     guard.turntable, guard.lab = monitor.chaser, monitor.target
     return guard

@@ -1,4 +1,4 @@
-"""Check of a rig's clock: that of the computer against its PTP master."""
+"""Check of a rig's clock: the computer's clock against its PTP master."""
 
 from __future__ import annotations
 

@@ -27,10 +27,10 @@ from hil.maths import euler, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
-_NOISE_SIGMAS = 3.0  # of a pose, which an alert limit must exceed
+_NOISE_SIGMAS = 3.0  # standard deviations of a pose that an alert limit must exceed
 _RATE_MAX_HZ = 10_000.0
 _RATIO_TOLERANCE = 1e-9
-_ROUNDING_HZ = 0.5  # of the capacity of a wire in messages
+_ROUNDING_HZ = 0.5  # rounding of a wire's capacity in messages
 _MEMORY_STEPS_MAX = (
     20_000  # each of them 3 kB, 20 kB with an error budget, and a few microseconds when a pose is that late
 )

@@ -20,7 +20,7 @@ from hil.maths.elementary import square
 from hil.params.gnc import integrity
 from hil.params.sensors import sensors_of
 
-_UPDATES = 20_000  # of a steady state
+_UPDATES = 20_000  # updates until a steady state is reached
 _SETTLED = 1e-7  # relative change of a variance
 _VELOCITY_MPS = 0.01  # 1 sigma at the start
 _KEYS = ("axial_tolerance_m", "radial_distance_m", "radial_distance_m")

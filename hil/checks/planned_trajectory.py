@@ -89,7 +89,7 @@ def _accelerations(dss: np.record, mass_kg: float, most: Array) -> tuple[Array, 
 
 
 def _planned_rate(scenario: Scenario) -> float:
-    """Return the largest rate of rotation of a phase, rad/s: that of a slew, or of the shortest radius of an arc."""
+    """Return the largest rate of rotation of a phase, rad/s: of its slew, or at the shortest radius of its arc."""
     settings, rates = scenario.gnc.guidance, [0.0]
     radii = [linear.length(scenario.initial.position_m), linear.length(settings.ready_point_m)]
     radii += [linear.length(phase.point_m) for phase in settings.phases.values() if phase.point_m is not None]

@@ -19,7 +19,7 @@ from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params.target import tumble
 
-THRUST_FRACTION = 0.6  # of the acceleration of an axis, which a plan may take: the rest is for control
+THRUST_FRACTION = 0.6  # fraction of an axis's acceleration for the plan: the rest is for control
 _KEY = "target.rate_degps"
 _INTERVAL_S = 0.5  # between two samples of a phase
 _RATES = 400  # samples of the tumble over the run

@@ -15,7 +15,7 @@ from hil.maths import linear
 from hil.maths.elementary import square
 from hil.params import dynamics as dynamics_params
 
-_LOWEST_FRACTION = 0.005  # of the radius of the body: lower orbits meet mountains or an atmosphere
+_LOWEST_FRACTION = 0.005  # altitude over the body's radius: lower orbits meet mountains or an atmosphere
 
 
 def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -142,13 +142,13 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
 
 
 def _shown(couplings: Array) -> list[float] | list[list[float]]:
-    """Return the couplings of all modes (n, 3), that of a single mode as the file has it."""
+    """Return the couplings of all modes (n, 3); a single mode's as the file has it."""
     table: list[list[float]] = couplings.tolist()
     return table if len(table) > 1 else table[0]
 
 
 def _check_propellant(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem if the inertia would not be that of a body after all thrusters have fired for the whole run."""
+    """Return a problem if the inertia is impossible for a body after all thrusters have fired for the whole run."""
     chaser = scenario.value.chaser
     gyration = np.array(chaser.propellant_gyration_m)
     flow = len(chaser.thrusters.position_m) * chaser.thrusters.force_n / chaser.thrusters.specific_impulse_s

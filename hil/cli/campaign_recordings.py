@@ -1,4 +1,4 @@
-"""``hil recordings place``, and the evidence that ``hil recordings verify`` adds to that of a campaign."""
+"""``hil recordings place``, and the evidence that ``hil recordings verify`` adds to a campaign's."""
 
 from __future__ import annotations
 

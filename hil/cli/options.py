@@ -40,7 +40,7 @@ def declared_problems(command: Callable[..., Any], given: Mapping[str, Any]) -> 
 
 
 def _checks(kind: Any) -> list[Check]:
-    """Return the checks of an annotation, also of those that it is made of."""
+    """Return the checks of an annotation and of the annotations in it."""
     inner = [check for each in get_args(kind) for check in _checks(each)]
     return [*inner, *(each for each in getattr(kind, "__metadata__", ()) if isinstance(each, Check))]
 

@@ -13,7 +13,7 @@ app = App(name="sensors")
 
 @app.command(name="list", help="List the sensor modules that a scenario can add.")
 def list_sensors(*, json: File = None) -> int:
-    """List the sensor modules that a scenario can add: those of this program and of installed packages.
+    """List the sensor modules of this program and of installed packages, which a scenario can add.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _PASSED, _SAFE_STOPPED = 0, 3
 _GROUP_WALL_S: Final = 1800.0
-_WIDTH: Final = 12  # of the column of names
+_WIDTH: Final = 12  # width of the column of names
 _OPENCV: Final = "needs OpenCV: pip install 'hil-bench[vision]'"
 
 

@@ -56,7 +56,7 @@ class DrivePlan:
 def plan_drive(job: Job, setup: Setup, held: Prior, request: PlanRequest) -> DrivePlan:
     """Return a plan of views on the rig of ``job``, outside the guard volume. Raises BadInput if there is none.
 
-    setup, held: as of ``plan_views``.
+    setup, held: see ``plan_views``.
     """
     scenario = job.scenario.value
     bench = bench_params.bench(job.rig.value, scenario.step_s, scenario.bench)
@@ -114,7 +114,7 @@ class CalibrationDrive:
         return np.concatenate([feedback.rail_m, feedback.gimbal_rad])
 
     def skip_images(self) -> None:
-        """Skip the images so far: those of the move, which have no use."""
+        """Skip the images taken during the move."""
         self._cameras.skip()
 
     def new_pairs(self, now_s: float) -> list[tuple[float, np.ndarray, np.ndarray]]:

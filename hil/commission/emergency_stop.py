@@ -149,8 +149,8 @@ class EmergencyStopTest:
             raise StepFailed(_WHAT, "the drives lose their power", "no by the technician", advice)
 
 
-_PAUSE_WALL_S: Final = 0.15  # of the watchdog process, beyond the relay's time-out
-_LONGEST_PAUSE: Final = 0.8  # of the coupler's time-out: a longer pause ends its link
+_PAUSE_WALL_S: Final = 0.15  # pause of the watchdog process beyond the relay's time-out
+_LONGEST_PAUSE: Final = 0.8  # fraction of the coupler's time-out: a longer pause ends its link
 _RESUMED_WALL_S: Final = 0.08
 _TORQUE_OFF_S: Final = 0.5  # until both devices report it
 

@@ -32,14 +32,14 @@ _TRAVEL_FRACTION: Final = 0.25
 _STEPS: Final = 8
 _STEP_PERIOD_S: Final = 0.5
 _STEP_CYCLES: Final = 5  # largest duration of a step that the acceleration limit does not allow in one cycle
-_STEP_FRACTION: Final = 0.9  # of the speed change that the acceleration limit allows in a cycle
+_STEP_FRACTION: Final = 0.9  # fraction of the speed change that the acceleration limit allows in a cycle
 _FITTED_S: Final = 2.0  # least, of each sine without its fading in and out
 _FITTED_PERIODS: Final = 2
 _PROGRESS_CYCLES: Final = 10
 _SETTLE_S: Final = 3.0
 RESIDUAL_MAX: Final = 0.1
 DELAY_SIGMA_MAX_S: Final = 0.002
-GAIN_ERROR_MAX: Final = 0.1  # of the lowest frequency: an axis that is stuck or wrongly scaled exceeds it
+GAIN_ERROR_MAX: Final = 0.1  # gain error at the lowest frequency: an axis that is stuck or wrongly scaled exceeds it
 
 Path = Callable[[int, float], tuple[float, float]]
 """Returns, for a cycle and the time since the first one, position about the centre and rate."""

@@ -76,7 +76,7 @@ def ask_meanwhile(prompt: OperatorPrompt, question: str, meanwhile: Callable[[],
 class StepFailed(Exception):
     """Failed step of commissioning; nothing is signed off.
 
-    what: axis or device, and the step. expected, found: with units. advice: the remedy.
+    what: axis or device, and the step. expected, observed: with units. advice: the remedy.
     """
 
     def __init__(self, what: str, expected: str, observed: str, advice: str) -> None:

@@ -22,7 +22,7 @@ CRAWL_FRACTION: Final = 0.1  # largest, of an axis' speed limit
 QUARTER: Final = 0.25
 _DEVIATION_M: Final = 0.005  # between command and encoder at crawl speed; beyond it the axis is stopped
 _DEVIATION_RAD: Final = math.radians(0.5)
-_CATCH_UP: Final = 1.5  # of the speed of a move, for an axis that is behind: its deviation is watched closely
+_CATCH_UP: Final = 1.5  # speed over that of the move, for an axis that lags: its deviation is monitored
 _SETTLE_S: Final = 3.0
 _SETTLING_S: Final = 0.2
 

@@ -25,7 +25,7 @@ _MOVE_M, _MOVE_RAD = 0.020, math.radians(2.0)
 _TRAVEL_FRACTION: Final = 0.25  # largest, of such a move
 _SHORT_OF_END_M, _SHORT_OF_END_RAD = 0.005, math.radians(0.5)
 _LAST_M, _LAST_RAD = 0.05, math.radians(5.0)  # before an end of the travel, at crawl speed
-_STRAIGHT_M: Final = 0.1  # of the dry run, from the start pose towards the target
+_STRAIGHT_M: Final = 0.1  # distance of the dry run, from the start pose towards the target
 _SWITCH_TEXTS: Final = {-1: "on the low switch", 0: "off its switches", 1: "on the high switch"}
 
 TruePosition = Callable[[int, float], float]

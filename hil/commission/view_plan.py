@@ -19,11 +19,11 @@ from hil.vmu.kernels.chain import CAMERA_POSITION, TARGET_POSITION
 
 _CANDIDATES: Final = 200
 _TRIES: Final = 60  # per candidate
-_MARGIN_PX: Final = 12.0  # of an LED from the image's edge
+_MARGIN_PX: Final = 12.0  # distance of an LED from the image's edge
 _LEAST_LEDS: Final = 3  # in each image
-_TRAVEL_MARGIN: Final = 0.02  # of the travel
+_TRAVEL_MARGIN: Final = 0.02  # fraction of the travel
 _SIGMA_PX: Final = 0.05
-_SAMPLES: Final = 64  # of a move
+_SAMPLES: Final = 64  # samples of a move
 
 IsClear = Callable[[Array, Array], bool]
 """Whether a move between two positions of the axes, (6,), stays clear of the target."""

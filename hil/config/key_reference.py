@@ -183,7 +183,7 @@ class KeyMatch(NamedTuple):
 
 
 def all_keys() -> list[KeyMatch]:
-    """Return each key of scenario and rig files at each of its places; those of a rig begin with ``rig.``."""
+    """Return each key of scenario and rig files at each of its places; keys of a rig begin with ``rig.``."""
     matches = []
     for file, root, prefix in (("scenario", Scenario, ""), ("rig", Rig, "rig.")):
         for table in tables(root):

@@ -63,7 +63,7 @@ class LiveTuning(ConfigModel):
 
 @cache
 def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
-    """Return the limits of the number at the dotted ``key`` of ``model``; those of a run, if it is ``Live``.
+    """Return the limits of the number at the dotted ``key`` of ``model``, during a run if it is ``Live``.
 
     low, high: None if unlimited. low_open, high_open: the limit itself is excluded. words: the range as text.
     """

@@ -28,7 +28,7 @@ from hil.session.wired import TELEMETRY_ROWS, WiredBench
 
 @dataclass
 class ConsoleBench:
-    """Runner and its outputs. event_recorder: recorder of operator actions. numbers: as of ``accumulate``."""
+    """Runner and its outputs. event_recorder: recorder of operator actions. numbers: see ``accumulate``."""
 
     runner: Runner
     telemetry: Ring

@@ -44,7 +44,7 @@ IMAGE: Final = np.dtype(
     [
         ("t_s", "f8"),  # exposure, time of the run; nan before the run and while it is held
         ("bench_s", "f8"),  # exposure, bench time of the source; nan if only the run's time is known
-        ("number", "i8"),  # of the exposure, counted by the source from 0; images of one exposure have the same
+        ("number", "i8"),  # number of the exposure, counted by the source from 0; images of one exposure share it
         ("dropped", "i8"),  # images of this camera that the source has dropped so far
         ("camera", "S32"),
         ("encoding", "S8"),  # "jpeg" or "png"

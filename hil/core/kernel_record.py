@@ -16,7 +16,7 @@ _data_of: Callable[[np.void], memoryview] = np.void.data.__get__
 
 
 class KernelRecord(np.record):  # type: ignore[misc]  # numpy's stubs declare void as final
-    """A record with its memory at hand; fields as of ``np.record``. Made by ``kernel_record``."""
+    """A record with its memory at hand; fields as in ``np.record``. Made by ``kernel_record``."""
 
     __slots__ = ("_bytes",)
     _bytes: memoryview

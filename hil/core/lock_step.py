@@ -430,7 +430,7 @@ class LockStepConductor(LockStepClock):
 
 
 def _state(process: int) -> str:
-    """Return the state of a process as of proc(5), "X" for one that has gone."""
+    """Return the state of a process as in proc(5), "X" for one that has gone."""
     with suppress(OSError, IndexError):
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
     return "X"

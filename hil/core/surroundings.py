@@ -30,7 +30,7 @@ from typing import IO, Final, Literal, NoReturn
 
 from hil.errors import BadInput
 
-_SHARED: Final = ("/run/lock", "/tmp")  # of locks of all users: the first that can be written
+_SHARED: Final = ("/run/lock", "/tmp")  # folders for locks of all users: the first that can be written
 _ATTEMPTS: Final = 3
 _PLACES: Final = ("/tmp", "/var/tmp", "/dev/shm")
 _NAME: Final = re.compile(r"hil-(\d+)-(\d+)-([0-9a-f]{8})-.*")

@@ -22,13 +22,13 @@ from hil.maths.random_streams import stream
 STEP_S: Final = 0.004  # longest time between two updates of the axes, as BenchClock.paced_s
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
-_SAMPLING_S: Final = 1e-4  # of a drive's encoder: what is asked more often is answered with the last sample
+_SAMPLING_S: Final = 1e-4  # sampling of a drive's encoder: requests in between return the last sample
 _PUBLISHED_S: Final = 0.001  # least time between two writes of the shared state
 _TIME_SLACK_S: Final = 1e-9
-_STANDSTILL: Final = 2e-3  # of m/s or rad/s
+_STANDSTILL: Final = 2e-3  # speed, m/s or rad/s
 _SWITCH: Final = 1e-6  # m or rad from the end stop, at which its limit switch closes
 _HOMING_TIME_MAX_S: Final = 120.0
-_GRAVITY_MPS2: Final = 9.81  # of a gravity-loaded gimbal rad/s2: its load is 1 m from the axis
+_GRAVITY_MPS2: Final = 9.81  # rad/s^2 for a gravity-loaded gimbal, whose load is 1 m from the axis
 _FRICTION: Final = 0.5  # deceleration of an axis without torque, in acceleration limits
 _BRAKE: Final = 4.0  # deceleration by a closed holding brake, in acceleration limits; at least twice the weight
 
@@ -85,7 +85,7 @@ class EmulatedAxes:
         ]
         self._falls = [axis.falls for axis in axes]
         self._enabled = [False] * n
-        self._current_until_s = [-math.inf] * n  # of a disabled drive, until its brake has closed
+        self._current_until_s = [-math.inf] * n  # end of the current of a disabled drive: its brake has closed
         self._runaway: list[float | None] = [None] * n
         self._sigma = config.si("encoder_sigma")
         self._noise = stream(seed, "encoders", device)

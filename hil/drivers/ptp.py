@@ -38,7 +38,7 @@ _TLV: Final = struct.Struct(">HHH")
 _TLV_AT: Final = _HEADER.size + _BODY.size
 _SIZES: Final = {_PORT_DATA_SET: 26, _TIME_STATUS_NP: 50, _CURRENT_DATA_SET: 18}
 """Bytes of the data: sent as zeros in a request, which older versions of linuxptp expect."""
-_NANOSECONDS: Final = 1.0 / 65536.0  # of a TimeInterval
+_NANOSECONDS: Final = 1.0 / 65536.0  # nanoseconds per unit of a TimeInterval
 _TRIES: Final = 8  # messages that are not the answer
 
 

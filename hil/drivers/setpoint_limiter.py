@@ -16,12 +16,12 @@ from hil.core.messages import Array
 from hil.models.profile import along_line
 
 _FIRST_PERIOD_S: Final = 0.02
-_GAP: Final = 1.5  # of the usual time between two setpoints; a drive bridges that by its feed-forward rate
-_UNANSWERED: Final = 2.5  # of the same time, without feedback: setpoints may have been lost on the way
+_GAP: Final = 1.5  # multiple of the usual setpoint interval; a drive bridges it by its feed-forward rate
+_UNANSWERED: Final = 2.5  # multiple of the same interval without feedback: setpoints may have been lost
 _BRIDGED_S: Final = 0.01  # a drive bridges this anyway, however fast setpoints usually come
 _SMOOTHING: Final = 0.1  # weight of the newest time between two setpoints
-_MISMATCH: Final = 0.05  # of the path of one period, by which an axis may miss its setpoint when it has caught up
-_SMOOTH: Final = 0.02  # of the limit of the jerk, by which the end of catching up may exceed it
+_MISMATCH: Final = 0.05  # fraction of one period's path by which an axis may miss its setpoint after catching up
+_SMOOTH: Final = 0.02  # fraction by which the end of catching up may exceed the jerk limit
 
 
 class SetpointLimiter:
@@ -127,9 +127,9 @@ class SetpointLimiter:
         change = self._acceleration_max * step_s
         behind = distance - rate * step_s
         twice = 2.0 * self._acceleration_max * abs(behind)
-        closing = math.sqrt(change * change + twice) - change  # of a setpoint that moves on at its rate
+        closing = math.sqrt(change * change + twice) - change  # for a setpoint that keeps its rate
         energy = twice + math.copysign(rate * rate, rate * behind)
-        ending = math.copysign(math.sqrt(abs(energy)), energy)  # of one that brakes as well
+        ending = math.copysign(math.sqrt(abs(energy)), energy)  # for one that brakes as well
         side = math.copysign(1.0, behind)
         target_rate = side * min(side * rate + closing, ending)
         target_rate = min(self._rate_max, max(-self._rate_max, target_rate))
@@ -169,7 +169,7 @@ class _SlidingMean:
         return self._origin + integral / self._span_s, (end - begin) / self._span_s
 
 
-_EARLY: Final = 0.125  # of a period: jitter of setpoints whose rate is a multiple of that of the exchanges
+_EARLY: Final = 0.125  # fraction of a period: jitter of setpoints at a multiple of the exchange rate
 
 
 class ExchangePacer:

@@ -18,14 +18,14 @@ from hil.errors import BenchError
 
 @dataclass(frozen=True)
 class AxisPart:
-    """A part of a group. numbers: of its axes among those of the group."""
+    """A part of a group. numbers: indices of its axes in the group."""
 
     axes: AxisGroup
     numbers: list[int]
 
 
 class SplitAxes:
-    """AxisGroup of ``parts``; feedback is as old as that of the oldest part, and the failure of one stops all.
+    """AxisGroup of ``parts``; feedback is as old as the oldest part's, and the failure of one stops all.
 
     axis_names: full names of all axes.
     """

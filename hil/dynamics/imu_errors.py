@@ -21,7 +21,7 @@ IMU_ERRORS = np.dtype(
         ("seed", "i8"),
         ("gyro_gain", "f8", (3, 3)),  # sensor axes, scaled, against c, less the unit matrix
         ("accelerometer_gain", "f8", (3, 3)),
-        ("sigma_instability", "f8", 2),  # of gyro, rad/s, and accelerometer, m/s^2
+        ("sigma_instability", "f8", 2),  # gyro, rad/s, and accelerometer, m/s^2
         ("kept", "f8", 2),  # part of the instability that is left after a sample
         ("quantum", "f8", 2),  # rad/s and m/s^2, 0 for none
         ("lever_arm", "f8", 3),  # m, in c, from the reference point to the accelerometers

@@ -76,7 +76,7 @@ def platform_folders(version: int) -> tuple[str, ...]:
 class Fmu:
     """The FMU at ``path``, unpacked, with its binary loaded. Raises FmuError.
 
-    within: folder for the unpacked files, which go into a new one of their own; None for that of temporary files.
+    within: folder for the unpacked files, which go into a new folder inside it; None: the folder of temporary files.
     description: its model description. log: buffer of LOG_BYTES with the last message of the FMU, zero at its end.
     """
 

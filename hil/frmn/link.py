@@ -64,7 +64,7 @@ class Link:
     """This side, as ``role``, of a link that sends the mailboxes in ``offers`` and receives those in ``wants``.
 
     bind: address of this host to listen on; None: the one on the route to ``peer``. peer: the only address accepted
-    as the other side; None: the first sender of a hello. key: of the link; None: that of the user (``link_key``).
+    as the other side; None: the first sender of a hello. key: of the link; None: the user's (``link_key``).
     """
 
     def __init__(

@@ -57,7 +57,7 @@ def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarra
 def sets_without(wrenches: Array, excluded: np.ndarray, full_thrust: bool = False) -> np.ndarray:
     """Return the best sets without the thrusters of each row of ``excluded`` (m, n), of bool: int64 (m, 6, 2, n).
 
-    wrenches, full_thrust: as of ``thruster_sets``. A demand for which no thrusters are left has an empty set.
+    wrenches, full_thrust: see ``thruster_sets``. A demand for which no thrusters are left has an empty set.
     """
     masks, _, cost = _candidates(wrenches, full_thrust)
     sets = np.zeros((len(excluded), AXES_OF_A_BODY, 2, len(wrenches)), dtype=np.int64)

@@ -245,7 +245,7 @@ def has_converged(params, estimate, share, converged_mps):
 
 @kernel
 def _is_ready(params, estimate, beyond, go):
-    """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go`` as of ``_is_go``.
+    """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go``: see ``_is_go``.
 
     beyond: 1 if a protection level exceeds its alert limit. Angles are those of a rotation vector.
     """
@@ -365,7 +365,7 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, supervision)
 def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, reactions, go, supervision):
     """Check the estimate; if an abort has to begin, start it in ``guidance_state`` and in ``reference``.
 
-    guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. The others as of ``check``.
+    guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. Other arguments: see ``check``.
     """
     if check(params, t_s, estimate, reference, ordered, reactions, go, supervision):
         guidance.start_abort(guidance_params, guidance_state, t_s, estimate.r_CT_H, estimate.v_CT_H)
@@ -374,7 +374,7 @@ def update(params, guidance_params, guidance_state, t_s, estimate, reference, or
 
 @kernel
 def abort_from_reference(params, guidance_params, guidance_state, t_s, reference, ordered, supervision):
-    """Start the abort that is ordered although there is no estimate: from the reference. Arguments as of ``update``."""
+    """Start an ordered abort from the reference, without an estimate. Arguments: see ``update``."""
     supervision.corridor_margin_m = supervision.closing_margin_mps = np.nan
     if supervision.aborted != NOT_ABORTED or not (ordered != 0 or t_s >= params.abort_at_s):
         return

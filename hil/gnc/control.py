@@ -95,7 +95,7 @@ def dead_band(lead, noise, coast, pulse):
 
 @kernel
 def rule_of(params, axis, sigma, sigma_rate, pulse):
-    """Return lead, s, and noise, coast and dead band of s, m or rad, of an axis; arguments as of ``lead_time``."""
+    """Return lead, s, and noise, coast and dead band of s, m or rad, of an axis; arguments: see ``lead_time``."""
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
     if not noise > 0.0:
@@ -134,11 +134,11 @@ def ripple(sustained, pulse):
 
 @kernel
 def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, pending, coming):
-    """Return what firings that a sustained acceleration asks anyway should give beyond it, m/s or rad/s.
+    """Return the correction, m/s or rad/s, that the firings against a sustained acceleration give in addition.
 
-    sustained: m/s^2 or rad/s^2. pulse: d, m/s or rad/s. pending: delta-v. coming: what the next period adds
-    to it. The others as of ``update_axis``. It delays or advances firings and asks for one smallest firing
-    against the acceleration at most.
+    The correction delays or advances these firings; at most it asks for one smallest firing in the direction of the
+    acceleration. sustained: acceleration, m/s^2 or rad/s^2. pulse: smallest firing d, m/s or rad/s. pending: delta-v
+    not yet given. coming: delta-v that the next period adds. Other arguments: see ``update_axis``.
     """
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     lead = max(lead, min(2.0 * pulse / abs(sustained), params.lead_bounds[axis, 1]))
@@ -204,7 +204,7 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
     Where the smallest firing d is more of that rate than a limit cycle may take, an error within the tolerance is
     corrected no faster than docking is a go. A firing that is too much waits until the rate has grown against it, for
     the limit cycle has the rates +-d / 2 and a firing from rest d, or the error to what is no go.
-    feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. The others as of ``modulation``.
+    feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. Other arguments: see ``modulation``.
     """
     tolerance, asked = params.coast_max[axis] / COAST_OF_TOLERANCE, cycles
     most = params.go_fraction * params.rate_max[axis]
@@ -224,7 +224,8 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, feed_forward
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
     feed: FEED_FORWARD, of which the firings are used. error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their
-    standard deviations; nan counts as zero. wanted: m/s^2 or rad/s^2, of the reference, with what rotating axes ask.
+    standard deviations; nan counts as zero. feed_forward: acceleration of the
+    reference and of rotating axes, m/s^2 or rad/s^2.
     sustained: what these ask.
     """
     dt = params.dt_s

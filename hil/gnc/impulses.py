@@ -30,8 +30,8 @@ MAX_IMPULSES: Final = 8
 _CHECKED: Final = 129  # times at which the primer vector is compared with 1
 _ITERATIONS: Final = 300
 _CONVERGED: Final = 1e-4  # gap between sum and bound
-_SMALL: Final = 1e-3  # of the sum: an impulse that counts while neighbours are gathered
-_LEAST: Final = 0.01  # of the sum: an impulse that is fired
+_SMALL: Final = 1e-3  # fraction of the sum: an impulse that counts while neighbours are gathered
+_LEAST: Final = 0.01  # fraction of the sum: an impulse that is fired
 _RIDGE: Final = 1e-15
 
 IMPULSE_PROGRAM = np.dtype(

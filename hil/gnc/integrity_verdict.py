@@ -63,7 +63,7 @@ INTEGRITY_STATE = np.dtype(
         ("decision", DECISION_STATE),
         ("limits", LIMITS_STATE),
         ("judged", "i8"),  # cycles with an estimate, without fault and abort
-        ("available", "i8"),  # of them those with all protection levels below their alert limits
+        ("available", "i8"),  # cycles with all protection levels below their alert limits
         ("reported", "i8"),  # 1: a protection level was reported
         ("misleading_s", "f8"),  # since when; nan: the last cycle was not
         ("misleading_by_line1_s", "f8"),  # the same, if the second sensor does not count
@@ -82,7 +82,7 @@ INTEGRITY_STATE = np.dtype(
         ("ended", "i8"),  # 1: the last cycle was one of a hold, retreat or abort
         ("from_H", "f8", 3),  # line of the cycle before
         ("to_H", "f8", 3),
-        ("health_before", "i8", FAULTS_MAX),  # of each fault: before its onset
+        ("health_before", "i8", FAULTS_MAX),  # health before the onset of each fault
         ("reaction_before", "i8", FAULTS_MAX),
         ("detected_s", "f8", FAULTS_MAX),  # nan: not by the navigation
         ("detected_health", "i8", FAULTS_MAX),  # its new bits

@@ -48,7 +48,7 @@ LIMITS_PARAMS = np.dtype(
 LIMITS_STATE = np.dtype(
     [
         ("margin", "f8", LIMITS),  # least, m, m/s, rad, s
-        ("at_s", "f8", LIMITS),  # of the least margin
+        ("at_s", "f8", LIMITS),  # time of the least margin
         ("value", "f8", LIMITS),
         ("limit", "f8", LIMITS),
         ("term", "i8", LIMITS),
@@ -239,7 +239,7 @@ def _update_checks(approach, state, now):
 def update_estimate(params, approach, state, now, errors, limits):
     """Update the margins of the estimate. errors, limits: (3,), its errors and their alert limits on the truth.
 
-    The other arguments are those of ``update_motion``, which comes before.
+    Other arguments: see ``update_motion``, which is called before.
     """
     t_s = now.t_s
     if math.isnan(state.valid_s):

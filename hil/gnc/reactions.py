@@ -27,7 +27,7 @@ from hil.gnc.estimation.integrity import LEVEL_TERMS
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 8
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
-KINDS = 6  # of phases
+KINDS = 6  # kinds of phases
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
 
 REACTION_PARAMS = np.dtype(
@@ -37,7 +37,7 @@ REACTION_PARAMS = np.dtype(
         ("acquisition_s", "f8"),  # from the first pose, in which the navigation may converge
         ("converged_mps", "f8"),  # allowance of the closing rate from which on it has
         ("hold_max_s", "f8"),  # longest hold or retreat
-        ("coast_share", "f8"),  # of an alert limit, up to which the approach continues without vision
+        ("coast_share", "f8"),  # fraction of an alert limit up to which the approach continues without vision
     ],
     align=True,
 )
@@ -45,7 +45,7 @@ REACTION_PARAMS = np.dtype(
 REACTION_STATE = np.dtype(
     [
         ("converged", "i8"),  # 1: limits are tested with the protection level added
-        ("valid_since_s", "f8"),  # of the estimate, 0 before
+        ("valid_since_s", "f8"),  # first time of a valid estimate, 0 before
         ("unprotected_since_s", "f8"),  # 0: the protection level is within its limit
         ("held", "i8"),  # HOLD or RETREAT while one lasts
         ("held_since_s", "f8"),
@@ -87,7 +87,7 @@ def acquire(params, monitor, state, t_s, estimate):
 def write_level(monitor, state, estimate, supervision):
     """Write levels, alert limits and the largest term of the level that is nearest its limit into ``supervision``.
 
-    found: SUPERVISION. The term is that of the component with the largest part in the level.
+    supervision: SUPERVISION. The term is the component with the largest part in the level.
     """
     worst, largest = 0, 0.0
     for i in range(3):
@@ -170,7 +170,7 @@ def react(params, guidance_params, state, guidance_state, t_s, estimate, referen
     """React to the health of ``estimate`` (NAVIGATION): write ``reaction`` and abort of ``supervision`` (SUPERVISION).
 
     params, state: REACTION_PARAMS, REACTION_STATE. guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE.
-    cause: (1,), receives that of the reaction. Before the first estimate nothing can be left.
+    cause: (1,), receives the cause of the reaction. Before the first estimate nothing can be left.
     """
     if supervision.aborted != NOT_ABORTED:
         supervision.reaction = ABORT

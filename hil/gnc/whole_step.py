@@ -24,7 +24,7 @@ _GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 
 @kernel
 def guide(params, approach, t_s, supervision, reference):
-    """Write the reference for ``t_s``; return the orders of the input. Arguments as of ``step.guide``."""
+    """Write the reference for ``t_s``; return the orders of the input. Arguments: see ``step.guide``."""
     progress, orders = approach.progress, _ABORT if approach.abort_began != 0 else 0
     ordered, phase = progress.go, progress.phase
     step.guide(params, approach, t_s, supervision, reference)

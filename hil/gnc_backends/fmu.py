@@ -190,7 +190,7 @@ class FmuBackend:
             raise FmuError(f"allows steps of {fixed_s:g} s and multiples: step_s is {step_s:g} s")
 
     def _set_parameters(self, component: int, setup: np.record, parameters: Mapping[str, Any]) -> None:
-        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and those of the scenario."""
+        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and the scenario's parameters."""
         block = np.asarray(setup).tobytes()
         for access, variables in _by_access(self.setup).items():
             places = {variable.name: i for i, variable in enumerate(variables)}

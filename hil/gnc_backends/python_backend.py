@@ -21,7 +21,7 @@ from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, BackendInstance
 from hil.gnc_backends.output_texts import raised_text
 
 _RAISED: Final = 1
-_LARGE: Final = 1000  # of demands, states and health
+_LARGE: Final = 1000  # bound of demands, states and health
 _ESTIMATE: Final = {
     "navigation": frozenset({"r_CT_H", "v_CT_H", "q_CH", "w_CH_C"}),
     WHOLE: frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"}),

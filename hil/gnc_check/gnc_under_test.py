@@ -19,7 +19,7 @@ from hil.gnc_backends.output_texts import fault_text, step_failed
 from hil.gnc_check.test_cases import Change, CheckCase, Player
 
 _AGAIN_S: Final = 0.1  # after which a setup that is not answered is sent again
-_TIMEOUT_S: Final = 2.0  # of a reply; inputs are repeated meanwhile: a datagram may be lost
+_TIMEOUT_S: Final = 2.0  # time-out of a reply; inputs are repeated meanwhile: a datagram may be lost
 _RESEND_S: Final = 0.5
 
 

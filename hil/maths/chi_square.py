@@ -11,7 +11,7 @@ from functools import cache
 from hil.maths import elementary, special
 
 _STEPS = 100
-_PRECISION = 1e-13  # of a step: the next one would be rounding
+_PRECISION = 1e-13  # relative size of the last step: the next one would be rounding
 
 
 @cache

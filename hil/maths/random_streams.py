@@ -31,7 +31,7 @@ _NO_MEANS = np.zeros(0)
 
 
 def generator_of(seed: int, key: tuple[int, ...]) -> Generator:
-    """Return the generator of ``key`` among those of ``seed``."""
+    """Return the generator of ``key`` for ``seed``."""
     return Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
@@ -76,7 +76,7 @@ class MixedSeed(int):
         return cls((seed,), (1.0,))
 
     def moved(self, seed: int, scale: float) -> Self:
-        """Return sqrt(1 - scale^2) times this noise plus ``scale`` times that of ``seed``: standard normals again."""
+        """Return sqrt(1 - scale^2) times this noise plus ``scale`` times the noise of ``seed``: standard normals."""
         kept = math.sqrt(1.0 - scale * scale)
         return type(self)((seed, *self.seeds), (scale, *(kept * weight for weight in self.weights)))
 

@@ -32,7 +32,7 @@ BODIES = np.dtype(
 """Bodies that are fixed to each other."""
 
 PAIR = 100
-"""Number of a pair: PAIR times the number of the body that moves, plus that of the other."""
+"""Number of a pair: PAIR times the number of the moving body, plus the number of the other."""
 WHICH, DISTANCE, CLOSING, STOPPING = range(4)
 """What ``clearance`` finds: number of the pair; distance, m, not above 0 if they meet; closing rate, m/s; distance
 that they approach each other until rest, m."""

@@ -23,7 +23,7 @@ SUBSTEP_S: Final = 1e-4
 
 
 def drive_mechanics_record(n: int) -> np.dtype:
-    """Return the record of ``n`` axes: state and parameters in addition to those of SERVO; 0 switches an effect off."""
+    """Return the record of ``n`` axes: state and parameters in addition to SERVO; 0 switches an effect off."""
     return np.dtype(
         [
             ("motor", "f8", n),  # at the load's side of the gear
@@ -95,7 +95,7 @@ def spring_force(twist, twist_rate, gap, stiffness, damping):
 def drive_mechanics_step(axes, m, dt):
     """Advance axes by ``dt``, s, in place. axes: SERVO, position and rate are the load's; m: DRIVE_MECHANICS.
 
-    Without any effect the axis moves like that of ``servo_step``: the velocity loop follows the same reference.
+    Without any effect the axis moves as in ``servo_step``: the velocity loop follows the same reference.
     """
     if dt <= 0.0:
         return

@@ -57,7 +57,7 @@ def off_the_line(t: NDArray[np.float64], poses: NDArray[np.float64], information
 
 
 def repeated(poses: NDArray[np.float64], information: NDArray[np.float64]) -> _Chosen:
-    """Return which poses (n, 6) are those before them, within their noise (n,), as of a video that stands still."""
+    """Return which poses (n, 6) are those before them, within their noise (n,), as in a video that stands still."""
     gaps = np.diff(poses, axis=0)
     both = np.linalg.inv(np.linalg.inv(information[1:]) + np.linalg.inv(information[:-1]))
     return np.append(False, np.einsum("ki,kij,kj->k", gaps, both, gaps) < _ALIKE)

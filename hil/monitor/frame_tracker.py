@@ -67,7 +67,7 @@ class FrameTracker:
                 self._rolled.append(target_features(scene.camera, rolled))
 
     def expect(self, motion: Motion | None) -> None:
-        """Predict the pose of the next frames by ``motion``, None: as that of the last one."""
+        """Predict the pose of the next frames by ``motion``; None: it stays as in the last frame."""
         self._motion = motion
 
     def search_in(self, region: Region | None) -> bool:
@@ -186,7 +186,7 @@ class FrameTracker:
     def _measure_with(
         self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, rolled: TargetFeatures | None = None
     ) -> FrameResult:
-        """Measure with the features of a mode. rolled: with those of the target rolled by 90, 180 or 270 deg.
+        """Measure with the features of a mode. rolled: features of the target rolled by 90, 180 or 270 deg.
 
         The roll is open then: a ship may be rolled beyond the limits of the pose, or beyond what the scene states.
         """
@@ -223,7 +223,7 @@ class FrameTracker:
         return measured if rolled is None else replace(measured, roll_open=True)
 
     def _is_roll_open(self, x: Floats) -> bool:
-        """Return whether another roll within that of the scene shows the same cross, and no part excludes it."""
+        """Return whether another roll within the scene's range shows the same cross, and no part excludes it."""
         if self._roll_max + abs(float(x[5])) < 0.5 * math.pi:
             return False
         others = np.abs(np.remainder(x[5] + _TURNS + math.pi, 2.0 * math.pi) - math.pi)

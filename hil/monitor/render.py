@@ -49,7 +49,7 @@ class Glare:
 class Conditions:
     """Conditions of the imaging of a target.
 
-    blur_px: 1 sigma of the point spread of lens and tube. noise: None for that of the scene's camera. flicker: fraction
+    blur_px: 1 sigma of the point spread of lens and tube. noise: None: the scene camera's. flicker: fraction
     of the brightness, at flicker_hz. slope_right, slope_down: relative increase of the brightness from the image's
     middle to its right and lower edge. extra: parts that hide others (in front) or resemble them (next to the target).
     black_s: intervals (start, end), s, without an image.

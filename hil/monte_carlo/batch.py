@@ -37,8 +37,8 @@ _here = threading.local()
 class Spec:
     """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read.
 
-    mixed: seeds of the cases of a rare-event campaign, by the case's number; the other cases have that of their number.
-    sobol: the cases are those of a campaign of Sobol' indices. density: text of the importance density of their noise.
+    mixed: seeds of the cases of a rare-event campaign, by the case's number; others have the seed of their number.
+    sobol: the cases belong to a campaign of Sobol' indices. density: text of the importance density of their noise.
     own: backends of navigation and control that the caller gives, pickled.
     """
 

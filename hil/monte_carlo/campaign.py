@@ -140,7 +140,7 @@ class CampaignJob:
         """Return the folder's store; raise BadInput if it holds another campaign.
 
         warn: called with a line for each file of an earlier start that cannot be used. more: part of the identity of
-        the campaign. columns: names of numbers in addition to those of every campaign.
+        the campaign. columns: names of numbers in addition to the common ones of campaigns.
         """
         return Store(folder, self.identity() | (more or {}), [*self.design.names, *columns], warn)
 

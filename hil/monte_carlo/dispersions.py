@@ -141,10 +141,10 @@ class Design:
         return drawn_fault(self._settings.faults, len(self._nominal.chaser.thrusters.position_m), sequence)
 
     def apply(self, values: Array, fault: dict[str, Any] | None = None) -> tuple[Scenario, Scenario]:
-        """Return the scenario of the truth, and that of the GNC; raise BadInput if one is invalid.
+        """Return the scenarios of truth and GNC; raise BadInput if one is invalid.
 
         The GNC has the nominal numbers, the dispersed ones of its own table, and the target's orbit.
-        fault: added to those of the scenario.
+        fault: added to the scenario's faults.
         """
         truth, gnc = (json.loads(self._text) for _ in range(2))
         if fault is not None:

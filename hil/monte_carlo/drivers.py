@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 VALUE, DISTANCE, PRODUCT, DISTANCE_PRODUCT, RATIO = "value", "distance", "product", "distance product", "ratio"
 FALSE_ALARM: Final = 0.04
-"""Probability of a driver without a cause, half of it for terms of one number, half for those of two."""
+"""Probability of a driver without a cause, half of it for terms of one number, half for terms of two."""
 LEAST: Final = 4  # failing and passing cases, below which nothing is looked for
 _CENTRES: Final = (0.35, 0.5, 0.65)  # quantiles
 _PERMUTATIONS: Final = 400
 _TERMS_MAX: Final = 4
 _FOLDS: Final = 5
-_REPEATS: Final = 5  # of a permutation importance
+_REPEATS: Final = 5  # repetitions of a permutation importance
 _PAIR_GAIN: Final = 0.03  # of explained variance, by which a term of two numbers has to be better
 _PAIR_NUMBERS: Final = 60  # with more of them, only terms of one are candidates
 

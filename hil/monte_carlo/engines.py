@@ -34,7 +34,7 @@ from hil.monte_carlo.outcome import failed_row
 
 _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
-_TRIES: Final = 3  # of a batch whose worker dies
+_TRIES: Final = 3  # tries of a batch whose worker dies
 _DEAD_MAX: Final = 3  # cases in a row whose workers died: it is not the cases
 _CONNECT_S: Final = 10.0
 _ASK_EVERY_S: Final = 5.0  # a scheduler whose computer has lost power does not close the connection
@@ -125,7 +125,7 @@ class _Parts:
         self._rows: dict[int, Rows] = {}
 
     def put(self, first: int, rows: Rows) -> Rows | None:
-        """Add the rows of the part that begins with case ``first``; return those of the batch when it is complete."""
+        """Add the rows of the part that begins with case ``first``; return the batch's rows when it is complete."""
         self._rows[first] = rows
         if len(self._rows) < len(self.borders):
             return None

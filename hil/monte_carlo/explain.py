@@ -73,7 +73,7 @@ class Cases:
 
 
 def dispersed_names(columns: list[str]) -> list[str]:
-    """Return those of the ``columns`` of a campaign that are dispersed numbers."""
+    """Return the ``columns`` of a campaign that are dispersed numbers."""
     return [name for name in columns if name not in _FIXED and not name.startswith("weight_") and "." in name]
 
 

@@ -17,7 +17,7 @@ from hil.report.figures import RunFigure, draw_stanford
 from hil.report.limits import LIMITS
 from hil.report.verdict import TABLE_V
 
-_MOST_POINTS = 2000  # of a curve
+_MOST_POINTS = 2000  # points of a curve
 _PANELS = (
     ("ready_time_s", "ready at, s"),
     ("propellant_kg", "propellant, kg"),

@@ -58,7 +58,7 @@ STUDY_RESULT = np.dtype(
 
 @kernel
 def _attitude(params, t_s):
-    """Return q_CH at ``t_s``: a smooth rotation (minimum-jerk) from the initial attitude to that of H."""
+    """Return q_CH at ``t_s``: a smooth rotation (minimum-jerk) from the initial attitude to H."""
     remaining = 1.0
     if t_s >= params.rotation_time:
         remaining = 0.0

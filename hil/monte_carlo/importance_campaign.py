@@ -56,7 +56,7 @@ class ImportanceSettings:
     event: RareEvent
     cases: int = CASES
     columns: ClassVar = (importance_density.LOG_WEIGHT,)
-    """Columns of the cases in addition to those of every campaign."""
+    """Columns of the cases in addition to the common ones of campaigns."""
 
     def __post_init__(self) -> None:
         event = self.event
@@ -66,7 +66,7 @@ class ImportanceSettings:
             raise BadInput.single("--method", "importance", text)
 
     def identity(self) -> dict[str, Any]:
-        """Return what distinguishes the folder from those of other campaigns."""
+        """Return what distinguishes the folder from other campaigns' folders."""
         return {"importance": dataclasses.asdict(self.event)}
 
     def run(self, job: CampaignJob, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from hil.maths.special import log_sum_exp
 from hil.monte_carlo.dispersions import case_seed
 
 LOG_WEIGHT: Final = "log_weight"
-"""Column of the cases: logarithm of the density of the scenario's noise over that of the campaign's."""
+"""Column of the cases: log ratio of the densities of the scenario's noise and the campaign's."""
 LEAD_S: Final = 64.0
 """Time before a deviation in which its noise has means."""
 CHANNELS: Final = {
@@ -214,7 +214,7 @@ def _dispersion_means(pilot: PilotCases, power: float) -> Array:
 def noise_drivers(density: ImportanceDensity) -> list[dict[str, Any]]:
     """Return the channels of noise that lead to the deviation, by the keys of ``rare.noise``, the largest part first.
 
-    part: of the squared distance, as of the variance of a linear system. halved_by: factor on the channel's standard
+    part: of the squared distance, as for the variance of a linear system. halved_by: factor on the channel's standard
     deviation that halves the probability, which for a first passage goes with exp(-distance^2 / 2); None if the channel
     is too small for that.
     """

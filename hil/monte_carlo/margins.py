@@ -24,7 +24,7 @@ from hil.monte_carlo.statistics import wilson
 from hil.monte_carlo.store import Store, atomic_write
 
 _FIRST_S: Final = 0.01
-_WITHIN: Final = 0.05  # of the first delay that fails
+_WITHIN: Final = 0.05  # accuracy relative to the first delay that fails
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def delay_margins(
 def _delay_margin(
     part: DelayedPart, undelayed: dict[str, Any], fly: Callable[[float], dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the margin of one part. undelayed: rate of accepted cases without a delay. fly: that of a delay, s."""
+    """Return the margin of one part. undelayed: rate of accepted cases without delay. fly: returns it with one, s."""
     points = {0.0: undelayed}
 
     def passes(delay_s: float) -> bool:

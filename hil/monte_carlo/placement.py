@@ -32,7 +32,7 @@ RUN_OUTCOMES: Final = (
 
 
 def outcomes_of(summary: Mapping[str, Any]) -> dict[str, float]:
-    """Return the outcomes of a run, by the columns of a campaign; summary: that of ``hil run --json``."""
+    """Return the outcomes of a run, by the columns of a campaign; summary: as in ``hil run --json``."""
     ready, navigation, thrusters = (summary.get(key) or {} for key in ("ready_phase", "navigation", "thrusters"))
     security = (summary.get("verdict") or {}).get("security") or {}
     outcomes = {
@@ -52,7 +52,7 @@ def outcomes_of(summary: Mapping[str, Any]) -> dict[str, float]:
 
 
 def place(value: float, cases: Array) -> dict[str, Any]:
-    """Return the place of a run's outcome among those of the cases, (n,), nan without one; None if there are none.
+    """Return the place of a run's outcome among the ``cases`` (n,), nan without an outcome; None if there are none.
 
     percentile: of the cases below it. p_value: probability of a rank as extreme. outside: by how much it is beyond all
     cases, in widths of their range from 5 to 95 %; 0 inside.

@@ -49,7 +49,7 @@ class RareSettings:
     per_level: int = PER_LEVEL
 
     columns: ClassVar = POINT_COLUMNS
-    """Columns of the cases in addition to those of every campaign."""
+    """Columns of the cases in addition to the common ones of campaigns."""
 
     @property
     def cases_per_level(self) -> int:
@@ -57,7 +57,7 @@ class RareSettings:
         return _UNIT * math.ceil(self.per_level / _UNIT)
 
     def identity(self) -> dict[str, Any]:
-        """Return what distinguishes the folder from those of other campaigns."""
+        """Return what distinguishes the folder from other campaigns' folders."""
         return {"rare": {**dataclasses.asdict(self.event), "cases_per_level": self.cases_per_level}}
 
     def method(self, seed: int) -> rare_events.Method:

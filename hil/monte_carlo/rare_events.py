@@ -72,7 +72,7 @@ class RareEvent:
 
 
 class NormalPoint(NamedTuple):
-    """A point of the standard normal space: that of ``parent``, moved by ``scale`` towards fresh normals."""
+    """A point of the standard normal space: the point ``parent``, moved by ``scale`` towards fresh normals."""
 
     number: int
     parent: int

@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.messages import Array
 from hil.maths.random_streams import MixedSeed
 
-_REPETITIONS: Final = 1000  # of the bootstrap
+_REPETITIONS: Final = 1000  # repetitions of the bootstrap
 _ROW: Final = 4  # of the spawn keys of a campaign's seed
 
 

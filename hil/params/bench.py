@@ -24,7 +24,7 @@ from hil.models.bodies import BODIES
 def bodies(
     given: Sequence[SpacecraftBody | BenchBody], on: str, offset_m: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> np.record:
-    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to that of the bodies."""
+    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to the bodies' origin."""
     record = new(BODIES)
     chosen = [(number, body) for number, body in enumerate(given, 1) if body.on == on]
     record.n, record.low, record.high = len(chosen), math.inf, -math.inf

@@ -207,7 +207,7 @@ def _set_array(params: np.record, scenario: Scenario, array: SolarArray) -> None
 
 
 def bending_modes(array: SolarArray) -> tuple[BendingMode, ...]:
-    """Return all modes of ``array``, that of its own keys first."""
+    """Return all modes of ``array``, first the mode of its own keys."""
     first = BendingMode(
         frequency_hz=array.mode_frequency_hz,
         damping=array.mode_damping,

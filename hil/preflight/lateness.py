@@ -26,7 +26,7 @@ _BAR = 40
 class Lateness:
     """Measured lateness of an empty loop.
 
-    histogram: as of ``lateness_histogram``, up to the last bin with cycles; skipped: complete periods lost.
+    histogram: see ``lateness_histogram``, up to the last bin with cycles; skipped: complete periods lost.
     """
 
     period_s: float

@@ -93,7 +93,7 @@ class GncServerStats:
     """Of each step: from the input to the reply."""
 
     def as_json(self, link: Link) -> dict[str, Any]:
-        """Return the statistics with those of the link."""
+        """Return the statistics, including the link's."""
         us = np.array(self.compute_us)
         percentiles = {
             name: float(np.percentile(us, percent)) if len(us) else None

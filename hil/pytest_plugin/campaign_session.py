@@ -254,7 +254,7 @@ def _message(report: Any, error: BaseException | None) -> str:
 
 
 def _folder(config: pytest.Config) -> Path:
-    """Return the folder of the day: that of ``--results``; to resume the latest one; else that of today."""
+    """Return the folder of the day: ``--results``; the latest one to resume; else today's."""
     given = option_of(config, "--results")
     if given is not None:
         return Path(given)

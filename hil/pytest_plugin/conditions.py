@@ -22,7 +22,7 @@ _DIGEST: Final = 16
 
 @dataclass(frozen=True)
 class RunConditions:
-    """Scenario, seed and settings of a test. faults: instead of those of the scenario."""
+    """Scenario, seed and settings of a test. faults: replace the scenario's faults."""
 
     scenario: str
     seed: int = 0
@@ -42,7 +42,7 @@ class RunConditions:
 
 
 def conditions_of(item: pytest.Item) -> RunConditions:
-    """Return the conditions that the closest scenario marker of ``item`` gives, else those of the configuration."""
+    """Return the conditions that the closest scenario marker of ``item`` gives, else the configuration's."""
     marker = item.get_closest_marker("scenario")
     default = str(item.config.getini("hil_scenario"))
     if marker is None:

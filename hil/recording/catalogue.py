@@ -142,7 +142,7 @@ class Catalogue:
     def end(
         self, run: str, ended_utc: str, state: str, cycles: int | None, dropped: int, summary: dict[str, Any]
     ) -> None:
-        """Enter the end of ``run``; summary: as of ``hil run --json``, empty if there is none."""
+        """Enter the end of ``run``; summary: as in ``hil run --json``, empty if there is none."""
         row = {
             "run": run,
             "state": state,

@@ -21,7 +21,7 @@ from hil.recording.read import Scan, directory
 
 @dataclass(frozen=True)
 class RecordedImage:
-    """A recorded image; times, number and status as of ``hil.core.camera_images.IMAGE``."""
+    """A recorded image; times, number and status as in ``hil.core.camera_images.IMAGE``."""
 
     camera: str
     t_s: float

@@ -280,7 +280,7 @@ class Recorded:
     IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. manipulator_samples: of
     MANIPULATOR_SAMPLE, empty without a rotary manipulator. held_samples: of HELD_SAMPLE, empty without axes that are
     held. sensor_arrivals: of SENSOR_ARRIVAL, empty without further
-    sensors. log: entries of the log as recorded. summary: as of
+    sensors. log: entries of the log as recorded. summary: as in
     ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
     """
 

@@ -82,7 +82,7 @@ class _Poses:
         self._arrivals = arrivals["pose"]
 
     def load(self, cycle: int) -> int:
-        """Load those of ``cycle``; return how many."""
+        """Load the poses of ``cycle``; return their number."""
         indices = self._by_cycle.get(cycle, [])[:MAX_POSES]
         for k, i in enumerate(indices):
             self.poses[k] = self._arrivals[i]
@@ -99,7 +99,7 @@ class _SensorArrivals:
         self._first = np.searchsorted(arrivals["cycle"], np.arange(first, first + cycles + 1))
 
     def load(self, k: int, gnc: GncBackend) -> None:
-        """Give those of cycle ``k`` to ``gnc``."""
+        """Give the arrivals of cycle ``k`` to ``gnc``."""
         if len(self._arrivals):
             i = k - self._begin
             gnc.set_sensor_arrivals(self._arrivals[self._first[i] : self._first[i + 1]])
@@ -114,7 +114,7 @@ class _Samples:
         self._first = np.searchsorted(samples["cycle"], np.arange(first, first + cycles + 1))
 
     def load(self, k: int, now: CycleData) -> str:
-        """Write those of cycle ``k`` to ``now``; return why it cannot be replayed, "" if it can."""
+        """Write the samples of cycle ``k`` to ``now``; return why it cannot be replayed, "" if it can."""
         i = k - self._begin
         n, samples = len(now.samples), self._samples[self._first[i] : self._first[i + 1]]
         if n == 1 or k == 0:  # the first cycle has none before it
@@ -295,7 +295,7 @@ class _Differences:
         self._cycles = 0
 
     def add(self, original: np.ndarray, now: np.ndarray) -> None:
-        """Compare the recorded rows (n,) of the next cycles with those of the replay."""
+        """Compare the recorded rows (n,) of the next cycles with the replayed ones."""
         for name in self._names:
             a, b = _field(original, name), _field(now, name)
             differs = (_bits(a) != _bits(b)).any(axis=1)

@@ -135,7 +135,7 @@ class _ImageCounter:
 
 
 def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesReplayed:
-    """Return the comparison of the recorded frames with those of a vision unit with ``geometry`` on the recorded pairs.
+    """Return the comparison of the recorded frames with a vision unit's with ``geometry`` on the recorded pairs.
 
     Frames of a rig with wires are compared with the resolution of the wire. Of a lost frame only the status is
     compared. Raises BadInput.
@@ -209,7 +209,7 @@ def _as_sent(frame: PoseFrame) -> PoseFrame:
 
 
 def replay_monitor(recorded: Recorded, scene: Scene) -> ImagesReplayed:
-    """Return the comparison of recorded portions with those of the docking monitor of ``scene``. Raises BadInput."""
+    """Return the comparison of recorded portions with the docking monitor's for ``scene``. Raises BadInput."""
     monitor, counter = DockingMonitor(scene, settings_of(recorded.scenario)), _ImageCounter()
     portions: list[Portion] = []
     replayed = ImagesReplayed(DOCKING_MONITOR)

@@ -319,7 +319,7 @@ _AXIS_FIELDS: Final = (("rail_m", "gimbal_rad"), ("rail_mps", "gimbal_radps"))
 
 
 def _covariance(position: Any, attitude: Any) -> Any:
-    """Return the covariance (36,) of a pose from those of its parts, (3, 3); those between both are left at zero."""
+    """Return the covariance (36,) of a pose from its parts', (3, 3); the cross-covariances are zero."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3], covariance[3:, 3:] = position, attitude
     return covariance.ravel()
@@ -332,7 +332,7 @@ def in_hill(vector_C: Any, q_CH: Any) -> Any:
 
 
 def definition(kind: str) -> str:
-    """Return the definition of ``kind`` with those of all types that it contains."""
+    """Return the definition of ``kind`` and of all types that it contains."""
     pending, names = [kind], []
     while pending:
         name = pending.pop(0)

@@ -46,7 +46,7 @@ LOG_ENTRY: Final = np.dtype(
 )  # fmt: skip
 """Entry of the log. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first on which it acts, or
 during which it happened, -1 before the run. kind: event, alarm, alarm state, mode, order (command to the GNC), setting,
-operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as of
+operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as in
 ``audit``."""
 
 SENSORS_FILE: Final = "sensors.json"

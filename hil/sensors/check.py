@@ -23,7 +23,7 @@ from hil.sensors.compiled import addresses
 from hil.sensors.module import SensorKind
 
 _STEPS: Final = np.array([1e-5] * 3 + [1e-6] * 3 + [1e-6] * 3)  # m, m/s, rad
-_TOLERANCE: Final = 1e-3  # of the largest entry of a row
+_TOLERANCE: Final = 1e-3  # relative to the largest entry of a row
 _POSES: Final = 40
 _SAMPLES: Final = 400
 _TAIL: Final = 1e-6

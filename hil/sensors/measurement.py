@@ -76,7 +76,7 @@ SENSOR_TRACK = np.dtype(
         ("has_measured", "i8"),
         ("has_sample", "i8"),
         ("frozen", SENSOR_SAMPLE),  # last sample that was passed on
-        ("memory", "f8", MEMORY),  # of the module
+        ("memory", "f8", MEMORY),  # memory of the module
     ],
     align=True,
 )

@@ -123,7 +123,7 @@ class BoardEstimator:
         return PoseEstimate(t_s, "ok", best["t"].copy(), q_vt, best["covariance"].copy(), best["noise"].copy())
 
     def _chosen(self, corners: list[Corners]) -> tuple[int, ...]:
-        """Return corners that both images show, else those of the better one: the farthest from those before."""
+        """Return corners that both images show, else of the better one: each the farthest from those before."""
         both = sorted(set(corners[0]) & set(corners[1]))
         ids = both if len(both) >= 4 else sorted(corners[0] if len(corners[0]) >= len(corners[1]) else corners[1])
         if len(ids) <= MAX_LEDS:

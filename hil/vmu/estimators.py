@@ -1,6 +1,6 @@
 """Pose estimators: the software that a vision unit runs on its images, selected by ``vmu.estimator`` of the rig file.
 
-Shipped are those of ``_BUILT_IN``. Those of other packages are found by entry points of the group
+``_BUILT_IN`` lists the shipped ones. Other packages register theirs by entry points of the group
 ``hil.pose_estimators``:
 
     [project.entry-points."hil.pose_estimators"]
@@ -32,7 +32,7 @@ _BUILT_IN: Final = {
     "charuco": "hil.vmu.boards:charuco",
 }
 _UNIT: Final = 1e-6
-_DEFINITE: Final = -1e-9  # of the largest eigenvalue
+_DEFINITE: Final = -1e-9  # relative to the largest eigenvalue
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,17 +37,17 @@ _TRACK_REACH_PX = 150.0
 _MARKED_COST = 20.0
 _FEW_DEGREES, _FEW_SIGMA = 6, 3.3
 _BRIGHTER = 1.3
-_SHIFTED = 4.5  # sigmas between the two images
+_SHIFTED = 4.5  # sigmas: shift between the two images
 _APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
-_OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
-_SECOND = 4  # LEDs, all of other lights, that make a second pattern
-_TWO_LIGHTS = 1.5  # of the usual flux: two lights may be one spot ...
+_OWN, _MORE = 5, 2  # least spots of a camera's own pattern, and by how many more than the best pose
+_SECOND = 4  # LEDs, all by other lights, that make a second pattern
+_TWO_LIGHTS = 1.5  # times the usual flux: two lights may be one spot ...
 _TWO_LIGHTS_PX = 6.0  # ... which is displaced
 _RANDOM = 1.0  # ln of the number of patterns by other lights up to which a position is reported
-_LIGHTS = 4  # in an image in which as many LEDs should be seen
+_LIGHTS = 4  # least number of lights in an image that should show as many LEDs
 _EDGE_PX = 4.0
 _EPIPOLAR_PX = 3.0
-_NEAR_TRACK = 20.0  # of the score, by which a pose that continues a mature track may be below the best
+_NEAR_TRACK = 20.0  # score by which a pose that continues a mature track may be below the best
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ class Identifier:
     def search(self, view: View, prediction: Prediction | None, mature: bool = False) -> LedIdentification:
         """Return the identification over all hypotheses; the prediction is used only if the spots are ambiguous.
 
-        mature: the prediction is that of a long track, which a single pair of images does not overrule.
+        mature: the prediction continues a long track, which a single pair of images does not overrule.
         """
         identification = self._by_hypotheses(view, prediction, mature)
         unknown = identification.status in (NO_MATCH, GEOMETRY, TOO_FEW) and view.counts.max() < MAX_SPOTS
@@ -161,7 +161,7 @@ class Identifier:
     def partly(self, view: View, verdict: LedIdentification) -> bool:
         """Return whether one of the candidates of ``verdict`` is the true pose, so that what they agree on is known.
 
-        The lights have to be those of the LEDs: hardly any of another pattern, none that the best candidate leaves out
+        The lights have to belong to the LEDs: hardly any to another pattern, none that the best candidate leaves out
         near it, and none at all with three LEDs, which other lights may be as well.
         """
         if verdict.open or verdict.jump or not verdict.candidates or not fits_within_budget(verdict.candidates[0]):

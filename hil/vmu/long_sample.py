@@ -37,7 +37,7 @@ class LongSample:
     def add(self, t_s: float, spots: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
         """Add the spots (SPOT) of a pair; return the lights of each image at ``t_s`` as SPOT, None if there are none.
 
-        A pair that does not follow the last one in time begins a new sample. Images equal to the last ones, as of a
+        A pair that does not follow the last one in time begins a new sample. Images equal to the last ones, as from a
         camera that repeats them, are no new ones and do not count.
         """
         if self._pairs and not t_s > self._times[-1]:

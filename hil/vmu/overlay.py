@@ -88,7 +88,7 @@ def _leds(scene: RingScene, solution: Solution, camera: int) -> list[Shape]:
 
 
 def _spots(solution: Solution, camera: int) -> list[Shape]:
-    """Return circles around the spots, those of LEDs first, with their numbers."""
+    """Return numbered circles around the spots, LEDs first."""
     names = {k: n for n, k in enumerate(solution.leds[camera]) if k >= 0}
     identified: list[Shape] = []
     others: list[Shape] = []

@@ -46,9 +46,9 @@ CROWDED: Final = "rejected_crowded"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
-_BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # of the pixels: more than LEDs cover
-_WINDOW_LIMIT = 0.6  # of the image: larger windows are no faster than the whole image
-_FAINT_SNR = 25.0  # of a light, beyond which no other of its kind is lost in the noise
+_BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # fraction of the pixels: more than LEDs cover
+_WINDOW_LIMIT = 0.6  # fraction of the image: larger windows are no faster than the whole image
+_FAINT_SNR = 25.0  # signal-to-noise ratio of a light beyond which no other of its kind is lost in noise
 _USUAL_SHIFT = 2.0  # sigmas between the two images
 _USUAL_SCALE = 2.3  # sigmas of the residuals' scale, which one good pair in a hundred exceeds
 _LARGEST_SCALE = 4.0  # of the residuals: beyond it cameras or ring are not those of the geometry file
@@ -422,7 +422,7 @@ def with_strained_tolerances(fit: np.void) -> np.void:
     """Return ``fit`` with larger tolerances if its images are further apart than they usually are by those stated.
 
     The part of the covariance that is not noise grows with the square of the shift between the images. Residuals that
-    are larger as a whole show the size of an error that is not stated, not its kind; of one that the spots share, as of
+    are larger as a whole show the size of an error that is not stated, not its kind; of one that the spots share, as in
     the lens, the pose absorbs most. They count with the square of their scale.
     """
     degrees, scale = residual_scale(fit)

@@ -262,7 +262,7 @@ class DeviceTable(ConfigModel):
 
     @classmethod
     def model_of(cls, key: str) -> type[BaseModel] | None:
-        """Return the model of the table ``key``: a field's, or that of a registered driver; None for other keys."""
+        """Return the model of the table ``key``, a field's or a registered driver's; None for other keys."""
         if key in cls.model_fields:
             return model_of_field(cls, key)
         try:
@@ -272,7 +272,7 @@ class DeviceTable(ConfigModel):
 
     @classmethod
     def unknown_keys(cls, keys: Iterable[str]) -> list[str]:
-        """Return those of ``keys`` that are neither fields nor tables of registered drivers."""
+        """Return the ``keys`` that are neither fields nor tables of registered drivers."""
         return [key for key in keys if key not in cls.model_fields and cls.model_of(key) is None]
 
     @field_validator("driver")

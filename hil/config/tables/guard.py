@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, NotNegative, Positive, Triple
 
-BODIES_MAX: Final = 8  # of each kind
+BODIES_MAX: Final = 8  # bodies of each kind
 
 
 class Body(ConfigModel):

@@ -21,13 +21,13 @@ def device_of(name: str) -> str:
 class SensorConfig(ConfigModel):
     """A sensor other than vision unit, IMU and docking monitor; its module declares further keys.
 
-    They are those of [Sensors](sensors.md).
+    The keys are listed in [Sensors](sensors.md).
     """
 
     model_config = ConfigDict(extra="allow")
 
     kind: Annotated[str, Field(min_length=1)]
-    """Kind of sensor: that of a shipped module, or of a package with an entry point of the group `hil.sensors`."""
+    """Kind of sensor: a shipped module, or an entry point of the group `hil.sensors` in a package."""
     enabled: bool = True
     """Whether its measurements are used; false: they are made and recorded alone."""
     use: Literal["fusion", "witness"] = "fusion"

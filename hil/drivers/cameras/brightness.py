@@ -10,7 +10,7 @@ import numpy as np
 _PERCENTILE: Final = 99.0
 _DARKEST: Final = 1.0  # level: the factor of one step is bounded by it
 _SATURATED: Final = 250.0
-_FACTORS: Final = (0.5, 2.0)  # of one step; a saturated image does not show how much brighter it is than full scale
+_FACTORS: Final = (0.5, 2.0)  # bounds of one step; a saturated image does not show by how much it exceeds full scale
 _DEAD_BAND: Final = 0.1  # relative; steps within it would change the image for nothing
 _SETTLING: Final = 4  # images from a command until one shows it: those in flight and in the camera's buffers
 _SHORTEST_S: Final = 2e-5

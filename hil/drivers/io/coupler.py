@@ -40,7 +40,7 @@ class Coupler:
         self._device_id = config.device_id
         self._timeout_s = timeout_s
         self._timeout_wall_s = clock.wall_s(timeout_s)
-        self._waits: set[asyncio.Timeout] = set()  # of pending requests
+        self._waits: set[asyncio.Timeout] = set()  # time-outs of pending requests
         self._decode_error: BaseException | None = None
         asyncio.get_running_loop().set_exception_handler(self._on_decode_error)
         self._client = AsyncModbusTcpClient(

@@ -56,7 +56,7 @@ class ControlFlags(IntFlag):
 
 
 class Status(IntFlag):
-    """Status bits of the drive. Their positions on the wire are those of the map."""
+    """Status bits of the drive. The map gives their positions on the wire."""
 
     READY = 1 << 0
     ENABLED = 1 << 1

@@ -22,8 +22,8 @@ _TYPES: Final = ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f
 _STRUCT: Final = dict(zip(_TYPES, "BbHhIiQqfd", strict=True))
 _UPPER: Final = np.triu_indices(6)
 _COUNTER_BITS: Final = 32
-_UNIT_TOLERANCE: Final = 1e-6  # of a quaternion: a unit that computes in float32 passes
-_INTEGER_TOLERANCE: Final = 1e-3  # of one in scaled integers of 16 bits, which is normalised
+_UNIT_TOLERANCE: Final = 1e-6  # tolerance of a quaternion's length: a unit that computes in float32 passes
+_INTEGER_TOLERANCE: Final = 1e-3  # tolerance in scaled integers of 16 bits; the quaternion is normalised
 _IDENTITY: Final = struct.Struct("16s16sBB")
 
 
@@ -164,7 +164,7 @@ class FrameDecoder:
         return frames
 
     def _size_at(self, start: int) -> int:
-        """Return the size of the frame at ``start``, that of a pose frame if its sync is incomplete."""
+        """Return the size of the frame at ``start``; of a pose frame if its sync is incomplete."""
         rest = self._buffer[start:]
         return next((size for sync, size in self._sizes.items() if rest.startswith(sync)), self._frames.size)
 

@@ -430,7 +430,7 @@ def _fuse_step(params, state, memory, step, cycle):
 
 @entry
 def advance(params, state, memory, imu):
-    """Begin the next step and carry the filters over it; arguments as of ``begin_step``."""
+    """Begin the next step and carry the filters over it; arguments: see ``begin_step``."""
     begin_step(params, state, memory, imu)
     predict_step(params, state, memory)
 

@@ -21,8 +21,8 @@ from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.sensors.vision_unit.pose import position_in_h
 
-_LEAST_WHITE = 1e-4  # of a pose's variance
-_LONGEST_STEP = 1.0  # of the logarithm of the noise's factor, per pose
+_LEAST_WHITE = 1e-4  # fraction of a pose's variance
+_LONGEST_STEP = 1.0  # step of the logarithm of the noise factor, per pose
 _LEAST_FACTOR = 3.0  # standard deviations of the logarithm as it was known, below the reported noise
 
 
@@ -47,7 +47,7 @@ def _white(errors, covariance, k, noise, out):
 
 @kernel
 def _add_correlated(errors, covariance, k, noise, h):
-    """Write the sensitivity to the correlated noise, the Cholesky factor of its covariance; k: as of ``_white``."""
+    """Write the sensitivity to the correlated noise, the Cholesky factor of its covariance; k: see ``_white``."""
     if errors.correlated == 0:
         return
     first, factor = errors.correlated + 3 * k, elementary.exp(noise.log[k]) * errors.fraction

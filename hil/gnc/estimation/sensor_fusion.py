@@ -50,12 +50,12 @@ SENSOR_SLOT = np.dtype(
         ("innovate", "i8"),  # address
         ("enabled", "i8"),
         ("witness", "i8"),  # 1: it is compared, not fused
-        ("sigmas", "f8"),  # of a witness: standard deviations of both that are allowed
-        ("samples", "i8"),  # of a witness: consecutive, that set its interlock or release it
+        ("sigmas", "f8"),  # allowed standard deviations between a witness and the estimate
+        ("samples", "i8"),  # consecutive samples of a witness that set its interlock or release it
         ("n", "i8"),  # components
         ("gate", "f8", 2),  # largest NIS of the first three components, and of the others
         ("errors", "i8"),
-        ("component", "i8", SENSOR_ERRORS_MAX),  # of each error
+        ("component", "i8", SENSOR_ERRORS_MAX),  # component of each error
         ("sigma", "f8", SENSOR_ERRORS_MAX),  # its standard deviation
         ("state", "i8", SENSOR_ERRORS_MAX),  # its index in the error state, 0: it is left out
     ],
@@ -64,12 +64,12 @@ SENSOR_SLOT = np.dtype(
 SENSOR_FUSION_PARAMS = np.dtype(
     [
         ("n", "i8"),
-        ("fused", "i8"),  # of them those that are no witnesses
+        ("fused", "i8"),  # fused sensors: without witnesses
         ("slot", SENSOR_SLOT, MAX_SENSORS),
         ("witness", WITNESS_PARAMS),
         ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
         ("cusum_limit", "f8"),
-        ("nis_weight", "f8"),  # of a sample in the mean NIS
+        ("nis_weight", "f8"),  # weight of a sample in the mean NIS
         ("nis_limit", "f8"),  # largest mean of a component
         ("suspect_after", "i8"),  # consecutive rejections
         ("gate", "f8"),  # standard deviations of one component that the gate passes
@@ -155,7 +155,7 @@ def _innovate(params, state, sample, cycle, group):
     fill_matrix(joint.h, 0.0)
     fill_matrix(joint.noise, 0.0)
     for i in range(3):
-        joint.value[i], joint.noise[i, i] = 0.0, 1.0  # of a component that there is not: no information
+        joint.value[i], joint.noise[i, i] = 0.0, 1.0  # absent component: no information
         if first + i >= slot.n:
             continue
         joint.value[i] = innovation.value[first + i]

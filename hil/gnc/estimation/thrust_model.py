@@ -48,8 +48,8 @@ THRUST_PARAMS = np.dtype(
         ("minimum_on_s", "f8"),
         ("settle", "i8"),  # steps after the last expected thrust in which a valve may still be open
         ("variance", "f8"),  # (m/s^2)^2 of a step's specific force without thrust
-        ("fraction", "f8"),  # of a commanded thrust, 1 sigma, without IMU
-        ("measured_fraction", "f8"),  # of a measured one
+        ("fraction", "f8"),  # fraction of a commanded thrust, 1 sigma, without IMU
+        ("measured_fraction", "f8"),  # fraction of a measured thrust
         ("walk", "f8"),  # m/s^2 in a step, of the disturbance
         ("rate_variance", "f8"),  # (rad/s)^2 that the rate gains in a step without gyros
         ("window", "i8"),  # steps over which quiet readings are averaged

@@ -50,7 +50,7 @@ def _through(points, i, j, k):
 
 @kernel
 def fit_circle(points, near, start, turns):
-    """Fit a circle to those of ``points`` (n, 2) within ``near`` px of ``start`` (3,): u, v, radius, by Gauss-Newton.
+    """Fit a circle to the ``points`` (n, 2) within ``near`` px of ``start`` (3,): u, v, radius, by Gauss-Newton.
 
     ``start`` is improved in place (monitor paper 3, Phi_2). Return the fraction of the points used (0 on failure).
     """

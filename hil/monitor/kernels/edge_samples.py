@@ -240,7 +240,7 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
     """Write the samples of all parts under the pose a (3, 3), d (3,), m; return how many.
 
     blur: px, 1 sigma of an edge. length: px along the edge; most: largest number per edge. wide_bar: px, bars wider
-    than this are measured at each side separately. wanted: px, half width of the strips.
+    than this are measured at each side separately. extent: px, half width of the strips.
     """
     circles_px, lines_px = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
     project_borders(lens, a, d, circles, borders, circles_px, lines_px)

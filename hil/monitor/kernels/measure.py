@@ -174,7 +174,7 @@ def measure(
 ):
     """Measure the pose ``x`` (15,), accurate to about a pixel; return (status, number of samples).
 
-    camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. left: residuals, px.
+    camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. misfits: residuals, px.
     normal: (15, 15), of the edges alone. sums: (4,) of ``square_sums``.
     """
     prior, noise, blur_sums = tuning.prior, np.empty(2), np.empty(2)

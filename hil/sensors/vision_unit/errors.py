@@ -22,7 +22,7 @@ VISION_ERRORS = np.dtype(
         ("seed", "i8"),
         ("bias", "f8", 3),  # m, in v, of t_v
         ("q_misaligned", "f8", 4),  # from the camera's axes to those that the unit assumes
-        ("scale_error", "f8"),  # of the distance, relative
+        ("scale_error", "f8"),  # relative error of the distance
         ("correlated_fraction", "f8"),  # of the variance of the noise
         ("correlation_s", "f8"),
         ("outlier_probability", "f8"),
@@ -40,7 +40,7 @@ least distance of an LED from an edge of an image there, px."""
 
 LEAST_LEDS = 3
 """LEDs that both images must show; with fewer the pose of a ring is not determined."""
-PLACES = 6  # of the LEDs on the ring
+PLACES = 6  # positions of the LEDs on the ring
 _CORRELATED_LANE, _OUTLIER_LANE, _MISIDENTIFIED_LANE = 2048, 8192, 8196  # beyond those of the faults
 
 

@@ -152,7 +152,7 @@ def calibrate_hand_held(
     guess: bool,
     progress: Progress,
 ) -> CalibrationOutcome:
-    """Return the calibration of both cameras by pairs of a board that is held by hand; arguments as of ``calibrate``.
+    """Return the calibration of both cameras by pairs of a board that is held by hand; arguments: see ``calibrate``.
 
     Without ``guess`` the images may have another size than those of ``geometry``. Without a board the target is the
     ring, and its layout is measured by the cameras of ``geometry``.

@@ -50,7 +50,7 @@ class Parameter:
 
 
 def parameters(points: int = 0) -> list[Parameter]:
-    """Return all shared unknowns in order, followed by those of the layout of ``points`` LEDs."""
+    """Return all shared unknowns in order, followed by the layout of ``points`` LEDs."""
     entries = [
         Parameter(f"{side}.{name}", unit, 1.0)
         for side in SIDES
@@ -73,7 +73,7 @@ class TurntableModel:
 
     @classmethod
     def of(cls, bench: BenchGeometry) -> TurntableModel:
-        """Return that of a rig file."""
+        """Return the turntable model of a rig file."""
         return cls(
             np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order])
         )

@@ -175,7 +175,7 @@ class _System:
         return change, np.array(own)
 
     def covariance(self) -> Array:
-        """Return that of the shared unknowns."""
+        """Return the covariance of the shared unknowns."""
         scale = 1.0 / np.sqrt(np.diagonal(self.reduced))
         inverse = np.linalg.inv(self.reduced * scale[:, None] * scale)
         out: Array = inverse * scale[:, None] * scale

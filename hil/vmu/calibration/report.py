@@ -16,7 +16,7 @@ from hil.vmu.kernels.chain import COMMON, SCALE
 
 
 def values(setup: Setup, paper: Setup, leds: bool) -> Array:
-    """Return all parameters of ``setup`` in the order of ``parameters``; rotations relative to those of ``paper``."""
+    """Return all parameters of ``setup`` in the order of ``parameters``; rotations relative to ``paper``."""
     theta = setup.theta.copy()
     for part, mine, other in (
         ("mounting", setup.camera_axes, paper.camera_axes),

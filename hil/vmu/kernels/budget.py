@@ -218,7 +218,7 @@ def fill_shared(scene, r, t, eq):
 def fill_weights(view, spot, shared, floor, eq):
     """Write the Cholesky factor of S; return the logarithm of its determinant, NaN if there is none.
 
-    shared: (2 m, 2 m), in place of that of ``eq``.
+    shared: (2 m, 2 m), in place of the covariance in ``eq``.
     """
     low, n = eq.low, eq.residual.shape[0]
     for k in range(n):

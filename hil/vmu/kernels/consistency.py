@@ -21,7 +21,7 @@ _DEPENDENT = 1e-9  # of a column's square
 
 @kernel
 def add_information(scene, view, fit, floor_square, information, product):
-    """Add those of the pose ``fit`` (FIT) to information (p, p) and product (p,); return the number of residuals.
+    """Add pose ``fit`` (FIT) to information (p, p) and product (p,); return the number of residuals.
 
     floor_square: px^2, variance of each coordinate of a spot beyond its noise.
     """

@@ -117,7 +117,7 @@ def count(fit, n_leds):
 
 @kernel
 def keep_assigned(previous, n_leds, spot):
-    """Give the LEDs of ``spot`` (2, MAX_LEDS) that lost their spot that of ``previous``; return whether any changed."""
+    """Give LEDs of ``spot`` (2, MAX_LEDS) that lost their spot the one in ``previous``; return whether any changed."""
     changed = False
     for c in range(2):
         for n in range(n_leds):

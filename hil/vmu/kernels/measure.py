@@ -16,7 +16,7 @@ from hil.vmu.kernels.residuals import drop_outliers, light_noise, misfit, shape_
 LIMITS = np.dtype(
     [
         ("sigmas", "f8"),  # threshold of the sums of 3 x 3, in sigma
-        ("least_snr", "f8"),  # of a spot's flux
+        ("least_snr", "f8"),  # least signal-to-noise ratio of a spot's flux
         ("narrowest", "f8"),  # px, sigma below which a light is a defective pixel
         ("largest", "f8"),  # px, diameter of the largest spot
     ],
@@ -28,7 +28,7 @@ _MOST_STEPS = 12
 _NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a light is no round Gaussian
 _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
-_APART_PX = 1.5  # of a second light from the first
+_APART_PX = 1.5  # distance of a second light from the first
 _BLURS = 3.6  # sigmas of the blur beyond the edge of a disc, from which on there is no light
 _LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
@@ -177,7 +177,7 @@ def size_variance(f, a):
 
 @kernel
 def write_elongation(disc):
-    """Write the elongation of a disc, as ``shape_chi_square`` does that of a point of light."""
+    """Write the elongation of a disc, as ``shape_chi_square`` does for a point of light."""
     width, shear, height = disc.p[PLANE + WIDTH], disc.p[PLANE + SHEAR], disc.p[PLANE + HEIGHT]
     disc.elongation[0] = 0.125 * (width * width + shear * shear - height * height)
     disc.elongation[1] = 0.25 * shear * height

@@ -224,7 +224,7 @@ def moved_pose(scene, view, fit, shift):
 
 @kernel
 def odd_light(scene, view, fit):
-    """Return the LED whose spots are elongated least like those of the others, and by how many sigmas.
+    """Return the LED whose spots are elongated least like the others', and by how many sigmas.
 
     A disc of radius r that is cut to a half is displaced by 0.42 r and has 0.09 r^2 less of half the difference of its
     variances; motion, tilt and the lens elongate all spots alike, but for the angles at which the LEDs are seen.

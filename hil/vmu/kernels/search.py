@@ -30,7 +30,7 @@ from hil.vmu.kernels.measure import measure
 
 TOO_MANY = -1  # more lights than the capacity
 _TILE = 64  # px
-_SAMPLES = 36  # of a tile
+_SAMPLES = 36  # samples of a tile
 _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
 _FRINGE, _LARGE = 12, 300  # pixels above the threshold

@@ -94,7 +94,7 @@ class MessageTemplate:
         self.names = [name for _, name in self._parts if name]
 
     def write(self, values: Mapping[Key, Value], axis: int) -> str:
-        """Return the text; fields without an axis name are those of ``axis``."""
+        """Return the text; fields without an axis name belong to ``axis``."""
         out, formats = [], iter(self._formats)
         for literal, name in self._parts:
             out.append(literal)

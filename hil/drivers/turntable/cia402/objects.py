@@ -30,7 +30,7 @@ _ALLOWED = {
     **{(pdo.parameter, 2): (1, 255) for pdo in _PDOS},
 }
 """Low bytes of values that may be written, of objects with few."""
-_FORMATS = {16: "H", 32: "i"}  # of mappable objects, by bits
+_FORMATS = {16: "H", 32: "i"}  # formats of mappable objects, by bits
 
 
 @dataclass(slots=True)
