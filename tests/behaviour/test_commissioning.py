@@ -119,7 +119,7 @@ def test_axes_are_found_in_order_one_at_a_time_and_stand_where_they_stood() -> N
     ("without_pose", "text"),
     [(250, "250 frames without a pose: is the target in view from here?"), (0, "no frame within 5 s")],
 )
-def test_unit_that_answers_without_a_pose_is_told_from_one_that_is_silent(without_pose: int, text: str) -> None:
+def test_unit_that_answers_without_a_pose_is_distinguished_from_a_silent_one(without_pose: int, text: str) -> None:
     def sees_nothing(runner: Runner, trial: Trial, _: Button) -> None:
         runner.source.poll = lambda now_s: []  # type: ignore[method-assign,assignment]
         runner.source.counters = lambda: {"no_pose": without_pose}  # type: ignore[method-assign]
