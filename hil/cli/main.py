@@ -24,7 +24,7 @@ from hil.cli.options import declared_problems, refuse
 from hil.core.build_info import VERSION
 from hil.core.operator_commands import STOP_SIGNALS
 from hil.core.part import commands_of, parts
-from hil.core.surroundings import leave_process, remove_temporary_folders
+from hil.core.surroundings import leave_process, remove_temporary_folders, settle_matplotlib
 from hil.errors import BadInput, BenchError, CampaignStopped
 
 _GARBAGE_THRESHOLD: Final = 50_000  # most objects of a start are imported and stay: searches for garbage are in vain
@@ -63,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for problem in parts().problems:
         print(problem, file=sys.stderr)  # noqa: T201
     remove_temporary_folders()  # of processes that were killed
+    settle_matplotlib()
     code = execute(sys.argv[1:] if arguments is None else arguments)
     out.flush()
     if out.problem and code in (PASSED, FAILED):  # a reader of the exit code alone would take the results as delivered

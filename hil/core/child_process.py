@@ -19,7 +19,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol, Self
+from io import TextIOWrapper
+from typing import Any, Final, Protocol, Self, cast
 
 from hil.core.fork_server import ForkedProcess, ForkServer
 from hil.core.surroundings import unnamed_file
@@ -199,6 +200,7 @@ class Parent:
             die_with_parent(when_orphaned)
         self._up = os.dup(sys.stdout.fileno())
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        cast(TextIOWrapper, sys.stdout).reconfigure(line_buffering=True)  # for the report of a child that is killed
         self._lines = _LineReader(sys.stdin.fileno())
         try:
             self.configuration = self.receive(None)

@@ -58,6 +58,16 @@ def user_folders(kind: Literal["cache", "config"], create: bool = False) -> Iter
                 yield private
 
 
+def settle_matplotlib() -> None:
+    """Let matplotlib use a private folder if it cannot write the user's: it would make one in /tmp for each run."""
+    for folder in user_folders("config", create=True):
+        existing = next(each for each in (folder, *folder.parents) if os.path.exists(each))
+        if existing.is_dir() and os.access(existing, os.W_OK):
+            if folder != users_own_folder("config"):
+                os.environ.setdefault("MPLCONFIGDIR", str(folder / "matplotlib"))
+            return
+
+
 def why_unsafe(status: os.stat_result) -> str:
     """Return how another user than this one and root could change a file or folder, "" if none can."""
     if status.st_uid not in (os.geteuid(), 0):

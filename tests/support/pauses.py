@@ -4,6 +4,9 @@ A process of its own sleeps for 5 ms at a time, passes a byte through a pseudo-t
 late. The pause is the lateness times the fraction of processor time that others used in that interval: what is neither
 idle nor used by the test's tree, which is the process of the tests and its descendants, as well those that have ended.
 A program that loads all cores by itself thus causes none, nor does a watcher that is stopped while cores are idle.
+
+Under a high load the threads of a test wait often and for short times each, which the watcher, who mostly sleeps, does
+not meet. A thread of the tree that waits for a processor for more than half of 0.1 s counts as a pause, too.
 """
 
 from __future__ import annotations
@@ -16,10 +19,14 @@ import sys
 import time
 import tty
 from collections import deque
+from contextlib import suppress
 from typing import NamedTuple
 
 PERIOD_S = 0.005
 SHORTEST_S = 0.005
+WAITS_PERIOD_S = 0.1
+SHORTEST_WAITS = 0.5
+"""Fraction of ``WAITS_PERIOD_S``."""
 REPLY_S = 10.0
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
@@ -47,12 +54,16 @@ class Usage(NamedTuple):
     own_s: float
 
 
-def pause_between(before: Usage, after: Usage, cores: int) -> Pause:
-    """Return the pause in an interval of the watcher; its fraction is 0 if the tree's time is not known."""
+def pause_between(before: Usage, after: Usage, cores: int, waited_s: float | None = None) -> Pause:
+    """Return the pause in an interval of the watcher; its fraction is 0 if the tree's time is not known.
+
+    It lasts for ``waited_s``, by default for the lateness of the watcher.
+    """
     length_s = after.time_s - before.time_s
     own_s, idle_s = after.own_s - before.own_s, max(0.0, after.idle_s - before.idle_s)
     fraction = 1.0 - (own_s + idle_s) / (cores * length_s) if own_s >= 0.0 else 0.0
-    return Pause(after.time_s, max(0.0, length_s - PERIOD_S), max(0.0, fraction))
+    late_s = max(0.0, length_s - PERIOD_S) if waited_s is None else waited_s
+    return Pause(after.time_s, late_s, max(0.0, fraction))
 
 
 class ProcessTree:
@@ -63,6 +74,7 @@ class ProcessTree:
         self._seen: set[int] = set()
         self._last_pid = b""
         self._loadavg = os.open("/proc/loadavg", os.O_RDONLY)
+        self._waited: dict[str, int] = {}
         self._add(root)
 
     def used_s(self) -> float:
@@ -81,6 +93,13 @@ class ProcessTree:
                 continue
             used_s += _TICK_S * sum(map(int, reaped))
         return used_s
+
+    def longest_wait_s(self) -> float:
+        """Return for how long the thread that waited longest has waited for a processor since the last call, s."""
+        before, self._waited = self._waited, {}
+        for pid in self._members:
+            self._waited |= _waited(pid)
+        return 1e-9 * max((ns - before.get(thread, ns) for thread, ns in self._waited.items()), default=0)
 
     def _find_new(self) -> None:
         if (last_pid := os.pread(self._loadavg, 100, 0).split()[-1]) == self._last_pid:
@@ -104,6 +123,16 @@ class ProcessTree:
 def _stat(descriptor: int) -> list[bytes]:
     """Return the fields of a process behind its name: state, parent, ..."""
     return os.pread(descriptor, 1000, 0).rpartition(b")")[2].split()
+
+
+def _waited(pid: int) -> dict[str, int]:
+    """Return for how long each thread of a process has been ready without a processor, ns; empty if it has ended."""
+    waited = {}
+    with suppress(OSError):
+        for thread in os.listdir(f"/proc/{pid}/task"):
+            with open(f"/proc/{pid}/task/{thread}/schedstat", "rb") as file:
+                waited[thread] = int(file.read().split()[1])
+    return waited
 
 
 def _parent(pid: int) -> int:
@@ -155,7 +184,7 @@ class _Watcher:
         self._processors = {f"cpu{number}".encode() for number in os.sched_getaffinity(0)}
         self._stat = os.open("/proc/stat", os.O_RDONLY)
         self._pauses = deque[Pause](maxlen=100_000)
-        self._usage = self._measure()
+        self._usage = self._usage_of_waits = self._measure()
 
     def sample(self) -> None:
         """Wait for the next sample, and note the pause if there was one."""
@@ -163,8 +192,16 @@ class _Watcher:
         os.write(self._near, b".")
         os.read(self._far, 1)
         before, self._usage = self._usage, self._measure()
-        pause = pause_between(before, self._usage, len(self._processors))
-        if pause.duration_s > SHORTEST_S:
+        self._note(pause_between(before, self._usage, len(self._processors)), SHORTEST_S)
+        before, length_s = self._usage_of_waits, self._usage.time_s - self._usage_of_waits.time_s
+        if length_s > WAITS_PERIOD_S:
+            self._usage_of_waits = self._usage
+            waited_s = self._tree.longest_wait_s()
+            pause = pause_between(before, self._usage, len(self._processors), waited_s)
+            self._note(pause, SHORTEST_WAITS * length_s)
+
+    def _note(self, pause: Pause, shortest_s: float) -> None:
+        if pause.duration_s > shortest_s:
             self._pauses.append(pause)
 
     def longest(self, begin_s: float) -> Pause | None:

@@ -139,6 +139,18 @@ def test_odd_folder_for_temporary_files_is_not_needed(
         assert os.stat(folder).st_mode & 0o777 == 0o700
 
 
+def test_matplotlib_uses_a_private_folder_only_if_the_user_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    for home, folder in (("/etc/passwd", str(tmp_path / f"hil-{os.geteuid()}" / "matplotlib")), (str(tmp_path), None)):
+        monkeypatch.setenv("XDG_CONFIG_HOME", home)
+        monkeypatch.setenv("MPLCONFIGDIR", "")
+        monkeypatch.delenv("MPLCONFIGDIR")
+        surroundings.settle_matplotlib()
+        assert os.environ.get("MPLCONFIGDIR") == folder
+
+
 def test_folder_in_which_others_could_exchange_files_is_not_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import pauses
 from tests.support.pauses import PERIOD_S, Pause, ProcessTree, Usage, pause_between
 from tests.support.pytest_runs import environment
 
@@ -204,3 +205,12 @@ def test_processor_time_of_a_tree_excludes_that_of_others() -> None:
     busy.wait()
     assert tree.used_s() - used_s < 0.05
     asleep.communicate(b"\n")
+
+
+def test_wait_of_a_thread_counts_from_the_last_call_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    waited_ns = iter([{"1": 5_000_000_000}, {"1": 5_070_000_000, "2": 60_000_000}])
+    monkeypatch.setattr(pauses, "_waited", lambda pid: next(waited_ns))
+    tree = ProcessTree(os.getpid())
+    assert [tree.longest_wait_s(), tree.longest_wait_s()] == [0.0, 0.07]
+    pause = pause_between(Usage(0.0, 0.0, 0.0), Usage(0.1, 0.0, 0.02), 2, 0.07)
+    assert pause.duration_s == pytest.approx(0.063)

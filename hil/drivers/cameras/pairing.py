@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import fsum
 from typing import Final
 
 import numpy as np
@@ -38,7 +39,7 @@ class FramePair:
     def exposed_s(self) -> float:
         """Return the mean time of exposure, s."""
         times = [frame.exposed_s for frame in (self.left, self.right) if frame is not None]
-        return sum(times) / len(times)
+        return fsum(times) / len(times)
 
     @property
     def arrived_s(self) -> float:

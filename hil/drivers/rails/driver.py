@@ -12,6 +12,7 @@ import asyncio
 from collections.abc import Awaitable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
+from math import fsum
 from typing import Final, TypeVar
 
 import numpy as np
@@ -200,7 +201,7 @@ class ModbusRails(LoopThread):
         states = await asyncio.gather(*(self._exchange(index) for index in range(len(self._drives))))
         received = [state for state in states if state is not None]
         if len(received) == len(self._drives):
-            t_s = sum(drive.sampled_s for drive in self._drives) / len(self._drives)
+            t_s = fsum(drive.sampled_s for drive in self._drives) / len(self._drives)
             position = np.array([state.position_m for state in received])
             rate = np.array([state.rate_mps for state in received])
             limit = tuple(self._limit(axis, received) for axis in range(len(received)))

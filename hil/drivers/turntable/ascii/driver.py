@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from math import fsum
 from typing import Final
 
 import numpy as np
@@ -185,7 +186,7 @@ class AsciiLink:
                     return None
                 times.append(reply[0])
                 report |= reply[1]
-        return sum(times) / len(times), report
+        return fsum(times) / len(times), report
 
     def _insist(self, action: str) -> tuple[float, FieldValues]:
         """Perform an action of set-up, with time-outs in wall time."""
