@@ -60,7 +60,7 @@ def field_table(c, s):
 def harmonics_of_four(params, field, positions, out):
     """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in body-fixed axes.
 
-    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. place: (4, 3), m,
+    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. positions: (4, 3), m,
     body-fixed. out: (4, 3). The recursion is a chain of dependent operations; four of them side by side, in the
     lanes of a register, take hardly longer than one.
     """

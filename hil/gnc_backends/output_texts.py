@@ -56,7 +56,7 @@ def _with_text(what: str, text: bytes) -> str:
 def fault_text(out: np.void, fault: int, index: int, n_thrusters: int, cycle: int) -> str:
     """Return what is wrong with an output of navigation, of control or of both.
 
-    fault, place: of ``backend_outputs`` or ``whole_step.take_apart``. cycle: of the input.
+    fault, index: of ``backend_outputs`` or ``whole_step.take_apart``. cycle: of the input.
     """
     names = out.dtype.names or ()
     match fault:

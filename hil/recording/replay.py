@@ -156,7 +156,7 @@ def replay(
             raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
         if not loop.ended and recorded.end is not None and _is_complete(recorded, scenario, read):
             gnc.finish(last_s, loop.now.supervision)
-    replayed = Replayed(loop.cycles, read, loop.ended, sums.found())
+    replayed = Replayed(loop.cycles, read, loop.ended, sums.differences())
     replayed.missing_events, replayed.new_events = _events(recorded, gnc, last_s)
     return replayed
 
@@ -313,7 +313,7 @@ class _Differences:
         cycles = entry.cycles + new.cycles
         self._found[new.field] = replace(entry, cycles=cycles, largest=largest.largest, largest_s=largest.largest_s)
 
-    def found(self) -> list[Difference]:
+    def differences(self) -> list[Difference]:
         """Return them in the order of the fields."""
         return [self._found[name] for name in self._names if name in self._found]
 

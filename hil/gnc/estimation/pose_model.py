@@ -173,8 +173,8 @@ def start(params, pose, noise, filters):
 def innovate_attitude(errors, filters, noise, q_measured, covariance, innovation):
     """Write innovation, a rotation in rad, and gain of a measured attitude into ``innovation``; return the NIS.
 
-    errors: ERROR_STATE. filters: FILTERS, not changed. noise: NOISE_FACTOR. covariance: (3, 3), rad^2, in c. found:
-    INNOVATION. The NIS is nan if the covariance of the innovation is not positive definite.
+    errors: ERROR_STATE. filters: FILTERS, not changed. noise: NOISE_FACTOR. covariance: (3, 3), rad^2, in c.
+    innovation: INNOVATION. The NIS is nan if the covariance of the innovation is not positive definite.
     """
     quat.rotation_between(q_measured, filters.akf.x[0:4], innovation.value)
     attitude_sensitivity(errors, covariance, noise, innovation.h)

@@ -64,7 +64,7 @@ def depth(scene, view, c, i, j, out):
 
 @kernel
 def depths(scene, view, c, near, far, ranges, counts):
-    """Write the possible depths of spots of camera c, found (MAX_SPOTS, 4, 2), and their number, counts (MAX_SPOTS,).
+    """Write the possible depths of spots of camera c, ranges (MAX_SPOTS, 4, 2), and their number, counts (MAX_SPOTS,).
 
     The number is 0 (unknown) for a spot without a partner, or with too many.
     """
