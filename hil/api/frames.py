@@ -28,21 +28,21 @@ def library(name: str) -> Any:
 
 def columns_of(records: np.ndarray) -> dict[str, Array]:
     """Return each number of ``records`` (n,) by its name: ``truth.r_CT_H.x``, components of quaternions q1 q2 q3 q0."""
-    found = {}
+    columns = {}
     for name, values in _leaves(records).items():
         if values.ndim == 1:
-            found[name] = values
+            columns[name] = values
             continue
         flat = values.reshape(len(values), -1)
         parts = _components(name, values.shape[1:])
-        found |= {f"{name}.{part}": np.ascontiguousarray(flat[:, i]) for i, part in enumerate(parts)}
-    return found
+        columns |= {f"{name}.{part}": np.ascontiguousarray(flat[:, i]) for i, part in enumerate(parts)}
+    return columns
 
 
 def units_of(names: list[str]) -> dict[str, str]:
     """Return the unit of each column of ``columns_of`` that has one."""
-    known = ((name, _UNITS.get(name) or _UNITS.get(name.rpartition(".")[0])) for name in names)
-    return {name: field.unit for name, field in known if field is not None and field.unit not in ("", "1")}
+    fields = ((name, _UNITS.get(name) or _UNITS.get(name.rpartition(".")[0])) for name in names)
+    return {name: field.unit for name, field in fields if field is not None and field.unit not in ("", "1")}
 
 
 def to_pandas(records: np.ndarray, t_s: Array) -> Any:
@@ -60,7 +60,7 @@ def to_polars(records: np.ndarray, t_s: Array) -> Any:
 
 def to_xarray(records: np.ndarray, t_s: Array) -> Any:
     """Return a Dataset of ``records`` (n,): time as index, axes x y z by name, units and frames in the attributes."""
-    xarray, found = library("xarray"), {}
+    xarray, variables = library("xarray"), {}
     coordinates: dict[str, Any] = {"t_s": ("t_s", t_s, {"units": "s"})}
     for name, values in _leaves(records).items():
         dimensions = ["t_s"]
@@ -71,8 +71,8 @@ def to_xarray(records: np.ndarray, t_s: Array) -> Any:
                 coordinates[dimension] = list(_AXES if dimension == "axis" else _QUATERNION)
         field = _UNITS.get(name)
         attributes = {} if field is None else {"units": field.unit, "frame": field.frame, "long_name": field.meaning}
-        found[name.replace(".", "_")] = (dimensions, values, attributes)
-    return xarray.Dataset(found, coords=coordinates)
+        variables[name.replace(".", "_")] = (dimensions, values, attributes)
+    return xarray.Dataset(variables, coords=coordinates)
 
 
 def _leaves(records: np.ndarray) -> dict[str, Array]:
@@ -89,9 +89,9 @@ def _components(name: str, shape: tuple[int, ...]) -> list[str]:
     return [".".join(map(str, index)) for index in np.ndindex(*shape)]
 
 
-def _dimension(name: str, size: int, place: int) -> str:
-    if size == 3 and place == 0:
+def _dimension(name: str, size: int, axis: int) -> str:
+    if size == 3 and axis == 0:
         return "axis"
     if size == 4 and name.rpartition(".")[2].startswith("q_"):
         return "component"
-    return f"n{size}" if place == 0 else f"m{size}"
+    return f"n{size}" if axis == 0 else f"m{size}"

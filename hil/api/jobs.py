@@ -77,9 +77,9 @@ def loaded_scenario(scenario: str | Path | Scenario, settings: Settings) -> Load
 def loaded_rig(rig: str | Path | Rig, settings: Settings) -> Loaded[Rig]:
     """Return the rig with its ``rig.key=value`` settings, and where each key was set. Raises BadInput."""
     if isinstance(rig, Rig):
-        found = _overridden(rig, [text for text in settings if text.startswith("rig.")], "rig.")
-        load.check_wires(found)
-        return found
+        loaded = _overridden(rig, [text for text in settings if text.startswith("rig.")], "rig.")
+        load.check_wires(loaded)
+        return loaded
     return load.load_rig(_path("rig", rig), settings)
 
 
@@ -98,7 +98,7 @@ def _path(argument: str, value: object) -> str:
 
 
 def rig_name(rig: str | Path | Rig) -> str:
-    """Return the name of a rig in reports: as given, or that of the object."""
+    """Return the name of a rig in reports: as given, or the object's name."""
     return rig.name if isinstance(rig, Rig) else str(rig)
 
 
@@ -182,17 +182,17 @@ def _gnc_problems(gnc: object, scenario: Loaded[Scenario], rig: Loaded[Rig]) -> 
 
 def other_gnc_problems(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each key of scenario and rig that a GNC of the caller's own rules out."""
-    found = []
+    problems = []
     if (binary := scenario.value.gnc.binary) is not None:
         key = key_of(scenario.value.gnc)
-        found.append(Problem(scenario.where(key), key, f'"{binary}": another GNC is given'))
+        problems.append(Problem(scenario.where(key), key, f'"{binary}": another GNC is given'))
     for part, name in scenario.value.gnc.foreign.items():
         key = f"gnc.{part}.backend"
-        found.append(Problem(scenario.where(key), key, f'"{name}": another GNC is given'))
+        problems.append(Problem(scenario.where(key), key, f'"{name}": another GNC is given'))
     key = "flight_computer.command_words"
     if (wire := rig.value.flight_computer.command_words) != "none":
-        found.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))
-    return found
+        problems.append(Problem(rig.where(key), f"rig.{key}", f'"{wire}": another GNC is given'))
+    return problems
 
 
 def is_positive(value: object) -> bool:

@@ -36,7 +36,7 @@ _ALARM_FIELDS = {field.name for field in fields(Alarm)}
 def open_recording(path: str | Path) -> Recording:
     """Return the run recorded at ``path`` (``*.mcap`` of ``hil run --record``).
 
-    Recordings of earlier versions and truncated ones can be read; of those the intact part. Raises BadInput for a file
+    Recordings of earlier versions and truncated ones can be read as far as intact. Raises BadInput for a file
     that is no recording or cannot be read.
     """
     return Recording(load(Path(path)))
@@ -111,15 +111,15 @@ class Replay:
         own: OwnBackends = NO_BACKENDS,
     ) -> None:
         kept: list[np.ndarray] = []
-        found = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now), own)
-        self.recording, self.scenario, self.changed, self.result, self.navigation = recording, *found
+        replayed = _replayed(recording.recorded, gnc, settings, None, lambda _, now: kept.append(now), own)
+        self.recording, self.scenario, self.changed, self.result, self.navigation = recording, *replayed
         recorded, rows = recording.recorded, np.concatenate(kept) if kept else recording.history[:0]
         numbers = recording.summary | {"navigation": self.navigation["replayed"]}
         self.run = Recording(replace(recorded, cycles=rows, scenario=self.scenario, summary=numbers))
 
     @property
     def identical(self) -> bool:
-        """Whether the GNC's records and events are those of the recording, bit by bit."""
+        """Whether the GNC's records and events equal the recorded ones bit by bit."""
         return self.result.identical
 
     @property
@@ -159,7 +159,7 @@ def _replayed(
     gnc: str | Path | PythonGnc | None,
     settings: Settings,
     batches: Iterable[RowBatch] | None,
-    keep: Callable[[np.ndarray, np.ndarray], None] = lambda before, now: None,
+    keep: Callable[[np.ndarray, np.ndarray], None] = lambda original, now: None,
     own: OwnBackends = NO_BACKENDS,
 ) -> tuple[Scenario, bool, Replayed, dict[str, dict[str, Any]]]:
     """Return scenario, whether the GNC is another one, replay and errors of the estimate. Raises BadInput.
@@ -184,18 +184,18 @@ def _replayed(
         backend = make_backend(scenario, own)
     errors = {which: new(NAVIGATION_SUMS) for which in ("recorded", "replayed")}
 
-    def add(before: np.ndarray, now: np.ndarray) -> None:
-        for which, rows in (("recorded", before), ("replayed", now)):
+    def add(original: np.ndarray, now: np.ndarray) -> None:
+        for which, rows in (("recorded", original), ("replayed", now)):
             count_navigation_of_rows(SETTLED_S, errors[which], rows.view(np.ndarray))
-        keep(before, now)
+        keep(original, now)
 
-    found = replay(recorded, scenario, backend, batches, add)
+    replayed = replay(recorded, scenario, backend, batches, add)
     raise_user_error(backend)
-    return scenario, changed, found, {which: navigation_numbers(sums) for which, sums in errors.items()}
+    return scenario, changed, replayed, {which: navigation_numbers(sums) for which, sums in errors.items()}
 
 
 def _alarms(recorded: Recorded) -> list[Alarm]:
-    """Return the alarms of the summary; of a run that broke off, those of the log, as far as it has them."""
+    """Return the alarms of the summary or, for a run that broke off, of the log."""
     if recorded.summary is not None:
         return [Alarm(**{k: v for k, v in a.items() if k in _ALARM_FIELDS}) for a in recorded.summary.get("alarms", ())]
     return [Alarm(n["bench_s"], n["name"], "", "", "", n["message"]) for n in recorded.log if n["kind"] == "alarm"]

@@ -57,8 +57,8 @@ class RecordGroup:
     def __getattr__(self, name: str) -> np.ndarray:
         if name == "records" or name not in self.fields:
             raise AttributeError(f"no field {name!r}; this group has {', '.join(self.fields)}")
-        found: np.ndarray = self.records[name]
-        return found
+        values: np.ndarray = self.records[name]
+        return values
 
     def __len__(self) -> int:
         return len(self.records)
@@ -114,8 +114,8 @@ class Run:
     @property
     def ready_time_s(self) -> float | None:
         """Time of the run at which the ready phase begins, s; None if never."""
-        found: float | None = self.summary["ready_time_s"]
-        return found
+        time_s: float | None = self.summary["ready_time_s"]
+        return time_s
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -140,11 +140,11 @@ class Run:
 
     def why(self) -> dict[str, Any]:
         """Return the first violated limit as ``text``, ``alarms_before`` it, and all ``limits`` by their margins."""
-        found = self.summary
-        if "limits" not in found:  # a recording of an earlier version
+        summary = self.summary
+        if "limits" not in summary:  # a recording of an earlier version
             outcome = Outcome(self.history, self.stop, alarms=self.alarms)
-            found = found | limits_of(outcome, self._counted, found, self.scenario)
-        return why_of(found)
+            summary = summary | limits_of(outcome, self._counted, summary, self.scenario)
+        return why_of(summary)
 
     @property
     def stop(self) -> str:
@@ -154,8 +154,8 @@ class Run:
     @property
     def t_s(self) -> Array:
         """Time of the run at each cycle of the GNC, (n,), s."""
-        found: Array = self.history["t_s"]
-        return found
+        times: Array = self.history["t_s"]
+        return times
 
     @property
     def truth(self) -> RecordGroup:
@@ -221,8 +221,8 @@ class Run:
         """
         sink = part_sinks().get(name)
         if sink is None or not sink.topic:
-            known = ", ".join(each for each, sink in part_sinks().items() if sink.topic)
-            raise BadInput.single("rows_of", name, f"no such rows of a part, known are {known or 'none'}")
+            names = ", ".join(each for each, sink in part_sinks().items() if sink.topic)
+            raise BadInput.single("rows_of", name, f"no such rows of a part, known are {names or 'none'}")
         rows = self._of_parts.get(name, np.zeros(0, record_dtype(imported(sink.fields))))
         return RecordGroup(rows, rows["t_s"])
 

@@ -80,7 +80,7 @@ def run(
     overrides
         Dotted keys or nested tables to values: ``{"gnc.control.deadband_m": 0.004, "rig.vmu.timeout_s": 0.5}``.
     faults
-        Faults to inject, tables with the keys of ``[[faults]]``, in addition to those of the scenario:
+        Faults to inject, tables with the keys of ``[[faults]]``, in addition to the scenario's faults:
         ``[{"device": "vmu", "kind": "no_pose", "at_s": 60.0}]``.
     gnc
         Object with ``step(input)`` that replaces the GNC of the scenario, see ``hil.gnc_backends.python_backend``.
@@ -89,7 +89,7 @@ def run(
     options
         ``case=``: number of a case of the campaign of this scenario and seed, or of that in the folder ``campaign=``;
         ``dispersions=``: a set or a file for it. ``navigation=``, ``control=``: backends in place of the scenario's: a
-        class or an object with ``step(inp)``, a kernel (``hil.kernel_backend``), or a name as of
+        class or an object with ``step(inp)``, a kernel (``hil.kernel_backend``), or a name as in
         ``gnc.control.backend``: ``package:name``, ``file.py:name``, the path of a shared library.
 
     Raises
@@ -115,10 +115,10 @@ def run(
         with named_as_argument():
             build.check(job)
         compilation.finish(log.warning)
-    found = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
-    if STOPPED_BY_OPERATOR in found.summary["faults"]:
+    completed = run_or_raise(RunRequest(job, rig_name(rig), record, gnc_summary(gnc) | of_case, announce=log.info))
+    if STOPPED_BY_OPERATOR in completed.summary["faults"]:
         raise KeyboardInterrupt(STOPPED_BY_OPERATOR)
-    return found
+    return completed
 
 
 def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple[Job, dict[str, Any]]:
@@ -138,11 +138,11 @@ def _job_of_case(job: Job, case: int | None, folder: str | Path | None) -> tuple
 def run_or_raise(request: RunRequest) -> Run:
     """Return the results of ``run_job``; in simulated time raise what an object of the user has raised."""
     runners: list[Runner] = []
-    found = run_job(replace(request, prepare=lambda parts: parts.on_built.append(runners.append)))
+    completed = run_job(replace(request, prepare=lambda parts: parts.on_built.append(runners.append)))
     if request.job.rig.value.kind == "mock" and not request.job.paced:
         for runner in runners:
             raise_user_error(runner.loop.gnc)
-    return found
+    return completed
 
 
 def raise_user_error(gnc: GncBackend) -> None:
@@ -194,12 +194,12 @@ def run_job(request: RunRequest) -> Run:
         with build.opened(job, parts, recorder.sinks if recorder else None) as runner:
             outcome = runner.run()
             results = parts.results_of(outcome)
-        found = judged_run(job, request.rig_name, outcome, results, numbers(outcome))
-        found.summary.update(request.more | request.link_stats())
+        judged = judged_run(job, request.rig_name, outcome, results, numbers(outcome))
+        judged.summary.update(request.more | request.link_stats())
         if recorder:
-            kept = recorder.finish(found.summary)
-            found.summary["recording"] = {"file": str(recorder.path), "dropped": kept.dropped, "problem": kept.problem}
-    return found
+            kept = recorder.finish(judged.summary)
+            judged.summary["recording"] = {"file": str(recorder.path), "dropped": kept.dropped, "problem": kept.problem}
+    return judged
 
 
 def judged_run(
@@ -215,6 +215,6 @@ def judged_run(
     summary, verdict = summarise(outcome, scenario, job.rig.value, rig, job.seed, rate_hz, numbers)
     summary |= {result.table: result.numbers for result in results}
     rows = {name: rows for result in results for name, rows in result.rows.items()}
-    found = run_of(job, rig, outcome, summary, rows)
-    found.verdict = verdict
-    return found
+    judged = run_of(job, rig, outcome, summary, rows)
+    judged.verdict = verdict
+    return judged

@@ -22,13 +22,13 @@ from hil.models.bodies import BODIES, are_apart, chord, travel_to_rest
 from hil.sensors.vision_unit.pose import deviation
 
 POSITION, ATTITUDE, LIMITED, AXIS, VISION_POSITION, VISION_ATTITUDE, BODIES_MEET = range(9, 16)
-"""What was found, in addition to ``keep_out``; the numbers follow those of the compiled loop's other reasons to end."""
+"""What was found, in addition to ``keep_out``; the numbers follow the compiled loop's other reasons to end."""
 
 _KEPT = 64  # samples of the encoders, for the times of exposure
 _SLOW_S, _FAST_S = 10.0, 0.4  # time constants of the means of estimate minus encoders: of a filter, of an alarm
-_ESTIMATE_SIGMAS = 3.0  # of the estimate, by which it may be off in addition
-_LEVEL_FRACTION = 0.9  # of a protection level: an alarm comes before the error is beyond it
-_HYSTERESIS = 0.8  # of a limit, below which an estimate that was beyond it is well again
+_ESTIMATE_SIGMAS = 3.0  # standard deviations by which the estimate may be off in addition
+_LEVEL_FRACTION = 0.9  # fraction of a protection level: an alarm comes before the error is beyond it
+_HYSTERESIS = 0.8  # fraction of a limit, below which an estimate that was beyond it is accepted again
 
 BENCH_GUARD_PARAMS = np.dtype(
     [
@@ -49,7 +49,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("axis_max", "f8", 6),  # m and rad, at rest
         ("axis_per_speed_s", "f8"),
         ("axis_cycles", "i8"),
-        ("axis_decay", "f8", 6),  # of the distance from the demand in a cycle
+        ("axis_decay", "f8", 6),  # decay per cycle of the distance from the demand
         ("step_s", "f8"),
         ("vision_sigmas", "f8"),
         ("vision_position", "f8"),  # m
@@ -57,7 +57,7 @@ BENCH_GUARD_PARAMS = np.dtype(
         ("vision_frames", "i8"),
         ("startup_s", "f8"),
         ("settled_cycles", "i8"),  # after which the axes count as having caught up
-        ("spacing_s", "f8"),  # of the kept samples
+        ("spacing_s", "f8"),  # spacing of the kept samples
         ("estimate_position", "f8"),  # m, largest mean error of an estimate ...
         ("estimate_attitude", "f8"),  # rad
         ("calibration_position", "f8"),  # m, by which camera and axes may differ
@@ -78,7 +78,7 @@ BENCH_GUARD_MEMORY = np.dtype(
         ("model", "f8", 6),  # position of each axis by the model of its drive
         ("vision_frames", "i8"),  # in a row beyond the limit
         ("vision_code", "i8"),  # VISION_POSITION or VISION_ATTITUDE
-        ("vision", BREACH),  # of the last one
+        ("vision", BREACH),  # last breach by these codes
         ("kept", "i8"),
         ("newest", "i8"),
         ("kept_s", "f8", _KEPT),
@@ -96,7 +96,7 @@ BENCH_GUARD_MEMORY = np.dtype(
 
 @kernel
 def _chaser_meets(params, truth, breach):
-    """Return whether the bodies of the chaser, braking now, would come too near to those of the target."""
+    """Return whether the bodies of the chaser, braking now, would come too near to the target's bodies."""
     rate, speed = 0.0, 0.0
     for i in range(3):
         rate += abs(truth.w_CI_C[i]) + abs(truth.w_HI_H[i])
@@ -112,18 +112,18 @@ def _chaser_meets(params, truth, breach):
 
 
 @kernel
-def _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_age_s, breach):
+def _off_truth(params, bench, truth, setpoint, feedback, rails_age_s, turntable_age_s, breach):
     """Return POSITION or ATTITUDE if the bench's pose differs too much from ``truth``, NOTHING otherwise.
 
     The distances of the axes bound both differences: the pose is computed only if these are not within the limits.
     """
     square, turned = 0.0, 0.0
     for i in range(3):
-        difference = feedback.rail_m[i] - wanted.rail_m[i]
+        difference = feedback.rail_m[i] - setpoint.rail_m[i]
         square += difference * difference
-        turned += abs(feedback.gimbal_rad[i] - wanted.gimbal_rad[i])
-    left = params.position_max - params.arm * turned
-    if left >= 0.0 and square <= left * left and turned <= params.attitude_max:
+        turned += abs(feedback.gimbal_rad[i] - setpoint.gimbal_rad[i])
+    bound = params.position_max - params.arm * turned
+    if bound >= 0.0 and square <= bound * bound and turned <= params.attitude_max:
         return NOTHING
     r, q, rotation = stack.vector(3), stack.vector(4), stack.vector(3)
     pose_of_axes(bench, feedback.rail_m, feedback.gimbal_rad, r, q)
@@ -133,7 +133,7 @@ def _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_ag
         square += (r[i] - truth.r_CT_H[i]) ** 2
         turned += rotation[i] ** 2
         speed += truth.v_CT_H[i] ** 2
-        rate += wanted.gimbal_radps[i] ** 2
+        rate += setpoint.gimbal_radps[i] ** 2
     distance, allowed = math.sqrt(square), params.position_max
     allowed += (params.pose_per_speed_s + rails_age_s) * math.sqrt(speed)
     angle, angle_allowed = math.sqrt(turned), params.attitude_max
@@ -150,7 +150,7 @@ def _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_ag
 
 
 @kernel
-def _predict(params, memory, wanted, model):
+def _predict(params, memory, setpoint, model):
     """Write the positions (6,) that the axes should have by the model of their drives.
 
     A position loop of gain k with feed-forward, dm/dt = dw/dt + k (w - m): the distance from the demand w decays, in a
@@ -158,21 +158,21 @@ def _predict(params, memory, wanted, model):
     """
     for axis in range(6):
         i = axis % 3
-        demand = wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i]
-        rate = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
-        before = demand - params.step_s * rate
-        model[axis] = demand + (memory.model[axis] - before) * params.axis_decay[axis]
+        demand = setpoint.rail_m[i] if axis < 3 else setpoint.gimbal_rad[i]
+        rate = setpoint.rail_mps[i] if axis < 3 else setpoint.gimbal_radps[i]
+        previous = demand - params.step_s * rate
+        model[axis] = demand + (memory.model[axis] - previous) * params.axis_decay[axis]
 
 
 @kernel
-def _is_off_model(params, axis, model, wanted, feedback, age_s, breach):
+def _is_off_model(params, axis, model, setpoint, feedback, age_s, breach):
     """Return whether ``axis`` is too far from where its drive should have it."""
     i = axis % 3
     if axis < 3:
-        found, rate = feedback.rail_m[i], wanted.rail_mps[i]
+        measured, rate = feedback.rail_m[i], setpoint.rail_mps[i]
     else:
-        found, rate = feedback.gimbal_rad[i], wanted.gimbal_radps[i]
-    error = abs(found - model)
+        measured, rate = feedback.gimbal_rad[i], setpoint.gimbal_radps[i]
+    error = abs(measured - model)
     allowed = params.axis_max[axis] + (params.axis_per_speed_s + age_s) * abs(rate)
     if error <= allowed:
         return False
@@ -195,7 +195,7 @@ def _keep(params, memory, t_s, feedback):
 
 @kernel
 def check_bench(
-    params, bench, memory, t_s, truth, wanted, feedback, rails_age_s, turntable_age_s, limited, breach
+    params, bench, memory, t_s, truth, setpoint, feedback, rails_age_s, turntable_age_s, limited, breach
 ):  # fmt: skip
     """Return what is wrong in the cycle at ``t_s``, NOTHING if all is well; ``breach`` (BREACH) then has the numbers.
 
@@ -203,9 +203,9 @@ def check_bench(
     AXES of it, without limits; of no use in the first cycle of a motion. feedback: AXES; rails_age_s, turntable_age_s:
     its age. limited: setpoints in a row, the last one included, that were limited.
     """
-    found = check_keep_out(params.zone, truth.r_CT_H, truth.v_CT_H, 0.0, params.reaction_s, params.deceleration, breach)
-    if found != NOTHING:
-        return found
+    cause = check_keep_out(params.zone, truth.r_CT_H, truth.v_CT_H, 0.0, params.reaction_s, params.deceleration, breach)
+    if cause != NOTHING:
+        return cause
     if _chaser_meets(params, truth, breach):
         return BODIES_MEET
     if memory.cycles > 0 and memory.checked_s == t_s:
@@ -218,17 +218,17 @@ def check_bench(
     if memory.cycles == 0:
         memory.begun_s = t_s
     else:
-        off_truth = _off_truth(params, bench, truth, wanted, feedback, rails_age_s, turntable_age_s, breach)
+        off_truth = _off_truth(params, bench, truth, setpoint, feedback, rails_age_s, turntable_age_s, breach)
         if memory.caught_up != 0 and off_truth != NOTHING and memory.pose_cycles + 1 >= params.pose_cycles:
             return off_truth
         if memory.caught_up != 0 and limited > params.limited_max:
             breach.axis, breach.value, breach.low, breach.high = 0, limited, 0.0, params.limited_max
             return LIMITED
-        _predict(params, memory, wanted, model)
+        _predict(params, memory, setpoint, model)
         behind = off_truth != NOTHING or limited > 0
         for axis in range(6):
             age_s = rails_age_s if axis < 3 else turntable_age_s
-            off[axis] = 1.0 if _is_off_model(params, axis, model[axis], wanted, feedback, age_s, breach) else 0.0
+            off[axis] = 1.0 if _is_off_model(params, axis, model[axis], setpoint, feedback, age_s, breach) else 0.0
             behind = behind or off[axis] > 0.0
             if memory.caught_up != 0 and off[axis] > 0.0 and memory.axis_cycles[axis] + 1 >= params.axis_cycles:
                 return AXIS
@@ -336,7 +336,7 @@ def compare_estimate(params, bench, memory, t_s, estimate, disagrees):
             allowed = min(allowed, _LEVEL_FRACTION * level)
         share = abs(memory.off_now[i]) / allowed
         if share > worst or not math.isfinite(share):
-            worst, found = share, memory.estimate
-            found.axis, found.value, found.low, found.high = i, abs(memory.off_now[i]), 0.0, allowed
+            worst, estimated = share, memory.estimate
+            estimated.axis, estimated.value, estimated.low, estimated.high = i, abs(memory.off_now[i]), 0.0, allowed
         beyond = beyond or not share <= (_HYSTERESIS if disagrees else 1.0)
     return beyond and memory.compared_s >= _FAST_S

@@ -44,25 +44,25 @@ GUARD = np.dtype(
 
 FOLLOWING, TRAVEL, NOT_FINITE = range(1, 4)
 COLLISION = 16
-"""Bodies of the bench too near to each other; the numbers between are those of ``keep_out`` and ``bench_guard``."""
+"""Bodies of the bench too near to each other; the numbers between belong to ``keep_out`` and ``bench_guard``."""
 BY_ENCODERS = 32
-"""Added to those of ``keep_out`` for the position by the encoders."""
+"""Added to a code of ``keep_out`` that holds for the position by the encoders."""
 
 
 @kernel
 def bodies_meet(moving, r, q, v, rate, fixed, least, reaction_s, deceleration, turning_deceleration, breach):
-    """Return whether braking would not keep two bodies apart by ``least``, m. Arguments as of ``clearance``.
+    """Return whether braking would not keep two bodies apart by ``least``, m. Arguments: see ``clearance``.
 
     ``breach`` (BREACH) then has the number of the pair, the distance as ``value``, the closing rate as ``low`` and
     the least distance allowed at it as ``high``.
     """
     if moving.n == 0 or fixed.n == 0:
         return False
-    found = stack.vector(4)
-    if clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_deceleration, least, found) >= least:
+    nearest = stack.vector(4)
+    if clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_deceleration, least, nearest) >= least:
         return False
-    breach.axis, breach.value, breach.low = int(found[WHICH]), found[DISTANCE], found[CLOSING]
-    breach.high = least + found[STOPPING]
+    breach.axis, breach.value, breach.low = int(nearest[WHICH]), nearest[DISTANCE], nearest[CLOSING]
+    breach.high = least + nearest[STOPPING]
     return True
 
 
@@ -124,8 +124,8 @@ def enters_volume(guard, axes, breach):
         return COLLISION
     if along - farthest - guard.arm_length * rotation >= max(guard.zone.radius, guard.zone.plane):
         return NOTHING
-    found = _enters_keep_out(guard, axes, turning, breach)
-    return NOTHING if found == NOTHING else found + BY_ENCODERS
+    cause = _enters_keep_out(guard, axes, turning, breach)
+    return NOTHING if cause == NOTHING else cause + BY_ENCODERS
 
 
 @entry
@@ -140,18 +140,18 @@ def first_breach(guard, setpoint, feedback, breach):
     for axis in range(6):
         i = axis % 3
         if axis < 3:
-            wanted, speed, found = setpoint.rail_m[i], setpoint.rail_mps[i], feedback.rail_m[i]
+            demand, speed, measured = setpoint.rail_m[i], setpoint.rail_mps[i], feedback.rail_m[i]
         else:
-            wanted, speed, found = setpoint.gimbal_rad[i], setpoint.gimbal_radps[i], feedback.gimbal_rad[i]
+            demand, speed, measured = setpoint.gimbal_rad[i], setpoint.gimbal_radps[i], feedback.gimbal_rad[i]
         allowed = guard.following_max[axis] + guard.following_per_speed[axis] * abs(speed)
         low, high = guard.low[axis] - allowed, guard.high[axis] + allowed
-        error = abs(wanted - found)
+        error = abs(demand - measured)
         # "not <=" also catches nan
         if not error <= allowed:
             breach.axis, breach.value, breach.low, breach.high = axis, error, 0.0, allowed
             return FOLLOWING
-        if not low <= found <= high:
-            breach.axis, breach.value, breach.low, breach.high = axis, found, low, high
+        if not low <= measured <= high:
+            breach.axis, breach.value, breach.low, breach.high = axis, measured, low, high
             return TRAVEL
     return enters_volume(guard, feedback, breach)
 
@@ -160,11 +160,11 @@ def first_breach(guard, setpoint, feedback, breach):
 def first_beyond_travel(guard, feedback, slack, breach):
     """Return TRAVEL where an axis stands beyond its travel by more than ``slack`` (6,), or NOT_FINITE, or NOTHING."""
     for axis in range(6):
-        found = feedback.rail_m[axis % 3] if axis < 3 else feedback.gimbal_rad[axis % 3]
-        breach.axis, breach.value, breach.low, breach.high = axis, found, guard.low[axis], guard.high[axis]
-        if not math.isfinite(found):
+        measured = feedback.rail_m[axis % 3] if axis < 3 else feedback.gimbal_rad[axis % 3]
+        breach.axis, breach.value, breach.low, breach.high = axis, measured, guard.low[axis], guard.high[axis]
+        if not math.isfinite(measured):
             return NOT_FINITE
-        if not guard.low[axis] - slack[axis] <= found <= guard.high[axis] + slack[axis]:
+        if not guard.low[axis] - slack[axis] <= measured <= guard.high[axis] + slack[axis]:
             return TRAVEL
     return NOTHING
 

@@ -9,7 +9,7 @@ import numpy as np
 from hil.core.messages import Array
 
 DEAD_MAN_S = 0.2
-SHARE_OF_RATE_NOT_HOMED = 0.02  # of an axis that is not homed
+SHARE_OF_RATE_NOT_HOMED = 0.02  # rate limit of an axis that is not homed
 _FAR = 100.0  # m or rad: further than any axis goes
 
 

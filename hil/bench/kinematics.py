@@ -41,10 +41,10 @@ BENCH_PARAMS = np.dtype(
 MOTION = np.dtype(
     [
         ("position", "f8", 6),  # rails, then gimbals
-        ("rate", "f8", 6),  # of the last step
-        ("wanted_rate", "f8", 6),  # of the last target, without its lead
+        ("rate", "f8", 6),  # rate of the last step
+        ("wanted_rate", "f8", 6),  # rate of the last target, without its lead
         ("newest", "i8"),  # place in the two arrays below
-        ("kept_position", "f8", (6, SETPOINTS_KEPT)),  # of the last setpoints, before their mean is taken
+        ("kept_position", "f8", (6, SETPOINTS_KEPT)),  # last setpoints, before their mean is taken
         ("kept_rate", "f8", (6, SETPOINTS_KEPT)),
     ],
     align=True,
@@ -52,7 +52,7 @@ MOTION = np.dtype(
 """Last setpoints within travel, speed and acceleration."""
 
 SPAN = np.dtype([("known", "i8"), ("begin", AXES), ("end", AXES)], align=True)
-"""Axes at begin and end of a cycle, without limits. known: 1 if ``end`` is that of the present motion."""
+"""Axes at begin and end of a cycle, without limits. known: 1 if ``end`` belongs to the present motion."""
 
 
 @kernel
@@ -189,21 +189,21 @@ def braking_speed(distance, acceleration, dt):
 
 
 @kernel
-def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
-    """Return the rate of the next step of one axis, and whether it takes the axis to ``wanted``.
+def _limit_axis(params, axis, position, rate, demand, demand_rate):
+    """Return the rate of the next step of one axis, and whether it takes the axis to ``demand``.
 
-    It does not where the axis would arrive faster than it could change to ``wanted_rate`` in a step.
+    It does not where the axis would arrive faster than it could change to ``demand_rate`` in a step.
     """
     dt, acceleration, fastest = params.dt_s, params.acceleration_max[axis], params.rate_max[axis]
-    target = min(params.high[axis], max(params.low[axis], wanted))
+    target = min(params.high[axis], max(params.low[axis], demand))
     step = (target - position) / dt
     room = params.high[axis] - target if step > 0.0 else target - params.low[axis]
     slack = 1.0 + 1e-9
     if (
-        target == wanted
+        target == demand
         and abs(step) <= fastest * slack
         and abs(step - rate) <= acceleration * dt * slack
-        and abs(step - wanted_rate) <= acceleration * dt * slack
+        and abs(step - demand_rate) <= acceleration * dt * slack
         and (
             abs(step) <= acceleration * dt * slack  # which no braking can be too short for
             or abs(step) <= acceleration * dt * slack + braking_speed(room, acceleration, dt)
@@ -211,7 +211,7 @@ def _limit_axis(params, axis, position, rate, wanted, wanted_rate):
     ):
         return step, True
     # a target that moves is approached relative to its motion, so that it is reached
-    drift = min(fastest, max(-fastest, wanted_rate)) if target == wanted else 0.0
+    drift = min(fastest, max(-fastest, demand_rate)) if target == demand else 0.0
     behind = target - position - drift * dt
     # half the acceleration leaves the drive the other half to settle
     speed = braking_speed(abs(behind), acceleration if drift == 0.0 else 0.5 * acceleration, dt)
@@ -235,10 +235,10 @@ def ahead(position, rate, lead):
 
 
 @kernel
-def limit_setpoint(params, motion, wanted, out):
-    """Write ``out`` (AXES): the setpoint nearest to ``wanted`` that travel, speed and acceleration allow.
+def limit_setpoint(params, motion, goal, out):
+    """Write ``out`` (AXES): the setpoint nearest to ``goal`` that travel, speed and acceleration allow.
 
-    ``wanted`` (AXES) is first taken ahead by the lead of each axis, so that the limits hold for what is sent.
+    ``goal`` (AXES) is first taken ahead by the lead of each axis, so that the limits hold for what is sent.
     motion: MOTION, where the last setpoints are and how fast they went; moved on in place. An axis
     that is within its limits passes to the last bit; one that is not goes after its target as fast
     as it may, and brakes in time. Axes with a limit of their jerk get the mean of their last setpoints, which are
@@ -247,9 +247,9 @@ def limit_setpoint(params, motion, wanted, out):
     limited = 0
     for axis in range(6):
         i = axis % 3
-        feedforward = wanted.rail_mps[i] if axis < 3 else wanted.gimbal_radps[i]
+        feedforward = goal.rail_mps[i] if axis < 3 else goal.gimbal_radps[i]
         delay = averaging_delay(params, axis)
-        target = ahead(wanted.rail_m[i] if axis < 3 else wanted.gimbal_rad[i], feedforward, params.lead[axis] + delay)
+        target = ahead(goal.rail_m[i] if axis < 3 else goal.gimbal_rad[i], feedforward, params.lead[axis] + delay)
         # of the target taken ahead, which accelerates as the wanted one does
         target_rate = feedforward + delay * (feedforward - motion.wanted_rate[axis]) / params.dt_s
         motion.wanted_rate[axis] = feedforward

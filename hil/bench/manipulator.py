@@ -45,8 +45,8 @@ def angle_rate(params: np.record, angles: Array, rates: Array) -> Array:
     outer, middle, inner = params.order
     about_outer = quat.transform(euler.to_quaternion(angles, params.order), _UNITS[outer])
     about_middle = quat.transform(euler.axis_quaternion(inner, angles[inner]), _UNITS[middle])
-    found: Array = rates[outer] * about_outer + rates[middle] * about_middle + rates[inner] * _UNITS[inner]
-    return found
+    rate: Array = rates[outer] * about_outer + rates[middle] * about_middle + rates[inner] * _UNITS[inner]
+    return rate
 
 
 def shown_motion(params: np.record, angles: Array, rates: Array, relative: ChaserMotion) -> ChaserMotion:

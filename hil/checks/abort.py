@@ -22,7 +22,7 @@ from hil.params import gnc as gnc_params
 
 KEY = "gnc.abort.one_thruster_failed"
 STUCK_OPEN = "stuck open"
-_UNWANTED_MAX = 0.8  # of the wanted force or torque of a set
+_UNWANTED_MAX = 0.8  # fraction of the demanded force or torque of a set
 _RANGES = 50  # between ready point and start
 _DETECTION_CYCLES = 3  # beyond ``thruster_open_s``
 
@@ -50,13 +50,13 @@ def failed_thrusters(scenario: Scenario) -> list[FailedThruster]:
     along = thrusters.force_n * linear.product(thrusters.direction, axis) / scenario.chaser.mass_kg
     component = int(np.argmax(np.abs(axis)))
     row, sign = AXES_OF_A_BODY + component, int(axis[component] > 0.0)
-    found = []
+    failures = []
     for j in range(n):
         dead, stuck = params.dead_sets[j, row, sign, :n], params.open_sets[j, row, sign, :n] | params.against[j, :n]
-        found.append(FailedThruster(j + 1, "stuck closed", float(linear.product(dead, along))))
+        failures.append(FailedThruster(j + 1, "stuck closed", float(linear.product(dead, along))))
         opened = float(linear.product(stuck, along) + along[j])
-        found.append(FailedThruster(j + 1, STUCK_OPEN, opened, -float(along[j])))
-    return found
+        failures.append(FailedThruster(j + 1, STUCK_OPEN, opened, -float(along[j])))
+    return failures
 
 
 def check_abort(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -68,7 +68,7 @@ def check_abort(scenario: Loaded[Scenario]) -> list[Problem]:
         failures = failed_thrusters(value)
     except ValueError:  # a layout that cannot move an axis: refused by the check of the plan
         return []
-    text = next((found for failed in failures if (found := _why_not(value, failed))), "")
+    text = next((reason for failed in failures if (reason := _why_not(value, failed))), "")
     text = text or _why_not_isolated(value)
     return [Problem(scenario.where(KEY), KEY, f"true: {text}")] if text else []
 
@@ -87,8 +87,8 @@ def _why_not_isolated(scenario: Scenario) -> str:
     scaled = wrenches / np.array([1.0, 1.0, 1.0, arm, arm, arm])
     for j, axis, sign in np.ndindex(n, AXES_OF_A_BODY, 2):
         total = linear.product(params.isolated_sets[j, axis, sign, :n], scaled)
-        wanted = total[axis] * (2 * sign - 1)
-        if not linear.length(np.delete(total, axis)) < _UNWANTED_MAX * wanted:
+        useful = total[axis] * (2 * sign - 1)
+        if not linear.length(np.delete(total, axis)) < _UNWANTED_MAX * useful:
             demand = f"{'-+'[sign]}{'FFFTTT'[axis]}{'xyz'[axis % 3]}"
             return f'isolation = "bank" of thruster.{j + 1} leaves no thrusters for the {demand} demand'
     return ""
@@ -115,7 +115,7 @@ def _why_not(scenario: Scenario, failed: FailedThruster) -> str:
     return ""
 
 
-_SAMPLES = 200  # of a transfer
+_SAMPLES = 200  # samples of a transfer
 _PAST_END_S = 1e-6
 
 

@@ -28,7 +28,7 @@ _ROUNDING_M: Final = 1e-9
 
 
 def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
-    """Return a problem for the bodies of the chaser, and one for those of the bench, that the plan brings too near.
+    """Return a problem each for bodies of the chaser and of the bench that the plan brings too near.
 
     What counts is the distance after braking from the planned speed, less the band of positions and attitudes about the
     plan that the reachability check uses as well. Without bodies, or with thrusters that cannot move an axis, there is
@@ -53,7 +53,7 @@ def check_bodies(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
 
 
 def _chaser(scenario: Scenario) -> np.record:
-    """Return GUARD with the bodies of chaser and target in place of those of turntable and lab."""
+    """Return GUARD with the bodies of chaser and target in place of turntable and lab."""
     monitor, guard = gnc_params.approach_monitor(scenario), new(GUARD)
     guard.turntable, guard.lab = monitor.chaser, monitor.target
     return guard
@@ -95,10 +95,10 @@ class _Nearest:
         least, which = math.inf, 0
         for moving, turns, band_m in self._moving:
             attitude = q if turns else _NO_TURN
-            left = clearance(moving, centre, attitude, v, 0.0, self._fixed, 0.0, self._brake, 1.0, _FAR_M, self._found)
-            left -= points.margin[k] + band_m
-            if left < least:
-                least, which = left, int(self._found[WHICH])
+            gap = clearance(moving, centre, attitude, v, 0.0, self._fixed, 0.0, self._brake, 1.0, _FAR_M, self._found)
+            gap -= points.margin[k] + band_m
+            if gap < least:
+                least, which = gap, int(self._found[WHICH])
         return least, which
 
 
@@ -117,12 +117,12 @@ def _points(plan: list[PlanSample], margins: Array) -> _Points:
     numbers, r, rotation, v = [], [], [], []
     between = np.linspace(0.0, 1.0, _BETWEEN + 1)[1:, None]
     for k, moment in enumerate(plan):
-        before = plan[k - 1] if k and plan[k - 1].abort_s == moment.abort_s else moment
-        fraction = between if before is not moment else between[-1:]
+        previous = plan[k - 1] if k and plan[k - 1].abort_s == moment.abort_s else moment
+        fraction = between if previous is not moment else between[-1:]
         numbers += [k] * len(fraction)
-        r.append(before.r_CT_H + fraction * (moment.r_CT_H - before.r_CT_H))
-        rotation.append(before.rotation + fraction * (moment.rotation - before.rotation))
-        faster = before if linear.length(before.v_CT_H) > linear.length(moment.v_CT_H) else moment
+        r.append(previous.r_CT_H + fraction * (moment.r_CT_H - previous.r_CT_H))
+        rotation.append(previous.rotation + fraction * (moment.rotation - previous.rotation))
+        faster = previous if linear.length(previous.v_CT_H) > linear.length(moment.v_CT_H) else moment
         v.append(np.broadcast_to(faster.v_CT_H, (len(fraction), 3)))
     q = np.array([quat.from_rotation_vector(each) for each in np.concatenate(rotation)])
     half = linear.lengths(margins)[numbers]

@@ -27,10 +27,10 @@ from hil.maths import euler, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 
-_NOISE_SIGMAS = 3.0  # of a pose, which an alert limit must exceed
+_NOISE_SIGMAS = 3.0  # standard deviations of a pose that an alert limit must exceed
 _RATE_MAX_HZ = 10_000.0
 _RATIO_TOLERANCE = 1e-9
-_ROUNDING_HZ = 0.5  # of the capacity of a wire in messages
+_ROUNDING_HZ = 0.5  # rounding of a wire's capacity in messages
 _MEMORY_STEPS_MAX = (
     20_000  # each of them 3 kB, 20 kB with an error budget, and a few microseconds when a pose is that late
 )
@@ -139,8 +139,8 @@ def _beyond_half_space(scenario: Loaded[Scenario], points: Mapping[str, Sequence
 
 def check_scenario_limits(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each protective limit of the scenario that is weaker than the kind of rig accepts."""
-    found = excess(SCENARIO_LIMITS, scenario.value, rig.value.kind)
-    return [Problem(scenario.where(key), key, text) for key, text in found]
+    exceeded = excess(SCENARIO_LIMITS, scenario.value, rig.value.kind)
+    return [Problem(scenario.where(key), key, text) for key, text in exceeded]
 
 
 def check_host(rig: Loaded[Rig]) -> list[Problem]:
@@ -371,14 +371,14 @@ def check_sign_off(rig: Loaded[Rig]) -> list[Problem]:
 
 def sign_off_gap(rig: Rig) -> str:
     """Return why the rig is not signed off, "" if it is. Raises BadInput for an unreadable file."""
-    found = rig.sign_off
-    if found is None:
+    sign_off = rig.sign_off
+    if sign_off is None:
         return "is missing"
-    if found.digest is None:
+    if sign_off.digest is None:
         digest = motion_digest(rig)
-        signed = {name for name, axis in found.axes.items() if axis.digest == digest}
-        left = ", ".join(name for name in BENCH_AXES if name not in signed)
-        return f"is not complete, missing: {left or 'the dry run'}"
-    if found.digest != motion_digest(rig):
-        return f"is invalid: the rig was changed after its sign-off on {found.date}"
+        signed = {name for name, axis in sign_off.axes.items() if axis.digest == digest}
+        missing = ", ".join(name for name in BENCH_AXES if name not in signed)
+        return f"is not complete, missing: {missing or 'the dry run'}"
+    if sign_off.digest != motion_digest(rig):
+        return f"is invalid: the rig was changed after its sign-off on {sign_off.date}"
     return ""

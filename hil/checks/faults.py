@@ -19,20 +19,20 @@ KEY, DELAY_KEY = "faults", "chaser.thrusters.errors.delay_s"
 def check_faults(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
     """Return a problem for each fault of a device that vehicle or rig does not have, or that is out of its range."""
     faults = scenario.value.faults
-    found = []
+    problems = []
     for index, fault in enumerate(faults):
         if text := _why_not(fault, scenario.value, rig.value):
-            found.append(Problem(scenario.where(KEY), f"{KEY}[{index}]", text))
+            problems.append(Problem(scenario.where(KEY), f"{KEY}[{index}]", text))
     tables = Counter("sensor" if fault.family == "monitor" else fault.family for fault in faults)
     for family, count in tables.items():
         if count > MAX_FAULTS:
             text = f"{count} of {family}: at most {MAX_FAULTS} are allowed"
-            found.append(Problem(scenario.where(KEY), KEY, text))
+            problems.append(Problem(scenario.where(KEY), KEY, text))
     longest_s, delay_s = DELAY_STEPS_MAX * scenario.value.sample_s, scenario.value.chaser.thrusters.errors.delay_s
     if delay_s > longest_s:
         text = f"{delay_s:g}: at most {DELAY_STEPS_MAX} steps of the truth are kept, {longest_s:g} s"
-        found.append(Problem(scenario.where(DELAY_KEY), DELAY_KEY, text))
-    return found
+        problems.append(Problem(scenario.where(DELAY_KEY), DELAY_KEY, text))
+    return problems
 
 
 def _why_not(fault: TimedFault, scenario: Scenario, rig: Rig) -> str:
@@ -100,7 +100,7 @@ def check_sensors(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]
                 problem(f"{name}.stamp", text)
     for index, fault in enumerate(value.faults):
         if fault.family == "sensor" and fault.kind not in modules[fault.member].kind.module.faults:
-            known = ", ".join(modules[fault.member].kind.module.faults)
-            text = f'kind = "{fault.kind}": {modules[fault.member].config.kind} has {known}'
+            names = ", ".join(modules[fault.member].kind.module.faults)
+            text = f'kind = "{fault.kind}": {modules[fault.member].config.kind} has {names}'
             problems.append(Problem(scenario.where("faults"), f"faults[{index}]", text))
     return problems

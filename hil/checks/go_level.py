@@ -20,7 +20,7 @@ from hil.maths.elementary import square
 from hil.params.gnc import integrity
 from hil.params.sensors import sensors_of
 
-_UPDATES = 20_000  # of a steady state
+_UPDATES = 20_000  # updates until a steady state is reached
 _SETTLED = 1e-7  # relative change of a variance
 _VELOCITY_MPS = 0.01  # 1 sigma at the start
 _KEYS = ("axial_tolerance_m", "radial_distance_m", "radial_distance_m")
@@ -47,11 +47,11 @@ def least_levels(scenario: Scenario, rig: Rig) -> Array:
     walk_mps = scenario.gnc.navigation.thrust.velocity_noise_mps
     variance, gain, gain_speed = _steady(noise, 1.0 / rig.vmu.rate_hz, walk_mps)
     turned = math.radians(budget.vision_misalignment_sigma_deg)
-    left = distance * np.array([budget.vision_scale_sigma, turned, turned])
-    known = np.sqrt(square(left) + square(np.array(budget.vision_bias_sigma_m)))
+    spread = distance * np.array([budget.vision_scale_sigma, turned, turned])
+    vision = np.sqrt(square(spread) + square(np.array(budget.vision_bias_sigma_m)))
     poses = params.cusum_go / params.mean_shift
     missed, _ = largest_missed(params, gain, gain_speed, poses, params.cusum_go, 0, np.inf)
-    levels: Array = params.sigmas_go * np.sqrt(variance + square(known)) + missed * math.sqrt(square(noise) + variance)
+    levels: Array = params.sigmas_go * np.sqrt(variance + square(vision)) + missed * math.sqrt(square(noise) + variance)
     return levels
 
 
@@ -60,13 +60,13 @@ def _steady(noise_m: float, interval_s: float, velocity_noise_mps: float) -> tup
     rr, rv, vv = square(noise_m), 0.0, square(_VELOCITY_MPS)
     gain = speed = 0.0
     for _ in range(_UPDATES):
-        before = vv
+        previous = vv
         rr += interval_s * (2.0 * rv + interval_s * vv)
         rv += interval_s * vv
         vv += square(velocity_noise_mps) * interval_s
         innovation = rr + square(noise_m)
         gain, speed = rr / innovation, rv / innovation
         rr, rv, vv = (1.0 - gain) * rr, (1.0 - gain) * rv, vv - speed * rv
-        if abs(vv - before) < _SETTLED * before:
+        if abs(vv - previous) < _SETTLED * previous:
             break
     return rr, gain, speed * interval_s

@@ -89,7 +89,7 @@ def _accelerations(dss: np.record, mass_kg: float, most: Array) -> tuple[Array, 
 
 
 def _planned_rate(scenario: Scenario) -> float:
-    """Return the largest rate of rotation of a phase, rad/s: that of a slew, or of the shortest radius of an arc."""
+    """Return the largest rate of rotation of a phase, rad/s: of its slew, or at the shortest radius of its arc."""
     settings, rates = scenario.gnc.guidance, [0.0]
     radii = [linear.length(scenario.initial.position_m), linear.length(settings.ready_point_m)]
     radii += [linear.length(phase.point_m) for phase in settings.phases.values() if phase.point_m is not None]
@@ -122,8 +122,8 @@ class _Slew:
         self.ends_s = float(np.abs(self._start).max()) / self._rate
 
     def at(self, t_s: float) -> Array:
-        left: Array = np.sign(self._start) * np.maximum(np.abs(self._start) - self._rate * t_s, 0.0)
-        return left
+        remaining: Array = np.sign(self._start) * np.maximum(np.abs(self._start) - self._rate * t_s, 0.0)
+        return remaining
 
 
 def _drift(scenario: Scenario) -> list[PlanSample]:
@@ -151,7 +151,7 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
     settings = scenario.gnc.guidance
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start(params, state)
-    found = []
+    samples = []
     from_key = "initial.position_m"
     while True:
         phase = int(state.phase)
@@ -171,9 +171,9 @@ def _approach(params: np.record, scenario: Scenario, slew: _Slew) -> list[PlanSa
             key = from_key if _distance(r, state.from_H) < _distance(r, state.to_H) else to_key
             q = reference.q_CH.copy()
             rotation = turned(slew.at(t_s), q)
-            found.append(PlanSample(t_s, None, r, v, rotation, linear.length(r), key, speed_key, q_CH=q))
+            samples.append(PlanSample(t_s, None, r, v, rotation, linear.length(r), key, speed_key, q_CH=q))
         if last:
-            return found
+            return samples
         from_key = to_key
         go = 1 if params.kind[phase] == guidance.WAIT else 0
         guidance.advance(params, state, end + _PAST_END_S, go, 0)
@@ -199,14 +199,14 @@ def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample
     guidance.start(params, state)
     guidance.start_abort(params, state, start.t_s, start.r_CT_H, start.v_CT_H)
     braked_s = float(state.ends_s)
-    found = [(braked_s, state.to_H.copy(), np.zeros(3), "gnc.abort.brake_mps2")]
+    path = [(braked_s, state.to_H.copy(), np.zeros(3), "gnc.abort.brake_mps2")]
     guidance.advance(params, state, braked_s + _PAST_END_S, 0, 0)
     if guidance.kind_of(params, state.phase) == guidance.RETREAT:
         begin = float(state.since_s)
         for fraction in (0.5, 1.0):  # half-way it is fastest
             t_s = begin + fraction * (float(state.ends_s) - begin)
             guidance.reference(params, state, t_s, reference)
-            found.append((t_s, reference.r_CT_H.copy(), reference.v_CT_H.copy(), "gnc.abort.hold_distance_m"))
+            path.append((t_s, reference.r_CT_H.copy(), reference.v_CT_H.copy(), "gnc.abort.hold_distance_m"))
     return [
         PlanSample(
             t,
@@ -218,7 +218,7 @@ def _abort(params: np.record, start: PlanSample, slew: _Slew) -> list[PlanSample
             key,
             "gnc.abort.speed_mps",
         )
-        for t, r, v, key in found
+        for t, r, v, key in path
     ]
 
 
@@ -226,8 +226,8 @@ def turned(rotation: Array, q_CH: Array) -> Array:
     """Return ``rotation`` (3,), rad, after the attitude ``q_CH`` (4,), as a rotation vector against H."""
     if not q_CH[:3].any():
         return rotation
-    found: Array = quat.to_rotation_vector(quat.multiply(quat.from_rotation_vector(rotation), q_CH))
-    return found
+    vector: Array = quat.to_rotation_vector(quat.multiply(quat.from_rotation_vector(rotation), q_CH))
+    return vector
 
 
 def _distance(a: Array, b: Array) -> float:

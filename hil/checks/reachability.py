@@ -51,8 +51,8 @@ def axis_demands(scenario: Scenario, rig: Rig) -> Demands:
     relative, free = moments(scenario), control_bounds(scenario)
     plan, target_rad, swing = _divided(scenario, rig, relative)
     band = math.radians(scenario.reachability.attitude_margin_deg)
-    known = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.rotation) for m in plan}}
-    attitudes = [known[tuple(m.rotation)] for m in plan]
+    cached = {turn: reachability.attitude(bench, np.array(turn), band) for turn in {tuple(m.rotation) for m in plan}}
+    attitudes = [cached[tuple(m.rotation)] for m in plan]
     r, v = np.array([m.r_CT_H for m in plan]), np.array([m.v_CT_H for m in plan])
     margin = position_margin(scenario, np.array([m.far_m for m in plan])) + band * swing[:, None]
     r, v, margin = _shown(bench, r, v, margin)
@@ -86,7 +86,7 @@ def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list
     if params is None:
         return plan, np.zeros((len(plan), 3)), np.zeros(len(plan))
     limits = bench_params.manipulator_limits(rig, scenario.step_s)
-    left, target_rad, arms = [], np.empty((len(plan), 3)), np.empty(len(plan))
+    samples, target_rad, arms = [], np.empty((len(plan), 3)), np.empty(len(plan))
     near = np.zeros(3)
     for k, (sample, rate) in enumerate(zip(plan, _rates(plan), strict=True)):
         q = quat.from_rotation_vector(sample.rotation)
@@ -95,15 +95,15 @@ def _divided(scenario: Scenario, rig: Rig, plan: list[PlanSample]) -> tuple[list
         rates = np.where(within == angles, np.clip(rates, -limits.rate_max[3:], limits.rate_max[3:]), 0.0)
         motion = manipulator.ChaserMotion(sample.r_CT_H, sample.v_CT_H, q, rate)
         shown = manipulator.shown_motion(params, within, rates, motion)
-        left.append(replace(sample, r_CT_H=shown.r, v_CT_H=shown.v, rotation=quat.to_rotation_vector(shown.q)))
+        samples.append(replace(sample, r_CT_H=shown.r, v_CT_H=shown.v, rotation=quat.to_rotation_vector(shown.q)))
         target_rad[k], arms[k] = within, linear.length(sample.r_CT_H + params.arm)
         near = within if sample.abort_s is None else near
-    return left, target_rad, arms
+    return samples, target_rad, arms
 
 
 def _rates(plan: list[PlanSample]) -> list[Array]:
     """Return the rate (3,), rad/s, in c, at which the plan rotates from each sample on; zero in aborts."""
-    found = [np.zeros(3) for _ in plan]
+    rates = [np.zeros(3) for _ in plan]
     own = [k for k, sample in enumerate(plan) if sample.abort_s is None]
     for before, after in pairwise(own):
         span_s = plan[after].t_s - plan[before].t_s
@@ -112,8 +112,8 @@ def _rates(plan: list[PlanSample]) -> list[Array]:
                 quat.from_rotation_vector(plan[after].rotation),
                 quat.conjugate(quat.from_rotation_vector(plan[before].rotation)),
             )
-            found[before] = quat.to_rotation_vector(turn) / span_s
-    return found
+            rates[before] = quat.to_rotation_vector(turn) / span_s
+    return rates
 
 
 def check_reachability(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -> list[Problem]:
@@ -123,20 +123,20 @@ def check_reachability(scenario_file: Loaded[Scenario], rig_file: Loaded[Rig]) -
     move an axis.
     """
     asked = axis_demands(scenario_file.value, rig_file.value)
-    found = _Findings(scenario_file, rig_file.value, asked)
-    found.travel(asked.axes)
-    found.speed(asked.axes)
-    found.acceleration(asked.axes)
-    found.start_in_motion(asked.attitudes[0])
-    if not found.problems:
-        found.view()
-    return found.problems
+    findings = _Findings(scenario_file, rig_file.value, asked)
+    findings.travel(asked.axes)
+    findings.speed(asked.axes)
+    findings.acceleration(asked.axes)
+    findings.start_in_motion(asked.attitudes[0])
+    if not findings.problems:
+        findings.view()
+    return findings.problems
 
 
 def position_margin(scenario: Scenario, far_m: Array) -> Array:
     """Return half the band of positions (n, 3), m: Table III at the ready point, and a fraction of the cone beyond."""
-    wanted, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
-    at_ready = np.array([wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m])
+    limits, guidance, corridor = scenario.requirements, scenario.gnc.guidance, scenario.gnc.corridor
+    at_ready = np.array([limits.axial_tolerance_m, limits.radial_distance_m, limits.radial_distance_m])
     slope = scenario.reachability.corridor_fraction * elementary.tan(math.radians(corridor.half_angle_deg))
     beyond = np.maximum(0.0, far_m - linear.length(guidance.ready_point_m))
     margin: Array = at_ready + slope * beyond[:, None]
@@ -235,15 +235,15 @@ class _Findings:
         Not a number is an excess. An axis is named once.
         """
         over = np.where(np.isfinite(over), over, np.inf)
-        found = []
+        worst = []
         for axis in sorted(set(range(6)) - self._named):
             excess = over[:, axis] > _ROUNDING
             chosen = excess & ~self._in_abort
             if excess.any():
                 among = chosen if chosen.any() else excess
-                found.append((axis, int(np.where(among, over[:, axis], -np.inf).argmax())))
-        self._named.update(axis for axis, _ in found)
-        return found
+                worst.append((axis, int(np.where(among, over[:, axis], -np.inf).argmax())))
+        self._named.update(axis for axis, _ in worst)
+        return worst
 
     def _point_key(self, k: int, axis: int) -> str:
         moment = self._plan[k]

@@ -19,7 +19,7 @@ from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params.target import tumble
 
-THRUST_FRACTION = 0.6  # of the acceleration of an axis, which a plan may take: the rest is for control
+THRUST_FRACTION = 0.6  # fraction of an axis's acceleration for the plan: the rest is for control
 _KEY = "target.rate_degps"
 _INTERVAL_S = 0.5  # between two samples of a phase
 _RATES = 400  # samples of the tumble over the run
@@ -118,25 +118,25 @@ def planned(scenario: Scenario) -> Plan:
     params = gnc_params.guidance(scenario)
     state, reference = new(GUIDANCE_STATE), new(REFERENCE)
     guidance.start(params, state)
-    found = _phases(params, state, reference)
-    for r, v, _ in found[:: max(1, len(found) // _ABORTS)]:
+    plan = _phases(params, state, reference)
+    for r, v, _ in plan[:: max(1, len(plan) // _ABORTS)]:
         guidance.start(params, state)
         guidance.start_abort(params, state, 0.0, r, v)
         guidance.advance(params, state, float(state.ends_s) + 1e-6, 0, 0)
-        found += _phases(params, state, reference)
-    return found
+        plan += _phases(params, state, reference)
+    return plan
 
 
 def _phases(params: np.record, state: np.record, reference: np.record) -> Plan:
     """Return the samples of the phases from the present one on; orders to continue come at once."""
-    found: Plan = []
+    plan: Plan = []
     while True:
         begin, end = float(state.since_s), float(state.ends_s)
         end = max(begin, end) if math.isfinite(end) else begin
         for t_s in np.arange(begin, end + _INTERVAL_S, _INTERVAL_S):
             guidance.reference(params, state, min(t_s, end), reference)
-            found.append((reference.r_CT_H.copy(), reference.v_CT_H.copy(), reference.a_CT_H.copy()))
+            plan.append((reference.r_CT_H.copy(), reference.v_CT_H.copy(), reference.a_CT_H.copy()))
         phase = int(state.phase)
         go = 1 if guidance.kind_of(params, phase) == guidance.WAIT else 0
         if guidance.advance(params, state, end + 1e-6, go, 0) != guidance.MOVED:
-            return found
+            return plan

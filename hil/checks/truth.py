@@ -15,7 +15,7 @@ from hil.maths import linear
 from hil.maths.elementary import square
 from hil.params import dynamics as dynamics_params
 
-_LOWEST_FRACTION = 0.005  # of the radius of the body: lower orbits meet mountains or an atmosphere
+_LOWEST_FRACTION = 0.005  # altitude over the body's radius: lower orbits meet mountains or an atmosphere
 
 
 def check_truth(scenario: Loaded[Scenario]) -> list[Problem]:
@@ -58,13 +58,13 @@ def _check_orbit(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]
 
 
 def _check_ephemeris(scenario: Loaded[Scenario], body: CentralBody) -> list[Problem]:
-    known, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
+    orbit, errors = scenario.value.gnc_orbit, scenario.value.gnc.ephemeris
     problems = []
-    if not 0.0 <= known.eccentricity < 0.1:
+    if not 0.0 <= orbit.eccentricity < 0.1:
         key = "gnc.ephemeris.eccentricity_error"
-        text = f"{errors.eccentricity_error:g}: the GNC would have {known.eccentricity:g}, allowed 0 to below 0.1"
+        text = f"{errors.eccentricity_error:g}: the GNC would have {orbit.eccentricity:g}, allowed 0 to below 0.1"
         problems.append(Problem(scenario.where(key), key, text))
-    if known.altitude_m <= 0.0:
+    if orbit.altitude_m <= 0.0:
         key = "gnc.ephemeris.semi_major_axis_error_m"
         text = f"{errors.semi_major_axis_error_m:g}: the GNC would have an orbit inside {body.name}"
         problems.append(Problem(scenario.where(key), key, text))
@@ -142,13 +142,13 @@ def _check_solar_array(scenario: Loaded[Scenario]) -> list[Problem]:
 
 
 def _shown(couplings: Array) -> list[float] | list[list[float]]:
-    """Return the couplings of all modes (n, 3), that of a single mode as the file has it."""
-    found: list[list[float]] = couplings.tolist()
-    return found if len(found) > 1 else found[0]
+    """Return the couplings of all modes (n, 3); a single mode's as the file has it."""
+    table: list[list[float]] = couplings.tolist()
+    return table if len(table) > 1 else table[0]
 
 
 def _check_propellant(scenario: Loaded[Scenario]) -> list[Problem]:
-    """Return a problem if the inertia would not be that of a body after all thrusters have fired for the whole run."""
+    """Return a problem if the inertia is impossible for a body after all thrusters have fired for the whole run."""
     chaser = scenario.value.chaser
     gyration = np.array(chaser.propellant_gyration_m)
     flow = len(chaser.thrusters.position_m) * chaser.thrusters.force_n / chaser.thrusters.specific_impulse_s

@@ -23,13 +23,13 @@ def keys(pattern: str = "*", /, *, json: File = None) -> int:
     """
     from hil.config.key_reference import matching_keys
 
-    found = matching_keys(pattern, _keys_of_sensors())
+    matches = matching_keys(pattern, _keys_of_sensors())
     if json is not None:
-        content = [{"key": key.name, "file": key.file, **key.row._asdict()} for key in found]
+        content = [{"key": key.name, "file": key.file, **key.row._asdict()} for key in matches]
         write_json({"keys": content}, json)
     if json != "-":
         rows = [
-            (key.name, key.row.type, key.row.unit, key.row.allowed, key.row.default, key.row.meaning) for key in found
+            (key.name, key.row.type, key.row.unit, key.row.allowed, key.row.default, key.row.meaning) for key in matches
         ]
         plain = [[text.replace("`", "") for text in row] for row in rows]
         print_columns(("key", "type", "unit", "allowed", "default", "meaning"), plain, left=range(6))
@@ -50,7 +50,7 @@ def _keys_of_sensors() -> list[KeyMatch]:
                 setting.name, "number", setting.unit, setting.allowed, f"{setting.default:g}", f"{kind}: {setting.doc}"
             ),
         )
-        for kind, found in kinds().items()
-        if isinstance(found, SensorKind)
-        for setting in found.settings
+        for kind, sensor in kinds().items()
+        if isinstance(sensor, SensorKind)
+        for setting in sensor.settings
     ]

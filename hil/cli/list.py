@@ -34,10 +34,10 @@ def list(kind: str | None = None, /, *, json: File = None) -> int:
         close = difflib.get_close_matches(kind, kinds, n=1)
         hint = f"did you mean {close[0]}? " if close else ""
         raise BadInput.single("hil list", "", f"{kind}: {hint}give one of {', '.join(kinds)}")
-    found = {name: entries() for name, entries in kinds.items() if kind in (None, name)}
-    write_json(dict(found), json)
+    listed = {name: entries() for name, entries in kinds.items() if kind in (None, name)}
+    write_json(dict(listed), json)
     if json != "-":
-        rows = [(name, each, text) for name, entries in found.items() for each, text in entries.items()]
+        rows = [(name, each, text) for name, entries in listed.items() for each, text in entries.items()]
         print_columns(("kind", "name", ""), rows, left=range(3))
     return 0
 
@@ -47,7 +47,7 @@ def _parts() -> dict[str, str]:
 
 
 def _list_parts(json: str | None) -> int:
-    found = [
+    rows = [
         {
             "name": each.part.name,
             "version": each.version,
@@ -57,10 +57,10 @@ def _list_parts(json: str | None) -> int:
         }
         for each in parts().usable.values()
     ]
-    write_json({"parts": found, "problems": parts().problems}, json)
+    write_json({"parts": rows, "problems": parts().problems}, json)
     if json != "-":
-        shown = [[text if isinstance(text, str) else ", ".join(text) for text in each.values()] for each in found]
-        print_columns([*found[0]], shown, left=range(5))
+        shown = [[text if isinstance(text, str) else ", ".join(text) for text in each.values()] for each in rows]
+        print_columns([*rows[0]], shown, left=range(5))
     return 0
 
 
@@ -97,15 +97,15 @@ def _backends() -> dict[str, str]:
 
     from hil.config.scenario import BUILT_IN
 
-    found = {f"gnc.{part}.backend={name}": "hil" for part, names in BUILT_IN.items() for name in names}
+    backends = {f"gnc.{part}.backend={name}": "hil" for part, names in BUILT_IN.items() for name in names}
     for part in BUILT_IN:
         for point in entry_points(group=f"hil.{part}"):
             package = f"{point.dist.name} {point.dist.version}" if point.dist else "unknown package"
-            found[f"gnc.{part}.backend={point.module}:{point.name}"] = package
-    return found
+            backends[f"gnc.{part}.backend={point.module}:{point.name}"] = package
+    return backends
 
 
 def _sensors() -> dict[str, str]:
     from hil.sensors.registry import kinds
 
-    return {kind: found if isinstance(found, str) else found.summary for kind, found in kinds().items()}
+    return {kind: declared if isinstance(declared, str) else declared.summary for kind, declared in kinds().items()}

@@ -28,19 +28,19 @@ class Check:
 
 def declared_problems(command: Callable[..., Any], given: Mapping[str, Any]) -> list[Problem]:
     """Return a problem for each option of ``given`` that its type, in the signature of ``command``, does not allow."""
-    found = []
+    problems = []
     for name, kind in get_type_hints(command, include_extras=True).items():
         value = given.get(name)
         if is_dataclass(value):
-            found += declared_problems(type(value), vars(value))
+            problems += declared_problems(type(value), vars(value))
         elif value is not None:
             texts = [each.problem(value) for each in _checks(kind)]
-            found += [Problem(f"--{name.replace('_', '-')}", "", text) for text in texts if text]
-    return found
+            problems += [Problem(f"--{name.replace('_', '-')}", "", text) for text in texts if text]
+    return problems
 
 
 def _checks(kind: Any) -> list[Check]:
-    """Return the checks of an annotation, also of those that it is made of."""
+    """Return the checks of an annotation and of the annotations in it."""
     inner = [check for each in get_args(kind) for check in _checks(each)]
     return [*inner, *(each for each in getattr(kind, "__metadata__", ()) if isinstance(each, Check))]
 

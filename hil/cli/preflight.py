@@ -52,27 +52,27 @@ def preflight(
     loaded, loaded_rig = load_scenario(scenario, settings), load_rig(rig, settings)
     progress = Console(stderr=True)
     with progress.status("") as status:
-        found = run.preflight(loaded, loaded_rig, Path.cwd(), devices, lambda text: status.update(f"{text} ..."))
+        report = run.preflight(loaded, loaded_rig, Path.cwd(), devices, lambda text: status.update(f"{text} ..."))
     if loaded_rig.value.kind == "hardware":
-        late = found.lateness
+        late = report.lateness
         measured_s = 0.0 if late is None else late.cycles * late.period_s
-        write_record(loaded_rig, found.rate_hz, measured_s, found.passed, who)
+        write_record(loaded_rig, report.rate_hz, measured_s, report.passed, who)
     waived = [waiver.as_json() for waiver in waivers(loaded_rig.value, loaded.value)]
-    write_json({"scenario": loaded.value.name, "rig": rig, **found.numbers(), "waived": waived}, json)
+    write_json({"scenario": loaded.value.name, "rig": rig, **report.numbers(), "waived": waived}, json)
     if json != "-":
         console = Console()
         table = Table(title=f"Preflight of {rig} for {loaded.value.name}")
         for heading in ("check", "result", "found", "what to do"):
             table.add_column(heading, overflow="fold")
-        for check in found.checks:
+        for check in report.checks:
             table.add_row(escape(check.name), _WORDS[check.passed], escape(check.value), escape(check.advice))
         console.print(table)
-        if found.lateness is not None:
+        if report.lateness is not None:
             console.print("Lateness of an empty loop, cycles (bars: logarithm)")
-            for line in histogram_lines(found.lateness):
+            for line in histogram_lines(report.lateness):
                 console.print(f"  {line}", highlight=False)
         print_waived(waived, console)
-        failed = sum(check.passed is False for check in found.checks)
-        word = "[bold green]PASS[/]" if found.passed else f"[bold red]FAIL[/]: {failed} of {len(found.checks)} checks"
+        failed = sum(check.passed is False for check in report.checks)
+        word = "[bold green]PASS[/]" if report.passed else f"[bold red]FAIL[/]: {failed} of {len(report.checks)} checks"
         console.print(word, highlight=False)
-    return _PASSED if found.passed else _FAILED
+    return _PASSED if report.passed else _FAILED

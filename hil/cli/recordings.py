@@ -156,9 +156,9 @@ def verify_recordings(
         raise BadInput.single("--out", "", "requires --campaign")
 
     audits = [_audit(Path(name), json == "-") for name in recordings]
-    if campaign is None or any(found["problems"] for found in audits):
+    if campaign is None or any(audit["problems"] for audit in audits):
         write_json({"audits": audits}, json)
-        return int(any(found["problems"] for found in audits))
+        return int(any(audit["problems"] for audit in audits))
     status: int = provided("evidence of recordings", "--campaign")(recordings, campaign, out, json)
     return status
 
@@ -171,9 +171,10 @@ def _audit(path: Path, quiet: bool) -> dict[str, Any]:
     from hil.recording.read import contents
     from hil.recording.writer import SUMMARY
 
-    found = contents(path, frozenset({LOG_TOPIC}))
-    log, files = found.lines.get(LOG_TOPIC, []), {name: text for name, text in found.files.items() if name != SUMMARY}
-    problems = audit_problems(path, found.run, found.end, files, log)
+    recording = contents(path, frozenset({LOG_TOPIC}))
+    log = recording.lines.get(LOG_TOPIC, [])
+    files = {name: text for name, text in recording.files.items() if name != SUMMARY}
+    problems = audit_problems(path, recording.run, recording.end, files, log)
     acts = [
         {key: line.get(key) for key in ("bench_s", "name", "key", "rights", "message", "configuration")}
         for line in log
@@ -186,7 +187,7 @@ def _audit(path: Path, quiet: bool) -> dict[str, Any]:
         print_columns(head, cells, left=(1, 2, 3, 4))
         for problem in problems:
             print(f"{path}: {problem}")  # noqa: T201
-        if note := why_bits_may_differ(found.run):
+        if note := why_bits_may_differ(recording.run):
             print(f"{path}: {note}")  # noqa: T201
         digest = log[-1].get("digest", "") if log else ""
         print(f"{'FAIL' if problems else 'PASS'} audit of {path.name}: {len(log)} entries, last digest {digest}")  # noqa: T201

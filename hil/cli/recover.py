@@ -22,11 +22,11 @@ def recover(recording: str, /, *, out: Annotated[str | None, Parameter(name=("--
     """
     from hil.recording import recover as recovery
 
-    found = recovery.recover(Path(recording), Path(out) if out is not None else None)
-    if found.out is None:
-        text = f"{recording} is intact: {found.messages} messages over {found.length_s:.2f} s, nothing to recover"
+    outcome = recovery.recover(Path(recording), Path(out) if out is not None else None)
+    if outcome.out is None:
+        text = f"{recording} is intact: {outcome.messages} messages over {outcome.length_s:.2f} s, nothing to recover"
     else:
-        lost = f"; {found.lost_chunks} damaged blocks are omitted" if found.lost_chunks else ""
-        text = f"{found.out}: {found.messages} messages over {found.length_s:.2f} s recovered{lost}"
+        lost = f"; {outcome.lost_chunks} damaged blocks are omitted" if outcome.lost_chunks else ""
+        text = f"{outcome.out}: {outcome.messages} messages over {outcome.length_s:.2f} s recovered{lost}"
     say(text)
     return 0

@@ -85,31 +85,31 @@ def replay(
 def _replay_gnc(recording: str, gnc: str | None, settings: Sequence[str], json_path: str | None) -> int:
     from hil.api.recordings import replay_file
 
-    recorded, scenario, changed, found, errors = replay_file(Path(recording), gnc, settings)
+    recorded, scenario, changed, replayed, errors = replay_file(Path(recording), gnc, settings)
     deliver(
-        _as_json(recorded, found, changed, errors),
+        _as_json(recorded, replayed, changed, errors),
         json_path,
-        lambda: _print(recorded, scenario, found, changed, errors),
+        lambda: _print(recorded, scenario, replayed, changed, errors),
     )
-    return _SAME if found.identical or (changed and not found.ended) else _DIFFERS
+    return _SAME if replayed.identical or (changed and not replayed.ended) else _DIFFERS
 
 
-def _as_json(recorded: Recorded, found: Replayed, changed: bool, errors: dict[str, Any]) -> dict[str, Any]:
+def _as_json(recorded: Recorded, replayed: Replayed, changed: bool, errors: dict[str, Any]) -> dict[str, Any]:
     return {
         "recording": str(recorded.path),
         "run": recorded.run["run"],
         "intact": recorded.intact,
         "changed": changed,
-        "identical": found.identical,
+        "identical": replayed.identical,
         "why_bits_may_differ": why_bits_may_differ(recorded.run) or None,
-        "cycles_recorded": found.recorded,
-        "cycles_replayed": found.cycles,
-        "ended": found.ended,
-        "first_difference_cycle": min((d.first_cycle for d in found.differences), default=None),
-        "first_difference_s": min((d.first_s for d in found.differences), default=None),
-        "differences": [difference.as_json() for difference in found.differences],
-        "missing_events": [_event(event) for event in found.missing_events],
-        "new_events": [_event(event) for event in found.new_events],
+        "cycles_recorded": replayed.recorded,
+        "cycles_replayed": replayed.cycles,
+        "ended": replayed.ended,
+        "first_difference_cycle": min((d.first_cycle for d in replayed.differences), default=None),
+        "first_difference_s": min((d.first_s for d in replayed.differences), default=None),
+        "differences": [difference.as_json() for difference in replayed.differences],
+        "missing_events": [_event(event) for event in replayed.missing_events],
+        "new_events": [_event(event) for event in replayed.new_events],
         "navigation": errors,
     }
 
@@ -118,35 +118,35 @@ def _event(event: tuple[float, str, str]) -> dict[str, Any]:
     return dict(zip(("t_s", "source", "text"), event, strict=True))
 
 
-def _print(recorded: Recorded, scenario: Scenario, found: Replayed, changed: bool, errors: dict[str, Any]) -> None:
+def _print(recorded: Recorded, scenario: Scenario, replayed: Replayed, changed: bool, errors: dict[str, Any]) -> None:
     from hil.recording.replay import follows
 
     if not recorded.intact:
         say(f"{recorded.path} is truncated or damaged: its intact part is replayed")
-    if found.ended:
-        say(found.ended)
+    if replayed.ended:
+        say(replayed.ended)
     for note in recorded.log:
         if note["kind"] == "setting":
             applied = follows(recorded, scenario, note["message"])
             suffix = "" if applied else "; not in this replay, which has another value"
             say(f"changed in flight by {note['name']}, from cycle {note['cycle']} on: {note['message']}{suffix}")
-    of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {found.cycles} cycles"
-    if found.identical:
+    of = f"{recorded.run['scenario']} on {recorded.run['rig']}, seed {recorded.run['seed']}, {replayed.cycles} cycles"
+    if replayed.identical:
         say(f"identical, bit by bit: {of}")
         return
     if bits := why_bits_may_differ(recorded.run):
         say(bits)
-    if found.differences:
-        _print_differences(found.differences)
-    for word, events in (("no longer", found.missing_events), ("new", found.new_events)):
+    if replayed.differences:
+        _print_differences(replayed.differences)
+    for word, events in (("no longer", replayed.missing_events), ("new", replayed.new_events)):
         for t_s, source, text in events:
             say(f"{word:<9} {t_s:.2f} s {source}: {text}")
     if changed:
         _print_navigation(errors)
-    if found.differences:
-        first = min(found.differences, key=lambda d: d.first_cycle)
+    if replayed.differences:
+        first = min(replayed.differences, key=lambda d: d.first_cycle)
         say(f"differs from cycle {first.first_cycle} on, {first.first_s:.2f} s: {of}")
-    elif found.ended:
+    elif replayed.ended:
         say(f"identical as far as it was replayed: {of}")
 
 

@@ -44,12 +44,12 @@ class StoredCaseOptions:
 
     def problems(self, options: RunOptions) -> list[Problem]:
         """Return a problem for each option that cannot be used."""
-        found = []
+        problems = []
         if self.campaign is not None and self.case is None:
-            found.append(Problem("--campaign", "", "needs --case"))
+            problems.append(Problem("--campaign", "", "needs --case"))
         if self.campaign is not None and (options.duration is not None or options.seed != 0):
-            found.append(Problem("--campaign", "", "gives seed and duration: omit --seed and --duration"))
-        return found
+            problems.append(Problem("--campaign", "", "gives seed and duration: omit --seed and --duration"))
+        return problems
 
 
 _NO_CASE = StoredCaseOptions()
@@ -129,17 +129,17 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
         with suppress(BadInput):  # a full disk is reported with the numbers
             write_json({**begun, "passed": False, "accepted": False, "stop": UNFINISHED, "faults": [UNFINISHED]}, json)
     with ProgressBar(console, "opening the devices") as bar:
-        found = run_job(replace(request, announce=announce, on_progress=_mode_shown_on(bar)))
-    summary = found.summary
+        completed = run_job(replace(request, announce=announce, on_progress=_mode_shown_on(bar)))
+    summary = completed.summary
     if problem := summary.get("recording", {}).get("problem"):
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
-        render(summary, found.verdict, found.scenario.requirements, Console())
+        render(summary, completed.verdict, completed.scenario.requirements, Console())
         for table, lines in part_lines().items():
             if table in summary:
                 print("\n".join(imported(lines)(summary[table])))  # noqa: T201
     if summary["faults"]:
-        print(f"safe stop: {found.stop}", file=sys.stderr)  # noqa: T201
+        print(f"safe stop: {completed.stop}", file=sys.stderr)  # noqa: T201
     if json is not None:
         try:
             write_json(summary, json)
@@ -149,7 +149,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
             print(error, file=sys.stderr)  # noqa: T201
     if summary["faults"]:
         return _SAFE_STOPPED
-    return _PASSED if found.accepted else _FAILED
+    return _PASSED if completed.accepted else _FAILED
 
 
 def _mode_shown_on(bar: ProgressBar) -> Callable[[Mode, float], None]:

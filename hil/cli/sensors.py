@@ -13,7 +13,7 @@ app = App(name="sensors")
 
 @app.command(name="list", help="List the sensor modules that a scenario can add.")
 def list_sensors(*, json: File = None) -> int:
-    """List the sensor modules that a scenario can add: those of this program and of installed packages.
+    """List the sensor modules of this program and of installed packages, which a scenario can add.
 
     Parameters
     ----------
@@ -22,12 +22,12 @@ def list_sensors(*, json: File = None) -> int:
     """
     from hil.sensors.registry import kinds
 
-    found = kinds()
+    sensors = kinds()
     if json is not None:
-        entries = {kind: {"error": s} if isinstance(s, str) else s.as_json() for kind, s in found.items()}
+        entries = {kind: {"error": s} if isinstance(s, str) else s.as_json() for kind, s in sensors.items()}
         write_json({"sensors": entries}, json)
     if json != "-":
-        rows = [(kind, s if isinstance(s, str) else s.summary) for kind, s in found.items()]
+        rows = [(kind, s if isinstance(s, str) else s.summary) for kind, s in sensors.items()]
         print_columns(("kind", ""), rows, left=range(2))
     return 0
 
@@ -48,13 +48,13 @@ def check(name: str, /, *, seed: Seed = 0, json: File = None) -> int:
     from hil.sensors.check import problems
     from hil.sensors.registry import sensor
 
-    found = sensor(name)
-    lines = problems(found, seed=seed)
-    write_json({"sensor": name, "passed": not lines, "problems": lines} | found.as_json(), json)
+    kind = sensor(name)
+    lines = problems(kind, seed=seed)
+    write_json({"sensor": name, "passed": not lines, "problems": lines} | kind.as_json(), json)
     if lines:
         raise BadInput.single("hil sensors check", name, lines[0])
     if json != "-":
-        components = ", ".join(component.name for component in found.components)
-        rows = [(found.kind, found.summary), ("components", components), ("check", "passed")]
+        components = ", ".join(component.name for component in kind.components)
+        rows = [(kind.kind, kind.summary), ("components", components), ("check", "passed")]
         print_columns(("", ""), rows, left=range(2))
     return 0

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _PASSED, _SAFE_STOPPED = 0, 3
 _GROUP_WALL_S: Final = 1800.0
-_WIDTH: Final = 12  # of the column of names
+_WIDTH: Final = 12  # width of the column of names
 _OPENCV: Final = "needs OpenCV: pip install 'hil-bench[vision]'"
 
 
@@ -44,10 +44,10 @@ def warm_up(*groups: str) -> int:
     from hil.core.kernel_folder import kernel_folder, kernel_folder_notice
     from hil.session.compiled import mark_kernels_cached
 
-    known = all_groups()
-    allowed = ", ".join(known)
+    offered = all_groups()
+    allowed = ", ".join(offered)
     refuse(
-        [Problem("warm-up", "", f"{name}: unknown group, allowed {allowed}") for name in groups if name not in known]
+        [Problem("warm-up", "", f"{name}: unknown group, allowed {allowed}") for name in groups if name not in offered]
     )
     left_out = without_opencv() if importlib.util.find_spec("cv2") is None else []
     refuse([Problem("warm-up", "", f"{name}: {_OPENCV}") for name in groups if name in left_out])
@@ -57,7 +57,7 @@ def warm_up(*groups: str) -> int:
         print(notice)  # noqa: T201
     started_s = time.perf_counter()
     with exit_on_ctrl_c():
-        _compile_groups(groups or tuple(name for name in known if name not in left_out))
+        _compile_groups(groups or tuple(name for name in offered if name not in left_out))
         if not groups or {"gnc", "stages"} <= set(groups):
             mark_kernels_cached("cycle")
     for name in left_out:
@@ -110,9 +110,9 @@ def exit_on_ctrl_c() -> Iterator[None]:
         os.write(sys.stderr.fileno(), b"stopped by the operator\n")
         leave_process(_SAFE_STOPPED)
 
-    before = {number: signal.signal(number, leave) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.signal(number, leave) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)

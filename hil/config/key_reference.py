@@ -63,23 +63,23 @@ class KeyTable(NamedTuple):
 
 def tables(root: type[BaseModel]) -> list[KeyTable]:
     """Return the tables of a file in the order of its model; a model that occurs at several places is one table."""
-    found: dict[type[BaseModel], KeyTable] = {}
-    _visit(root, "", found)
-    return list(found.values())
+    by_model: dict[type[BaseModel], KeyTable] = {}
+    _visit(root, "", by_model)
+    return list(by_model.values())
 
 
-def _visit(model: type[BaseModel], place: str, found: dict[type[BaseModel], KeyTable]) -> None:
-    base = next((base for base in model.__mro__[1:] if base in found), None)
+def _visit(model: type[BaseModel], path: str, by_model: dict[type[BaseModel], KeyTable]) -> None:
+    base = next((base for base in model.__mro__[1:] if base in by_model), None)
     inherited = set(base.model_fields) if base else set()
-    if model in found:
-        found[model].places.append(place)
+    if model in by_model:
+        by_model[model].places.append(path)
     else:
         keys = [key for key in own_keys(model) if key.name not in inherited]
-        found[model] = KeyTable([place], model, f"`[{found[base].places[0]}]`" if base else "", keys)
+        by_model[model] = KeyTable([path], model, f"`[{by_model[base].places[0]}]`" if base else "", keys)
     for name, field in model.model_fields.items():
         if name not in inherited:
             for inner, suffix in _inner_models(field.annotation):
-                _visit(inner, f"{place}.{name}{suffix}".lstrip("."), found)
+                _visit(inner, f"{path}.{name}{suffix}".lstrip("."), by_model)
 
 
 def _inner_models(annotation: Any, suffix: str = "") -> Iterator[tuple[type[BaseModel], str]]:
@@ -161,7 +161,7 @@ def _shown(value: Any) -> str:
 @cache
 def meanings(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings under the fields of a model, inherited ones included, as one line each."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if not (issubclass(base, BaseModel) and base.__module__.startswith("hil.")):
             continue
@@ -170,8 +170,8 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
         for field, text in zip(node.body, node.body[1:], strict=False):
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
                 assert isinstance(text.value, ast.Constant)
-                found[field.target.id] = " ".join(str(text.value.value).split())
-    return found
+                texts[field.target.id] = " ".join(str(text.value.value).split())
+    return texts
 
 
 class KeyMatch(NamedTuple):
@@ -183,14 +183,14 @@ class KeyMatch(NamedTuple):
 
 
 def all_keys() -> list[KeyMatch]:
-    """Return each key of scenario and rig files at each of its places; those of a rig begin with ``rig.``."""
-    found = []
+    """Return each key of scenario and rig files at each of its places; keys of a rig begin with ``rig.``."""
+    matches = []
     for file, root, prefix in (("scenario", Scenario, ""), ("rig", Rig, "rig.")):
         for table in tables(root):
-            for place in table.places:
-                start = f"{prefix}{place}." if place else prefix
-                found += [KeyMatch(f"{start}{row.name}", file, row) for row in _rows_of(table)]
-    return found
+            for path in table.places:
+                start = f"{prefix}{path}." if path else prefix
+                matches += [KeyMatch(f"{start}{row.name}", file, row) for row in _rows_of(table)]
+    return matches
 
 
 def _rows_of(table: KeyTable) -> list[KeyRow]:
@@ -203,9 +203,9 @@ def matching_keys(pattern: str, added: Sequence[KeyMatch] = ()) -> list[KeyMatch
     added: keys of modules and packages. Raises BadInput if there are none.
     """
     keys = [*all_keys(), *added]
-    wanted = pattern.lower() if set(pattern) & set("*?[") else f"*{pattern.lower()}*"
-    if found := [key for key in keys if fnmatch.fnmatchcase(key.name.lower(), wanted)]:
-        return found
+    glob = pattern.lower() if set(pattern) & set("*?[") else f"*{pattern.lower()}*"
+    if matches := [key for key in keys if fnmatch.fnmatchcase(key.name.lower(), glob)]:
+        return matches
     last = {key.row.name: None for key in keys}
     close = difflib.get_close_matches(pattern.rpartition(".")[2], last, n=3, cutoff=0.5)
     hint = f"; similar: {', '.join(close)}" if close else ""

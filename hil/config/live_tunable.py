@@ -18,23 +18,23 @@ BACKEND_SETTINGS: Final = ("gnc.navigation.settings.", "gnc.control.settings.")
 
 
 @cache
-def live_ranges(model: type[BaseModel], place: str = "") -> dict[str, Live]:
+def live_ranges(model: type[BaseModel], prefix: str = "") -> dict[str, Live]:
     """Return the ranges during a run by the dotted keys of ``model``, those that are declared ``Live``."""
-    found: dict[str, Live] = {}
+    ranges: dict[str, Live] = {}
     for name, field in model.model_fields.items():
-        key = f"{place}.{name}".lstrip(".")
+        key = f"{prefix}.{name}".lstrip(".")
         for each in field.metadata:
             if isinstance(each, Live):
-                found[key] = each
+                ranges[key] = each
         inner = field.annotation
         if isinstance(inner, type) and issubclass(inner, BaseModel):
-            found |= live_ranges(inner, key)
-    return found
+            ranges |= live_ranges(inner, key)
+    return ranges
 
 
 @cache
 def range_of(model: type[BaseModel], key: str) -> dict[str, Any]:
-    """Return the limits of the number at the dotted ``key`` of ``model``; those of a run, if it is ``Live``.
+    """Return the limits of the number at the dotted ``key`` of ``model``, during a run if it is ``Live``.
 
     low, high: None if unlimited. low_open, high_open: the limit itself is excluded. words: the range as text.
     """
@@ -74,7 +74,7 @@ def within(allowed: dict[str, Any], value: float) -> bool:
 
 def value_of(table: BaseModel, key: str) -> float:
     """Return the number at the dotted ``key`` of ``table``."""
-    found: Any = table
+    node: Any = table
     for name in key.split("."):
-        found = found[name] if isinstance(found, dict) else getattr(found, name)
-    return float(found)
+        node = node[name] if isinstance(node, dict) else getattr(node, name)
+    return float(node)

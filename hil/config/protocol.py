@@ -274,21 +274,21 @@ class Protocol(ConfigModel):
 
     def gives(self, action: str) -> set[tuple[str, str]]:
         """Return (field, axis name) of all values in the replies to an action."""
-        found = set()
+        given = set()
         for step in getattr(self.requests, action):
-            for _, place in template_places(self.replies[step.reply]):
-                name, _, axis = place.partition(".")
-                found |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
-        return found
+            for _, field in template_places(self.replies[step.reply]):
+                name, _, axis = field.partition(".")
+                given |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
+        return given
 
     def warnings(self) -> list[str]:
         """Return one line per protection that this command set lacks."""
-        found = []
+        warnings = []
         if self.sequence is None:
-            found.append(f"protocol {self.name}: no sequence number: a late reply can be mistaken for a new one")
+            warnings.append(f"protocol {self.name}: no sequence number: a late reply can be mistaken for a new one")
         if self.checksum.kind == "none":
-            found.append(f"protocol {self.name}: no checksum: a corrupted line can be accepted")
-        return found
+            warnings.append(f"protocol {self.name}: no checksum: a corrupted line can be accepted")
+        return warnings
 
     def _check_step(self, action: str, step: Step) -> None:
         key = f"requests.{action}"
@@ -304,8 +304,8 @@ class Protocol(ConfigModel):
     def _check_report(self) -> None:
         reported, sent = self.gives("status"), set()
         for step in self.requests.set:
-            for _, place in template_places(step.send):
-                name, _, axis = place.partition(".")
+            for _, field in template_places(step.send):
+                name, _, axis = field.partition(".")
                 sent |= {(name, each) for each in ((axis,) if axis else GIMBAL_NAMES)}
         for axis in GIMBAL_NAMES:
             if ("position", axis) not in sent:
@@ -343,8 +343,8 @@ def _check_template(key: str, text: str, allowed: list[str]) -> None:
         raise ValueError(f"{key}: {error}") from error
     for _, name in places:
         if name and name not in allowed:
-            known = ", ".join(f"{{{field}}}" for field in allowed) or "none"
-            raise ValueError(f"{key}: {{{name}}}: unknown field here, allowed: {known}")
+            names = ", ".join(f"{{{field}}}" for field in allowed) or "none"
+            raise ValueError(f"{key}: {{{name}}}: unknown field here, allowed: {names}")
 
 
 def _listed(names: Names) -> str:

@@ -33,7 +33,7 @@ RAIL_NAMES = ("x", "y", "z")
 GIMBAL_NAMES = ("roll", "pitch", "yaw")
 LINEAR_NAMES = (*RAIL_NAMES, "u", "v", "w")  # of a group of up to six axes; further ones as in ISO 841
 ROTARY_NAMES = (*GIMBAL_NAMES, "a", "b", "c")
-FURTHER_AXES_MAX = 24  # of a rig
+FURTHER_AXES_MAX = 24  # largest number in a rig
 BENCH_AXES = (*(f"rails.{name}" for name in RAIL_NAMES), *(f"turntable.{name}" for name in GIMBAL_NAMES))
 
 
@@ -42,7 +42,7 @@ LEAD_MAX_S = 0.2
 EXCHANGES_MAX_HZ = 250.0
 AVERAGING_MAX_S = 1.0
 Lead = Annotated[float, Field(ge=-LEAD_MAX_S, le=LEAD_MAX_S)]  # s; negative for an axis that leads
-MIDDLE_AXIS_MAX_DEG = 85.0  # of a rotary manipulator
+MIDDLE_AXIS_MAX_DEG = 85.0  # largest angle of the middle axis of a rotary manipulator
 Encoder = Literal["absolute", "incremental"]  # incremental: the axis must be homed after power-up
 GimbalOrder = Literal["zyx", "zxy", "yzx", "yxz", "xyz", "xzy"]
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFF_FFFF)]
@@ -244,7 +244,7 @@ class Cia402(ConfigModel):
     counts_per_turn: Annotated[int, Field(gt=0, le=1_000_000_000)] = 10_000_000
     """Encoder counts per revolution of the axis."""
     eds_file: str | None = None
-    """EDS of the drives; unless set, that of the emulated drive."""
+    """EDS of the drives; default: the emulated drive's."""
     heartbeat_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.05
     """Heartbeat period of a drive."""
     homing_method: Annotated[int, Field(ge=-128, le=37)] = 24
@@ -296,11 +296,11 @@ class SensorLine(ConfigModel):
     port: str | None = None
     """Path of the port, such as `/dev/ttyUSB0`."""
     baud: Annotated[int, Field(ge=50, le=4_000_000)] | None = None
-    """Unless set, that of the sensor's protocol."""
+    """Default: the value of the sensor's protocol."""
 
 
 def _wires_of(keys: Iterable[WireKey], axes: Iterable[str]) -> list[WireKey]:
-    """Return those of ``keys`` that are not of an axis other than ``axes``."""
+    """Return ``keys`` without keys of axes other than ``axes``."""
     others = {*LINEAR_NAMES, *ROTARY_NAMES} - set(axes)
     return [key for key in keys if key.name not in others]
 
@@ -348,7 +348,7 @@ class AxisGroupTable(DeviceTable):
     """Table of one to six axes, each in a table of its own name."""
 
     all_names: ClassVar[tuple[str, ...]]
-    si_per_unit: ClassVar[float]  # of positions in the file: 1 for m, rad per degree
+    si_per_unit: ClassVar[float]  # unit of positions in the file: 1 for m, rad per degree
 
     _part: tuple[str, ...] = PrivateAttr(default=())
 
@@ -368,7 +368,7 @@ class AxisGroupTable(DeviceTable):
     lost_packets_window_s: Positive = 1.0
     """Time in which the bucket drains by one packet."""
     mechanics: DriveMechanics | None = None
-    """Mechanics of the emulated axes; unless given, those of the ideal servo."""
+    """Mechanics of the emulated axes; default: the ideal servo."""
 
     @property
     def exchanges_max_hz(self) -> float:
@@ -377,7 +377,7 @@ class AxisGroupTable(DeviceTable):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes that the table has; of a part, of those on its controller."""
+        """Names of the table's axes; in a part, of the axes on its controller."""
         return tuple(name for name in self._part or self.all_names if getattr(self, name) is not None)
 
     @property
@@ -404,10 +404,10 @@ class AxisGroupTable(DeviceTable):
             return {name: self}
         taken = [axis for controller in self.own_controllers for axis in controller.axes]
         rest = tuple(axis for axis in self.axis_names if axis not in taken)
-        found = {name: self._part_of(rest, {})}
+        parts = {name: self._part_of(rest, {})}
         for controller in self.own_controllers:
-            found[part_name(name, controller)] = self._part_of(controller.axes, controller.changes)
-        return found
+            parts[part_name(name, controller)] = self._part_of(controller.axes, controller.changes)
+        return parts
 
     def _part_of(self, axes: tuple[str, ...], changes: Mapping[str, Any]) -> AxisGroupTable:
         part = self.model_copy(update={"controllers": (), **changes})
@@ -419,8 +419,8 @@ class AxisGroupTable(DeviceTable):
         table = super().connected(name, addresses)
         if not self.own_controllers:
             return table
-        found = [each.connected(part_name(name, each), addresses) for each in self.own_controllers]
-        return table.model_copy(update={"controllers": tuple(found)})
+        controllers = tuple(each.connected(part_name(name, each), addresses) for each in self.own_controllers)
+        return table.model_copy(update={"controllers": controllers})
 
     @property
     def wire_keys(self) -> list[WireKey]:
@@ -462,8 +462,8 @@ def check_ids(key: str, ids: tuple[int, ...], table: AxisGroupTable) -> None:
     """Raise ValueError if ``ids``, in the order of all axes that ``table`` may have, lack one of its axes."""
     last = table.axis_numbers[-1]
     if last >= len(ids):
-        missing, wanted = table.all_names[last], ", ".join(table.all_names[: last + 1])
-        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {wanted}")
+        missing, required = table.all_names[last], ", ".join(table.all_names[: last + 1])
+        raise ValueError(f"{key} {list(ids)}: has none for {missing}, allowed: one for each of {required}")
 
 
 class HeldAtPlace(AxisGroupTable):
@@ -483,10 +483,10 @@ class HeldAtPlace(AxisGroupTable):
             raise ValueError(f"an axis is missing, allowed: {', '.join(self.all_names)}")
         if len(places) != len(self.axis_names):
             raise ValueError(f"{key} {list(places)}: one for each of {', '.join(self.axis_names)}")
-        for name, axis, place in zip(self.axis_names, self.axes, places, strict=True):
+        for name, axis, position in zip(self.axis_names, self.axes, places, strict=True):
             low, high = axis.in_file("travel")
-            if not low <= place <= high:
-                raise ValueError(f"{key}: {name} {place:g}, allowed {low:g} to {high:g}")
+            if not low <= position <= high:
+                raise ValueError(f"{key}: {name} {position:g}, allowed {low:g} to {high:g}")
         return self
 
 
@@ -569,7 +569,7 @@ class Turntable(RotaryAxes):
 
 
 class HeldLinearAxes(LinearAxes, HeldAtPlace):
-    """`[linear_axes.NAME]`: one to six axes, as of a light source, that stand at their place during a run."""
+    """`[linear_axes.NAME]`: one to six axes, for example of a light source, that stand at their place during a run."""
 
     all_names: ClassVar = LINEAR_NAMES
 
@@ -688,7 +688,7 @@ class Vmu(DeviceTable):
     geometry_file: str | None = None
     """Calibrated cameras and LEDs of the unit; unless set, `camera` and `leds_m`."""
     estimator: str = "led_ring"
-    """Software that finds the pose in images: `led_ring`, `apriltag`, `charuco`, or that of an installed package."""
+    """Software that determines the pose from images: `led_ring`, `apriltag`, `charuco`, or an installed package's."""
     estimator_settings: dict[str, Any] = Field(default_factory=dict)
     """Its settings."""
     covariance: Literal["whole", "noise"] = "whole"
@@ -705,7 +705,7 @@ class Vmu(DeviceTable):
 
 
 class Safety(ConfigModel):
-    """Limits of the safety monitor, in addition to those of each device."""
+    """Limits of the safety monitor, in addition to each device's own limits."""
 
     command_age_max_s: Positive = 0.5
     """Longest time between setpoints; at most the time-out of the drives' watchdogs."""
@@ -778,7 +778,7 @@ class Rig(ConfigModel):
 
     @property
     def groups_at_places(self) -> dict[str, HeldAtPlace]:
-        """All axes that are held at their places during a run: those of the target, if it stands, and further ones."""
+        """All axes that are held at their places during a run: target axes, if the target stands, and further ones."""
         return ({} if self.moved_target is None else {"target": self.moved_target}) | self.held_axes
 
     @property
@@ -789,7 +789,7 @@ class Rig(ConfigModel):
 
     @property
     def axis_names(self) -> list[str]:
-        """Full names of all axes, as ``rails.x``: rails and turntable first, then those of the target, further ones."""
+        """Full names of all axes, as ``rails.x``: rails and turntable first, then target axes, then further ones."""
         return [f"{group}.{axis}" for group, table in self.axis_groups.items() for axis in table.axis_names]
 
     @model_validator(mode="after")
@@ -828,7 +828,7 @@ class Rig(ConfigModel):
 
     @property
     def on_overrun(self) -> OnOverrun:
-        """Overrun policy: that of the file, else the default of the kind of rig."""
+        """Overrun policy: the file's, else the default of the kind of rig."""
         return self.host.on_overrun or ("safe_stop" if self.kind == "hardware" else "log")
 
     @model_validator(mode="after")
@@ -884,7 +884,7 @@ class Rig(ConfigModel):
         return 1 if rate_hz is None else max(1, round(1.0 / (rate_hz * step_s)))
 
     def device_tables(self) -> dict[str, DeviceTable]:
-        """Return the tables of the devices that the bench has, by their keys; of an axis group, those of its parts."""
+        """Return the tables of the bench's devices by their keys; an axis group is given as its parts."""
         groups: dict[str, AxisGroupTable] = {"rails": self.rails, "turntable": self.turntable}
         if self.moved_target is not None:
             groups["target_manipulator"] = self.moved_target
@@ -902,11 +902,11 @@ class Rig(ConfigModel):
 
     def wires(self) -> list[Wire]:
         """Return the wires that the drivers open, also those without an address in the file."""
-        found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
         lines = [Wire(f"sensors.{name}.port", "serial", line.port) for name, line in self.sensors.items()]
-        return found + lines + self.flight_computer.wires()
+        return wires + lines + self.flight_computer.wires()
 
     def missing_wires(self) -> list[str]:
         """Return the keys of devices' wires that the file does not name."""
-        found = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
-        return [wire.required_key for wire in found if wire.address is None]
+        wires = [wire for key, table in self.device_tables().items() for wire in table.wires(key)]
+        return [wire.required_key for wire in wires if wire.address is None]

@@ -40,7 +40,7 @@ from hil.core.sensor_records import ADDED_SENSORS_MAX
 from hil.maths import linear
 
 DURATION_MAX_S = 1e6
-CYCLES_MAX = 5_000_000  # of a run with a duration, 28 h at 50 Hz: each leaves 2 kB in a recording
+CYCLES_MAX = 5_000_000  # cycles of a run with a duration, 28 h at 50 Hz: 2 kB each in a recording
 Duration = Annotated[float, Field(gt=0.0, le=DURATION_MAX_S)]
 
 
@@ -181,7 +181,7 @@ class VisionNoise(ConfigModel):
     reported_sigma_scale: Positive = 1.0
     """Reported over true sigma; 1 is a consistent unit."""
     latency_s: Delay = 0.0
-    """From exposure to arrival, in addition to that of the rig's wires."""
+    """Delay from exposure to arrival, in addition to the delay of the rig's wires."""
     latency_jitter_s: Delay = 0.0
     """Largest random addition to it."""
     duplicate_probability: Probability = 0.0
@@ -493,7 +493,7 @@ class Reactions(ConfigModel):
     coast_fraction: Annotated[float, Field(ge=0.0, le=1.0)] = 0.7
     """Of an alert limit, up to which a protection level permits the approach without vision."""
     vision_suspect: PhaseReactions = _HOLD
-    """Poses are rejected, or their innovations are not those of their covariance."""
+    """Poses are rejected, or their innovations contradict their covariance."""
     imu_suspect: PhaseReactions = _CONTINUE
     """Readings repeat, or no thruster explains them."""
     thruster_fault: PhaseReactions = PhaseReactions()
@@ -535,21 +535,21 @@ class Control(ConfigModel):
     settings: Settings = Field(default_factory=dict)
     """Settings that a backend of your own declares."""
     deadband_m: Annotated[NotNegative, Live(0.0, 0.2)] = 0.0
-    """Least coast in the dead band; 0: that of the rule, by valve, propellant and requirement."""
+    """Least coast in the dead band; 0: by the rule from valve, propellant and requirement."""
     lead_s: Annotated[NotNegative, Live(0.0, 100.0)] = 0.0
-    """Weight of the rate relative to the position; 0: that of the rule, by noise and valve."""
+    """Weight of the rate relative to the position; 0: by the rule from noise and valve."""
     period_s: Annotated[NotNegative, Live(0.0, 60.0)] = 0.0
-    """An axis decides once per period; 0: that of the rule, by the valve."""
+    """An axis decides once per period; 0: by the rule from the valve."""
     deadband_sigmas: Annotated[NotNegative, Live(0.0, 10.0)] = 2.0
     """Standard deviations of the switching function in the dead band."""
     correction_rate_mps: Annotated[Positive, Live(1e-4, 0.5)] = 0.05
     """Largest rate at which a position error is corrected; plus the approach speed, below the largest closing rate."""
     deadband_deg: Annotated[NotNegative, Live(0.0, 5.0)] = 0.0
-    """Least coast of the attitude in its dead band; 0: that of the rule."""
+    """Least coast of the attitude in its dead band; 0: by the rule."""
     attitude_lead_s: Annotated[NotNegative, Live(0.0, 100.0)] = 0.0
-    """Weight of the angular rate; 0: that of the rule."""
+    """Weight of the angular rate; 0: by the rule."""
     attitude_period_s: Annotated[NotNegative, Live(0.0, 60.0)] = 0.0
-    """Decision period of an attitude axis; 0: that of the rule."""
+    """Decision period of an attitude axis; 0: by the rule."""
     attitude_deadband_sigmas: Annotated[NotNegative, Live(0.0, 10.0)] = 0.0
     """Standard deviations of the attitude in the dead band."""
     slew_rate_degps: Annotated[Positive, Live(0.01, 5.0)] = 0.6
@@ -822,8 +822,8 @@ class Scenario(ConfigModel):
     def _sensors_with_faults_exist(self) -> Self:
         for fault in self.faults:
             if fault.family == "sensor" and fault.member not in self.sensors:
-                known = ", ".join(map(device_of, self.sensors)) or "none"
-                raise ValueError(f'faults: device = "{fault.device}": the scenario\'s sensors are {known}')
+                devices = ", ".join(map(device_of, self.sensors)) or "none"
+                raise ValueError(f'faults: device = "{fault.device}": the scenario\'s sensors are {devices}')
         return self
 
     @model_validator(mode="after")

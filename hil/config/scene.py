@@ -40,9 +40,9 @@ class PixelNoise(ConfigModel):
 
 
 class CameraTolerances(ConfigModel):
-    """Errors of camera and optics, 1 sigma, that the sigmas of the results include; 0: exact, as of rendered images.
+    """Errors of camera and optics, 1 sigma, that the sigmas of the results include; 0: exact, for rendered images.
 
-    By default those of a television camera whose focal length has been measured once, without a calibration.
+    Default: a television camera whose focal length has been measured once, without a calibration.
     """
 
     focal_fraction: Tolerance = 2e-3

@@ -141,9 +141,9 @@ class VmuFrame(ConfigModel):
 
     def warnings(self) -> list[str]:
         """Return one line per protection that these frames lack."""
-        found = []
+        warnings = []
         if self.checksum.kind == "none":
-            found.append(f"frame {self.name}: no checksum: a corrupted pose can be accepted")
+            warnings.append(f"frame {self.name}: no checksum: a corrupted pose can be accepted")
         if "status" not in [field.name for field in self.fields]:
-            found.append(f"frame {self.name}: no status: the unit cannot report that it has no pose")
-        return found
+            warnings.append(f"frame {self.name}: no status: the unit cannot report that it has no pose")
+        return warnings

@@ -91,7 +91,7 @@ class Sensor(ConfigModel):
 class Tolerances(ConfigModel):
     """Errors of calibration and target, 1 sigma, that the pose's covariance includes.
 
-    By default those of a usual calibration on a chessboard; zeros for cameras and LEDs that are exact (simulation).
+    Default: a usual calibration on a chessboard; zeros for cameras and LEDs that are exact (simulation).
     The covariance of ``hil calibrate`` takes the place of those that it covers.
     """
 

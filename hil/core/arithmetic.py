@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Final
 
 FORMULAS: Final = 2
-"""Version of the functions and orders of sums that determine a run; 1: those of the C library, BLAS and LAPACK."""
+"""Version of the functions and orders of sums that determine a run; 1: the C library, BLAS and LAPACK."""
 _KEY: Final = "formulas"
 _PACKAGES: Final = ("numpy", "scipy", "numba", "llvmlite")  # they draw random words and generate code
 
 
 def formula_versions() -> dict[str, str]:
-    """Return the version of the formulas and those of the packages that can matter, by the keys of a recording."""
+    """Return the versions of the formulas and of the packages that can matter, by the keys of a recording."""
     return {_KEY: str(FORMULAS), **{name: importlib.metadata.version(name) for name in _PACKAGES}}
 
 

@@ -16,7 +16,7 @@ _GIT_WALL_S: Final = 5.0
 
 
 class BuildInfo(NamedTuple):
-    """commit: as of ``git describe``, with ``-dirty`` if files had been changed; "unknown" without git."""
+    """commit: output of ``git describe``, with ``-dirty`` if files had been changed; "unknown" without git."""
 
     version: str
     commit: str

@@ -44,7 +44,7 @@ IMAGE: Final = np.dtype(
     [
         ("t_s", "f8"),  # exposure, time of the run; nan before the run and while it is held
         ("bench_s", "f8"),  # exposure, bench time of the source; nan if only the run's time is known
-        ("number", "i8"),  # of the exposure, counted by the source from 0; images of one exposure have the same
+        ("number", "i8"),  # number of the exposure, counted by the source from 0; images of one exposure share it
         ("dropped", "i8"),  # images of this camera that the source has dropped so far
         ("camera", "S32"),
         ("encoding", "S8"),  # "jpeg" or "png"
@@ -137,14 +137,14 @@ def image_row(
 
 def overlay_json(shapes: Sequence[Shape], size_max: int = OVERLAY_BYTES) -> bytes:
     """Return the first of ``shapes`` that fit into a JSON list of ``size_max`` bytes; shapes with a nan are dropped."""
-    texts, left = [], size_max - 2
+    texts, remaining = [], size_max - 2
     for shape in shapes:
         try:
             text = json.dumps(shape, separators=(",", ":"), allow_nan=False).encode()
         except ValueError:
             continue
-        left -= len(text) + 1
-        if left < 0:
+        remaining -= len(text) + 1
+        if remaining < 0:
             break
         texts.append(text)
     return b"[" + b",".join(texts) + b"]"

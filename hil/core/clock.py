@@ -46,7 +46,7 @@ class Clock(Protocol):
 
 
 class ClockEvent(Protocol):
-    """Event as of ``threading.Event``."""
+    """Event with the interface of ``threading.Event``."""
 
     def is_set(self) -> bool: ...
 

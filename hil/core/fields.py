@@ -96,7 +96,7 @@ def markdown_table(fields: Fields) -> str:
     """Return the fields as a table of Markdown: offset in bytes, type, name, unit, frame, meaning."""
     dtype = record_dtype(fields)
     rows = ["| offset | type | field | unit | frame | meaning |", "|---:|---|---|---|---|---|"]
-    offsets = [place[1] for place in (dtype.fields or {}).values()]
+    offsets = [layout[1] for layout in (dtype.fields or {}).values()]
     for field, offset in zip(fields, offsets, strict=True):
         kind = _shown_type(dtype[field.name])
         unit = "" if field.unit == "1" else field.unit

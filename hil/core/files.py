@@ -93,16 +93,16 @@ def _bounded(value: Any) -> Any:
     """Return ``value``; raise ValueError if its depth, an integer or a text exceeds what every user of it can take."""
     pending = [(value, 0)]
     while pending:
-        found, depth = pending.pop()
+        node, depth = pending.pop()
         if depth > _DEPTH_MAX:
             raise _too_deep()
-        if isinstance(found, dict):
-            pending += [(inner, depth + 1) for pair in found.items() for inner in pair]
-        elif isinstance(found, list):
-            pending += [(inner, depth + 1) for inner in found]
-        elif isinstance(found, str) and _UNUSABLE.search(found):
+        if isinstance(node, dict):
+            pending += [(inner, depth + 1) for pair in node.items() for inner in pair]
+        elif isinstance(node, list):
+            pending += [(inner, depth + 1) for inner in node]
+        elif isinstance(node, str) and _UNUSABLE.search(node):
             raise ValueError("a text contains a zero or half a surrogate pair")
-        elif isinstance(found, int) and abs(found) > _INTEGER_MAX:
+        elif isinstance(node, int) and abs(node) > _INTEGER_MAX:
             raise ValueError("an integer has more than 64 bits")
     return value
 
@@ -116,11 +116,11 @@ def _opened(path: Path, at_most: int) -> int:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     except (OSError, ValueError) as error:
         raise _unreadable(path, getattr(error, "strerror", None) or str(error)) from error
-    found = os.fstat(descriptor)
-    if not stat.S_ISREG(found.st_mode):
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode):
         os.close(descriptor)
-        raise _unreadable(path, "is a folder" if stat.S_ISDIR(found.st_mode) else "is not a regular file")
-    if found.st_size > at_most:
+        raise _unreadable(path, "is a folder" if stat.S_ISDIR(status.st_mode) else "is not a regular file")
+    if status.st_size > at_most:
         os.close(descriptor)
         raise _too_large(path, at_most)
     return descriptor

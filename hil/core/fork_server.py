@@ -189,10 +189,10 @@ def _serve(requests: socket.socket, modules: Sequence[str]) -> None:
 def _report(ends: dict[int, int]) -> None:
     """Write the exit codes of the children that have ended to their parent."""
     with contextlib.suppress(ChildProcessError):
-        while (found := os.waitpid(-1, os.WNOHANG))[0]:
-            end = ends.pop(found[0])
+        while (ended := os.waitpid(-1, os.WNOHANG))[0]:
+            end = ends.pop(ended[0])
             with contextlib.suppress(BrokenPipeError):
-                os.write(end, str(os.waitstatus_to_exitcode(found[1])).encode())
+                os.write(end, str(os.waitstatus_to_exitcode(ended[1])).encode())
             os.close(end)
 
 
@@ -233,7 +233,7 @@ def _adopt(environment: dict[str, str | None], folder: str) -> None:
             os.environ[name] = value
     os.chdir(folder)
     places = os.environ.get("PYTHONPATH", "").split(os.pathsep) if "PYTHONPATH" in environment else []
-    sys.path[:0] = [place for place in places if place and place not in sys.path]
+    sys.path[:0] = [path for path in places if path and path not in sys.path]
 
 
 if __name__ == "__main__":

@@ -71,13 +71,13 @@ def _function(function: FunctionType) -> str:
 
 def _globals(code: CodeType) -> set[str]:
     """Return the names of globals in ``code`` and the functions inside it: an attribute may have the same name."""
-    found, extended = set[str](), 0
+    names, extended = set[str](), 0
     for operation, argument in zip(code.co_code[::2], code.co_code[1::2], strict=True):
         whole = extended << 8 | argument
         extended = whole if operation == _EXTENDED_ARG else 0
         if operation == _LOAD_GLOBAL:
-            found.add(code.co_names[whole >> 1])  # the last bit: whether it is called at once
-    return found.union(*(_globals(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
+            names.add(code.co_names[whole >> 1])  # the last bit: whether it is called at once
+    return names.union(*(_globals(constant) for constant in code.co_consts if isinstance(constant, CodeType)))
 
 
 def _names(code: CodeType) -> set[str]:
@@ -140,8 +140,8 @@ def _module(module: ModuleType, names: set[str]) -> str:
     """Return the digest of the attributes of ``module`` that are among ``names``; other packages by their name."""
     if module.__name__.partition(".")[0] in ("math", *_COMPILER):
         return module.__name__
-    found = vars(module)
-    return repr([(name, _value(found[name], names)) for name in sorted(names & found.keys())])
+    members = vars(module)
+    return repr([(name, _value(members[name], names)) for name in sorted(names & members.keys())])
 
 
 _layouts: dict[int, tuple[np.dtype, str]] = {}

@@ -21,7 +21,7 @@ from hil.errors import BadInput
 
 _SHIPPED: Final = Path(__file__).parent.parent / "kernels"
 _UNUSED_MAX_S: Final = 60 * 86_400.0
-_FREE_BYTES: Final = 32 << 20  # of all kernels, with room
+_FREE_BYTES: Final = 32 << 20  # free space for all kernels, with a margin
 _REMEDY: Final = "set HIL_CACHE_DIR to a folder of your own"
 _ENVIRONMENT: Final = ("HIL_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "TMPDIR")
 
@@ -103,7 +103,7 @@ def remove_unused_kernels() -> None:
 
 
 def _folders(create: bool = False) -> Iterator[Path]:
-    """Yield the folders of kernels, best first: that of the package, if it has one and no other is asked for."""
+    """Yield the folders of kernels, best first: the package's, if it has one and no other is asked for."""
     if given := os.environ.get("HIL_CACHE_DIR"):
         yield Path(given) / "kernels"
         return
@@ -141,8 +141,8 @@ def _why_not(folder: Path) -> str:
     return "" if free >= _FREE_BYTES else f"has {free >> 20} MiB of free space, {_FREE_BYTES >> 20} are needed"
 
 
-def _why_unsafe(path: Path, found: os.stat_result) -> str:
-    reason = why_unsafe(found)
+def _why_unsafe(path: Path, status: os.stat_result) -> str:
+    reason = why_unsafe(status)
     return f"{path.name} {reason}, whose code it would run" if reason else ""
 
 

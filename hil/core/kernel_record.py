@@ -16,7 +16,7 @@ _data_of: Callable[[np.void], memoryview] = np.void.data.__get__
 
 
 class KernelRecord(np.record):  # type: ignore[misc]  # numpy's stubs declare void as final
-    """A record with its memory at hand; fields as of ``np.record``. Made by ``kernel_record``."""
+    """A record with its memory at hand; fields as in ``np.record``. Made by ``kernel_record``."""
 
     __slots__ = ("_bytes",)
     _bytes: memoryview
@@ -37,9 +37,9 @@ _bytes_of: Callable[[np.void], memoryview] = _slot.__get__
 def kernel_record(record: np.record) -> np.record:
     """Return ``record`` for kernels that are called often, in the same memory."""
     array = np.asarray(record)
-    found: Any = array.view(_dtype_of(array.dtype))[()]
-    _slot.__set__(found, array.reshape(1).view(np.uint8).data)
-    return cast(np.record, found)
+    viewed: Any = array.view(_dtype_of(array.dtype))[()]
+    _slot.__set__(viewed, array.reshape(1).view(np.uint8).data)
+    return cast(np.record, viewed)
 
 
 @cache

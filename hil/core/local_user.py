@@ -7,7 +7,7 @@ import pwd
 
 
 def local_user() -> str:
-    """Return the name of the account, as of the operating system, not of the environment."""
+    """Return the name of the account from the operating system, not from the environment."""
     try:
         return pwd.getpwuid(os.getuid()).pw_name
     except KeyError:

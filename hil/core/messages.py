@@ -24,10 +24,10 @@ Array = npt.NDArray[np.float64]
 MAX_THRUSTERS = 24
 MAX_PHASES = 16
 MAX_POSES = 4  # that can arrive in one cycle
-MAX_FAULTS = 8  # of one kind of device in a run
-MAX_AIR_LAYERS = 32  # of an atmosphere
+MAX_FAULTS = 8  # faults of one kind of device in a run
+MAX_AIR_LAYERS = 32  # layers of an atmosphere
 MAX_THIRD_BODIES = 4
-MAX_MODES = 8  # of the solar array
+MAX_MODES = 8  # modes of the solar array
 
 TRUTH_FIELDS: Final = (
     Field("t_s", "f8", (), "s", "", "time of the truth"),

@@ -74,11 +74,11 @@ class Signature:
         """Return why ``record`` is not signed by a key of ``operators``, "" if it is."""
         if not self.key:
             return f"signed by the name {self.by}, without a key"
-        known = operators.get(self.key)
-        if known is None:
+        key = operators.get(self.key)
+        if key is None:
             return f"signed with the key {self.key}, which is not in the file"
-        if not hmac.compare_digest(known.seal(_sealed(self.by, record)).encode(), self.seal.encode(errors="replace")):
-            return f"not sealed by the key of {known.name}: the record or its signature was changed"
+        if not hmac.compare_digest(key.seal(_sealed(self.by, record)).encode(), self.seal.encode(errors="replace")):
+            return f"not sealed by the key of {key.name}: the record or its signature was changed"
         return ""
 
 
@@ -110,7 +110,7 @@ def read_key(path: str | Path) -> OperatorKey:
 def read_operators(path: str | Path) -> dict[str, OperatorKey]:
     """Return the keys in the console's file by their ids; raises BadInput."""
     problems: list[Problem] = []
-    found: dict[str, OperatorKey] = {}
+    keys: dict[str, OperatorKey] = {}
     names: dict[str, str] = {}
     for name, table in _table(path).items():
         wrong = _problems(str(path), f"{name}.", name, table)
@@ -118,15 +118,15 @@ def read_operators(path: str | Path) -> dict[str, OperatorKey]:
             wrong.append(Problem(str(path), name, f"differs from {twin} in capitals only: give another name"))
         if not wrong:
             key = OperatorKey(name, table["secret"], table.get("rights", "command"), tuple(table.get("addresses", ())))
-            if key.id in found:
-                wrong.append(Problem(str(path), name, f"has the key of {found[key.id].name}: each person has another"))
-            found[key.id] = key
+            if key.id in keys:
+                wrong.append(Problem(str(path), name, f"has the key of {keys[key.id].name}: each person has another"))
+            keys[key.id] = key
         problems += wrong
-    if not found and not problems:
+    if not keys and not problems:
         problems.append(Problem(str(path), "", "has no operators: hil operators add NAME"))
     if problems:
         raise BadInput(problems)
-    return found
+    return keys
 
 
 def write_operators(path: str | Path, keys: dict[str, OperatorKey]) -> None:
@@ -164,14 +164,14 @@ def _problems(source: str, prefix: str, name: object, table: object) -> list[Pro
     """Return the problems of one operator's table."""
     if not isinstance(table, dict):
         return [Problem(source, prefix.rstrip("."), "must be a table with secret, rights and addresses")]
-    found = [Problem(source, prefix.rstrip(".") or "name", text)] if (text := name_problem(name)) else []
+    wrong = [Problem(source, prefix.rstrip(".") or "name", text)] if (text := name_problem(name)) else []
     unknown = table.keys() - {"name", "secret", "rights", "addresses"}
-    found += [Problem(source, f"{prefix}{key}", "unknown: allowed are secret, rights, addresses") for key in unknown]
+    wrong += [Problem(source, f"{prefix}{key}", "unknown: allowed are secret, rights, addresses") for key in unknown]
     secret, rights, addresses = table.get("secret"), table.get("rights", "command"), table.get("addresses", [])
     if not (isinstance(secret, str) and _SECRET.fullmatch(secret)):
-        found.append(Problem(source, f"{prefix}secret", "must have 64 hexadecimal digits: hil operators add writes it"))
+        wrong.append(Problem(source, f"{prefix}secret", "must have 64 hexadecimal digits: hil operators add writes it"))
     if rights not in RIGHTS:
-        found.append(Problem(source, f"{prefix}rights", f"{rights!r}: allowed are {', '.join(RIGHTS)}"))
+        wrong.append(Problem(source, f"{prefix}rights", f"{rights!r}: allowed are {', '.join(RIGHTS)}"))
     if not (isinstance(addresses, list) and all(isinstance(each, str) for each in addresses)):
-        found.append(Problem(source, f"{prefix}addresses", f"{addresses!r}: must be a list of texts"))
-    return found
+        wrong.append(Problem(source, f"{prefix}addresses", f"{addresses!r}: must be a list of texts"))
+    return wrong

@@ -35,9 +35,9 @@ def module_of_file(path: str, refuse: Callable[[str], BadInput]) -> ModuleType:
 @lru_cache(maxsize=32)
 def _executed(file: Path, digest: str) -> ModuleType:
     """Return the module of ``file``, executed once for each of its contents."""
-    found = importlib.util.spec_from_file_location(f"hil_own_{digest}", file)
-    assert found is not None
-    module = importlib.util.module_from_spec(found)
+    spec = importlib.util.spec_from_file_location(f"hil_own_{digest}", file)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
     sys.modules[module.__name__] = module
     sys.path.insert(0, str(file.parent))
     try:
@@ -60,8 +60,8 @@ def compile_error(error: Exception, function: Callable[..., Any], *records: np.d
     records: its arguments that are records, whose fields a wrong name is compared with.
     """
     if isinstance(error, KeyError):  # numba's for a field that a record does not have
-        known = [name for record in records for name in record.names or ()]
-        close = difflib.get_close_matches(str(error.args[0]), known, 1, 0.75)
+        names = [name for record in records for name in record.names or ()]
+        close = difflib.get_close_matches(str(error.args[0]), names, 1, 0.75)
         hint = f", did you mean {close[0]}?" if close else ""
         return f"a record has no field {error}{hint}{_line_with(function, f'.{error.args[0]}')}"
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))

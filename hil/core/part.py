@@ -108,7 +108,7 @@ class Parts(NamedTuple):
 
 @cache
 def parts() -> Parts:
-    """Return the parts of this installation: those in ``hil.parts``, then those of other packages."""
+    """Return the parts of this installation: ``hil.parts`` first, then other packages."""
     own = [InstalledPart(part, VERSION, "hil") for part in imported(_OURS)]
     return joined(own, entry_points(group=GROUP))
 

@@ -157,19 +157,19 @@ class RealTime:
     def _try_fifo(self) -> str:
         if not self._fifo:
             raise OSError(errno.ECANCELED, "switched off by host.fifo")
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        previous = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(FIFO_PRIORITY))
-        os.sched_setscheduler(0, *before)
+        os.sched_setscheduler(0, *previous)
         return f"SCHED_FIFO {FIFO_PRIORITY}"
 
     def _enter_fifo(self) -> None:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        previous = os.sched_getscheduler(0), os.sched_getparam(0)
 
         def restore() -> None:
             try:
-                os.sched_setscheduler(0, *before)
+                os.sched_setscheduler(0, *previous)
             except PermissionError:  # without CAP_SYS_NICE the reset-on-fork flag stays
-                os.sched_setscheduler(0, before[0] | os.SCHED_RESET_ON_FORK, before[1])
+                os.sched_setscheduler(0, previous[0] | os.SCHED_RESET_ON_FORK, previous[1])
 
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(FIFO_PRIORITY))
@@ -178,16 +178,16 @@ class RealTime:
         self._undo.append(restore)
 
     def _raise_niceness(self) -> str:
-        before = os.getpriority(os.PRIO_PROCESS, 0)
-        os.setpriority(os.PRIO_PROCESS, 0, min(_NICE, before))
-        self._undo.append(lambda: os.setpriority(os.PRIO_PROCESS, 0, before))
-        return f"niceness {min(_NICE, before)} for drivers and emulators"
+        previous = os.getpriority(os.PRIO_PROCESS, 0)
+        os.setpriority(os.PRIO_PROCESS, 0, min(_NICE, previous))
+        self._undo.append(lambda: os.setpriority(os.PRIO_PROCESS, 0, previous))
+        return f"niceness {min(_NICE, previous)} for drivers and emulators"
 
     def _stay_on_cpu(self) -> str:
         assert self._cpu is not None
-        before = os.sched_getaffinity(0)
+        previous = os.sched_getaffinity(0)
         os.sched_setaffinity(0, {self._cpu})
-        self._undo.append(lambda: os.sched_setaffinity(0, before))
+        self._undo.append(lambda: os.sched_setaffinity(0, previous))
         return f"loop on CPU {self._cpu}"
 
 
@@ -198,10 +198,10 @@ def short_turns() -> Iterator[None]:
     For many processes that wake one another, each with short work: in lock-step.
     """
     undo: list[Callable[[], object]] = []
-    before = os.getpriority(os.PRIO_PROCESS, 0)
+    previous = os.getpriority(os.PRIO_PROCESS, 0)
     with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, min(_NICE, before))
-        undo.append(lambda: os.setpriority(os.PRIO_PROCESS, 0, before))
+        os.setpriority(os.PRIO_PROCESS, 0, min(_NICE, previous))
+        undo.append(lambda: os.setpriority(os.PRIO_PROCESS, 0, previous))
     with suppress(OSError):
         _shorten_slice(undo)
     try:
@@ -282,19 +282,19 @@ def no_garbage_collection(freeze: bool = True) -> Iterator[None]:
 
 
 def _cut_timer_slack(undo: list[Callable[[], object]]) -> str:
-    before = _call("prctl", _PR_GET_TIMERSLACK)
+    previous = _call("prctl", _PR_GET_TIMERSLACK)
     _call("prctl", _PR_SET_TIMERSLACK, _SLACK_NS)
-    undo.append(lambda: _call("prctl", _PR_SET_TIMERSLACK, before))
+    undo.append(lambda: _call("prctl", _PR_SET_TIMERSLACK, previous))
     return f"timer slack {_SLACK_NS} ns"
 
 
 def _shorten_slice(undo: list[Callable[[], object]]) -> str:
     """Request a short slice of the fair scheduler; needs no privilege. Older kernels accept and ignore the call."""
-    before = _slice_ns()
+    previous = _slice_ns()
     _set_slice_ns(_SLICE_NS)
     if _slice_ns() != _SLICE_NS:
         raise OSError(errno.ENOSYS, "the kernel keeps its own slice")
-    undo.append(lambda: _set_slice_ns(before))
+    undo.append(lambda: _set_slice_ns(previous))
     return f"slice {_SLICE_NS / 1e6:g} ms"
 
 

@@ -1,4 +1,4 @@
-"""Numbers that an extension declares as keys of the scenario: those of a backend, or of a sensor."""
+"""Numbers that an extension, a backend or a sensor, declares as keys of the scenario."""
 
 from __future__ import annotations
 

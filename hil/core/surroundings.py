@@ -30,7 +30,7 @@ from typing import IO, Final, Literal, NoReturn
 
 from hil.errors import BadInput
 
-_SHARED: Final = ("/run/lock", "/tmp")  # of locks of all users: the first that can be written
+_SHARED: Final = ("/run/lock", "/tmp")  # folders for locks of all users: the first that can be written
 _ATTEMPTS: Final = 3
 _PLACES: Final = ("/tmp", "/var/tmp", "/dev/shm")
 _NAME: Final = re.compile(r"hil-(\d+)-(\d+)-([0-9a-f]{8})-.*")
@@ -59,7 +59,7 @@ def user_folders(kind: Literal["cache", "config"], create: bool = False) -> Iter
 
 
 def settle_matplotlib() -> None:
-    """Let matplotlib use a private folder where it cannot write the user's: it would make one in /tmp for each run."""
+    """Let matplotlib use a private folder if it cannot write the user's: it would make one in /tmp for each run."""
     for folder in user_folders("config", create=True):
         existing = next(each for each in (folder, *folder.parents) if os.path.exists(each))
         if existing.is_dir() and os.access(existing, os.W_OK):
@@ -68,12 +68,12 @@ def settle_matplotlib() -> None:
             return
 
 
-def why_unsafe(found: os.stat_result) -> str:
+def why_unsafe(status: os.stat_result) -> str:
     """Return how another user than this one and root could change a file or folder, "" if none can."""
-    if found.st_uid not in (os.geteuid(), 0):
-        return f"belongs to another user (uid {found.st_uid})"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not stat.S_ISLNK(found.st_mode):
-        return f"can be written by other users (mode {stat.S_IMODE(found.st_mode):o})"
+    if status.st_uid not in (os.geteuid(), 0):
+        return f"belongs to another user (uid {status.st_uid})"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not stat.S_ISLNK(status.st_mode):
+        return f"can be written by other users (mode {stat.S_IMODE(status.st_mode):o})"
     return ""
 
 
@@ -116,11 +116,11 @@ def prepare_worker_processes() -> None:
         raise BadInput.single("worker processes", "", text) from error
     folder = temporary_folder("workers")
     Finalize(None, folder.cleanup, exitpriority=-101)  # after multiprocessing has removed its own in it
-    before, tempfile.tempdir = tempfile.tempdir, folder.name
+    previous, tempfile.tempdir = tempfile.tempdir, folder.name
     try:
         get_temp_dir()
     finally:
-        tempfile.tempdir = before
+        tempfile.tempdir = previous
 
 
 def unnamed_file() -> IO[bytes]:
@@ -150,8 +150,8 @@ def shared_lock(group: str, name: str) -> tuple[int, bool]:
 
     group: folder of the file. Raises OSError with the name of the file or folder.
     """
-    for place in _SHARED:
-        if (folder := _shared_folder(Path(place) / group)) is None:
+    for base in _SHARED:
+        if (folder := _shared_folder(Path(base) / group)) is None:
             continue
         descriptor = _opened(folder / name)
         try:
@@ -246,12 +246,12 @@ def _remove(within: Path, own: bool) -> None:
 
 
 def _is_left(process: tuple[str | None, ...], entry: os.DirEntry[str], own: bool) -> bool:
-    found = entry.stat(follow_symlinks=False)
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
+    status = entry.stat(follow_symlinks=False)
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():
         return False
     if process == _this_process():
         return own
     number, start, namespace = process
     if namespace != _namespace():
-        return found.st_mtime < time.time() - _KEPT_S
+        return status.st_mtime < time.time() - _KEPT_S
     return _start_of("self") != "" and _start_of(str(number)) != start  # "": no /proc here

@@ -139,6 +139,6 @@ class SetpointLimits:
         return accepted, np.where(accepted == position, accepted_rate, 0.0)
 
     def accepted_goal(self, position: Array, rate: Array) -> tuple[Array, Array]:
-        """Return the goal of a move (n,), and its largest rate, within the limits; errors as of ``accepted``."""
+        """Return the goal of a move (n,), and its largest rate, within the limits; errors: see ``accepted``."""
         goal = accepted_setpoint(self.names, position, self.low, self.high)
         return goal, accepted_setpoint(self.names, np.abs(rate), np.zeros_like(rate), self.rate_max, "rate")

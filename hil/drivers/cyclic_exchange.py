@@ -267,10 +267,10 @@ class CyclicAxisGroup:
         feedback = self._box.peek()
         assert feedback is not None
         measured = zip(feedback.position.tolist(), feedback.rate.tolist(), strict=True)
-        wanted = zip(position.tolist(), rate.tolist(), strict=True)
+        setpoints = zip(position.tolist(), rate.tolist(), strict=True)
         delivered = [
-            limiter.next(*setpoint, sent_s, now_s, (feedback.t_s, *found))
-            for limiter, setpoint, found in zip(self._limiters, wanted, measured, strict=True)
+            limiter.next(*setpoint, sent_s, now_s, (feedback.t_s, *sample))
+            for limiter, setpoint, sample in zip(self._limiters, setpoints, measured, strict=True)
         ]
         limited = np.array(delivered)
         return limited[:, 0], limited[:, 1]
@@ -282,8 +282,8 @@ class CyclicAxisGroup:
             limiter.restart(value, sent_s)
 
     def _update(self, feedback: AxisFeedback) -> None:
-        before = self._box.peek()
-        if before is not None and not _all_homed(before) and not self._link.jogging:
+        previous = self._box.peek()
+        if previous is not None and not _all_homed(previous) and not self._link.jogging:
             # homing moves the zero: an earlier setpoint would refer to the old one
             self._setpoint = (feedback.position.copy(), self._rest, feedback.t_s)
             self._restart_limiters()

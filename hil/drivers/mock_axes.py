@@ -80,8 +80,8 @@ class MockAxes:
         self._move(now_s)
         if self._stopped:
             return self._shown()
-        wanted = accepted + self._counted_from if self._homing is not self._homed else accepted
-        axes.setpoint[:] = wanted - self._offset + self._disturbance
+        counted = accepted + self._counted_from if self._homing is not self._homed else accepted
+        axes.setpoint[:] = counted - self._offset + self._disturbance
         axes.feedforward[:] = feedforward + self._disturbance_rate
         return accepted
 

@@ -38,7 +38,7 @@ _TLV: Final = struct.Struct(">HHH")
 _TLV_AT: Final = _HEADER.size + _BODY.size
 _SIZES: Final = {_PORT_DATA_SET: 26, _TIME_STATUS_NP: 50, _CURRENT_DATA_SET: 18}
 """Bytes of the data: sent as zeros in a request, which older versions of linuxptp expect."""
-_NANOSECONDS: Final = 1.0 / 65536.0  # of a TimeInterval
+_NANOSECONDS: Final = 1.0 / 65536.0  # nanoseconds per unit of a TimeInterval
 _TRIES: Final = 8  # messages that are not the answer
 
 
@@ -131,9 +131,9 @@ def data_of(message: bytes, what: int) -> bytes | None:
     if len(message) < _TLV_AT + _TLV.size or message[0] & 0x0F != _MANAGEMENT:
         return None
     action = message[_TLV_AT - 2] & 0x0F
-    kind, length, found = _TLV.unpack_from(message, _TLV_AT)
+    kind, length, identifier = _TLV.unpack_from(message, _TLV_AT)
     data = message[_TLV_AT + _TLV.size : _TLV_AT + _TLV.size - 2 + length]
-    if (action, kind, found) != (_RESPONSE, _TLV_MANAGEMENT, what) or len(data) < _SIZES[what]:
+    if (action, kind, identifier) != (_RESPONSE, _TLV_MANAGEMENT, what) or len(data) < _SIZES[what]:
         return None
     return data
 

@@ -16,12 +16,12 @@ from hil.core.messages import Array
 from hil.models.profile import along_line
 
 _FIRST_PERIOD_S: Final = 0.02
-_GAP: Final = 1.5  # of the usual time between two setpoints; a drive bridges that by its feed-forward rate
-_UNANSWERED: Final = 2.5  # of the same time, without feedback: setpoints may have been lost on the way
+_GAP: Final = 1.5  # multiple of the usual setpoint interval; a drive bridges it by its feed-forward rate
+_UNANSWERED: Final = 2.5  # multiple of the same interval without feedback: setpoints may have been lost
 _BRIDGED_S: Final = 0.01  # a drive bridges this anyway, however fast setpoints usually come
 _SMOOTHING: Final = 0.1  # weight of the newest time between two setpoints
-_MISMATCH: Final = 0.05  # of the path of one period, by which an axis may miss its setpoint when it has caught up
-_SMOOTH: Final = 0.02  # of the limit of the jerk, by which the end of catching up may exceed it
+_MISMATCH: Final = 0.05  # fraction of one period's path by which an axis may miss its setpoint after catching up
+_SMOOTH: Final = 0.02  # fraction by which the end of catching up may exceed the jerk limit
 
 
 class SetpointLimiter:
@@ -92,8 +92,8 @@ class SetpointLimiter:
     def _is_astray(self, now_s: float, measured: tuple[float, float, float], bridged_s: float) -> bool:
         """Return whether the axis is further from the stream, while it catches up, than it moves in ``bridged_s``."""
         delivered = self._position if self._mean is None else self._mean.value()[0]
-        place = measured[1] + measured[2] * (now_s - measured[0])
-        return abs(place - delivered) > self._rate_max * bridged_s
+        position = measured[1] + measured[2] * (now_s - measured[0])
+        return abs(position - delivered) > self._rate_max * bridged_s
 
     def _catch_up_smoothly(
         self, mean: _SlidingMean, position: float, rate: float, step_s: float
@@ -127,13 +127,13 @@ class SetpointLimiter:
         change = self._acceleration_max * step_s
         behind = distance - rate * step_s
         twice = 2.0 * self._acceleration_max * abs(behind)
-        closing = math.sqrt(change * change + twice) - change  # of a setpoint that moves on at its rate
+        closing = math.sqrt(change * change + twice) - change  # for a setpoint that keeps its rate
         energy = twice + math.copysign(rate * rate, rate * behind)
-        ending = math.copysign(math.sqrt(abs(energy)), energy)  # of one that brakes as well
+        ending = math.copysign(math.sqrt(abs(energy)), energy)  # for one that brakes as well
         side = math.copysign(1.0, behind)
-        wanted = side * min(side * rate + closing, ending)
-        wanted = min(self._rate_max, max(-self._rate_max, wanted))
-        self._rate = min(self._rate + change, max(self._rate - change, wanted))
+        target_rate = side * min(side * rate + closing, ending)
+        target_rate = min(self._rate_max, max(-self._rate_max, target_rate))
+        self._rate = min(self._rate + change, max(self._rate - change, target_rate))
         self._position += self._rate * step_s
 
 
@@ -153,9 +153,9 @@ class _SlidingMean:
 
     def add(self, step_s: float, position: float) -> None:
         """Add the position ``step_s`` after the last one."""
-        before_s, before, integral = self._points[-1]
-        moved, t_s = position - self._origin, before_s + step_s
-        self._points.append((t_s, moved, integral + 0.5 * (before + moved) * step_s))
+        previous_s, previous, integral = self._points[-1]
+        moved, t_s = position - self._origin, previous_s + step_s
+        self._points.append((t_s, moved, integral + 0.5 * (previous + moved) * step_s))
         while self._points[1][0] <= t_s - self._span_s:
             self._points.popleft()
 
@@ -169,7 +169,7 @@ class _SlidingMean:
         return self._origin + integral / self._span_s, (end - begin) / self._span_s
 
 
-_EARLY: Final = 0.125  # of a period: jitter of setpoints whose rate is a multiple of that of the exchanges
+_EARLY: Final = 0.125  # fraction of a period: jitter of setpoints at a multiple of the exchange rate
 
 
 class ExchangePacer:

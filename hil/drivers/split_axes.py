@@ -18,14 +18,14 @@ from hil.errors import BenchError
 
 @dataclass(frozen=True)
 class AxisPart:
-    """A part of a group. numbers: of its axes among those of the group."""
+    """A part of a group. numbers: indices of its axes in the group."""
 
     axes: AxisGroup
     numbers: list[int]
 
 
 class SplitAxes:
-    """AxisGroup of ``parts``; feedback is as old as that of the oldest part, and the failure of one stops all.
+    """AxisGroup of ``parts``; feedback is as old as the oldest part's, and the failure of one stops all.
 
     axis_names: full names of all axes.
     """
@@ -80,10 +80,10 @@ class SplitAxes:
         homing, limit, sampled_s = [Homing.DONE] * n, [0] * n, now_s
         try:
             for part in self._parts:
-                found = part.axes.read(now_s)
-                sampled_s = min(sampled_s, found.t_s)
-                position[part.numbers], rate[part.numbers] = found.position, found.rate
-                for axis, state, switch in zip(part.numbers, found.homing, found.limit, strict=True):
+                feedback = part.axes.read(now_s)
+                sampled_s = min(sampled_s, feedback.t_s)
+                position[part.numbers], rate[part.numbers] = feedback.position, feedback.rate
+                for axis, state, switch in zip(part.numbers, feedback.homing, feedback.limit, strict=True):
                     homing[axis], limit[axis] = state, switch
         except BenchError:
             self.stop(now_s)

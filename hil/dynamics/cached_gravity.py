@@ -21,7 +21,7 @@ CACHE_SPAN_S = 0.4  # over which the harmonics are interpolated; one step if tha
 
 CACHED_GRAVITY = np.dtype(
     [
-        ("steps", "i8"),  # of the span, 0 before the first
+        ("steps", "i8"),  # steps in the span, 0 before the first
         ("step", "i8"),  # number of the next one
         ("pull", "f8", (LANES, 3)),  # m/s^2, see sample_perturbation
         ("drag", "f8", 3),  # m/s^2, of the chaser in the middle of the span, inertial

@@ -57,10 +57,10 @@ def field_table(c, s):
 
 
 @kernel
-def harmonics_of_four(params, field, place, out):
+def harmonics_of_four(params, field, positions, out):
     """Write the acceleration by the harmonics of degree 1 and above, m/s^2, at four places, in body-fixed axes.
 
-    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. place: (4, 3), m,
+    params: GRAVITY_PARAMS. field: (N + 1, N + 1, 6) of ``field_table``, N >= params.degree. positions: (4, 3), m,
     body-fixed. out: (4, 3). The recursion is a chain of dependent operations; four of them side by side, in the
     lanes of a register, take hardly longer than one.
     """
@@ -69,12 +69,12 @@ def harmonics_of_four(params, field, place, out):
     diagonal = stack.vector(LANES)  # GM / r^2 (R / r)^m A_mm
     real, imaginary = stack.vector(LANES), stack.vector(LANES)  # (s + i t)^m
     real_below, imaginary_below = stack.vector(LANES), stack.vector(LANES)  # (s + i t)^(m - 1)
-    legendre, before = stack.vector(LANES), stack.vector(LANES)
+    legendre, previous = stack.vector(LANES), stack.vector(LANES)
     sum_c, sum_s = stack.vector(LANES), stack.vector(LANES)
     radial_c, radial_s = stack.vector(LANES), stack.vector(LANES)
     coupled_c, coupled_s = stack.vector(LANES), stack.vector(LANES)
     for j in range(LANES):
-        x, y, z = place[j, 0], place[j, 1], place[j, 2]
+        x, y, z = positions[j, 0], positions[j, 1], positions[j, 2]
         r = math.sqrt(x * x + y * y + z * z)
         s[j], t[j], u[j], step[j] = x / r, y / r, z / r, params.radius / r
         a1[j], a2[j], a3[j], a4[j] = 0.0, 0.0, 0.0, 0.0
@@ -89,7 +89,7 @@ def harmonics_of_four(params, field, place, out):
                 real[j] = s[j] * real_below[j] - t[j] * imaginary_below[j]
                 imaginary[j] = s[j] * imaginary_below[j] + t[j] * real_below[j]
         for j in range(LANES):
-            legendre[j], before[j] = diagonal[j], 0.0
+            legendre[j], previous[j] = diagonal[j], 0.0
             sum_c[j], sum_s[j], radial_c[j], radial_s[j], coupled_c[j], coupled_s[j] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for n in range(m, params.degree + 1):
             c, d, alpha, beta = field[m, n, 0], field[m, n, 1], field[m, n, 2], field[m, n, 3]
@@ -97,8 +97,8 @@ def harmonics_of_four(params, field, place, out):
             weight = float(n + m + 1)
             if n > m:
                 for j in range(LANES):
-                    following = step[j] * (alpha * u[j] * legendre[j] - step[j] * beta * before[j])
-                    before[j], legendre[j] = legendre[j], following
+                    following = step[j] * (alpha * u[j] * legendre[j] - step[j] * beta * previous[j])
+                    previous[j], legendre[j] = legendre[j], following
             for j in range(LANES):
                 of_c, of_d = legendre[j] * c, legendre[j] * d
                 sum_c[j] += of_c
@@ -120,10 +120,10 @@ def harmonics_of_four(params, field, place, out):
 @kernel
 def harmonics(params, field, x, y, z):
     """Return the acceleration by the harmonics at one place, m/s^2, as three floats; see ``harmonics_of_four``."""
-    place, out = stack.matrix(LANES, 3), stack.matrix(LANES, 3)
+    positions, out = stack.matrix(LANES, 3), stack.matrix(LANES, 3)
     for j in range(LANES):
-        place[j, 0], place[j, 1], place[j, 2] = x, y, z
-    harmonics_of_four(params, field, place, out)
+        positions[j, 0], positions[j, 1], positions[j, 2] = x, y, z
+    harmonics_of_four(params, field, positions, out)
     return out[0, 0], out[0, 1], out[0, 2]
 
 
@@ -194,7 +194,7 @@ def sample_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
         for row in range(4):
             held[row, 0], held[row, 1], held[row, 2] = 0.0, 0.0, 0.0
         return
-    place, pull = stack.matrix(LANES, 3), stack.matrix(LANES, 3)
+    positions, pull = stack.matrix(LANES, 3), stack.matrix(LANES, 3)
     cosine, sine = stack.vector(LANES), stack.vector(LANES)
     squared = r_T[0] * r_T[0] + r_T[1] * r_T[1] + r_T[2] * r_T[2]
     central = -params.gm / (squared * math.sqrt(squared))
@@ -208,10 +208,10 @@ def sample_perturbation(params, field, t_s, r_T, v_T, rho, rho_rate, dt, held):
         else:
             angle = params.rotation + params.rate * (t_s + t)
             cosine[row], sine[row] = elementary.cos(angle), elementary.sin(angle)
-        place[row, 0] = cosine[row] * x + sine[row] * y
-        place[row, 1] = cosine[row] * y - sine[row] * x
-        place[row, 2] = z
-    harmonics_of_four(params, field, place, pull)
+        positions[row, 0] = cosine[row] * x + sine[row] * y
+        positions[row, 1] = cosine[row] * y - sine[row] * x
+        positions[row, 2] = z
+    harmonics_of_four(params, field, positions, pull)
     for row in range(4):
         held[row, 0] = cosine[row] * pull[row, 0] - sine[row] * pull[row, 1]
         held[row, 1] = sine[row] * pull[row, 0] + cosine[row] * pull[row, 1]

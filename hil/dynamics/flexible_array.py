@@ -32,7 +32,7 @@ MODES = np.dtype(
 )
 
 BENDING = np.dtype([("eta", "f8", MAX_MODES), ("eta_rate", "f8", MAX_MODES)], align=True)
-"""Modal coordinates and their rates; those of the first mode are in TRUTH instead."""
+"""Modal coordinates and their rates, without the first mode, which TRUTH has."""
 
 
 @kernel

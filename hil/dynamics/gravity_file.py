@@ -52,8 +52,8 @@ class GravityField:
     def of_body(self, gm: float, radius: float, name: str) -> GravityField:
         """Return the field; raise GravityFileError if it is not of the body of ``gm``, m^3/s^2, and ``radius``, m."""
         if abs(self.gm / gm - 1.0) > _GM_TOLERANCE or abs(self.radius / radius - 1.0) > _RADIUS_TOLERANCE:
-            found = f"GM {self.gm / 1e9:g} km^3/s^2, radius {self.radius / 1e3:g} km"
-            raise GravityFileError(f"is not of {name} ({found}): give {_KINDS} of {name}")
+            shown = f"GM {self.gm / 1e9:g} km^3/s^2, radius {self.radius / 1e3:g} km"
+            raise GravityFileError(f"is not of {name} ({shown}): give {_KINDS} of {name}")
         return self
 
     def up_to(self, degree: int) -> GravityField:
@@ -127,7 +127,7 @@ class _Coefficients:
 
 def _read_cof(text: str) -> GravityField:
     """GMAT: a POTFIELD line (degree, order, GM in m^3/s^2, radius in m), RECOEF lines, END. Negative S touch C."""
-    found: _Coefficients | None = None
+    coefficients: _Coefficients | None = None
     gm = radius = 0.0
     for number, line in enumerate(text.splitlines(), start=1):
         word = line.split(None, 1)[0] if line.strip() else ""
@@ -140,24 +140,24 @@ def _read_cof(text: str) -> GravityField:
                     f"line {number}: the coefficients are not fully normalised (flag {header[5]}, wanted 1)"
                 )
             gm, radius = _float(header[3]), _float(header[4])
-            found = _Coefficients(int(header[1]), int(header[2]))
+            coefficients = _Coefficients(int(header[1]), int(header[2]))
         elif word.startswith("RECOEF"):
             row = _RECOEF.match(line)
-            if found is None or row is None or (int(row[2]) > 0 and row[4] is None):
+            if coefficients is None or row is None or (int(row[2]) > 0 and row[4] is None):
                 raise GravityFileError(
                     f"line {number}: not a RECOEF line of degree, order, C and S under a POTFIELD line"
                 )
-            found.put(number, int(row[1]), int(row[2]), _float(row[3]), _float(row[4] or "0"))
+            coefficients.put(number, int(row[1]), int(row[2]), _float(row[3]), _float(row[4] or "0"))
         elif word == "END":
             break
         elif word not in ("", "COMMENT", "C"):
             raise GravityFileError(f"line {number}: {word[:20]} is not a keyword of a GMAT .cof file")
     else:
-        if found is not None:
+        if coefficients is not None:
             raise GravityFileError("is cut: there is no END line")
-    if found is None:
+    if coefficients is None:
         raise GravityFileError("has no POTFIELD line: not a GMAT .cof file")
-    return found.field(gm, radius)
+    return coefficients.field(gm, radius)
 
 
 def _read_shadr(text: str) -> GravityField:
@@ -169,7 +169,7 @@ def _read_shadr(text: str) -> GravityField:
     degree, order = _whole(header[3], 1), _whole(header[4], 1)
     if header[5] != 1.0:
         raise GravityFileError(f"line 1: the coefficients are not fully normalised (state {header[5]:g}, wanted 1)")
-    found = _Coefficients(degree, order)
+    coefficients = _Coefficients(degree, order)
     width = 0
     for number, line in enumerate(lines[1:], start=2):
         if not line.strip():
@@ -178,10 +178,10 @@ def _read_shadr(text: str) -> GravityField:
         width = width or len(row)
         if len(row) < max(4, width):
             raise GravityFileError(f"line {number}: is cut: {len(row)} numbers, the rows before have {max(4, width)}")
-        found.put(number, _whole(row[0], number), _whole(row[1], number), row[2], row[3])
+        coefficients.put(number, _whole(row[0], number), _whole(row[1], number), row[2], row[3])
     if not text.endswith("\n") and len(lines) > 2 and len(lines[-1].rstrip()) < len(lines[-2].rstrip()):
         raise GravityFileError(f"line {len(lines)}: is cut: shorter than the row before, and no end of line")
-    return found.field(header[1] * 1e9, header[0] * 1e3)
+    return coefficients.field(header[1] * 1e9, header[0] * 1e3)
 
 
 def _numbers(line: str, number: int) -> list[float]:

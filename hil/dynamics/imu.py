@@ -71,7 +71,7 @@ def sample_with_errors(params, truth, w_before, noise, memory, imu):
 def propagate(dss, params, field, memory, truth, on, noise, imu_memory, samples, imu):
     """Propagate ``truth`` by one cycle, in as many equal steps as there are ``samples``, (n,) of IMU, which are filled.
 
-    dss: DSS_PARAMS, params: IMU_PARAMS, both with the step of a sample. field, memory, truth, on: as of ``truth.step``.
+    dss: DSS_PARAMS, params: IMU_PARAMS, both with the step of a sample. field, memory, truth, on: see ``truth.step``.
     noise: (n, 12), see ``sample``. imu_memory: IMU_MEMORY. imu: IMU, on return the mean of the samples; with one sample
     it may be that sample. Means over the last step in ``truth`` become means over the cycle.
     """

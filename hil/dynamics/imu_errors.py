@@ -21,7 +21,7 @@ IMU_ERRORS = np.dtype(
         ("seed", "i8"),
         ("gyro_gain", "f8", (3, 3)),  # sensor axes, scaled, against c, less the unit matrix
         ("accelerometer_gain", "f8", (3, 3)),
-        ("sigma_instability", "f8", 2),  # of gyro, rad/s, and accelerometer, m/s^2
+        ("sigma_instability", "f8", 2),  # gyro, rad/s, and accelerometer, m/s^2
         ("kept", "f8", 2),  # part of the instability that is left after a sample
         ("quantum", "f8", 2),  # rad/s and m/s^2, 0 for none
         ("lever_arm", "f8", 3),  # m, in c, from the reference point to the accelerometers
@@ -46,22 +46,22 @@ def wander(errors, memory, imu):
         kept = 0.0 if memory.samples == 0 else kept
         fresh = sigma * math.sqrt(1.0 - kept * kept)
         for i in range(3):
-            before = memory.instability[sensor, i]
-            now = kept * before + fresh * normal(errors.seed, memory.samples, _LANE + 3 * sensor + i)
+            previous = memory.instability[sensor, i]
+            now = kept * previous + fresh * normal(errors.seed, memory.samples, _LANE + 3 * sensor + i)
             memory.instability[sensor, i] = now
             if sensor == 0:
-                imu.drift_C[i] += now - before
+                imu.drift_C[i] += now - previous
             else:
-                imu.bias_C[i] += now - before
+                imu.bias_C[i] += now - previous
 
 
 @kernel
 def _round(quantum, remainder, reading):
     """Round a reading (3,) to the quantum; the remainder (3,) is read later, as an integrating sensor does."""
     for i in range(3):
-        wanted = reading[i] + remainder[i]
-        reading[i] = quantum * math.floor(wanted / quantum + 0.5)
-        remainder[i] = wanted - reading[i]
+        exact = reading[i] + remainder[i]
+        reading[i] = quantum * math.floor(exact / quantum + 0.5)
+        remainder[i] = exact - reading[i]
 
 
 @kernel

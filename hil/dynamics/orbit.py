@@ -85,9 +85,9 @@ def rotate_on_circle(r, v, angle):
 
 
 @kernel
-def quaternion_near(a, before, q):
-    """Write the unit quaternion of ``a`` (3, 3) with the sign of ``before`` (4,) into ``q``: no jump along an orbit."""
+def quaternion_near(a, previous, q):
+    """Write the unit quaternion of ``a`` (3, 3) with the sign of ``previous`` (4,) into ``q``: no jumps in orbit."""
     quat.from_matrix_into(a, q)
-    if q[0] * before[0] + q[1] * before[1] + q[2] * before[2] + q[3] * before[3] < 0.0:
+    if q[0] * previous[0] + q[1] * previous[1] + q[2] * previous[2] + q[3] * previous[3] < 0.0:
         for i in range(4):
             q[i] = -q[i]

@@ -20,7 +20,7 @@ ORBIT_FORCES = np.dtype(
         ("acts", "i8"),  # 0: none of them
         ("radius", "f8"),  # m, of the sphere from which altitudes count
         ("spin", "f8"),  # rad/s, of the atmosphere about inertial z
-        ("layers", "i8"),  # of the atmosphere, 0 without drag
+        ("layers", "i8"),  # layers of the atmosphere, 0 without drag
         ("altitude", "f8", MAX_AIR_LAYERS),  # m, base of each layer, increasing
         ("density", "f8", MAX_AIR_LAYERS),  # kg/m^3, at the base
         ("scale_height", "f8", MAX_AIR_LAYERS),  # m

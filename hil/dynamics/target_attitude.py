@@ -93,7 +93,7 @@ def limit_cycle(amplitude, rate, acceleration, phase, t_s, out):
 
 @kernel
 def add_limit_cycle(params, t_s, q_HI, w_HI_H):
-    """Rotate attitude (4,) and rate (3,) of the Hill frame at ``t_s`` into those of the body, in place."""
+    """Rotate attitude (4,) and rate (3,) of the Hill frame at ``t_s`` into the body's, in place."""
     angle, speed, axis = stack.vector(3), stack.vector(3), stack.vector(2)
     for i in range(3):
         limit_cycle(params.amplitude[i], params.rate[i], params.acceleration[i], params.phase[i], t_s, axis)

@@ -22,9 +22,9 @@ THRUSTER_ERRORS = np.dtype(
         ("delay_s", "f8"),  # from a command to the valve
         ("rise_s", "f8"),  # time constant of the thrust once the valve is open
         ("tail_off_s", "f8"),  # and once it is closed
-        ("impulse_scatter", "f8"),  # of the impulse of a firing of the minimum on-time, relative
+        ("impulse_scatter", "f8"),  # relative scatter of the impulse at minimum on-time
         ("half_pressure_kg", "f8"),  # propellant after which the pressure is a half, 0 for a regulated supply
-        ("mass_full_kg", "f8"),  # of the chaser at the start
+        ("mass_full_kg", "f8"),  # mass of the chaser at the start
     ],
     align=True,
 )

@@ -37,11 +37,11 @@ def mailboxes_of(given: np.record, wants: Collection[str]) -> Iterator[tuple[str
             yield "gnc.poses", poses
         if "gnc.measurements" in wants:
             for first in range(0, int(measured.n_measurements), MEASUREMENTS_MAX):
-                found = np.zeros(1, GNC_MEASUREMENTS)
-                found["cycle"], found["first"], found["n"] = cycle, first, measured.n_measurements
+                measurements = np.zeros(1, GNC_MEASUREMENTS)
+                measurements["cycle"], measurements["first"], measurements["n"] = cycle, first, measured.n_measurements
                 some = measured.measurements[first : min(first + MEASUREMENTS_MAX, int(measured.n_measurements))]
-                found["measurements"][0, : len(some)] = some
-                yield "gnc.measurements", found
+                measurements["measurements"][0, : len(some)] = some
+                yield "gnc.measurements", measurements
     yield "gnc.input", np.frombuffer(np.asarray(given).tobytes()[: GNC_INPUT_3.itemsize], GNC_INPUT_3)
 
 

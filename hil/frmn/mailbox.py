@@ -110,9 +110,9 @@ class Mailbox:
         """Become the writer, unless another one is alive."""
         number = self._slots.written
         last = self._slots.one(number - 1) if number else None
-        before = _STAMP.unpack_from(last)[1] if last is not None else 0
-        if before not in (0, os.getpid()) and _is_alive(before):
-            raise ProtocolError(self.name, f"process {os.getpid()} is a second writer: process {before} is alive")
+        writer = _STAMP.unpack_from(last)[1] if last is not None else 0
+        if writer not in (0, os.getpid()) and _is_alive(writer):
+            raise ProtocolError(self.name, f"process {os.getpid()} is a second writer: process {writer} is alive")
         self._writer = os.getpid()
 
     def release(self) -> None:

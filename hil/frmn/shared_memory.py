@@ -33,9 +33,9 @@ class Memory:
     def __init__(self, descriptor: int, name: str, layout: str, size: int) -> None:
         self.descriptor = descriptor
         self.name = name
-        found, expected = os.fstat(descriptor).st_size, HEADER + size
-        if found != expected:
-            raise ProtocolError(name, f"shared memory of {found} bytes, expected {expected}: another layout")
+        actual, expected = os.fstat(descriptor).st_size, HEADER + size
+        if actual != expected:
+            raise ProtocolError(name, f"shared memory of {actual} bytes, expected {expected}: another layout")
         self._map = mmap.mmap(descriptor, expected)
         if self._map[:_DIGEST] != _digest(layout):
             self._map.close()

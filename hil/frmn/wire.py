@@ -191,10 +191,10 @@ def read_hello(payload: bytes) -> Hello | str:
     count = int(record["count"])
     if not 0 <= count <= _MAX_CELLS:
         return f"{count} mailboxes in its hello, allowed 0 to {_MAX_CELLS}"
-    found: dict[int, set[str]] = {OFFERS: set(), WANTS: set()}
+    mailboxes: dict[int, set[str]] = {OFFERS: set(), WANTS: set()}
     for number, size, layout, use in record["cells"][:count].tolist():
         kind = BY_NUMBER.get(number)
-        if kind is None or use not in found:
+        if kind is None or use not in mailboxes:
             return (
                 f"mailbox {number}, use {use}: known are {', '.join(map(str, BY_NUMBER))}, use 1 (offers) or 2 (wants)"
             )
@@ -202,9 +202,9 @@ def read_hello(payload: bytes) -> Hello | str:
             return f"mailbox {kind.name} has {size} bytes there and {kind.dtype.itemsize} here"
         if layout not in (0, kind.layout):
             return f"mailbox {kind.name} has a different layout there"
-        found[use].add(kind.name)
+        mailboxes[use].add(kind.name)
     name = _text(record["name"]) or "without a name"
-    return Hello(int(record["role"]), name, frozenset(found[OFFERS]), frozenset(found[WANTS]))
+    return Hello(int(record["role"]), name, frozenset(mailboxes[OFFERS]), frozenset(mailboxes[WANTS]))
 
 
 def text_payload(code: int, text: str) -> bytes:

@@ -57,7 +57,7 @@ def thruster_sets(wrenches: Array, full_thrust: bool = False) -> tuple[np.ndarra
 def sets_without(wrenches: Array, excluded: np.ndarray, full_thrust: bool = False) -> np.ndarray:
     """Return the best sets without the thrusters of each row of ``excluded`` (m, n), of bool: int64 (m, 6, 2, n).
 
-    wrenches, full_thrust: as of ``thruster_sets``. A demand for which no thrusters are left has an empty set.
+    wrenches, full_thrust: see ``thruster_sets``. A demand for which no thrusters are left has an empty set.
     """
     masks, _, cost = _candidates(wrenches, full_thrust)
     sets = np.zeros((len(excluded), AXES_OF_A_BODY, 2, len(wrenches)), dtype=np.int64)
@@ -78,15 +78,15 @@ def opposing_thrusters(wrenches: Array) -> np.ndarray:
     """
     masks, totals, arm = _all_sets(wrenches)
     scale = np.array([1.0, 1.0, 1.0, arm, arm, arm])
-    found = np.zeros((len(wrenches), len(wrenches)), dtype=np.int64)
+    opposing = np.zeros((len(wrenches), len(wrenches)), dtype=np.int64)
     for j, wrench in enumerate(wrenches):
         size = linear.length(wrench / scale)
-        left = linear.lengths((totals + wrench) / scale) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
-        left[masks[:, j] != 0] = np.inf
-        best = _best(left)
-        if best >= 0 and left[best] < _OPPOSED_FRACTION:
-            found[j] = masks[best]
-    return found
+        remaining = linear.lengths((totals + wrench) / scale) / size + _COST_PER_THRUSTER * masks.sum(axis=1)
+        remaining[masks[:, j] != 0] = np.inf
+        best = _best(remaining)
+        if best >= 0 and remaining[best] < _OPPOSED_FRACTION:
+            opposing[j] = masks[best]
+    return opposing
 
 
 def _all_sets(wrenches: Array) -> tuple[np.ndarray, Array, float]:
@@ -107,14 +107,14 @@ def _candidates(wrenches: Array, full_thrust: bool) -> tuple[np.ndarray, Array, 
     cost = np.full((AXES_OF_A_BODY, 2, len(masks)), np.inf)
     for axis in range(AXES_OF_A_BODY):
         for sign_index, sign in enumerate((-1.0, 1.0)):
-            wanted = sign * scaled[:, axis]
-            unwanted = np.sqrt(np.maximum(np.sum(square(scaled), axis=1) - square(wanted), 0.0))
-            useful = wanted > 1e-6
+            along = sign * scaled[:, axis]
+            unwanted = np.sqrt(np.maximum(np.sum(square(scaled), axis=1) - square(along), 0.0))
+            useful = along > 1e-6
             if not useful.any():
                 continue
-            of_set = unwanted[useful] / wanted[useful]
+            of_set = unwanted[useful] / along[useful]
             if full_thrust:
-                of_set -= _COST_PER_THRUSTER * wanted[useful] / wanted.max()
+                of_set -= _COST_PER_THRUSTER * along[useful] / along.max()
             else:
                 of_set += _COST_PER_THRUSTER * masks[useful].sum(axis=1)
             cost[axis, sign_index, useful] = of_set
@@ -137,10 +137,10 @@ def select(sets, n, command):
     for j in range(n):
         on[j] = 0
     for axis in range(6):
-        wanted = command.force[axis] if axis < 3 else command.torque[axis - 3]
-        if wanted != 0:
+        demand = command.force[axis] if axis < 3 else command.torque[axis - 3]
+        if demand != 0:
             row = axis + 6 if axis < 3 and command.boost != 0 else axis
-            sign = 1 if wanted > 0 else -1
+            sign = 1 if demand > 0 else -1
             for j in range(n):  # votes
                 on[j] += sign * (sets[row, 1, j] - sets[row, 0, j])
     for j in range(n):

@@ -174,11 +174,11 @@ def alert_limits(params, r_CT_H, v_CT_H, q_CH, limits):
     reserve, speed = params.distance + params.alert_turn, abs(v_CT_H[0]) + abs(v_CT_H[1]) + abs(v_CT_H[2])
     enough = _ROOT_2 * max(limits[ALONG], limits[ACROSS]) + reserve
     if not are_apart(params.chaser, r_CT_H, chord(q_CH), params.target, enough + speed * speed / (2.0 * params.brake)):
-        found = stack.vector(4)
-        left = clearance(
-            params.chaser, r_CT_H, q_CH, v_CT_H, 0.0, params.target, 0.0, params.brake, 1.0, enough, found
+        closest = stack.vector(4)
+        gap = clearance(
+            params.chaser, r_CT_H, q_CH, v_CT_H, 0.0, params.target, 0.0, params.brake, 1.0, enough, closest
         )  # fmt: skip
-        each = max(0.0, left - reserve) / _ROOT_2
+        each = max(0.0, gap - reserve) / _ROOT_2
         limits[ALONG], limits[ACROSS] = min(limits[ALONG], each), min(limits[ACROSS], each)
     limits[ATTITUDE] = params.alert_angle
 
@@ -245,7 +245,7 @@ def has_converged(params, estimate, share, converged_mps):
 
 @kernel
 def _is_ready(params, estimate, beyond, go):
-    """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go`` as of ``_is_go``.
+    """Return whether the estimate is healthy, protected and within Table III, each axis alone; ``go``: see ``_is_go``.
 
     beyond: 1 if a protection level exceeds its alert limit. Angles are those of a rotation vector.
     """
@@ -300,7 +300,7 @@ def _is_go(params, estimate, beyond, go):
 
 
 @kernel
-def _enter(params, estimate, reference, reactions, found):
+def _enter(params, estimate, reference, reactions, supervision):
     """Take note, once the filters have converged, whether the approach begins inside the corridor and near its plan.
 
     Otherwise it is ``outside``: the approach stops and is planned again from there.
@@ -311,28 +311,28 @@ def _enter(params, estimate, reference, reactions, found):
         distance += estimate.r_CT_H[i] ** 2
     far = math.sqrt(square) > _FAR * corridor_radius(params, math.sqrt(distance))
     reactions.entered = 1
-    if far or found.corridor_margin_m < 0.0:
+    if far or supervision.corridor_margin_m < 0.0:
         reactions.outside = 1
 
 
 @kernel
-def check(params, t_s, estimate, reference, ordered, reactions, go, found):
-    """Check the estimate (NAVIGATION); write ``found`` (SUPERVISION). Return whether an abort has to begin now.
+def check(params, t_s, estimate, reference, ordered, reactions, go, supervision):
+    """Check the estimate (NAVIGATION); write ``supervision`` (SUPERVISION). Return whether an abort has to begin now.
 
     ordered: 1 if the operator has ordered an abort. reactions: REACTION_STATE. go: GO_CHECK. Before the first
     pose nothing is checked; after an abort the margins are still written, but have no effect. An estimate without
     protection level and sigma is taken as it is.
     """
     if estimate.valid == 0:
-        found.ready_since_s = np.nan
+        supervision.ready_since_s = np.nan
         return False
-    found.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
-    found.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
+    supervision.corridor_margin_m = corridor_margin(params, reference.from_H, reference.to_H, estimate.r_CT_H)
+    supervision.closing_margin_mps = closing_margin(params, estimate.r_CT_H, estimate.v_CT_H)
     if not _is_go(params, estimate, reactions.beyond, go):
-        found.ready_since_s = np.nan
-    elif not found.ready_since_s <= t_s:
-        found.ready_since_s = t_s
-    if found.aborted != NOT_ABORTED:
+        supervision.ready_since_s = np.nan
+    elif not supervision.ready_since_s <= t_s:
+        supervision.ready_since_s = t_s
+    if supervision.aborted != NOT_ABORTED:
         return False
     cause = NOT_ABORTED
     levels = stack.vector(3)
@@ -342,44 +342,44 @@ def check(params, t_s, estimate, reference, ordered, reactions, go, found):
     if reactions.converged == 0:
         off, off_mps = -params.confidence * largest_sigma(estimate.sigma_r_m), -off_mps
     elif reactions.entered == 0:
-        _enter(params, estimate, reference, reactions, found)
-    if found.corridor_margin_m < off and reactions.entered != 0 and reactions.outside == 0:
+        _enter(params, estimate, reference, reactions, supervision)
+    if supervision.corridor_margin_m < off and reactions.entered != 0 and reactions.outside == 0:
         cause = CORRIDOR
         reactions.broken.limit = corridor_radius(params, range_of(estimate.r_CT_H))
-        reactions.broken.value = reactions.broken.limit - found.corridor_margin_m + off
-    elif found.closing_margin_mps < off_mps:
+        reactions.broken.value = reactions.broken.limit - supervision.corridor_margin_m + off
+    elif supervision.closing_margin_mps < off_mps:
         cause = CLOSING_RATE
         reactions.broken.limit = closing_limit(params, range_of(estimate.r_CT_H))
-        reactions.broken.value = reactions.broken.limit - found.closing_margin_mps + off_mps
-    found.broken_cycles = found.broken_cycles + 1 if cause != NOT_ABORTED else 0
+        reactions.broken.value = reactions.broken.limit - supervision.closing_margin_mps + off_mps
+    supervision.broken_cycles = supervision.broken_cycles + 1 if cause != NOT_ABORTED else 0
     if ordered != 0 or t_s >= params.abort_at_s:
         cause = ORDERED
-    elif found.broken_cycles < params.persistence:
+    elif supervision.broken_cycles < params.persistence:
         return False
-    found.aborted = cause
-    found.aborted_at_s = t_s
+    supervision.aborted = cause
+    supervision.aborted_at_s = t_s
     return True
 
 
 @kernel
-def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, reactions, go, found):
+def update(params, guidance_params, guidance_state, t_s, estimate, reference, ordered, reactions, go, supervision):
     """Check the estimate; if an abort has to begin, start it in ``guidance_state`` and in ``reference``.
 
-    guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. The others as of ``check``.
+    guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE. Other arguments: see ``check``.
     """
-    if check(params, t_s, estimate, reference, ordered, reactions, go, found):
+    if check(params, t_s, estimate, reference, ordered, reactions, go, supervision):
         guidance.start_abort(guidance_params, guidance_state, t_s, estimate.r_CT_H, estimate.v_CT_H)
         guidance.reference(guidance_params, guidance_state, t_s, reference)
 
 
 @kernel
-def abort_from_reference(params, guidance_params, guidance_state, t_s, reference, ordered, found):
-    """Start the abort that is ordered although there is no estimate: from the reference. Arguments as of ``update``."""
-    found.corridor_margin_m = found.closing_margin_mps = np.nan
-    if found.aborted != NOT_ABORTED or not (ordered != 0 or t_s >= params.abort_at_s):
+def abort_from_reference(params, guidance_params, guidance_state, t_s, reference, ordered, supervision):
+    """Start an ordered abort from the reference, without an estimate. Arguments: see ``update``."""
+    supervision.corridor_margin_m = supervision.closing_margin_mps = np.nan
+    if supervision.aborted != NOT_ABORTED or not (ordered != 0 or t_s >= params.abort_at_s):
         return
-    found.aborted = ORDERED
-    found.aborted_at_s = t_s
+    supervision.aborted = ORDERED
+    supervision.aborted_at_s = t_s
     from_H, speed_H = stack.vector(3), stack.vector(3)
     copy_into(from_H, reference.r_CT_H)
     copy_into(speed_H, reference.v_CT_H)

@@ -104,33 +104,33 @@ def fault_of_estimate(out):
         return VALID, 0
     if out.valid == 0:
         return FINE, 0
-    place = _first_not_finite(out.r_CT_H)
-    if place >= 0:
-        return POSITION, place
-    place = _first_not_finite(out.v_CT_H)
-    if place >= 0:
-        return VELOCITY, place
-    place = _first_not_finite(out.w_CH_C)
-    if place >= 0:
-        return RATE, place
+    index = _first_not_finite(out.r_CT_H)
+    if index >= 0:
+        return POSITION, index
+    index = _first_not_finite(out.v_CT_H)
+    if index >= 0:
+        return VELOCITY, index
+    index = _first_not_finite(out.w_CH_C)
+    if index >= 0:
+        return RATE, index
     square = 0.0
     for i in range(4):
         square += out.q_CH[i] * out.q_CH[i]
     if not abs(square - 1.0) <= 2.0 * _NORM_TOLERANCE:
         return ATTITUDE, 0
-    place = max(_negative(out.sigma_r_m), _negative(out.sigma_v_mps), _negative(out.sigma_attitude_rad))
-    if place >= 0:
-        return SIGMA, place
-    place = _negative(out.protection_level_m)
-    if place >= 0:
-        return PROTECTION_LEVEL, place
+    index = max(_negative(out.sigma_r_m), _negative(out.sigma_v_mps), _negative(out.sigma_attitude_rad))
+    if index >= 0:
+        return SIGMA, index
+    index = _negative(out.protection_level_m)
+    if index >= 0:
+        return PROTECTION_LEVEL, index
     if out.protection_level_rad < 0.0:
         return PROTECTION_LEVEL, 3
-    place = _negative(out.bias_sigma_mps2)
+    index = _negative(out.bias_sigma_mps2)
     if math.isfinite(out.bias_sigma_mps2[0]):
-        place = max(place, _first_not_finite(out.bias_mps2))
-    if place >= 0:
-        return BIAS, place
+        index = max(index, _first_not_finite(out.bias_mps2))
+    if index >= 0:
+        return BIAS, index
     if not 0 <= out.health <= HEALTH_MAX:
         return HEALTH, 0
     return FINE, 0

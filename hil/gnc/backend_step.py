@@ -67,7 +67,7 @@ BACKENDS = np.dtype(
 
 @kernel
 def take_text(backends, slot, which, output):
-    """Take note of the text of ``output`` if it is another one than that of the last output."""
+    """Take note of the text of ``output`` if it differs from the last output's."""
     if not same_bytes(output.text, slot.text):
         copy_into(slot.text, output.text)
         backends.new_text |= 1 << which
@@ -125,7 +125,7 @@ def write_measured(params, cycle, samples, poses, n_poses, arrivals, n_arrivals,
 
 @entry
 def navigate_elsewhere(params, state, t_s, samples, poses, n_poses, estimate, command):
-    """Write NAVIGATION from the backend of navigation; return whether it worked. Arguments as of ``step.gnc_step``.
+    """Write NAVIGATION from the backend of navigation; return whether it worked. Arguments: see ``step.gnc_step``.
 
     A pose that no backend misses is missed by the bench: without one for the time that the scenario allows, vision is
     lost. Without a reported level there is none.

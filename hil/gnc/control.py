@@ -95,7 +95,7 @@ def dead_band(lead, noise, coast, pulse):
 
 @kernel
 def rule_of(params, axis, sigma, sigma_rate, pulse):
-    """Return lead, s, and noise, coast and dead band of s, m or rad, of an axis; arguments as of ``lead_time``."""
+    """Return lead, s, and noise, coast and dead band of s, m or rad, of an axis; arguments: see ``lead_time``."""
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     noise = params.deadband_sigmas[axis] * math.sqrt(sigma**2 + (lead * sigma_rate) ** 2)
     if not noise > 0.0:
@@ -134,11 +134,11 @@ def ripple(sustained, pulse):
 
 @kernel
 def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, pending, coming):
-    """Return what firings that a sustained acceleration asks anyway should give beyond it, m/s or rad/s.
+    """Return the correction, m/s or rad/s, that the firings against a sustained acceleration give in addition.
 
-    sustained: m/s^2 or rad/s^2. pulse: d, m/s or rad/s. pending: delta-v. coming: what the next period adds
-    to it. The others as of ``update_axis``. It delays or advances firings and asks for one smallest firing
-    against the acceleration at most.
+    The correction delays or advances these firings; at most it asks for one smallest firing in the direction of the
+    acceleration. sustained: acceleration, m/s^2 or rad/s^2. pulse: smallest firing d, m/s or rad/s. pending: delta-v
+    not yet given. coming: delta-v that the next period adds. Other arguments: see ``update_axis``.
     """
     lead = lead_time(params, axis, sigma, sigma_rate, pulse)
     lead = max(lead, min(2.0 * pulse / abs(sustained), params.lead_bounds[axis, 1]))
@@ -146,9 +146,9 @@ def modulation(params, axis, error, rate, sigma, sigma_rate, sustained, pulse, p
     reach = lead * params.correction_rate[axis]
     s = min(reach, max(-reach, error)) + lead * (rate + pending)
     band = (noise if noise > 0.0 else 0.0) + ripple(sustained, pulse)
-    wanted = -math.copysign(max(0.0, abs(s) - band), s) / lead
+    delta_v = -math.copysign(max(0.0, abs(s) - band), s) / lead
     sense = math.copysign(1.0, sustained)
-    return sense * max(sense * wanted, -max(0.0, _JUST_FIRED * pulse + sense * (pending + coming)))
+    return sense * max(sense * delta_v, -max(0.0, _JUST_FIRED * pulse + sense * (pending + coming)))
 
 
 @kernel
@@ -204,14 +204,14 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
     Where the smallest firing d is more of that rate than a limit cycle may take, an error within the tolerance is
     corrected no faster than docking is a go. A firing that is too much waits until the rate has grown against it, for
     the limit cycle has the rates +-d / 2 and a firing from rest d, or the error to what is no go.
-    feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. The others as of ``modulation``.
+    feedback: part of the firing that is none of the pending delta-v, m/s or rad/s. Other arguments: see ``modulation``.
     """
     tolerance, asked = params.coast_max[axis] / COAST_OF_TOLERANCE, cycles
     most = params.go_fraction * params.rate_max[axis]
     while cycles != 0 and pulse > COAST_OF_TOLERANCE * params.rate_max[axis] and abs(error) <= tolerance:
         gain = firing_time(cycles, least, extra, params.dt_s) * acceleration
-        left = owed + feedback * cycles / asked - gain
-        after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, left)))
+        remaining = owed + feedback * cycles / asked - gain
+        after = max(abs(rate + gain), abs(rate + gain + yet_to_drift(params, axis, sustained, pulse, remaining)))
         leaves = abs(error) > params.go_fraction * tolerance and error * rate >= 0.0
         if after <= max(abs(rate), most) or (leaves and abs(cycles) == 1):
             break
@@ -220,11 +220,12 @@ def slowed(params, axis, error, rate, sustained, pulse, owed, feedback, cycles, 
 
 
 @kernel
-def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sustained, acceleration, command):
+def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, feed_forward, sustained, acceleration, command):
     """Update one of the six axes: continue its burn, or decide again when its period is over.
 
     feed: FEED_FORWARD, of which the firings are used. error, rate: m, m/s or rad, rad/s. sigma, sigma_rate: their
-    standard deviations; nan counts as zero. wanted: m/s^2 or rad/s^2, of the reference, with what rotating axes ask.
+    standard deviations; nan counts as zero. feed_forward: acceleration of the
+    reference and of rotating axes, m/s^2 or rad/s^2.
     sustained: what these ask.
     """
     dt = params.dt_s
@@ -247,7 +248,7 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sust
             time = predicted_burn(error, rate + command.owed[axis], acceleration, lead, bands, shortest)
         else:
             time = burn_time(cut, rate + command.owed[axis], acceleration, lead, band, shortest)
-        owed, coming, feedback = command.owed[axis], wanted * period * dt, 0.0
+        owed, coming, feedback = command.owed[axis], feed_forward * period * dt, 0.0
         if command.boost == 0 and is_steady(params, axis, error, sustained, pulse):
             feedback = modulation(
                 params, axis, error, rate, sigma, sigma_rate, sustained, pulse, owed, coming
@@ -269,13 +270,13 @@ def update_axis(params, feed, axis, error, rate, sigma, sigma_rate, wanted, sust
         command.owed[axis] -= (firing_time(cycles, least, extra, dt) - feedback) * acceleration
         command.cycles_left[axis] = cycles
         command.until_decision[axis] = period
-    command.owed[axis] += wanted * dt
+    command.owed[axis] += feed_forward * dt
     command.until_decision[axis] -= 1
-    left = command.cycles_left[axis]
+    remaining = command.cycles_left[axis]
     demand = 0
-    if left > 0:
+    if remaining > 0:
         demand = 1
-    elif left < 0:
+    elif remaining < 0:
         demand = -1
     command.cycles_left[axis] -= demand
     if axis < 3:

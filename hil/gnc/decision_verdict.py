@@ -119,19 +119,19 @@ def _count_nees(state, k, nees):
 @kernel
 def update_decision(params, state, now):
     """Judge the cycle ``now`` (CYCLE)."""
-    estimate, found, t_s = now.navigation, now.supervision, now.t_s
+    estimate, supervision, t_s = now.navigation, now.supervision, now.t_s
     _count_accusations(params, state, t_s, estimate.health)
     if estimate.valid == 0:
         return
     if t_s >= params.settled_s:
         _count_nees(state, 0, now.nees_position)
         _count_nees(state, 1, now.nees_attitude)
-    aborted = found.aborted != NOT_ABORTED and found.aborted != ORDERED
-    alarm = estimate.health != 0 or found.reaction != 0 or aborted
-    is_go = found.aborted == NOT_ABORTED and has_held(found.ready_since_s, t_s, params.ready.dwell_s)
+    aborted = supervision.aborted != NOT_ABORTED and supervision.aborted != ORDERED
+    alarm = estimate.health != 0 or supervision.reaction != 0 or aborted
+    is_go = supervision.aborted == NOT_ABORTED and has_held(supervision.ready_since_s, t_s, params.ready.dwell_s)
     if is_go and math.isnan(state.go_s):
         state.go_s = t_s
-    relied_on = is_go or (t_s - state.go_s <= params.required_s and not alarm and found.aborted == NOT_ABORTED)
+    relied_on = is_go or (t_s - state.go_s <= params.required_s and not alarm and supervision.aborted == NOT_ABORTED)
     if relied_on and state.error == 0 and _is_outside(params.ready, now.truth, state):
         state.error, state.error_s = 1, t_s
     if alarm:

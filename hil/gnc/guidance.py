@@ -4,7 +4,7 @@ A phase starts where the one before ended. Moving phases are over when their pat
 duration, a wait at its time or at the order to continue; the last phase of the list never ends. The path is a straight
 line (approach, final, retreat), an arc about the target on which the chaser rotates with it (fly-around), a rotation
 at rest (slew), or the free motion between the burns of a transfer, which is planned from the estimate as it begins. The
-attitude is that of H at first. An abort leaves the list: brake from the present velocity, retreat along the docking
+attitude is H's at first. An abort leaves the list: brake from the present velocity, retreat along the docking
 axis, hold, all at the attitude of the moment.
 """
 
@@ -27,7 +27,7 @@ APPROACH, HOLD, WAIT, FINAL, RETREAT, BRAKE = range(6)
 LINE, ARC, SLEW, TRANSFER = range(4)  # paths of a moving phase
 STAYED, MOVED, REFUSED = range(3)  # results of advance
 HOLDS_FINAL, HOLDS_HOLD = 1, 2  # bits: a final phase must not begin, a hold must not end
-_STRETCH, _TRIES = 0.02, 50  # of the time of a transfer that has no plan, and how often
+_STRETCH, _TRIES = 0.02, 50  # relative extension of a transfer without a plan, and number of tries
 _ABORT_PHASES = 3  # brake, retreat, hold: numbered after the phases of the list
 
 GUIDANCE_PARAMS = np.dtype(
@@ -39,16 +39,16 @@ GUIDANCE_PARAMS = np.dtype(
         ("speed", "f8", MAX_PHASES),  # m/s
         ("acceleration", "f8", MAX_PHASES),  # m/s^2
         ("deceleration", "f8", MAX_PHASES),  # m/s^2
-        ("duration_s", "f8", MAX_PHASES),  # of a hold, a transfer
-        ("until_s", "f8", MAX_PHASES),  # of a wait, time of the run; inf: an order only
+        ("duration_s", "f8", MAX_PHASES),  # duration of a hold or a transfer
+        ("until_s", "f8", MAX_PHASES),  # end of a wait, time of the run; inf: only an order ends it
         ("axis", "f8", 3),  # unit vector from the target outwards, in H
         ("abort_distance", "f8"),  # m, from the target
         ("abort_speed", "f8"),  # m/s
         ("abort_acceleration", "f8"),  # m/s^2, of the retreat
         ("brake", "f8"),  # m/s^2, of the brake before it
-        ("path", "i8", MAX_PHASES),  # of a moving phase
+        ("path", "i8", MAX_PHASES),  # path of a moving phase
         ("attitude", "f8", (MAX_PHASES, 4)),  # at the end of a slew, whose speeds are in rad/s
-        ("optimal", "i8", MAX_PHASES),  # of a transfer: 1 any number of impulses, 0 two
+        ("optimal", "i8", MAX_PHASES),  # impulses of a transfer: 1 any number, 0 two
         ("passive_s", "f8", MAX_PHASES),  # for which a drift after a missed burn stays beyond ``clear_range``; 0: any
         ("clear_range", "f8"),  # m, from which on the bodies cannot meet at any attitude
         ("orbit", TARGET_ORBIT),
@@ -348,9 +348,9 @@ def advance(params, state, t_s, go, held):
 
     go: 1 at the order to continue, refused if the next phase is not allowed. held: HOLDS_FINAL, HOLDS_HOLD, 0.
     """
-    found = STAYED
+    move = STAYED
     if go != 0 and kind_of(params, state.phase) == WAIT:
-        found = REFUSED
+        move = REFUSED
     _plan_again(params, state, t_s)
     ends = _ends_at(params, state, go)
     while ends <= t_s:
@@ -368,9 +368,9 @@ def advance(params, state, t_s, go, held):
         _keep_attitude(state, 1.0)
         state.phase += 1
         _aim(params, state)
-        found = MOVED
+        move = MOVED
         ends = _ends_at(params, state, go)
-    return found
+    return move
 
 
 @kernel

@@ -124,7 +124,7 @@ def on_transfer(orbit, plan, fired, since_s, whole, state, thrust):
 def least_drift_range(orbit, plan, horizon_s, whole):
     """Return the least range, m, over ``horizon_s`` after each burn that is missed, with all that follow it.
 
-    Arguments as of ``on_transfer``. The first burn is missed at the start of the transfer.
+    Arguments: see ``on_transfer``. The first burn is missed at the start of the transfer.
     """
     state, aside, nearest = stack.vector(6), stack.vector(3), math.inf
     for fired in range(plan.n):

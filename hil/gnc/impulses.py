@@ -30,8 +30,8 @@ MAX_IMPULSES: Final = 8
 _CHECKED: Final = 129  # times at which the primer vector is compared with 1
 _ITERATIONS: Final = 300
 _CONVERGED: Final = 1e-4  # gap between sum and bound
-_SMALL: Final = 1e-3  # of the sum: an impulse that counts while neighbours are gathered
-_LEAST: Final = 0.01  # of the sum: an impulse that is fired
+_SMALL: Final = 1e-3  # fraction of the sum: an impulse that counts while neighbours are gathered
+_LEAST: Final = 0.01  # fraction of the sum: an impulse that is fired
 _RIDGE: Final = 1e-15
 
 IMPULSE_PROGRAM = np.dtype(
@@ -171,14 +171,14 @@ def gather(program):
     total, moment, falls = 0.0, 0.0, False
     for k in range(1, last + 1):
         size = size_of(program.u[k]) if k < last else 0.0
-        before = size_of(program.u[k - 1]) if k > 1 else 0.0
-        ends = size <= _SMALL * program.sum or (falls and size > before)
+        previous = size_of(program.u[k - 1]) if k > 1 else 0.0
+        ends = size <= _SMALL * program.sum or (falls and size > previous)
         if ends and total > 0.0 and kept < MAX_IMPULSES - 1:
             program.at_s[kept] = moment / total
             kept += 1
         if ends:
             total, moment = 0.0, 0.0
-        falls = size < before
+        falls = size < previous
         if size > _SMALL * program.sum:
             total += size
             moment += size * program.at_s[k]

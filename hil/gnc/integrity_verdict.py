@@ -63,7 +63,7 @@ INTEGRITY_STATE = np.dtype(
         ("decision", DECISION_STATE),
         ("limits", LIMITS_STATE),
         ("judged", "i8"),  # cycles with an estimate, without fault and abort
-        ("available", "i8"),  # of them those with all protection levels below their alert limits
+        ("available", "i8"),  # cycles with all protection levels below their alert limits
         ("reported", "i8"),  # 1: a protection level was reported
         ("misleading_s", "f8"),  # since when; nan: the last cycle was not
         ("misleading_by_line1_s", "f8"),  # the same, if the second sensor does not count
@@ -82,7 +82,7 @@ INTEGRITY_STATE = np.dtype(
         ("ended", "i8"),  # 1: the last cycle was one of a hold, retreat or abort
         ("from_H", "f8", 3),  # line of the cycle before
         ("to_H", "f8", 3),
-        ("health_before", "i8", FAULTS_MAX),  # of each fault: before its onset
+        ("health_before", "i8", FAULTS_MAX),  # health before the onset of each fault
         ("reaction_before", "i8", FAULTS_MAX),
         ("detected_s", "f8", FAULTS_MAX),  # nan: not by the navigation
         ("detected_health", "i8", FAULTS_MAX),  # its new bits
@@ -132,14 +132,14 @@ def _longer(since_s, t_s, applies):
 @kernel
 def _count_alert(params, state, now, beyond, may_be_false):
     """Count a reaction that ends the approach although truth and estimate are within every limit."""
-    found = now.supervision
-    ends = found.reaction >= HOLD or (found.aborted != 0 and found.aborted != ORDERED)
+    supervision = now.supervision
+    ends = supervision.reaction >= HOLD or (supervision.aborted != 0 and supervision.aborted != ORDERED)
     if ends and state.ended == 0 and may_be_false and not beyond:
         inside = (
             corridor_margin(params.approach, state.from_H, state.to_H, now.truth.r_CT_H) >= 0.0
             and closing_margin(params.approach, now.truth.r_CT_H, now.truth.v_CT_H) >= 0.0
-            and found.corridor_margin_m >= 0.0
-            and found.closing_margin_mps >= 0.0
+            and supervision.corridor_margin_m >= 0.0
+            and supervision.closing_margin_mps >= 0.0
         )
         state.false_alerts += 1 if inside else 0
     state.ended = 1 if ends else 0
@@ -150,9 +150,9 @@ def _count_alert(params, state, now, beyond, may_be_false):
 @kernel
 def _detect(params, state, now):
     """Write the first sign of the navigation, and the first reaction, after the onset of each fault."""
-    found, health = now.supervision, now.navigation.health
-    aborted = found.aborted != 0 and found.aborted != ORDERED
-    reaction = ABORT if aborted else found.reaction
+    supervision, health = now.supervision, now.navigation.health
+    aborted = supervision.aborted != 0 and supervision.aborted != ORDERED
+    reaction = ABORT if aborted else supervision.reaction
     for k in range(params.faults):
         if now.t_s < params.fault_at_s[k]:
             state.health_before[k], state.reaction_before[k] = health, reaction

@@ -48,7 +48,7 @@ LIMITS_PARAMS = np.dtype(
 LIMITS_STATE = np.dtype(
     [
         ("margin", "f8", LIMITS),  # least, m, m/s, rad, s
-        ("at_s", "f8", LIMITS),  # of the least margin
+        ("at_s", "f8", LIMITS),  # time of the least margin
         ("value", "f8", LIMITS),
         ("limit", "f8", LIMITS),
         ("term", "i8", LIMITS),
@@ -112,11 +112,11 @@ def _motion_term(now, speed):
     error, control = 0.0, 0.0
     for i in range(3):
         if speed:
-            seen, true, wanted = now.navigation.v_CT_H[i], now.truth.v_CT_H[i], now.reference.v_CT_H[i]
+            seen, true, planned = now.navigation.v_CT_H[i], now.truth.v_CT_H[i], now.reference.v_CT_H[i]
         else:
-            seen, true, wanted = now.navigation.r_CT_H[i], now.truth.r_CT_H[i], now.reference.r_CT_H[i]
+            seen, true, planned = now.navigation.r_CT_H[i], now.truth.r_CT_H[i], now.reference.r_CT_H[i]
         error += (seen - true) ** 2
-        control += (seen - wanted) ** 2
+        control += (seen - planned) ** 2
     if now.navigation.valid == 0:
         return NO_TERM
     return NAVIGATION_ERROR if error > control else CONTROL_ERROR
@@ -148,14 +148,14 @@ def _update_security(approach, state, now, from_H, to_H):
 @kernel
 def _update_axes(params, state, now):
     """Update the margins of the axes to their setpoints."""
-    wanted, found = now.setpoint, now.feedback
+    setpoint, feedback = now.setpoint, now.feedback
     for i in range(3):
-        allowed = params.axis_max[i] + params.axis_per_speed_s[i] * abs(wanted.rail_mps[i])
-        margin = allowed - abs(wanted.rail_m[i] - found.rail_m[i])
+        allowed = params.axis_max[i] + params.axis_per_speed_s[i] * abs(setpoint.rail_mps[i])
+        margin = allowed - abs(setpoint.rail_m[i] - feedback.rail_m[i])
         if margin < state.margin[TRACKING + i]:
             _take(state, TRACKING + i, now.t_s, margin, allowed, NO_TERM)
-        allowed = params.axis_max[3 + i] + params.axis_per_speed_s[3 + i] * abs(wanted.gimbal_radps[i])
-        margin = allowed - abs(wanted.gimbal_rad[i] - found.gimbal_rad[i])
+        allowed = params.axis_max[3 + i] + params.axis_per_speed_s[3 + i] * abs(setpoint.gimbal_radps[i])
+        margin = allowed - abs(setpoint.gimbal_rad[i] - feedback.gimbal_rad[i])
         if margin < state.margin[TRACKING + 3 + i]:
             _take(state, TRACKING + 3 + i, now.t_s, margin, allowed, NO_TERM)
 
@@ -167,7 +167,7 @@ def update_motion(params, approach, state, now, from_H, to_H):
     params, state: LIMITS_PARAMS, LIMITS_STATE. approach: APPROACH_MONITOR_PARAMS. from_H, to_H: line of the phase in
     the cycle before, m, which counts in the cycle that aborts.
     """
-    reference, found, t_s = now.reference, now.supervision, now.t_s
+    reference, supervision, t_s = now.reference, now.supervision, now.t_s
     if reference.phase != state.phase:
         state.phase = reference.phase
         if 0 <= state.phase < MAX_PHASES + 3 and math.isnan(state.phase_s[state.phase]):
@@ -179,7 +179,7 @@ def update_motion(params, approach, state, now, from_H, to_H):
             if (appeared >> bit) & 1 != 0:
                 state.health_s[bit] = t_s
     if state.aborted == NOT_ABORTED:
-        if found.aborted == NOT_ABORTED or state.counted == 0:
+        if supervision.aborted == NOT_ABORTED or state.counted == 0:
             _update_security(approach, state, now, reference.from_H, reference.to_H)
         else:
             _update_security(approach, state, now, from_H, to_H)
@@ -190,47 +190,47 @@ def update_motion(params, approach, state, now, from_H, to_H):
 @kernel
 def _update_levels(params, approach, state, now):
     """Update the margins of the protection levels; return whether the filters have converged."""
-    found, t_s = now.supervision, now.t_s
+    supervision, t_s = now.supervision, now.t_s
     if state.converged == 0:
-        share = approach_monitor.largest_share(found.level, found.alert_limit)
+        share = approach_monitor.largest_share(supervision.level, supervision.alert_limit)
         if not approach_monitor.has_converged(approach, now.navigation, share, params.converged_mps):
             if t_s - state.valid_s <= params.acquisition_s:
                 return False
         else:
             state.converged = 1
     for i in range(3):
-        margin = found.alert_limit[i] - found.level[i]
+        margin = supervision.alert_limit[i] - supervision.level[i]
         if margin < state.margin[LEVEL + i]:
-            _take(state, LEVEL + i, t_s, margin, found.alert_limit[i], found.level_term)
+            _take(state, LEVEL + i, t_s, margin, supervision.alert_limit[i], supervision.level_term)
         if not margin < 0.0:
             state.since_s[i] = np.nan
             continue
         if math.isnan(state.since_s[i]):
             state.since_s[i] = t_s
         if t_s - state.since_s[i] >= params.time_to_alert_s:
-            note_broken(state, LEVEL + i, t_s, found.level[i], found.alert_limit[i], found.level_term)
+            note_broken(state, LEVEL + i, t_s, supervision.level[i], supervision.alert_limit[i], supervision.level_term)
     return True
 
 
 @kernel
 def _update_checks(approach, state, now):
     """Update the margins of the estimate, with what it may be wrong by, to corridor and closing rate."""
-    found, estimate, t_s = now.supervision, now.navigation, now.t_s
-    off = found.level[ACROSS] if 0.0 < found.level[ACROSS] < np.inf else 0.0
+    supervision, estimate, t_s = now.supervision, now.navigation, now.t_s
+    off = supervision.level[ACROSS] if 0.0 < supervision.level[ACROSS] < np.inf else 0.0
     off_mps = approach.confidence * approach_monitor.largest_sigma(estimate.sigma_v_mps)
-    corridor, closing = found.corridor_margin_m - off, found.closing_margin_mps - off_mps
+    corridor, closing = supervision.corridor_margin_m - off, supervision.closing_margin_mps - off_mps
     if corridor < state.margin[CORRIDOR_SEEN]:
         radius = approach_monitor.corridor_radius(approach, approach_monitor.range_of(estimate.r_CT_H))
-        term = PROTECTION_LEVEL if off > radius - found.corridor_margin_m else CONTROL_ERROR
+        term = PROTECTION_LEVEL if off > radius - supervision.corridor_margin_m else CONTROL_ERROR
         _take(state, CORRIDOR_SEEN, t_s, corridor, radius, term)
     if closing < state.margin[CLOSING_SEEN]:
         allowed = approach_monitor.closing_limit(approach, approach_monitor.range_of(estimate.r_CT_H))
         _take(state, CLOSING_SEEN, t_s, closing, allowed, _motion_term(now, True))
-    if found.aborted == approach_monitor.CORRIDOR:
+    if supervision.aborted == approach_monitor.CORRIDOR:
         radius = approach_monitor.corridor_radius(approach, approach_monitor.range_of(estimate.r_CT_H))
-        term = PROTECTION_LEVEL if off > radius - found.corridor_margin_m else CONTROL_ERROR
+        term = PROTECTION_LEVEL if off > radius - supervision.corridor_margin_m else CONTROL_ERROR
         note_broken(state, CORRIDOR_SEEN, t_s, radius - corridor, radius, term)
-    elif found.aborted == approach_monitor.CLOSING_RATE:
+    elif supervision.aborted == approach_monitor.CLOSING_RATE:
         allowed = approach_monitor.closing_limit(approach, approach_monitor.range_of(estimate.r_CT_H))
         note_broken(state, CLOSING_SEEN, t_s, allowed - closing, allowed, _motion_term(now, True))
 
@@ -239,7 +239,7 @@ def _update_checks(approach, state, now):
 def update_estimate(params, approach, state, now, errors, limits):
     """Update the margins of the estimate. errors, limits: (3,), its errors and their alert limits on the truth.
 
-    The other arguments are those of ``update_motion``, which comes before.
+    Other arguments: see ``update_motion``, which is called before.
     """
     t_s = now.t_s
     if math.isnan(state.valid_s):

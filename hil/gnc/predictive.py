@@ -48,7 +48,7 @@ def write_program(error, rate, lead, bands, tableau):
 
 @kernel
 def first_impulse(error, rate, lead, bands):
-    """Return the first impulse of the program, m/s or rad/s; arguments as of ``write_program``."""
+    """Return the first impulse of the program, m/s or rad/s; arguments: see ``write_program``."""
     tableau, columns, basis = stack.matrix(7, 7), stack.vector(6), stack.vector(6)
     if not write_program(error, rate, lead, bands, tableau) or not minimise(tableau, columns, basis):
         return 0.0

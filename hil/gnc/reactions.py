@@ -27,7 +27,7 @@ from hil.gnc.estimation.integrity import LEVEL_TERMS
 CONTINUE, COAST, HOLD, RETREAT, ABORT = range(5)
 HEALTH_BITS = 8
 CONDITIONS = HEALTH_BITS + 1  # the last one: the protection level exceeds the alert limit
-KINDS = 6  # of phases
+KINDS = 6  # kinds of phases
 _TWO_HOLDS_S = 60.0  # in which no more than two begin
 
 REACTION_PARAMS = np.dtype(
@@ -37,7 +37,7 @@ REACTION_PARAMS = np.dtype(
         ("acquisition_s", "f8"),  # from the first pose, in which the navigation may converge
         ("converged_mps", "f8"),  # allowance of the closing rate from which on it has
         ("hold_max_s", "f8"),  # longest hold or retreat
-        ("coast_share", "f8"),  # of an alert limit, up to which the approach continues without vision
+        ("coast_share", "f8"),  # fraction of an alert limit up to which the approach continues without vision
     ],
     align=True,
 )
@@ -45,7 +45,7 @@ REACTION_PARAMS = np.dtype(
 REACTION_STATE = np.dtype(
     [
         ("converged", "i8"),  # 1: limits are tested with the protection level added
-        ("valid_since_s", "f8"),  # of the estimate, 0 before
+        ("valid_since_s", "f8"),  # first time of a valid estimate, 0 before
         ("unprotected_since_s", "f8"),  # 0: the protection level is within its limit
         ("held", "i8"),  # HOLD or RETREAT while one lasts
         ("held_since_s", "f8"),
@@ -84,17 +84,17 @@ def acquire(params, monitor, state, t_s, estimate):
 
 
 @kernel
-def write_level(monitor, state, estimate, found):
-    """Write levels, alert limits and the largest term of the level that is nearest its limit into ``found``.
+def write_level(monitor, state, estimate, supervision):
+    """Write levels, alert limits and the largest term of the level that is nearest its limit into ``supervision``.
 
-    found: SUPERVISION. The term is that of the component with the largest part in the level.
+    supervision: SUPERVISION. The term is the component with the largest part in the level.
     """
     worst, largest = 0, 0.0
     for i in range(3):
-        found.level[i], found.alert_limit[i] = state.level[i], state.limit[i]
+        supervision.level[i], supervision.alert_limit[i] = state.level[i], state.limit[i]
         if state.level[i] > largest * state.limit[i]:
             worst, largest = i, state.level[i] / state.limit[i] if state.limit[i] > 0.0 else np.inf
-    found.level_term, found.level_term_m = 0, np.nan
+    supervision.level_term, supervision.level_term_m = 0, np.nan
     if not largest > 0.0:
         return
     axis, part = 0, 0.0
@@ -105,14 +105,14 @@ def write_level(monitor, state, estimate, found):
             axis, part = i, size
     if worst == ATTITUDE:
         noise = monitor.level_sigmas * part
-        is_noise = noise >= 0.5 * state.level[ATTITUDE]
-        found.level_term, found.level_term_m = (1, noise) if is_noise else (2, state.level[ATTITUDE] - noise)
+        noisy = noise >= 0.5 * state.level[ATTITUDE]
+        supervision.level_term, supervision.level_term_m = (1, noise) if noisy else (2, state.level[ATTITUDE] - noise)
         return
     term = 0.0
     for k in range(LEVEL_TERMS):
         if state.terms[k, axis] > term:
             term = state.terms[k, axis]
-            found.level_term, found.level_term_m = k + 1, term
+            supervision.level_term, supervision.level_term_m = k + 1, term
 
 
 @kernel
@@ -152,11 +152,11 @@ def _leave(params, state, t_s, estimate, distance):
 
 
 @kernel
-def _abort(params, state, t_s, estimate, cause, found):
+def _abort(params, state, t_s, estimate, cause, supervision):
     guidance.start_abort(params, state, t_s, estimate.r_CT_H, estimate.v_CT_H)
-    found.aborted = cause
-    found.aborted_at_s = t_s
-    found.reaction = ABORT
+    supervision.aborted = cause
+    supervision.aborted_at_s = t_s
+    supervision.reaction = ABORT
 
 
 @kernel
@@ -166,43 +166,43 @@ def _may_resume(guidance_params, state, guidance_state, t_s):
 
 
 @kernel
-def react(params, guidance_params, state, guidance_state, t_s, estimate, reference, found, cause):
-    """React to the health of ``estimate`` (NAVIGATION): write ``reaction`` and abort of ``found`` (SUPERVISION).
+def react(params, guidance_params, state, guidance_state, t_s, estimate, reference, supervision, cause):
+    """React to the health of ``estimate`` (NAVIGATION): write ``reaction`` and abort of ``supervision`` (SUPERVISION).
 
     params, state: REACTION_PARAMS, REACTION_STATE. guidance_params, guidance_state: GUIDANCE_PARAMS, GUIDANCE_STATE.
-    cause: (1,), receives that of the reaction. Before the first estimate nothing can be left.
+    cause: (1,), receives the cause of the reaction. Before the first estimate nothing can be left.
     """
-    if found.aborted != NOT_ABORTED:
-        found.reaction = ABORT
+    if supervision.aborted != NOT_ABORTED:
+        supervision.reaction = ABORT
         state.held = 0
-        cause[0] = found.aborted
+        cause[0] = supervision.aborted
         return
     phase = state.held_phase if state.held != 0 else guidance_state.phase
     kind = guidance.kind_of(guidance_params, phase)
     cause[0] = NOT_ABORTED
-    wanted = _wanted(params, state, kind, t_s, estimate.health, cause)
-    found.reaction = wanted
+    reaction = _wanted(params, state, kind, t_s, estimate.health, cause)
+    supervision.reaction = reaction
     if estimate.valid == 0:
         return
-    if wanted == ABORT:
-        _abort(guidance_params, guidance_state, t_s, estimate, cause[0], found)
-    elif wanted >= HOLD and wanted > state.held:
+    if reaction == ABORT:
+        _abort(guidance_params, guidance_state, t_s, estimate, cause[0], supervision)
+    elif reaction >= HOLD and reaction > state.held:
         state.outside = 0
         if state.held == 0:
             state.before_s = state.held_since_s if state.held_since_s > 0.0 else -np.inf
             state.held_since_s, state.held_phase = t_s, phase
-        state.held = wanted
-        distance = guidance_params.abort_distance if wanted == RETREAT else 0.0
+        state.held = reaction
+        distance = guidance_params.abort_distance if reaction == RETREAT else 0.0
         _leave(guidance_params, guidance_state, t_s, estimate, distance)
-    elif state.held != 0 and wanted >= HOLD and t_s - state.held_since_s > params.hold_max_s:
+    elif state.held != 0 and reaction >= HOLD and t_s - state.held_since_s > params.hold_max_s:
         cause[0] = HELD_TOO_LONG
-        _abort(guidance_params, guidance_state, t_s, estimate, HELD_TOO_LONG, found)
-    elif state.held != 0 and wanted < HOLD and _may_resume(guidance_params, state, guidance_state, t_s):
+        _abort(guidance_params, guidance_state, t_s, estimate, HELD_TOO_LONG, supervision)
+    elif state.held != 0 and reaction < HOLD and _may_resume(guidance_params, state, guidance_state, t_s):
         state.held = 0
         guidance.resume(guidance_params, guidance_state, t_s, state.held_phase)
     else:
-        found.reaction = max(wanted, state.held)
+        supervision.reaction = max(reaction, state.held)
         return
     if state.held != 0:
-        found.reaction = max(wanted, state.held)
+        supervision.reaction = max(reaction, state.held)
     guidance.reference(guidance_params, guidance_state, t_s, reference)

@@ -47,7 +47,7 @@ GNC_PARAMS = np.dtype(
         ("navigation", NAVIGATION_PARAMS),
         ("control", CONTROL_PARAMS),
         ("n_thrusters", "i8"),
-        ("sets", "i8", (ROWS, 2, MAX_THRUSTERS)),  # of thrusters by demand, see allocation.select
+        ("sets", "i8", (ROWS, 2, MAX_THRUSTERS)),  # thruster sets by demand, see allocation.select
         ("dead_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # the same without a dead thruster
         ("open_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # without one stuck open and those against it
         ("against", "i1", (MAX_THRUSTERS, MAX_THRUSTERS)),  # those that cancel one stuck open
@@ -56,7 +56,7 @@ GNC_PARAMS = np.dtype(
         ("isolates", "i1", (MAX_THRUSTERS, MAX_THRUSTERS)),  # those whose supply is closed with that of each thruster
         ("isolated_sets", "i1", (MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS)),  # sets without these
         ("thruster_monitor", THRUSTER_MONITOR_PARAMS),
-        ("settings", "f8", (2, MAX_SETTINGS)),  # of the backends of navigation and of control, as they declare them
+        ("settings", "f8", (2, MAX_SETTINGS)),  # settings of the backends of navigation and control, as declared
     ],
     align=True,
 )
@@ -66,11 +66,11 @@ APPROACH_PROGRESS = np.dtype(
         ("phase", "i8"),  # as guidance has it, before an abort that begins in this cycle
         ("go", "i8"),  # 1: the operator's order to continue, pending
         ("docking_go", "i8"),  # 1: docking is a go by the ready state as guidance had it
-        ("ready_since_s", "f8"),  # of that ready state, nan if it does not hold
+        ("ready_since_s", "f8"),  # start of the ready state, nan if it does not hold
         ("ready", "i8"),  # 1: the ready state has held for the dwell time since the phase began, without an abort
         ("aborted", "i8"),  # cause, 0 for none
         ("reaction", "i8"),  # to the health of the navigation
-        ("cause", "i8"),  # of the reaction, as of an abort
+        ("cause", "i8"),  # cause of the reaction, numbered as for an abort
     ],
     align=True,
 )
@@ -164,7 +164,7 @@ def has_event(before, after):
 def watch_thrusters(params, state, memory, samples, command, estimate):
     """Stage 4: compare the IMU with the thrusters of the cycle before; without a sound IMU the commands replace it.
 
-    Arguments as of ``gnc_step``. Vision alone has no IMU to compare.
+    Arguments: see ``gnc_step``. Vision alone has no IMU to compare.
     """
     if params.navigation.sensors == navigation.VISION_ALONE and state.backends.navigation.step == 0:
         return
@@ -208,7 +208,7 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
 
     Writes SUPERVISION, and REFERENCE if an abort, a hold or a retreat begins or ends. abort_without_estimate: an abort
     that is ordered does not wait for a valid estimate, but starts from the reference. A docking monitor that disagrees
-    is added to the health of any GNC's estimate. The others as of ``guide``.
+    is added to the health of any GNC's estimate. Other arguments: see ``guide``.
     """
     if state.monitor_disagrees != 0:
         estimate.health |= MONITOR_DISAGREES
@@ -244,12 +244,12 @@ def watch_approach(params, state, t_s, estimate, reference, supervision, abort_w
 def _feed_forward(params, state, reference):
     """Write ``state.feed``: what late valves have yet to give, and what the reference of this cycle asks.
 
-    The rate of the reference is that of its change since the cycle before.
+    The rate of the reference is its change since the previous cycle.
     """
     feed, dt = state.feed, params.control.dt_s
     thruster_monitor.in_transit(params.thruster_monitor, state.thrusters, feed.transit_C)
     p, q, rotates = feed.q_CH, reference.q_CH, params.navigation.fusion.orbit.tumble.rotates
-    for i in range(3):  # of the cycle before
+    for i in range(3):  # from the previous cycle
         state.approach.go.firing[i] = feed.pulse_s * params.control.acceleration[3 + i]
     busy = control.is_busy(params.control, feed)
     feed.pulse_s, feed.extra_s = thruster_monitor.shortest_firing(params.thruster_monitor, state.thrusters, busy)

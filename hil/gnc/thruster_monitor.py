@@ -31,7 +31,7 @@ from hil.models.valves import step_valves
 IMU_SUSPECT, THRUSTER_FAULT = GncHealth.IMU_SUSPECT.value, GncHealth.THRUSTER_FAULT.value
 NO_FAULT, STUCK_OPEN, DEAD = range(3)
 
-_RESIDUAL_MIN = 0.3  # of a thruster's force or torque: below it all is well
+_RESIDUAL_MIN = 0.3  # fraction of a thruster's force or torque: below it there is no fault
 _UNEXPLAINED_MAX = 0.3  # fraction of the residual's square that the thruster may leave
 _THRUST_MIN = 0.3  # fraction of the thrust that an open one has, or a dead one lacks
 _TIE = 0.95  # of the largest square explained: as good an explanation
@@ -41,15 +41,15 @@ _REPEATS_MAX = 10  # cycles
 _WITHHELD = 8  # cycles: enough to find either of two
 DELAYS: Final = 8
 """Valve delays that are compared, in cycles from 0."""
-_DELAY_MEMORY = 0.995  # of the squares of a cycle in the next one
+_DELAY_MEMORY = 0.995  # factor of past squares, per cycle
 _DELAY_PRIOR = 1.0  # square that a longer delay has to explain
 _SCALE_MIN, _SCALE_MAX = 0.4, 2.4  # factors of all forces, or torques, that mass, thrust and inertia can have
 _IMPOSSIBLE = _SCALE_MAX + 1.0  # times what all thrusters together can do, against their commands
-_SCALE_WEIGHT = 0.02  # of a cycle in the mean factor of the forces
-_MEAN_WEIGHT = 0.04  # of a cycle in the mean residual
+_SCALE_WEIGHT = 0.02  # weight of a cycle in the mean factor of the forces
+_MEAN_WEIGHT = 0.04  # weight of a cycle in the mean residual
 _ARM_MAX = 0.5  # m, of the accelerometers
-_ARM_WEIGHT = 0.03  # of a cycle in its estimate
-_PULSE_WEIGHT = 0.2  # of a firing in the least time for which a valve opens
+_ARM_WEIGHT = 0.03  # weight of a cycle in the estimate
+_PULSE_WEIGHT = 0.2  # weight of a firing in the least opening time of a valve
 _PULSE_MAX_S = 0.3
 _PULSE_MIN = 0.25  # cycles
 _AXIS_IDLE = 5  # cycles in which a firing about an axis is over
@@ -64,7 +64,7 @@ THRUSTER_MONITOR_PARAMS = np.dtype(
         ("minimum_on_s", "f8"),
         ("force_unit", "f8"),  # m/s^2, largest of a thruster
         ("torque_unit", "f8"),  # rad/s^2, the same
-        ("signature", "f8", (MAX_THRUSTERS, 6)),  # of each thruster, in these units, in c
+        ("signature", "f8", (MAX_THRUSTERS, 6)),  # signature of each thruster, in these units, in c
         ("open_cycles", "i8"),  # without its command, after which a thruster is stuck open
         ("dead_cycles", "i8"),  # with its command, after which it is dead
         ("imu_cycles", "i8"),  # consecutive, after which the IMU is suspect
@@ -82,7 +82,7 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("force", "f8", 3),  # m/s^2
         ("open_s", "f8", MAX_THRUSTERS),  # for which each valve has been open
         ("open_count", "i8", MAX_THRUSTERS),
-        ("clear_count", "i8", MAX_THRUSTERS),  # of ``open_count`` those that no dead thruster explains
+        ("clear_count", "i8", MAX_THRUSTERS),  # part of ``open_count`` that no dead thruster explains
         ("dead_count", "i8", MAX_THRUSTERS),
         ("counts", "i8"),  # 1: one of these is not 0
         ("fault", "i8"),  # NO_FAULT, STUCK_OPEN, DEAD
@@ -99,7 +99,7 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("thruster_revoked", "i8"),
         ("past", "f8", (DELAYS, MAX_THRUSTERS)),  # expected open fractions of the last cycles, a ring
         ("mean_residual", "f8", 6),
-        ("row", "i8"),  # of it, of the last cycle
+        ("row", "i8"),  # row of ``past`` with the last cycle
         ("open_cycles", "i8"),  # cycles since a thruster was expected to be open
         ("square", "f8", DELAYS),  # what the residuals with each delay sum up to
         ("delay", "i8"),  # the likeliest, cycles
@@ -107,7 +107,7 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("arm", "f8", 3),  # m, of the accelerometers, in c
         ("pulse_s", "f8"),  # least time for which valves open, in that of the nominal thrust, once it is measured
         ("firings", "i8"),  # from which it is measured
-        ("firing_cycles", "i8"),  # of the firing under way, -1: not one that is measured
+        ("firing_cycles", "i8"),  # length of the present firing, -1: it is not measured
         ("firing_thrusters", "i8"),  # in it
         ("firing_s", "f8"),  # expected
         ("firing_expected", "f8", 3),  # sum of torques over its cycles, in the units of the monitor
@@ -115,7 +115,7 @@ THRUSTER_MONITOR_STATE = np.dtype(
         ("busy", "i8"),  # 1: the chaser accelerates all the time, so that single firings are rare
         # firings about one axis among those of others, while it does
         ("axis_idle", "i8", 3),  # cycles since a torque about the axis was expected
-        ("axis_cycles", "i8", 3),  # of its firing under way, 0: none, -1: not one that is measured
+        ("axis_cycles", "i8", 3),  # length of its present firing, 0: none, -1: it is not measured
         ("axis_expected", "f8", 3),  # sum of torques over its cycles, in the units of the monitor
         ("axis_measured", "f8", 3),
         ("axis_firings", "i8"),  # from which ``axis_pulse_s`` is measured
@@ -152,8 +152,8 @@ def _explain(params, residual, thrust, explained):
             if turn == 0:
                 most = max(most, part)
                 continue
-            found = possible and abs(error) >= _THRUST_MIN * max(0.5, thrust[j]) and part >= _TIE * most
-            explained[j] = error if found and square - part <= _UNEXPLAINED_MAX * square else 0.0
+            is_failed = possible and abs(error) >= _THRUST_MIN * max(0.5, thrust[j]) and part >= _TIE * most
+            explained[j] = error if is_failed and square - part <= _UNEXPLAINED_MAX * square else 0.0
 
 
 @kernel
@@ -333,7 +333,7 @@ def _mean_pulse(params, known_s, firings, open_s):
 def _measure_axis_pulses(params, state, thrust, rate):
     """Measure for how long valves open by firings that are single about their axis, but not among all axes.
 
-    A chaser that accelerates all the time seldom has a moment without thrust. Arguments as of ``_measure_pulse``.
+    A chaser that accelerates all the time seldom has a moment without thrust. Arguments: see ``_measure_pulse``.
     """
     shortest = int(_least_time(params) / params.dt_s + 0.5)
     for i in range(3):
@@ -369,9 +369,9 @@ def _measure_axis_pulses(params, state, thrust, rate):
 def _mean_thrust(params, state, delay, out):
     """Write the expected mean (n,) over the last two cycles, with the valves ``delay`` cycles late."""
     last = (state.row - delay + DELAYS) % DELAYS
-    before = (last - 1 + DELAYS) % DELAYS
+    earlier = (last - 1 + DELAYS) % DELAYS
     for j in range(params.n):
-        out[j] = 0.5 * (state.past[last, j] + state.past[before, j])
+        out[j] = 0.5 * (state.past[last, j] + state.past[earlier, j])
 
 
 @kernel

@@ -24,7 +24,7 @@ _GO, _ABORT = GncOrder.GO.value, GncOrder.ABORT.value
 
 @kernel
 def guide(params, approach, t_s, supervision, reference):
-    """Write the reference for ``t_s``; return the orders of the input. Arguments as of ``step.guide``."""
+    """Write the reference for ``t_s``; return the orders of the input. Arguments: see ``step.guide``."""
     progress, orders = approach.progress, _ABORT if approach.abort_began != 0 else 0
     ordered, phase = progress.go, progress.phase
     step.guide(params, approach, t_s, supervision, reference)
@@ -106,9 +106,9 @@ def take_apart(out, cycle, n_thrusters, navigation, control):
         copy_into(control.torque, out.torque)
     else:
         copy_into(control.on, out.on)
-    fault, place = backend_outputs.fault_of_demands(control, n_thrusters)
+    fault, index = backend_outputs.fault_of_demands(control, n_thrusters)
     if fault != FINE or out.estimate == 0:
-        return fault, place
+        return fault, index
     copy_into(navigation.r_CT_H, out.r_CT_H_m)
     copy_into(navigation.v_CT_H, out.v_CT_H_mps)
     copy_into(navigation.q_CH, out.q_CH)

@@ -45,9 +45,9 @@ def limit_text(cause: int, state: np.record | None) -> str:
     """
     if state is None:
         return ""
-    found = state["reactions"]
+    reactions = state["reactions"]
     if cause in (approach_monitor.CORRIDOR, approach_monitor.CLOSING_RATE):
-        value, limit = float(found["broken"]["value"]), float(found["broken"]["limit"])
+        value, limit = float(reactions["broken"]["value"]), float(reactions["broken"]["limit"])
         if limit == 0.0:
             return ""
         if cause == approach_monitor.CORRIDOR:
@@ -57,7 +57,7 @@ def limit_text(cause: int, state: np.record | None) -> str:
         axis, value, limit = (float(number) for number in state["bench_breach"])
         return f": {_AXES[int(axis)]} {_shown(int(axis), value)} off, allowed {_shown(int(axis), limit)}"
     if cause in (approach_monitor.UNPROTECTED, approach_monitor.FIRST_HEALTH_CAUSE, approach_monitor.HELD_TOO_LONG):
-        return _level_text(found)
+        return _level_text(reactions)
     return ""
 
 

@@ -42,19 +42,19 @@ def named(scenario: Loaded[Scenario], own: OwnBackends) -> Loaded[Scenario]:
     table: dict[str, Any] = {part: getattr(value.gnc, part) for part in PARTS}
     for part in PARTS:
         if (given := getattr(own, part)) is not None:
-            before, name = table[part], f"{OBJECT}:{_name_of(given)}"
-            settings = before.settings
-            if before.backend not in (*BUILT_IN[part], name):  # those of the backend that it replaces mean nothing
+            replaced, name = table[part], f"{OBJECT}:{_name_of(given)}"
+            settings = replaced.settings
+            if replaced.backend not in (*BUILT_IN[part], name):  # those of the backend that it replaces mean nothing
                 settings = {k: v for k, v in settings.items() if f"gnc.{part}.settings.{k}" in scenario.origin}
-            table[part] = before.model_copy(update={"backend": name, "settings": settings})
+            table[part] = replaced.model_copy(update={"backend": name, "settings": settings})
     if table == {part: getattr(value.gnc, part) for part in PARTS} and not value.gnc.foreign:
         _refuse_settings(scenario)
         return scenario
     value = value.model_copy(update={"gnc": value.gnc.model_copy(update=table)})
     problems: list[Problem] = []
     for part, backend in backends_of(value, own, scenario.where).items():
-        settings, found = _settings_of(backend, part, getattr(value.gnc, part).settings, scenario)
-        problems += found
+        settings, refused = _settings_of(backend, part, getattr(value.gnc, part).settings, scenario)
+        problems += refused
         table[part] = table[part].model_copy(update={"settings": settings})
     if problems:
         raise BadInput(problems)
@@ -75,8 +75,8 @@ def _refuse_undeclared(scenario: Scenario, source: str) -> None:
     settings = {f"gnc.{part}.settings.{name}" for part in PARTS for name in getattr(scenario.gnc, part).settings}
     for key in scenario.console.adjustable:
         if key.startswith(BACKEND_SETTINGS) and key not in settings:
-            known = ", ".join(sorted(settings)) or "none"
-            text = f'"{key}": no setting of a backend, known here: {known}'
+            names = ", ".join(sorted(settings)) or "none"
+            text = f'"{key}": no setting of a backend, known here: {names}'
             raise BadInput.single(source, "console.adjustable", text)
 
 
@@ -99,8 +99,8 @@ def _settings_of(
     for name, value in given.items():
         key = f"gnc.{part}.settings.{name}"
         if name not in declared:
-            known = ", ".join(declared) or "none"
-            problems.append(Problem(scenario.where(key), key, f"unknown key: known here: {known}"))
+            names = ", ".join(declared) or "none"
+            problems.append(Problem(scenario.where(key), key, f"unknown key: known here: {names}"))
         elif text := declared[name].problem(value):
             problems.append(Problem(scenario.where(key), key, text))
     return {name: given.get(name, setting.default) for name, setting in declared.items()}, problems
@@ -116,7 +116,7 @@ def backends_of(
 
     own: given by the caller; copies: an object is copied for each instance. where: returns the source of a key.
     """
-    found: dict[str, Backend] = {}
+    backends: dict[str, Backend] = {}
     for part, name in scenario.gnc.foreign.items():
         key = f"gnc.{part}.backend"
 
@@ -128,15 +128,15 @@ def backends_of(
             if given is None:
                 was = name.partition(":")[2]
                 raise refuse(f"the Python object {was} is needed: give it, {part}={was}, or another backend")
-            found[part] = _of_object(given, part, refuse, copies)
+            backends[part] = _of_object(given, part, refuse, copies)
         else:
-            found[part] = _of_name(name, part, refuse)
-    if "navigation" in found and scenario.imu_samples > MAX_IMU_SAMPLES:
+            backends[part] = _of_name(name, part, refuse)
+    if "navigation" in backends and scenario.imu_samples > MAX_IMU_SAMPLES:
         text = (
             f"{scenario.imu.rate_hz:g}: {scenario.imu_samples} samples per cycle, a backend of navigation gets at most"
         )
         raise BadInput.single(where("imu.rate_hz"), "imu.rate_hz", f"{text} {MAX_IMU_SAMPLES}")
-    return found
+    return backends
 
 
 def backend_file(name: str, part: str) -> str | None:
@@ -150,8 +150,8 @@ def backend_file(name: str, part: str) -> str | None:
         return None
     modules = [point.module for point in entry_points(group=f"hil.{part}", name=member) if _same(point, where)]
     with suppress(ImportError, ValueError):
-        if (found := importlib.util.find_spec((modules or [where])[0])) is not None:
-            return found.origin
+        if (spec := importlib.util.find_spec((modules or [where])[0])) is not None:
+            return spec.origin
     return None
 
 
@@ -168,25 +168,25 @@ def _of_name(name: str, part: str, refuse: Callable[[str], BadInput]) -> Backend
         return backend
     where, colon, member = name.rpartition(":")
     if not colon or not where or not member:
-        known = ", ".join(f'"{each}"' for each in BUILT_IN[part])
-        raise refuse(f"no such backend: must be {known}, {_KINDS}")
+        names = ", ".join(f'"{each}"' for each in BUILT_IN[part])
+        raise refuse(f"no such backend: must be {names}, {_KINDS}")
     if where.endswith(".py"):
-        found = _member(module_of_file(where, refuse), member, refuse)
+        target = _member(module_of_file(where, refuse), member, refuse)
     else:
-        found = _of_package(where, member, part, refuse)
-    return _of_object(found, part, refuse, copies=True)
+        target = _of_package(where, member, part, refuse)
+    return _of_object(target, part, refuse, copies=True)
 
 
-def _of_object(found: Any, part: str, refuse: Callable[[str], BadInput], copies: bool) -> Backend:
-    if isinstance(found, KernelBackend):
-        return CompiledKernel(found, part, refuse)
-    return PythonBackend(found, part, refuse, copies)
+def _of_object(given: Any, part: str, refuse: Callable[[str], BadInput], copies: bool) -> Backend:
+    if isinstance(given, KernelBackend):
+        return CompiledKernel(given, part, refuse)
+    return PythonBackend(given, part, refuse, copies)
 
 
 def _member(module: ModuleType, name: str, refuse: Callable[[str], BadInput]) -> Any:
     if not hasattr(module, name):
-        known = ", ".join(sorted(n for n, v in vars(module).items() if isinstance(v, KernelBackend | type)))
-        raise refuse(f"has no {name}: its classes and kernels are {known or 'none'}")
+        names = ", ".join(sorted(n for n, v in vars(module).items() if isinstance(v, KernelBackend | type)))
+        raise refuse(f"has no {name}: its classes and kernels are {names or 'none'}")
     return getattr(module, name)
 
 
@@ -198,8 +198,8 @@ def _of_package(package: str, name: str, part: str, refuse: Callable[[str], BadI
         if mine:
             return mine[0].load()
         if importlib.util.find_spec(package) is None:
-            known = ", ".join(f"{point.dist.name}:{point.name}" for point in points if point.dist) or "none"
-            raise refuse(f"no such entry point: those of hil.{part} are {known}; nor a module {package}")
+            names = ", ".join(f"{point.dist.name}:{point.name}" for point in points if point.dist) or "none"
+            raise refuse(f"no such entry point: those of hil.{part} are {names}; nor a module {package}")
         return _member(importlib.import_module(package), name, refuse)
     except BadInput:
         raise

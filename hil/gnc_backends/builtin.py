@@ -85,8 +85,8 @@ class BuiltinGnc(CompiledGnc):
 
     def set_monitor_bound(self, bound_m: float, measured_s: float) -> None:
         """Take the bound on the position error by the docking monitor, 0 for none, for the protection levels."""
-        known = self.state.navigation.integrity
-        known.second_m, known.second_s = bound_m, measured_s
+        integrity = self.state.navigation.integrity
+        integrity.second_m, integrity.second_s = bound_m, measured_s
 
     def navigate(self, samples: np.ndarray, inbox: Poses, estimate: np.record, command: np.record | None) -> None:
         """Run stage 4 alone, for a GNC whose guidance runs on the bench: write NAVIGATION.

@@ -116,7 +116,7 @@ def _declared(field: Field, structs: Mapping[str, Fields]) -> str:
     shape = field.shape if isinstance(field.shape, tuple) else (field.shape,)
     extents = "".join(f"[{extent}]" for extent in shape)
     if not isinstance(field.type, str):
-        return f"{next(name for name, known in structs.items() if known is field.type)} {field.name}{extents}"
+        return f"{next(name for name, dtype in structs.items() if dtype is field.type)} {field.name}{extents}"
     if field.type.startswith("S"):
         return f"char {field.name}[{field.type[1:]}]"
     return f"{_TYPES[field.type]} {field.name}{extents}"
@@ -128,8 +128,8 @@ def layout_checks(structs: Mapping[str, Fields]) -> str:
     for struct, fields in structs.items():
         dtype = record_dtype(fields)
         lines.append(f'_Static_assert(sizeof({struct}) == {dtype.itemsize}, "size of {struct}");')
-        for field, place in (dtype.fields or {}).items():
-            lines.append(f'_Static_assert(offsetof({struct}, {field}) == {place[1]}, "place of {struct}.{field}");')
+        for field, layout in (dtype.fields or {}).items():
+            lines.append(f'_Static_assert(offsetof({struct}, {field}) == {layout[1]}, "place of {struct}.{field}");')
     return "\n".join([*lines, "#endif\n"])
 
 
@@ -199,7 +199,6 @@ void hil_control_close(void *instance);
 
 def backends_header() -> str:
     """Return the text of ``hil_backends.h``."""
-    known = {**STRUCTS, **BACKEND_STRUCTS}
-    structs = [struct_text(struct, known) for struct in BACKEND_STRUCTS]
+    structs = [struct_text(struct, {**STRUCTS, **BACKEND_STRUCTS}) for struct in BACKEND_STRUCTS]
     version = f"#define HIL_BACKENDS_PROTOCOL {BACKEND_PROTOCOL}\n"
     return "\n".join([_BACKENDS_HEAD, version, *structs, _BACKENDS_FUNCTIONS, layout_checks(BACKEND_STRUCTS), TAIL])

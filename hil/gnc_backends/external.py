@@ -88,9 +88,9 @@ class ExternalGnc(Approach):
     def read_output(self, now: Records, cycle: int, t_s: float) -> None:
         """Write NAVIGATION and COMMAND from ``output``, the reply to the input ``cycle``. Raises BenchError."""
         out, n = self.output, self._n
-        fault, place = whole_step.take_apart(out, cycle, n, *self._parts)
+        fault, index = whole_step.take_apart(out, cycle, n, *self._parts)
         if fault != backend_outputs.FINE:
-            raise ProtocolError(self.name, fault_text(out, fault, place, n, cycle))
+            raise ProtocolError(self.name, fault_text(out, fault, index, n, cycle))
         self.log_text(t_s)
         if out.state == GncState.FAULT:
             raise reported_fault(self.name, out.text)

@@ -85,9 +85,9 @@ class CompiledKernel:
     def open(self, setup: np.record, values: np.ndarray = NO_SETTINGS) -> BackendInstance:
         """Return an instance with memory of its own."""
         block = np.zeros(1, self._instance)
-        found = BackendInstance(self._step, block.ctypes.data, block)
-        found.set_settings(values)
-        return found
+        instance = BackendInstance(self._step, block.ctypes.data, block)
+        instance.set_settings(values)
+        return instance
 
 
 def _step_address(function: Callable[..., None], part: str, layout: np.dtype) -> int:

@@ -30,8 +30,8 @@ def printable(text: bytes) -> str:
 def raised_text(method: str, error: BaseException) -> str:
     """Return what an object's ``method`` has raised, with file and line, as one line."""
     text, frames = " ".join(str(error).split()), traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{method} raised {type(error).__name__}" + (f": {text}" if text else "") + place
+    location = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{method} raised {type(error).__name__}" + (f": {text}" if text else "") + location
 
 
 def step_failed(name: str, code: int, text: bytes) -> DeviceError:
@@ -53,10 +53,10 @@ def _with_text(what: str, text: bytes) -> str:
     return f"{what}: {shown}" if (shown := printable(text)) else what
 
 
-def fault_text(out: np.void, fault: int, place: int, n_thrusters: int, cycle: int) -> str:
+def fault_text(out: np.void, fault: int, index: int, n_thrusters: int, cycle: int) -> str:
     """Return what is wrong with an output of navigation, of control or of both.
 
-    fault, place: of ``backend_outputs`` or ``whole_step.take_apart``. cycle: of the input.
+    fault, index: of ``backend_outputs`` or ``whole_step.take_apart``. cycle: of the input.
     """
     names = out.dtype.names or ()
     match fault:
@@ -70,23 +70,23 @@ def fault_text(out: np.void, fault: int, place: int, n_thrusters: int, cycle: in
         case backend_outputs.ATTITUDE:
             return f"estimated q_CH ({', '.join(f'{value:g}' for value in out['q_CH'])}) is not of length 1"
         case backend_outputs.SIGMA:
-            return f"a standard deviation of component {place} is negative, allowed 0 and more, nan: not reported"
+            return f"a standard deviation of component {index} is negative, allowed 0 and more, nan: not reported"
         case backend_outputs.PROTECTION_LEVEL:
-            name = f"protection_level_m[{place}]" if place < 3 else "protection_level_rad"
-            level = [*out["protection_level_m"], out["protection_level_rad"]][place]
+            name = f"protection_level_m[{index}]" if index < 3 else "protection_level_rad"
+            level = [*out["protection_level_m"], out["protection_level_rad"]][index]
             return f"{name} is {level:g}, allowed 0 and more, 0 or nan: not reported"
         case backend_outputs.HEALTH:
             return f"health {out['health']}, allowed 0 to {backend_outputs.HEALTH_MAX}"
         case backend_outputs.DIRECT:
             return f"direct {out['direct']}, allowed 0, 1"
         case backend_outputs.FORCE:
-            return f"force demand along {_AXES[place]} is {out['force'][place]}, allowed -1, 0, 1"
+            return f"force demand along {_AXES[index]} is {out['force'][index]}, allowed -1, 0, 1"
         case backend_outputs.TORQUE:
-            return f"torque demand about {_AXES[place]} is {out['torque'][place]}, allowed -1, 0, 1"
-        case backend_outputs.THRUSTER if place >= n_thrusters:
-            return f"opens thruster {place + 1} of {n_thrusters}"
+            return f"torque demand about {_AXES[index]} is {out['torque'][index]}, allowed -1, 0, 1"
+        case backend_outputs.THRUSTER if index >= n_thrusters:
+            return f"opens thruster {index + 1} of {n_thrusters}"
         case backend_outputs.THRUSTER:
-            return f"thruster {place + 1} is {out['on'][place]}, allowed 0, 1"
+            return f"thruster {index + 1} is {out['on'][index]}, allowed 0, 1"
         case _:
             name = next(name for name in _VECTORS[fault] if name in names)
-            return f"estimated {name}[{place}] is {out[name][place]}, allowed finite numbers"
+            return f"estimated {name}[{index}] is {out[name][index]}, allowed finite numbers"

@@ -21,7 +21,7 @@ from hil.gnc_backends.backend import C_STEP, NO_SETTINGS, WHOLE, BackendInstance
 from hil.gnc_backends.output_texts import raised_text
 
 _RAISED: Final = 1
-_LARGE: Final = 1000  # of demands, states and health
+_LARGE: Final = 1000  # bound of demands, states and health
 _ESTIMATE: Final = {
     "navigation": frozenset({"r_CT_H", "v_CT_H", "q_CH", "w_CH_C"}),
     WHOLE: frozenset({"r_CT_H_m", "v_CT_H_mps", "q_CH", "w_CH_C_radps"}),
@@ -112,8 +112,8 @@ class PythonInstance(BackendInstance):
         self._names = [setting.name for setting in settings]
         self._settings = SimpleNamespace()
         self.set_settings(values)
-        known = np.frombuffer(np.asarray(setup).tobytes(), _SETUP)[0]
-        start = (known,) if part == WHOLE else (known, self._settings)
+        record = np.frombuffer(np.asarray(setup).tobytes(), _SETUP)[0]
+        start = (record,) if part == WHOLE else (record, self._settings)
         for method, arguments in (("reset", ()), ("start", start)):
             if (function := getattr(made, method, None)) is not None:
                 _called(name, method, function, *arguments)
@@ -144,16 +144,16 @@ class PythonInstance(BackendInstance):
         self._views = {(given, output): (inputs, outputs)}
         return inputs, outputs
 
-    def _read(self, found: Any, out: np.void) -> None:
+    def _read(self, returned: Any, out: np.void) -> None:
         """Write what the step has returned to the output. Raises ProtocolError."""
         out["text"] = 0
-        if found is None:
+        if returned is None:
             return
-        if not isinstance(found, Mapping):
+        if not isinstance(returned, Mapping):
             if "on" not in self._fields:
-                raise self._error(f"step returned {found!r:.60}, allowed None or a mapping with fields of the output")
-            found = {"on": found}
-        for name, value in found.items():
+                raise self._error(f"step returned {returned!r:.60}, allowed None or a mapping with output fields")
+            returned = {"on": returned}
+        for name, value in returned.items():
             if name not in self._fields:
                 raise self._error(f"step returned the field {name!r}, allowed {', '.join(self._fields)}")
             if name == "text":
@@ -165,8 +165,8 @@ class PythonInstance(BackendInstance):
                 is_whole = out[name].dtype.kind in "iu"
                 out[name] = self._numbers(name, value, np.shape(out[name]), is_whole, described(self._fields[name]))
         fields, valid = _ESTIMATE.get(self._part, frozenset()), _VALID.get(self._part, "")
-        if fields and valid not in found:
-            missing = fields - set(found)
+        if fields and valid not in returned:
+            missing = fields - set(returned)
             if missing and missing != fields:
                 raise self._error(f"step returned an estimate without {', '.join(sorted(missing))}")
             out[valid] = 0 if missing else 1

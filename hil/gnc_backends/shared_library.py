@@ -71,15 +71,15 @@ class LibraryBackend:
         if self._part == WHOLE or not hasattr(loaded, symbol):
             return ()
         table = (_Declaration * MAX_SETTINGS).in_dll(loaded, symbol)
-        found = []
+        settings = []
         try:
             for row in table:
                 if row.name is None:
                     break
                 name, unit, meaning = (printable(text or b"") for text in (row.name, row.unit, row.meaning))
                 low, high = (row.low, row.high) if row.low < row.high else (-math.inf, math.inf)
-                found.append(Setting(name, row.value, unit, low, high, meaning))
-            return checked_settings(found)
+                settings.append(Setting(name, row.value, unit, low, high, meaning))
+            return checked_settings(settings)
         except ValueError as error:
             raise self._refuse(str(error)) from error
 
@@ -127,8 +127,8 @@ def _loaded(path: Path, names: list[str], interface: _Interface, refuse: Callabl
         raise refuse(f"has no function {', '.join(missing)}: {header} prints its interface")
     version = getattr(loaded, interface.version)
     version.argtypes, version.restype = (), ctypes.c_int
-    if not interface.oldest <= (found := version()) <= interface.present:
-        text = f"has {interface.shown.format(found)}, this bench has {interface.present}"
+    if not interface.oldest <= (declared := version()) <= interface.present:
+        text = f"has {interface.shown.format(declared)}, this bench has {interface.present}"
         raise refuse(f"{text}: build it with the header of {header}")
     return loaded
 

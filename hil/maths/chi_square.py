@@ -11,7 +11,7 @@ from functools import cache
 from hil.maths import elementary, special
 
 _STEPS = 100
-_PRECISION = 1e-13  # of a step: the next one would be rounding
+_PRECISION = 1e-13  # relative size of the last step: the next one would be rounding
 
 
 @cache
@@ -53,14 +53,14 @@ def _solve(probability: float, dof: int, lower: bool) -> float:
         return 0.0 if lower else math.inf
     tail, direction = (_lower_tail, 1.0) if lower else (_upper_tail, -1.0)
     a = 0.5 * dof
-    half = before = a
+    half = previous = a
     for _ in range(_STEPS):
-        found = tail(half, dof)
-        if found == 0.0:  # overshot to where numbers underflow
-            half = 0.5 * (half + before)
+        reached = tail(half, dof)
+        if reached == 0.0:  # overshot to where numbers underflow
+            half = 0.5 * (half + previous)
             continue
-        step = direction * elementary.log(found / probability) * found * half / (a * _power_term(half, a))
-        before, half = half, max(half - step, 0.5 * half)
+        step = direction * elementary.log(reached / probability) * reached * half / (a * _power_term(half, a))
+        previous, half = half, max(half - step, 0.5 * half)
         if abs(step) <= _PRECISION * half:
             break
     return 2.0 * half

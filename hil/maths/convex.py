@@ -71,17 +71,17 @@ def _nearest_in_hull(points, weights, n, x):
 
     points (4, 3) and weights (4,), of a point in the hull, keep only those that span it.
     """
-    wanted = stack.vector(4)
+    target = stack.vector(4)
     while True:
-        _affine_weights(points, n, wanted)
+        _affine_weights(points, n, target)
         step = 1.0
         for k in range(n):
-            if wanted[k] <= 0.0 and weights[k] - wanted[k] > 0.0:
-                step = min(step, weights[k] / (weights[k] - wanted[k]))
+            if target[k] <= 0.0 and weights[k] - target[k] > 0.0:
+                step = min(step, weights[k] / (weights[k] - target[k]))
         kept = 0
         for k in range(n):
-            weight = weights[k] + step * (wanted[k] - weights[k])
-            if weight > 1e-15 or (step == 1.0 and wanted[k] > 0.0):
+            weight = weights[k] + step * (target[k] - weights[k])
+            if weight > 1e-15 or (step == 1.0 and target[k] > 0.0):
                 weights[kept] = weight
                 for i in range(3):
                     points[kept, i] = points[k, i]

@@ -17,7 +17,7 @@ from hil.maths import elementary
 
 _LAYERS: Final = 256
 _EDGE: Final = 3.6541528853610088  # where the tail begins
-_AREA: Final = 0.00492867323397465  # of each layer under exp(-x^2 / 2)
+_AREA: Final = 0.00492867323397465  # area of each layer under exp(-x^2 / 2)
 _UNIT: Final = 1.0 / 2**53
 _FRACTION: Final = 1.0 / 2**52
 _LAYER_BITS, _SIZE_BITS = np.uint64(0xFF), np.uint64(2**52 - 1)

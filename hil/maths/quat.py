@@ -238,7 +238,7 @@ def rate_of_change(q, w, out):
 
 @kernel
 def rotation_between(p, q, phi):
-    """Write the shortest rotation vector, rad, from the frame of ``q`` to that of ``p``, A(p) A(q).T, into ``phi``."""
+    """Write the shortest rotation vector, rad, from frame ``q`` to frame ``p``, A(p) A(q).T, into ``phi``."""
     back, between = stack.vector(4), stack.vector(4)
     conjugate_into(q, back)
     multiply_into(p, back, between)

@@ -31,7 +31,7 @@ _NO_MEANS = np.zeros(0)
 
 
 def generator_of(seed: int, key: tuple[int, ...]) -> Generator:
-    """Return the generator of ``key`` among those of ``seed``."""
+    """Return the generator of ``key`` for ``seed``."""
     return Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
@@ -63,9 +63,9 @@ class MixedSeed(int):
     means: Mapping[str, np.ndarray] = MappingProxyType({})
 
     def __new__(cls, seeds: Sequence[int], weights: Sequence[float]) -> Self:
-        found = super().__new__(cls, seeds[0])
-        found.seeds, found.weights = tuple(seeds), tuple(weights)
-        return found
+        mixed = super().__new__(cls, seeds[0])
+        mixed.seeds, mixed.weights = tuple(seeds), tuple(weights)
+        return mixed
 
     def __getnewargs__(self) -> tuple[tuple[int, ...], tuple[float, ...]]:  # type: ignore[override]
         return self.seeds, self.weights
@@ -76,15 +76,15 @@ class MixedSeed(int):
         return cls((seed,), (1.0,))
 
     def moved(self, seed: int, scale: float) -> Self:
-        """Return sqrt(1 - scale^2) times this noise plus ``scale`` times that of ``seed``: standard normals again."""
+        """Return sqrt(1 - scale^2) times this noise plus ``scale`` times the noise of ``seed``: standard normals."""
         kept = math.sqrt(1.0 - scale * scale)
         return type(self)((seed, *self.seeds), (scale, *(kept * weight for weight in self.weights)))
 
     def shifted(self, means: Mapping[str, np.ndarray]) -> Self:
         """Return this noise with ``means`` added to its standard normals."""
-        found = type(self)(self.seeds, self.weights)
-        found.means = means
-        return found
+        mixed = type(self)(self.seeds, self.weights)
+        mixed.means = means
+        return mixed
 
 
 class _MixedNoise:

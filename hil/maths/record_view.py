@@ -47,10 +47,10 @@ def copy_eight(_typing, target, at, source, index):
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         to, start, of, first = arguments
-        place = cgutils.gep_inbounds(builder, make_array(signature.args[0])(context, builder, to).data, start)
+        address = cgutils.gep_inbounds(builder, make_array(signature.args[0])(context, builder, to).data, start)
         begin = cgutils.gep_inbounds(builder, make_array(signature.args[2])(context, builder, of).data, first)
         value = builder.load(builder.bitcast(begin, eight), align=8)
-        builder.store(value, builder.bitcast(place, eight), align=8)
+        builder.store(value, builder.bitcast(address, eight), align=8)
         return context.get_dummy_value()
 
     return types.void(target, types.intp, source, types.intp), generate

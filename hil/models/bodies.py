@@ -32,7 +32,7 @@ BODIES = np.dtype(
 """Bodies that are fixed to each other."""
 
 PAIR = 100
-"""Number of a pair: PAIR times the number of the body that moves, plus that of the other."""
+"""Number of a pair: PAIR times the number of the moving body, plus the number of the other."""
 WHICH, DISTANCE, CLOSING, STOPPING = range(4)
 """What ``clearance`` finds: number of the pair; distance, m, not above 0 if they meet; closing rate, m/s; distance
 that they approach each other until rest, m."""
@@ -63,14 +63,14 @@ def chord(q):
 
 
 @kernel
-def clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_deceleration, enough, found):
+def clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_deceleration, enough, nearest):
     """Return the least distance, m, that braking leaves between a body of ``moving`` and one of ``fixed``.
 
     moving: BODIES in a frame at ``r`` (3,), m, with the attitude ``q`` (4,) (from that of ``fixed``), the velocity
     ``v`` (3,), m/s, and the angular rate ``rate``, rad/s. fixed: BODIES. The distance of convex bodies is a convex
     function of their translation: it falls by no more than the travel along its present gradient. Rotation takes at
     most the angle until rest times the arm. Braking begins after ``reaction_s``. Returns at most ``enough``; if it is
-    less, ``found`` (4,) has the pair.
+    less, ``nearest`` (4,) has the pair.
     """
     hull, centre, normal, vertex = stack.matrix(MAX_VERTICES, 3), stack.vector(3), stack.vector(3), stack.vector(3)
     least = enough
@@ -99,6 +99,6 @@ def clearance(moving, r, q, v, rate, fixed, reaction_s, deceleration, turning_de
             # "not >=" also takes nan
             if not distance - travel >= least:
                 least = distance - travel
-                found[WHICH] = PAIR * moving.number[i] + fixed.number[j]
-                found[DISTANCE], found[CLOSING], found[STOPPING] = distance, max(0.0, closing), travel
+                nearest[WHICH] = PAIR * moving.number[i] + fixed.number[j]
+                nearest[DISTANCE], nearest[CLOSING], nearest[STOPPING] = distance, max(0.0, closing), travel
     return least

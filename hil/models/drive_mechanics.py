@@ -23,7 +23,7 @@ SUBSTEP_S: Final = 1e-4
 
 
 def drive_mechanics_record(n: int) -> np.dtype:
-    """Return the record of ``n`` axes: state and parameters in addition to those of SERVO; 0 switches an effect off."""
+    """Return the record of ``n`` axes: state and parameters in addition to SERVO; 0 switches an effect off."""
     return np.dtype(
         [
             ("motor", "f8", n),  # at the load's side of the gear
@@ -95,7 +95,7 @@ def spring_force(twist, twist_rate, gap, stiffness, damping):
 def drive_mechanics_step(axes, m, dt):
     """Advance axes by ``dt``, s, in place. axes: SERVO, position and rate are the load's; m: DRIVE_MECHANICS.
 
-    Without any effect the axis moves like that of ``servo_step``: the velocity loop follows the same reference.
+    Without any effect the axis moves as in ``servo_step``: the velocity loop follows the same reference.
     """
     if dt <= 0.0:
         return
@@ -109,9 +109,9 @@ def drive_mechanics_step(axes, m, dt):
         rigid = m.stiffness[i] == 0.0
         for _ in range(n):
             error = axes.setpoint[i] - encoder_reading(motor, m.encoder_step[i])
-            wanted = axes.feedforward[i] + axes.kp[i] * error
-            wanted = min(axes.rate_max[i], max(-axes.rate_max[i], wanted))
-            acceleration = (wanted - reference) / axes.tau[i]
+            demand = axes.feedforward[i] + axes.kp[i] * error
+            demand = min(axes.rate_max[i], max(-axes.rate_max[i], demand))
+            acceleration = (demand - reference) / axes.tau[i]
             acceleration = min(axes.acceleration_max[i], max(-axes.acceleration_max[i], acceleration))
             reference += h * acceleration
             behind = reference - motor_rate

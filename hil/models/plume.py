@@ -65,10 +65,10 @@ def push_of_plumes(params, radius, fraction, truth, out):
     for j in range(params.n_thrusters):
         if fraction[j] <= 0.0:
             continue
-        place, direction = params.thruster_position[j], params.thruster_direction[j]
-        x = to_target[0] - params.mass_centre[0] - place[0]
-        y = to_target[1] - params.mass_centre[1] - place[1]
-        z = to_target[2] - params.mass_centre[2] - place[2]
+        position, direction = params.thruster_position[j], params.thruster_direction[j]
+        x = to_target[0] - params.mass_centre[0] - position[0]
+        y = to_target[1] - params.mass_centre[1] - position[1]
+        z = to_target[2] - params.mass_centre[2] - position[2]
         distance = math.sqrt(x * x + y * y + z * z)
         cosine = -(x * direction[0] + y * direction[1] + z * direction[2]) / distance
         met = fraction[j] * params.thruster_force[j] * met_fraction(plume.exponent, radius, distance, cosine)

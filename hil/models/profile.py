@@ -27,8 +27,8 @@ def along_line(length, speed, acceleration, deceleration, t_s, out):
     elif t_s < t_up + t_cruise:
         out[0], out[1], out[2] = 0.5 * peak * t_up + peak * (t_s - t_up), peak, 0.0
     elif t_s < t_up + t_cruise + t_down:
-        left = t_up + t_cruise + t_down - t_s
-        out[0], out[1], out[2] = length - 0.5 * deceleration * left * left, deceleration * left, -deceleration
+        to_go_s = t_up + t_cruise + t_down - t_s
+        out[0], out[1], out[2] = length - 0.5 * deceleration * to_go_s * to_go_s, deceleration * to_go_s, -deceleration
     else:
         out[0], out[1], out[2] = length, 0.0, 0.0
 
@@ -46,12 +46,12 @@ def _path_integral(length, speed, acceleration, deceleration, t_s):
     cruising = min(max(0.0, t_s - t_up), t_cruise)
     braking = min(max(0.0, t_s - t_up - t_cruise), t_down)
     standing = max(0.0, t_s - t_up - t_cruise - t_down)
-    left = t_down - braking
+    to_go_s = t_down - braking
     return (
         acceleration * rising**3 / 6.0
         + 0.5 * peak * (t_up + cruising) * cruising
         + length * braking
-        - deceleration * (t_down**3 - left**3) / 6.0
+        - deceleration * (t_down**3 - to_go_s**3) / 6.0
         + length * standing
     )
 

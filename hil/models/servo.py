@@ -64,8 +64,8 @@ def _substep(position, rate, goal, kp, share, rate_max, change_max, low, high, h
 
     goal: see ``_goal``. share: fraction of the rate error corrected, h / tau. change_max: of the rate in a substep.
     """
-    wanted = min(rate_max, max(-rate_max, goal - kp * position))
-    rate += min(change_max, max(-change_max, (wanted - rate) * share))
+    demand = min(rate_max, max(-rate_max, goal - kp * position))
+    rate += min(change_max, max(-change_max, (demand - rate) * share))
     position += rate * h
     if position < low:
         position = low

@@ -24,22 +24,22 @@ from hil.models.bodies import BODIES
 def bodies(
     given: Sequence[SpacecraftBody | BenchBody], on: str, offset_m: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> np.record:
-    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to that of the bodies."""
-    found = new(BODIES)
+    """Return BODIES of those ``on`` one kind. offset_m: from the origin of the record's frame to the bodies' origin."""
+    record = new(BODIES)
     chosen = [(number, body) for number, body in enumerate(given, 1) if body.on == on]
-    found.n, found.low, found.high = len(chosen), math.inf, -math.inf
+    record.n, record.low, record.high = len(chosen), math.inf, -math.inf
     for k, (number, body) in enumerate(chosen):
         points = np.array(body.vertices_m) + np.array(offset_m)
         centre = points.mean(axis=0)
-        found.number[k], found.vertices[k], found.radius[k] = number, len(points), body.radius_m
-        found.vertex[k, : len(points)] = points
-        found.centre[k] = centre
-        found.reach[k] = body.radius_m + linear.lengths(points - centre).max()
-        found.arm[k] = body.radius_m + linear.lengths(points).max()
-        found.low = np.minimum(found.low, points.min(axis=0) - body.radius_m)
-        found.high = np.maximum(found.high, points.max(axis=0) + body.radius_m)
-        found.farthest = max(float(found.farthest), float(found.arm[k]))
-    return found
+        record.number[k], record.vertices[k], record.radius[k] = number, len(points), body.radius_m
+        record.vertex[k, : len(points)] = points
+        record.centre[k] = centre
+        record.reach[k] = body.radius_m + linear.lengths(points - centre).max()
+        record.arm[k] = body.radius_m + linear.lengths(points).max()
+        record.low = np.minimum(record.low, points.min(axis=0) - body.radius_m)
+        record.high = np.maximum(record.high, points.max(axis=0) + body.radius_m)
+        record.farthest = max(float(record.farthest), float(record.arm[k]))
+    return record
 
 
 _SETTLED_S = 0.2  # at the demand: longer than a drive overshoots that has caught up

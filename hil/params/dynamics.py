@@ -77,8 +77,8 @@ def whole_field(scenario: Scenario) -> GravityField:
 
 def field(scenario: Scenario) -> Array:
     """Return the harmonics in the layout of the truth's kernels, (N + 1, N + 1, 6)."""
-    found = gravity(scenario)
-    table: Array = field_table(found.c, found.s)
+    model = gravity(scenario)
+    table: Array = field_table(model.c, model.s)
     return table
 
 
@@ -148,9 +148,9 @@ def _set_thrusters(params: np.record, scenario: Scenario, draws: Array | None) -
 
 
 def _set_gravity(params: np.record, scenario: Scenario) -> None:
-    found = gravity(scenario)
-    params.gravity.gm = found.gm
-    params.gravity.radius = found.radius
+    model = gravity(scenario)
+    params.gravity.gm = model.gm
+    params.gravity.radius = model.radius
     params.gravity.degree = scenario.truth.gravity_degree
     params.gravity.rotation = math.radians(scenario.orbit.body_rotation_deg)
     params.gravity.rate = central_body(scenario.orbit).spin_radps
@@ -207,7 +207,7 @@ def _set_array(params: np.record, scenario: Scenario, array: SolarArray) -> None
 
 
 def bending_modes(array: SolarArray) -> tuple[BendingMode, ...]:
-    """Return all modes of ``array``, that of its own keys first."""
+    """Return all modes of ``array``, first the mode of its own keys."""
     first = BendingMode(
         frequency_hz=array.mode_frequency_hz,
         damping=array.mode_damping,

@@ -41,9 +41,9 @@ def fault_rows(scenario: Scenario, family: str, seed: int = 0, *more: str) -> np
     """Return FAULTS of the kind of device ``family`` and ``more``. seed: of the run, for kinds with random numbers."""
     table = new(FAULTS)
     table.seed = seed & SEED_BITS
-    found = [fault for fault in scenario.faults if fault.family in (family, *more)]
-    table.n = len(found)
-    for row, fault in zip(table.row, found, strict=False):
+    faults = [fault for fault in scenario.faults if fault.family in (family, *more)]
+    table.n = len(faults)
+    for row, fault in zip(table.row, faults, strict=False):
         row[KIND], row[NUMBER] = CODES[fault.family][fault.kind], fault.number
         row[AT], row[UNTIL] = fault.at_s, fault.end_s
         values = np.array(fault.values) * _si_per_unit(fault)

@@ -41,23 +41,23 @@ from hil.params.sensors import NIS_TAIL, sensor_fusion
 from hil.params.target import known_tumble, principal_axes
 from hil.sensors.vision_unit.pose import write_pose
 
-_CORRELATION_S = 10.0  # of the filters' errors
+_CORRELATION_S = 10.0  # correlation time of the filters' errors
 _TORQUE_MIN = 1e-9  # rad/s^2: thrusters without an arm have no torque
 _DEAD_CYCLES = 6  # with a command, of which each counts in two
 _IMU_S = 1.0  # for which an IMU must repeat its readings, or read what no thruster explains
 _SOUND_S = 1.0  # for which readings must agree with the commands, or contradict them, to revoke an accusation
 _SETTLED_S = 0.2  # a firing has been felt, also that of a valve that is late
-_CONVERGED_FRACTION = 0.1  # of the closing rate at the ready point
-_AT_REST_RADPS = 1e-6  # of axes whose rotation the filters add themselves: no gradient of gravity
+_CONVERGED_FRACTION = 0.1  # fraction of the closing rate at the ready point
+_AT_REST_RADPS = 1e-6  # rate of axes whose rotation the filters add themselves: no gravity gradient
 _TORQUE_MEAN_S = 3.0  # time constant of each low-pass of the gyros' angular acceleration
-_LEAK_MIN = 0.0017  # of a thrust: bending after a slew looks like less
+_LEAK_MIN = 0.0017  # fraction of a thrust: bending after a slew looks like less
 _BENDING = 0.04  # of the mean torque of the firings over half a minute, that it leaves of the mean
 _UNKNOWN_INERTIA = 0.5  # differences of moments of inertia over one of them
-_MEASURED_FRACTION = 0.01  # of a measured thrust: scale, misalignment and lever arm of the accelerometers
+_MEASURED_FRACTION = 0.01  # fraction of a measured thrust: scale, misalignment, lever arm of accelerometers
 _QUIET_WINDOW_S = 0.32  # over which quiet readings are averaged
-_QUIET_SIGMAS = 5.0  # of a reading that is quiet
-_WITNESS_AGE_MAX_S = 2.0  # of a measurement of a witness
-_TARGET_RATE_FRACTION = 0.25  # of the required rate, that an error of the target's rate may take
+_QUIET_SIGMAS = 5.0  # sigmas of a quiet reading
+_WITNESS_AGE_MAX_S = 2.0  # age of a witness's measurement
+_TARGET_RATE_FRACTION = 0.25  # fraction of the required rate for an error of the target's rate
 _AHEAD_S = 0.02  # by which a pose may be stamped ahead of the loop, at least one step
 
 
@@ -283,11 +283,11 @@ def _reactions(scenario: Scenario) -> np.record:
 
 def target_orbit(scenario: Scenario) -> np.record:
     """Return TARGET_ORBIT: the target's orbit with the errors of the GNC's ephemeris."""
-    known, params = scenario.gnc_orbit, new(TARGET_ORBIT)
-    params.mean_motion = mean_motion(known)
-    params.eccentricity = known.eccentricity
-    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(known)
-    params.mean_anomaly = mean_anomaly(known.eccentricity, math.radians(known.true_anomaly_deg) + ahead)
+    orbit, params = scenario.gnc_orbit, new(TARGET_ORBIT)
+    params.mean_motion = mean_motion(orbit)
+    params.eccentricity = orbit.eccentricity
+    ahead = scenario.gnc.ephemeris.along_track_error_m / semi_major_axis_m(orbit)
+    params.mean_anomaly = mean_anomaly(orbit.eccentricity, math.radians(orbit.true_anomaly_deg) + ahead)
     params.tumble = known_tumble(scenario, params.mean_motion)
     params.estimated = scenario.target.motion != "aligned" and scenario.gnc.target.rate_sigma_degps > 0.0
     params.moments, params.q_PB = scenario.target.moments_kg_m2, principal_axes(scenario.target)
@@ -308,7 +308,7 @@ PHASE_KINDS = {"approach": APPROACH, "hold": HOLD, "wait": WAIT, "final": FINAL,
 PATHS = {"fly_around": ARC, "slew": SLEW, "transfer": TRANSFER}
 """Kinds of phases that move on another path than a line, otherwise as an approach."""
 _SLEW_UP_S = 2.0
-_BRAKE_FRACTION = 0.9  # of the available thrust: the rest is for control
+_BRAKE_FRACTION = 0.9  # fraction of the available thrust: the rest is for control
 
 
 def braking_acceleration(scenario: Scenario) -> float:
@@ -357,7 +357,7 @@ def guidance(scenario: Scenario) -> np.record:
 def approach_monitor(scenario: Scenario) -> np.record:
     """Return APPROACH_MONITOR_PARAMS."""
     params = new(APPROACH_MONITOR_PARAMS)
-    corridor, wanted = scenario.gnc.corridor, scenario.requirements
+    corridor, needs = scenario.gnc.corridor, scenario.requirements
     params.cone = elementary.tan(math.radians(corridor.half_angle_deg))
     params.minimum_radius = corridor.minimum_radius_m
     params.closing_floor = corridor.closing_rate_mps
@@ -377,11 +377,11 @@ def approach_monitor(scenario: Scenario) -> np.record:
     params.alert_corridor, params.alert_angle = alert.alert_corridor_fraction, math.radians(alert.alert_attitude_deg)
     at_s = scenario.gnc.abort.at_s
     params.abort_at_s = math.inf if at_s is None else at_s
-    params.ready_point = (wanted.axial_distance_m, 0.0, 0.0)
-    params.ready_distance = (wanted.axial_tolerance_m, wanted.radial_distance_m, wanted.radial_distance_m)
-    params.ready_rate = (wanted.axial_rate_mps, wanted.radial_rate_mps, wanted.radial_rate_mps)
-    params.ready_angle = math.radians(wanted.angle_deg)
-    params.ready_angular_rate = math.radians(wanted.angular_rate_degps)
+    params.ready_point = (needs.axial_distance_m, 0.0, 0.0)
+    params.ready_distance = (needs.axial_tolerance_m, needs.radial_distance_m, needs.radial_distance_m)
+    params.ready_rate = (needs.axial_rate_mps, needs.radial_rate_mps, needs.radial_rate_mps)
+    params.ready_angle = math.radians(needs.angle_deg)
+    params.ready_angular_rate = math.radians(needs.angular_rate_degps)
     params.level_sigmas = protection_sigmas(scenario)
     # the built-in navigation watches innovations every 45 deg between the axes
     watches = scenario.gnc.navigation.backend in config.BUILT_IN["navigation"]
@@ -439,7 +439,7 @@ def wrenches_of(thrusters: Thrusters) -> Array:
 
 
 def _sets_without(thrusters: Thrusters, excluded: np.ndarray) -> np.ndarray:
-    """Return the sets without those of each row of ``excluded`` (n, n), in the shape of GNC_PARAMS."""
+    """Return the sets without the thrusters of each row of ``excluded`` (n, n), in the shape of GNC_PARAMS."""
     n, wrenches = len(thrusters.position_m), wrenches_of(thrusters)
     table = np.zeros((MAX_THRUSTERS, ROWS, 2, MAX_THRUSTERS), np.int8)
     table[:n, :AXES_OF_A_BODY, :, :n] = sets_without(wrenches, excluded)
@@ -449,9 +449,9 @@ def _sets_without(thrusters: Thrusters, excluded: np.ndarray) -> np.ndarray:
 
 def _square(table: np.ndarray) -> np.ndarray:
     """Return ``table`` (n, n) in the shape of GNC_PARAMS."""
-    n, found = len(table), np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
-    found[:n, :n] = table
-    return found
+    n, padded = len(table), np.zeros((MAX_THRUSTERS, MAX_THRUSTERS), np.int8)
+    padded[:n, :n] = table
+    return padded
 
 
 def control(scenario: Scenario, strength: Array) -> np.record:

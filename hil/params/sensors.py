@@ -42,11 +42,11 @@ def sensors_of(scenario: Scenario) -> dict[str, LoopSensor]:
 
     The docking monitor is one of them if its interlock acts.
     """
-    found = _added(scenario)
+    sensors = _added(scenario)
     if scenario.monitor.source != "none" and scenario.monitor.interlock:
         config = provided("monitor.source", "scenario")(scenario)
-        found[MONITOR] = LoopSensor(sensor(config.kind), config, scenario.monitor.source == "model")
-    return found
+        sensors[MONITOR] = LoopSensor(sensor(config.kind), config, scenario.monitor.source == "model")
+    return sensors
 
 
 def _added(scenario: Scenario) -> dict[str, LoopSensor]:
@@ -68,7 +68,7 @@ class SensorErrorState(NamedTuple):
 
 def error_states(scenario: Scenario) -> list[SensorErrorState]:
     """Return the errors of all fused sensors with standard deviations above 0, in the order of their states."""
-    found = []
+    states = []
     for number, (kind, config, _) in enumerate(_added(scenario).values()):  # the docking monitor is a witness
         if config.use == "witness":
             continue
@@ -76,8 +76,8 @@ def error_states(scenario: Scenario) -> list[SensorErrorState]:
         for index, error in enumerate(kind.module.errors):
             if values[error.sigma] > 0.0:
                 time_s = math.inf if error.time_s is None else values[error.time_s]
-                found.append(SensorErrorState(number, index, values[error.sigma], time_s))
-    return found
+                states.append(SensorErrorState(number, index, values[error.sigma], time_s))
+    return states
 
 
 def constant_error_sigmas(scenario: Scenario) -> Array:

@@ -55,15 +55,15 @@ def known_tumble(scenario: Scenario, mean_motion: float) -> np.record:
 
 def known_rate(scenario: Scenario) -> Array:
     """Return the rate (3,) of a target that tumbles at the start, rad/s, as the GNC is given it, with its error."""
-    known: Array = np.radians(np.array(scenario.target.rate_degps) + scenario.gnc.target.rate_error_degps)
-    return known
+    rate: Array = np.radians(np.array(scenario.target.rate_degps) + scenario.gnc.target.rate_error_degps)
+    return rate
 
 
 def inertia(target: MovingTarget) -> Array:
     """Return the inertia (3, 3) of the target's body, kg m^2, in its axes."""
     axes = quat.to_matrix(principal_axes(target))
-    found: Array = linear.product(axes.T * np.array(target.moments_kg_m2), axes)
-    return found
+    matrix: Array = linear.product(axes.T * np.array(target.moments_kg_m2), axes)
+    return matrix
 
 
 def tumble(target: MovingTarget, rate: Array) -> np.record:
@@ -115,5 +115,5 @@ def start_attitude(scenario: Scenario, q_HI: Array, w_HI_H: Array) -> tuple[Arra
 
 def principal_axes(target: MovingTarget) -> Array:
     """Return the quaternion from the body axes of a target to its principal ones."""
-    found: Array = euler.to_quaternion(np.radians(target.principal_axes_deg), euler.YAW_PITCH_ROLL)
-    return found
+    attitude: Array = euler.to_quaternion(np.radians(target.principal_axes_deg), euler.YAW_PITCH_ROLL)
+    return attitude

@@ -26,7 +26,7 @@ _BAR = 40
 class Lateness:
     """Measured lateness of an empty loop.
 
-    histogram: as of ``lateness_histogram``, up to the last bin with cycles; skipped: complete periods lost.
+    histogram: see ``lateness_histogram``, up to the last bin with cycles; skipped: complete periods lost.
     """
 
     period_s: float
@@ -45,10 +45,10 @@ def measure(period_s: float, duration_s: float = DURATION_S) -> Lateness:
     configuration = {"period_s": period_s, "duration_s": duration_s}
     try:
         with ChildProcess("lateness probe", "hil.preflight.lateness_probe", configuration) as child:
-            found = child.receive(duration_s + _START_S)
+            reply = child.receive(duration_s + _START_S)
     except DeviceError as error:
         raise RuntimeError(f"the lateness could not be measured: {error}") from error
-    return summarise(period_s, np.array(found["lateness_s"]), found["skipped"], found["scheduling"])
+    return summarise(period_s, np.array(reply["lateness_s"]), reply["skipped"], reply["scheduling"])
 
 
 def summarise(period_s: float, lateness_s: Array, skipped: int, scheduling: str) -> Lateness:
@@ -64,26 +64,27 @@ def _occupied(bins: list[dict[str, float | int | None]]) -> list[dict[str, float
     return bins[: max((i + 1 for i, b in enumerate(bins) if b["cycles"]), default=0)]
 
 
-def lateness_check(found: Lateness) -> PreflightCheck:
+def lateness_check(lateness: Lateness) -> PreflightCheck:
     """Return the check that the loop can keep its rate on this host."""
-    p = found.percentiles_us
-    allowed_us = FRACTION_OF_PERIOD * found.period_s * 1e6
+    p = lateness.percentiles_us
+    allowed_us = FRACTION_OF_PERIOD * lateness.period_s * 1e6
     fine = p["p999"] < allowed_us
     value = (
-        f"p50 {p['p50']:.0f}, p99 {p['p99']:.0f}, p99.9 {p['p999']:.0f}, max {p['max']:.0f} us under "
-        f"{found.scheduling}, {found.cycles} cycles at {1.0 / found.period_s:g} Hz, {found.skipped} periods lost; "
+        f"p50 {p['p50']:.0f}, p99 {p['p99']:.0f}, p99.9 {p['p999']:.0f}, max {p['max']:.0f} us "
+        f"under {lateness.scheduling}, {lateness.cycles} cycles at {1.0 / lateness.period_s:g} Hz, "
+        f"{lateness.skipped} periods lost; "
         f"p99.9 allowed below {allowed_us:.0f} us ({FRACTION_OF_PERIOD:.0%} of the period)"
     )
     advice = "" if fine else "stop other processes, see scheduling and governor, or use a dedicated host"
     return PreflightCheck("lateness", fine, value, advice)
 
 
-def pause_check(found: Lateness, pump_timeout_s: float | None, on_hardware: bool) -> PreflightCheck:
+def pause_check(lateness: Lateness, pump_timeout_s: float | None, on_hardware: bool) -> PreflightCheck:
     """Return the check that no pause of the host would have opened the safety chain.
 
     pump_timeout_s: after which the relay opens without an edge of the charge pump; None without digital I/O.
     """
-    longest_s, measured_s = 1e-6 * found.percentiles_us["max"], found.cycles * found.period_s
+    longest_s, measured_s = 1e-6 * lateness.percentiles_us["max"], lateness.cycles * lateness.period_s
     value = f"longest {1e3 * longest_s:.1f} ms in {measured_s:.0f} s"
     if pump_timeout_s is None:
         return PreflightCheck("host pauses", None, value)
@@ -93,11 +94,11 @@ def pause_check(found: Lateness, pump_timeout_s: float | None, on_hardware: bool
     return PreflightCheck("host pauses", fine or (False if on_hardware else None), value, advice)
 
 
-def histogram_lines(found: Lateness) -> list[str]:
+def histogram_lines(lateness: Lateness) -> list[str]:
     """Return the histogram as lines of text; the bars are proportional to the logarithm of the counts."""
-    counts = [int(b["cycles"] or 0) for b in found.histogram]
+    counts = [int(b["cycles"] or 0) for b in lateness.histogram]
     lines = []
-    for entry, count in zip(found.histogram, counts, strict=True):
+    for entry, count in zip(lateness.histogram, counts, strict=True):
         bar = "#" * max(1, round(_BAR * np.log1p(count) / np.log1p(max(counts)))) if count else ""
         edge = f"below {entry['below_us']:>6.0f} us" if entry["below_us"] is not None else "later".ljust(15)
         lines.append(f"{edge} {count:>7} {bar}".rstrip())

@@ -17,9 +17,9 @@ def measure(period_s: float, duration_s: float) -> Message:
         scheduling = f"SCHED_FIFO {FIFO_PRIORITY}" if realtime.granted(FIFO) else "SCHED_OTHER"
         rate.restart()
         for _ in range(max(1, round(duration_s / period_s))):
-            before = rate.skipped_periods
+            skipped = rate.skipped_periods
             late_s = rate.wait().lateness_s
-            lateness_s.append(late_s + (rate.skipped_periods - before) * period_s)
+            lateness_s.append(late_s + (rate.skipped_periods - skipped) * period_s)
     return {"lateness_s": lateness_s, "skipped": rate.skipped_periods, "scheduling": scheduling}
 
 

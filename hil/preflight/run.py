@@ -98,8 +98,8 @@ def device_checks(scenario: Scenario, rig: Rig, enable_drives: bool) -> list[Pre
     """
     if rig.kind == "mock":
         return [PreflightCheck("devices", None, "in memory: no links, no devices")]
-    found: list[PreflightCheck] = provided(f"rig.kind={rig.kind}: preflight", rig.name)(scenario, rig, enable_drives)
-    return found
+    checks: list[PreflightCheck] = provided(f"rig.kind={rig.kind}: preflight", rig.name)(scenario, rig, enable_drives)
+    return checks
 
 
 def reachability_check(scenario: Loaded[Scenario], rig: Loaded[Rig]) -> PreflightCheck:

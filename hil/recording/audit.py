@@ -85,27 +85,27 @@ def audit_problems(
         return ["has no audit: recorded by an earlier version, or removed"]
     chain = AuditChain.begin(run, files)
     problems: list[str] = []
-    for place, line in enumerate(log):
+    for index, line in enumerate(log):
         if line.get("kind") == "setting":
             chain.change(str(line.get("message")))
-        problem = _entry_problem(chain, line, place)
+        problem = _entry_problem(chain, line, index)
         if problem:
             problems.append(problem)
             break  # all later digests differ as well
     return problems or _end_problems(path, run, end, chain)
 
 
-def _entry_problem(chain: AuditChain, line: Mapping[str, Any], place: int) -> str:
+def _entry_problem(chain: AuditChain, line: Mapping[str, Any], index: int) -> str:
     if any(key not in line for key in (*CHAINED, "digest")):
-        return f"entry {place}: is no entry of an audit"
-    if line["number"] != place:
-        return f"entry {place}: is number {line['number']}: entries were removed, inserted, moved or lost"
+        return f"entry {index}: is no entry of an audit"
+    if line["number"] != index:
+        return f"entry {index}: is number {line['number']}: entries were removed, inserted, moved or lost"
     text = str(line["message"])
     if line["configuration"] != chain.configuration:
-        return f"entry {place}, {text!r}: is of another configuration than the recorded one"
+        return f"entry {index}, {text!r}: is of another configuration than the recorded one"
     if chain.link(line) != line["digest"]:
-        before = "header, configuration or entry" if place == 0 else "entry"
-        return f"entry {place}, {text!r}: the {before} was changed"
+        content = "header, configuration or entry" if index == 0 else "entry"
+        return f"entry {index}, {text!r}: the {content} was changed"
     return ""
 
 
@@ -116,11 +116,11 @@ def _end_problems(path: Path, run: Mapping[str, str], end: Mapping[str, str] | N
     if stated != chain.summary:
         return [f"has {chain.entries} entries, its end states {end[ENTRIES]}: shortened, or its end was changed"]
     try:
-        known = Catalogue(path.parent).audit(run.get("run", ""))
+        listed = Catalogue(path.parent).audit(run.get("run", ""))
     except BadInput as error:
         return [f"cannot be compared with the catalogue: {error}"]
-    if known is not None and known != chain.summary:
-        return [f"is another audit than the catalogue's, which has {known[0]} entries and the digest {known[1]}"]
+    if listed is not None and listed != chain.summary:
+        return [f"is another audit than the catalogue's, which has {listed[0]} entries and the digest {listed[1]}"]
     return []
 
 

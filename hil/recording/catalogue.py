@@ -142,8 +142,8 @@ class Catalogue:
     def end(
         self, run: str, ended_utc: str, state: str, cycles: int | None, dropped: int, summary: dict[str, Any]
     ) -> None:
-        """Enter the end of ``run``; summary: as of ``hil run --json``, empty if there is none."""
-        found = {
+        """Enter the end of ``run``; summary: as in ``hil run --json``, empty if there is none."""
+        row = {
             "run": run,
             "state": state,
             "ended_utc": ended_utc,
@@ -152,9 +152,9 @@ class Catalogue:
             "summary": json.dumps(summary, allow_nan=False) if summary else None,
             **_key_numbers(summary),
         }
-        changes = ", ".join(f"{name} = :{name}" for name in found if name != "run")
+        changes = ", ".join(f"{name} = :{name}" for name in row if name != "run")
         with self._connection() as connection:
-            connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", found)
+            connection.execute(f"UPDATE runs SET {changes} WHERE run = :run", row)
 
     def enter_audit(self, run: str, entries: int, digest: str) -> None:
         """Enter the length and the last digest of the audit of ``run``."""
@@ -239,13 +239,13 @@ def _key_numbers(summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _fits(entry: dict[str, Any], wanted: RecordingFilter) -> bool:
+def _fits(entry: dict[str, Any], criteria: RecordingFilter) -> bool:
     failed = entry["accepted"] is False or entry["state"] == BROKEN_OFF
     return (
-        (not wanted.failed or failed)
-        and (not wanted.passed or entry["accepted"] is True)
-        and (wanted.scenario is None or entry["scenario"] == wanted.scenario)
-        and (wanted.since is None or entry["started_utc"] >= wanted.since)
+        (not criteria.failed or failed)
+        and (not criteria.passed or entry["accepted"] is True)
+        and (criteria.scenario is None or entry["scenario"] == criteria.scenario)
+        and (criteria.since is None or entry["started_utc"] >= criteria.since)
     )
 
 

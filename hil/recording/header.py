@@ -108,12 +108,12 @@ def sensor_columns(scenario: Scenario) -> dict[str, Any]:
 
 def file_digests(table: dict[str, Any], prefix: str = "calibration_") -> dict[str, str]:
     """Return a digest of each file that a key of the configuration ending in ``_file`` names; prefix: of the key."""
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, dict):
-            found |= file_digests(value, f"{prefix}{key}.")
+            digests |= file_digests(value, f"{prefix}{key}.")
         elif key.endswith("_file") and isinstance(value, str):
             path = Path(value)
             digest = f"sha256:{sha256_of(path)}" if path.is_file() else "missing"
-            found[f"{prefix}{key}"] = f"{path.name} {digest}"
-    return found
+            digests[f"{prefix}{key}"] = f"{path.name} {digest}"
+    return digests

@@ -21,7 +21,7 @@ from hil.recording.read import Scan, directory
 
 @dataclass(frozen=True)
 class RecordedImage:
-    """A recorded image; times, number and status as of ``hil.core.camera_images.IMAGE``."""
+    """A recorded image; times, number and status as in ``hil.core.camera_images.IMAGE``."""
 
     camera: str
     t_s: float
@@ -33,10 +33,10 @@ class RecordedImage:
 
     def image(self, path: Path) -> np.ndarray:
         """Return the image (h, w), uint8, grey; path: of its recording. Raises BadInput."""
-        found = decode_grey(self.data)
-        if found is None:
+        pixels = decode_grey(self.data)
+        if pixels is None:
             raise BadInput.single(str(path), f"{self.camera} {self.number}", "cannot be decoded as an image")
-        return found
+        return pixels
 
 
 def recorded_images(path: Path, *cameras: str) -> Iterator[RecordedImage]:

@@ -90,11 +90,11 @@ class Scan:
             raise BadInput.single(str(self.path), "", f"cannot be read: {error.strerror}") from error
 
     def _records(self, reader: StreamReader) -> Iterator[McapRecord]:
-        found = reader.records
+        records = reader.records
         begun = past_data = False
         while True:
             try:
-                record = next(found, None)
+                record = next(records, None)
             except _BROKEN as error:
                 if not begun:
                     text = "not a recording: it does not start like an MCAP file"
@@ -169,51 +169,51 @@ def contents(path: Path, topics: frozenset[str] | None = None) -> Contents:
 
     Raises BadInput, also for a later part alone.
     """
-    found = _contents_of_part(path, topics)
-    if number := found.run.get(parts.PART):
+    recording = _contents_of_part(path, topics)
+    if number := recording.run.get(parts.PART):
         text = f"part {number} of a recording: open its first part, the file without .part{number} in its name"
         raise BadInput.single(str(path), "", text)
     for later in parts.later_parts(path):
-        _append(found, _contents_of_part(later, topics))
-    return found
+        _append(recording, _contents_of_part(later, topics))
+    return recording
 
 
-def _append(found: Contents, later: Contents) -> None:
+def _append(recording: Contents, later: Contents) -> None:
     """Add the rows, lines, end and attachments of a later part."""
-    if later.run.get("run") != found.run.get("run") or later.layouts != found.layouts:
-        raise BadInput.single(str(later.path), "", f"is no part of {found.path}")
+    if later.run.get("run") != recording.run.get("run") or later.layouts != recording.layouts:
+        raise BadInput.single(str(later.path), "", f"is no part of {recording.path}")
     for topic, records in later.records.items():
-        found.records.setdefault(topic, []).extend(records)
+        recording.records.setdefault(topic, []).extend(records)
     for topic, lines in later.lines.items():
-        found.lines.setdefault(topic, []).extend(lines)
-    found.end, found.intact = later.end, found.intact and later.intact
-    found.files |= later.files
+        recording.lines.setdefault(topic, []).extend(lines)
+    recording.end, recording.intact = later.end, recording.intact and later.intact
+    recording.files |= later.files
 
 
 def _contents_of_part(path: Path, topics: frozenset[str] | None) -> Contents:
-    found = Contents(path)
+    recording = Contents(path)
     schemas, channels = directory(path)
-    for known in channels.values():
-        _add_channel(found, known, schemas)
+    for declared in channels.values():
+        _add_channel(recording, declared, schemas)
     scan = Scan(path)
     for record in scan.records():
         match record:
             case Message():
                 channel = channels.get(record.channel_id)
                 if channel and (topics is None or channel.topic in topics):
-                    _add_message(found, channel, record)
+                    _add_message(recording, channel, record)
             case Metadata(name=writer.RUN):
-                found.run = dict(record.metadata)
+                recording.run = dict(record.metadata)
             case Metadata(name=writer.END):
-                found.end = dict(record.metadata)
+                recording.end = dict(record.metadata)
             case Attachment():
-                found.files[record.name] = record.data.decode(errors="replace")
+                recording.files[record.name] = record.data.decode(errors="replace")
             case _:
                 pass
-    if not found.version:
+    if not recording.version:
         raise BadInput.single(str(path), "", f"not a recording of hil: an MCAP file without the metadata {writer.RUN}")
-    found.intact = scan.intact
-    return found
+    recording.intact = scan.intact
+    return recording
 
 
 def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
@@ -228,36 +228,36 @@ def directory(path: Path) -> tuple[dict[int, Schema], dict[int, Channel]]:
     return schemas, channels
 
 
-def _add_channel(found: Contents, channel: Channel, schemas: dict[int, Schema]) -> None:
+def _add_channel(recording: Contents, channel: Channel, schemas: dict[int, Schema]) -> None:
     if channel.message_encoding == schema.RECORD_ENCODING and channel.schema_id in schemas:
         text = schemas[channel.schema_id].data
-        found.layouts[channel.topic] = schema.layout_of(text, f"{found.path}: {channel.topic}")
-        found.schemas[channel.topic] = text
-        found.records.setdefault(channel.topic, [])
+        recording.layouts[channel.topic] = schema.layout_of(text, f"{recording.path}: {channel.topic}")
+        recording.schemas[channel.topic] = text
+        recording.records.setdefault(channel.topic, [])
     else:
-        found.lines.setdefault(channel.topic, [])
+        recording.lines.setdefault(channel.topic, [])
 
 
-def _add_message(found: Contents, channel: Channel, message: Message) -> None:
-    if channel.topic in found.layouts:
-        size = found.layouts[channel.topic].itemsize
+def _add_message(recording: Contents, channel: Channel, message: Message) -> None:
+    if channel.topic in recording.layouts:
+        size = recording.layouts[channel.topic].itemsize
         if len(message.data) != size:
             text = f"a record of {channel.topic} has {len(message.data)} bytes, its schema {size}"
-            raise BadInput.single(str(found.path), "", text)
-        found.records[channel.topic].append(message.data)
+            raise BadInput.single(str(recording.path), "", text)
+        recording.records[channel.topic].append(message.data)
     elif channel.message_encoding == "json":
-        found.lines[channel.topic].append(_table(found.path, channel.topic, message.data))
+        recording.lines[channel.topic].append(_table(recording.path, channel.topic, message.data))
 
 
 def _table(path: Path, what: str, text: str | bytes) -> dict[str, Any]:
     """Return the JSON table in ``text``; raise BadInput."""
     try:
-        found = parse_json(text)
+        table = parse_json(text)
     except ValueError as error:
         raise BadInput.single(str(path), what, f"not JSON: {error}") from error
-    if not isinstance(found, dict):
+    if not isinstance(table, dict):
         raise BadInput.single(str(path), what, "must be a table of keys and values")
-    return found
+    return table
 
 
 class RowBatch(NamedTuple):
@@ -280,7 +280,7 @@ class Recorded:
     IMU_SAMPLE and AXES_SAMPLE, empty unless these were faster than the cycle. manipulator_samples: of
     MANIPULATOR_SAMPLE, empty without a rotary manipulator. held_samples: of HELD_SAMPLE, empty without axes that are
     held. sensor_arrivals: of SENSOR_ARRIVAL, empty without further
-    sensors. log: entries of the log as recorded. summary: as of
+    sensors. log: entries of the log as recorded. summary: as in
     ``hil run --json``, None for a run that broke off. intact: the file has its end and no damage.
     """
 
@@ -323,41 +323,41 @@ def load(path: Path) -> Recorded:
     return _recorded(contents(path, frozenset({*schema.records(), foxglove.LOG_TOPIC})))
 
 
-def _recorded(found: Contents) -> Recorded:
-    _check_version(found)
-    for line in _missing_parts(found):
+def _recorded(recording: Contents) -> Recorded:
+    _check_version(recording)
+    for line in _missing_parts(recording):
         log.warning(line)
-    path, summary = found.path, found.files.get(writer.SUMMARY)
+    path, summary = recording.path, recording.files.get(writer.SUMMARY)
     return Recorded(
         path,
-        found.run,
-        found.end,
-        _model(found, "scenario.json", Scenario),
-        _model(found, "rig.json", Rig),
-        _rows(found, "/cycle"),
-        _rows(found, "/vmu/frames"),
-        [_note(path, note) for note in found.lines.get(foxglove.LOG_TOPIC, [])],
+        recording.run,
+        recording.end,
+        _model(recording, "scenario.json", Scenario),
+        _model(recording, "rig.json", Rig),
+        _rows(recording, "/cycle"),
+        _rows(recording, "/vmu/frames"),
+        [_note(path, note) for note in recording.lines.get(foxglove.LOG_TOPIC, [])],
         _table(path, writer.SUMMARY, summary) if summary else None,
-        found.intact,
-        found.files,
-        _rows(found, "/imu"),
-        _rows(found, "/axes"),
-        _rows(found, schema.MANIPULATOR),
-        _rows(found, schema.HELD),
-        _rows(found, schema.SENSORS),
-        _absent(found, "/cycle"),
-        {name: _rows(found, sink.topic) for name, sink in part_sinks().items() if sink.topic},
+        recording.intact,
+        recording.files,
+        _rows(recording, "/imu"),
+        _rows(recording, "/axes"),
+        _rows(recording, schema.MANIPULATOR),
+        _rows(recording, schema.HELD),
+        _rows(recording, schema.SENSORS),
+        _absent(recording, "/cycle"),
+        {name: _rows(recording, sink.topic) for name, sink in part_sinks().items() if sink.topic},
     )
 
 
-def _missing_parts(found: Contents) -> Iterator[str]:
+def _missing_parts(recording: Contents) -> Iterator[str]:
     """Yield a line for each part that the run used and that is not installed: its rows are not read."""
-    if schema.PARTS_FILE not in found.files:
+    if schema.PARTS_FILE not in recording.files:
         return
-    for name, part in _table(found.path, schema.PARTS_FILE, found.files[schema.PARTS_FILE]).items():
+    for name, part in _table(recording.path, schema.PARTS_FILE, recording.files[schema.PARTS_FILE]).items():
         if name not in parts_of_program().usable:
             origin = f"{part.get('origin')} {part.get('version')}" if isinstance(part, dict) else "unknown"
-            yield f"{found.path}: part {name} of package {origin} is not installed: without its rows, see hil export"
+            yield f"{recording.path}: part {name} of package {origin} is not installed: rows not read, see hil export"
 
 
 def load_without_rows(path: Path) -> Recorded:
@@ -372,9 +372,9 @@ def row_batches(path: Path, rows: int = _BATCH_ROWS) -> Iterator[RowBatch]:
     """
     pending = {topic: np.zeros(0, record_dtype(schema.records()[topic][1])) for topic in _REPLAYED}
     first = 0  # cycle of the first pending row
-    for found in _pieces(path, rows):
+    for piece in _pieces(path, rows):
         for topic in _REPLAYED:
-            pending[topic] = np.concatenate([pending[topic], _rows(found, topic)])
+            pending[topic] = np.concatenate([pending[topic], _rows(piece, topic)])
         while len(pending["/cycle"]) >= rows + _AHEAD_ROWS:
             yield _take(pending, first, rows)
             first += rows
@@ -398,59 +398,59 @@ def _take(pending: dict[str, np.ndarray], first: int, n: int) -> RowBatch:
 def _pieces(path: Path, rows: int) -> Iterator[Contents]:
     """Yield the replayed topics of the recording, about ``rows`` of its cycles at once, in the order of writing."""
     for part in (path, *parts.later_parts(path)):
-        found = Contents(part)
+        piece = Contents(part)
         schemas, channels = directory(part)
-        for known in channels.values():
-            _add_channel(found, known, schemas)
+        for declared in channels.values():
+            _add_channel(piece, declared, schemas)
         for record in Scan(part).records():
             match record:
                 case Message():
                     channel = channels.get(record.channel_id)
                     if channel and channel.topic in _REPLAYED:
-                        _add_message(found, channel, record)
+                        _add_message(piece, channel, record)
                 case Metadata(name=writer.RUN):
-                    found.run = dict(record.metadata)
+                    piece.run = dict(record.metadata)
                 case _:
                     pass
-            if len(found.records["/cycle"]) >= rows:
-                yield found
-                found.records = {topic: [] for topic in found.records}
-        yield found
+            if len(piece.records["/cycle"]) >= rows:
+                yield piece
+                piece.records = {topic: [] for topic in piece.records}
+        yield piece
 
 
-def _check_version(found: Contents) -> None:
-    if found.version not in schema.READABLE:
-        hil = found.run.get("hil", "unknown")
+def _check_version(recording: Contents) -> None:
+    if recording.version not in schema.READABLE:
+        hil = recording.run.get("hil", "unknown")
         text = (
-            f"a recording of schema version {found.version}, written by hil {hil}; this program reads versions "
+            f"a recording of schema version {recording.version}, written by hil {hil}; this program reads versions "
             f"{', '.join(schema.READABLE)}: read it with hil {hil}, or extract its numbers with hil export"
         )
-        raise BadInput.single(str(found.path), "", text)
+        raise BadInput.single(str(recording.path), "", text)
 
 
-def _rows(found: Contents, topic: str) -> np.ndarray:
+def _rows(recording: Contents, topic: str) -> np.ndarray:
     """Return the messages of ``topic`` as rows of today's record; those that it lacks have ``Field.absent``."""
     dtype = record_dtype(schema.records()[topic][1])
-    if topic not in found.layouts:
+    if topic not in recording.layouts:
         return np.zeros(0, dtype)
-    recorded, today = found.layouts[topic], schema.flat_dtype(dtype)
+    recorded, today = recording.layouts[topic], schema.flat_dtype(dtype)
     if recorded == today:
-        return np.frombuffer(bytearray().join(found.records[topic]), dtype)  # kernels require writable arrays
-    names, known = recorded.names or (), today.names or ()
-    extended = all(name in known and recorded[name] == today[name] for name in names)
-    if found.version == str(schema.VERSION) or not extended:
-        text = f"the records of {topic} do not have the layout of schema version {found.version}"
-        raise BadInput.single(str(found.path), "", text)
-    rows, flat = np.zeros(len(found.records[topic]), dtype), found.flat(topic)
+        return np.frombuffer(bytearray().join(recording.records[topic]), dtype)  # kernels require writable arrays
+    names, current = recorded.names or (), today.names or ()
+    extended = all(name in current and recorded[name] == today[name] for name in names)
+    if recording.version == str(schema.VERSION) or not extended:
+        text = f"the records of {topic} do not have the layout of schema version {recording.version}"
+        raise BadInput.single(str(recording.path), "", text)
+    rows, flat = np.zeros(len(recording.records[topic]), dtype), recording.flat(topic)
     for field_ in leaf_fields(schema.records()[topic][1]):
         rows.view(today)[field_.name] = flat[field_.name] if field_.name in names else field_.absent
     return rows
 
 
-def _absent(found: Contents, topic: str) -> frozenset[str]:
+def _absent(recording: Contents, topic: str) -> frozenset[str]:
     """Return the fields of today's record that the messages of ``topic`` lack."""
     today = schema.flat_dtype(record_dtype(schema.records()[topic][1]))
-    recorded = found.layouts.get(topic, today)
+    recorded = recording.layouts.get(topic, today)
     return frozenset(today.names or ()) - frozenset(recorded.names or ())
 
 
@@ -470,8 +470,8 @@ def present_note(note: dict[str, Any]) -> dict[str, Any]:
     return note | {"message": f"{present_key('Scenario', key.strip())}{equals}{value}"}
 
 
-def _model(found: Contents, name: str, model: type[_Model]) -> _Model:
-    return _model_of(found.path, found.run, found.files, name, model)
+def _model(recording: Contents, name: str, model: type[_Model]) -> _Model:
+    return _model_of(recording.path, recording.run, recording.files, name, model)
 
 
 def _model_of(path: Path, run: dict[str, str], files: dict[str, str], name: str, model: type[_Model]) -> _Model:

@@ -74,12 +74,12 @@ def _copy(path: Path, file: BlockFile) -> None:
 def _register(path: Path, writer: Writer) -> dict[int, int]:
     """Register schemas and channels of the old file in ``writer``; return old -> new number of each channel."""
     schemas, channels = directory(path)
-    known = {0: 0}
+    numbers = {0: 0}
     for number, schema in schemas.items():
-        known[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+        numbers[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
     return {
         number: writer.register_channel(
-            channel.topic, channel.message_encoding, known.get(channel.schema_id, 0), channel.metadata
+            channel.topic, channel.message_encoding, numbers.get(channel.schema_id, 0), channel.metadata
         )
         for number, channel in channels.items()
     }

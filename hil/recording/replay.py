@@ -82,11 +82,11 @@ class _Poses:
         self._arrivals = arrivals["pose"]
 
     def load(self, cycle: int) -> int:
-        """Load those of ``cycle``; return how many."""
-        found = self._by_cycle.get(cycle, [])[:MAX_POSES]
-        for place, i in enumerate(found):
-            self.poses[place] = self._arrivals[i]
-        self.arrived = len(found)
+        """Load the poses of ``cycle``; return their number."""
+        indices = self._by_cycle.get(cycle, [])[:MAX_POSES]
+        for k, i in enumerate(indices):
+            self.poses[k] = self._arrivals[i]
+        self.arrived = len(indices)
         return self.arrived
 
 
@@ -99,7 +99,7 @@ class _SensorArrivals:
         self._first = np.searchsorted(arrivals["cycle"], np.arange(first, first + cycles + 1))
 
     def load(self, k: int, gnc: GncBackend) -> None:
-        """Give those of cycle ``k`` to ``gnc``."""
+        """Give the arrivals of cycle ``k`` to ``gnc``."""
         if len(self._arrivals):
             i = k - self._begin
             gnc.set_sensor_arrivals(self._arrivals[self._first[i] : self._first[i + 1]])
@@ -114,15 +114,15 @@ class _Samples:
         self._first = np.searchsorted(samples["cycle"], np.arange(first, first + cycles + 1))
 
     def load(self, k: int, now: CycleData) -> str:
-        """Write those of cycle ``k`` to ``now``; return why it cannot be replayed, "" if it can."""
+        """Write the samples of cycle ``k`` to ``now``; return why it cannot be replayed, "" if it can."""
         i = k - self._begin
-        n, found = len(now.samples), self._samples[self._first[i] : self._first[i + 1]]
+        n, samples = len(now.samples), self._samples[self._first[i] : self._first[i + 1]]
         if n == 1 or k == 0:  # the first cycle has none before it
             return ""
-        if len(found) != n:
-            text = f"cycle {k} had {n} samples of the IMU, of which {len(found)} are in the recording"
+        if len(samples) != n:
+            text = f"cycle {k} had {n} samples of the IMU, of which {len(samples)} are in the recording"
             return f"{text}: the replay ends there"
-        now.samples[:] = found["imu"]
+        now.samples[:] = samples["imu"]
         return ""
 
 
@@ -131,7 +131,7 @@ def replay(
     scenario: Scenario,
     backend: GncBackend | None = None,
     batches: Iterable[RowBatch] | None = None,
-    keep: Callable[[np.ndarray, np.ndarray], None] = lambda before, now: None,
+    keep: Callable[[np.ndarray, np.ndarray], None] = lambda original, now: None,
 ) -> Replayed:
     """Compare the results of ``backend``, or of the GNC of ``scenario``, for the recorded inputs with the recorded.
 
@@ -147,18 +147,18 @@ def replay(
         for batch in [recorded.as_batch()] if batches is None else batches:
             read += len(batch.cycles)
             rows = loop.run(batch)
-            before = batch.cycles[: len(rows)]
+            original = batch.cycles[: len(rows)]
             if len(rows):
                 last_s = float(rows["t_s"][-1])
-                sums.add(before, rows)
-                keep(before, rows)
+                sums.add(original, rows)
+                keep(original, rows)
         if not read:
             raise BadInput.single(str(recorded.path), "", "no cycle is recorded: there is nothing to replay")
         if not loop.ended and recorded.end is not None and _is_complete(recorded, scenario, read):
             gnc.finish(last_s, loop.now.supervision)
-    found = Replayed(loop.cycles, read, loop.ended, sums.found())
-    found.missing_events, found.new_events = _events(recorded, gnc, last_s)
-    return found
+    replayed = Replayed(loop.cycles, read, loop.ended, sums.differences())
+    replayed.missing_events, replayed.new_events = _events(recorded, gnc, last_s)
+    return replayed
 
 
 class _OpenLoop:
@@ -228,9 +228,9 @@ def _cycle(gnc: GncBackend, poses: _Poses, row: np.void, now: CycleData) -> str:
 
 def _gap(row: np.void, k: int, step_s: float, poses: int) -> str:
     """Return why cycle ``k`` cannot be replayed, "" if it can."""
-    found = round(float(row["t_s"]) / step_s)
-    if found != k:
-        return f"cycles {k} to {found - 1} are not in the recording: the replay ends there"
+    cycle = round(float(row["t_s"]) / step_s)
+    if cycle != k:
+        return f"cycles {k} to {cycle - 1} are not in the recording: the replay ends there"
     fresh = int(row["pose"]["fresh"])
     if poses != fresh:
         return f"cycle {k} had {fresh} poses, of which {poses} are in the recording: the replay ends there"
@@ -238,11 +238,11 @@ def _gap(row: np.void, k: int, step_s: float, poses: int) -> str:
 
 
 def _orders(recorded: Recorded) -> dict[int, list[str]]:
-    found: dict[int, list[str]] = defaultdict(list)
+    orders: dict[int, list[str]] = defaultdict(list)
     for entry in recorded.log:
         if entry["kind"] == "order":
-            found[entry["cycle"]].append(entry["message"])
-    return found
+            orders[entry["cycle"]].append(entry["message"])
+    return orders
 
 
 def _send_orders(gnc: GncBackend, orders: list[str] | tuple[()]) -> None:
@@ -289,38 +289,38 @@ class _Differences:
     """Fields that differ, over all batches; those that the recording lacks are not compared."""
 
     def __init__(self, absent: frozenset[str]) -> None:
-        names = [place["name"] for place in flat_fields(CYCLE)]
+        names = [entry["name"] for entry in flat_fields(CYCLE)]
         self._names = [name for name in names if name.partition(".")[0] in COMPARED and name not in absent]
         self._found: dict[str, Difference] = {}
         self._cycles = 0
 
-    def add(self, before: np.ndarray, now: np.ndarray) -> None:
-        """Compare the recorded rows (n,) of the next cycles with those of the replay."""
+    def add(self, original: np.ndarray, now: np.ndarray) -> None:
+        """Compare the recorded rows (n,) of the next cycles with the replayed ones."""
         for name in self._names:
-            a, b = _field(before, name), _field(now, name)
+            a, b = _field(original, name), _field(now, name)
             differs = (_bits(a) != _bits(b)).any(axis=1)
             if differs.any():
-                self._add(_difference(name, before["t_s"], a, b, np.flatnonzero(differs)))
-        self._cycles += len(before)
+                self._add(_difference(name, original["t_s"], a, b, np.flatnonzero(differs)))
+        self._cycles += len(original)
 
     def _add(self, new: Difference) -> None:
         new = replace(new, first_cycle=self._cycles + new.first_cycle)
-        known = self._found.setdefault(new.field, new)
-        if known is new:
+        entry = self._found.setdefault(new.field, new)
+        if entry is new:
             return
-        is_larger = new.largest is not None and (known.largest is None or new.largest > known.largest)
-        largest = new if is_larger else known
-        cycles = known.cycles + new.cycles
-        self._found[new.field] = replace(known, cycles=cycles, largest=largest.largest, largest_s=largest.largest_s)
+        is_larger = new.largest is not None and (entry.largest is None or new.largest > entry.largest)
+        largest = new if is_larger else entry
+        cycles = entry.cycles + new.cycles
+        self._found[new.field] = replace(entry, cycles=cycles, largest=largest.largest, largest_s=largest.largest_s)
 
-    def found(self) -> list[Difference]:
+    def differences(self) -> list[Difference]:
         """Return them in the order of the fields."""
         return [self._found[name] for name in self._names if name in self._found]
 
 
-def _difference(name: str, t_s: np.ndarray, before: np.ndarray, now: np.ndarray, where: np.ndarray) -> Difference:
-    one_is_none = np.isnan(before[where]) != np.isnan(now[where])
-    difference = np.abs(np.nan_to_num(now[where]) - np.nan_to_num(before[where]))
+def _difference(name: str, t_s: np.ndarray, original: np.ndarray, now: np.ndarray, where: np.ndarray) -> Difference:
+    one_is_none = np.isnan(original[where]) != np.isnan(now[where])
+    difference = np.abs(np.nan_to_num(now[where]) - np.nan_to_num(original[where]))
     sizes = np.where(one_is_none, math.inf, difference).reshape(len(where), -1).max(axis=1)
     largest = int(np.argmax(np.where(np.isfinite(sizes), sizes, -1.0)))
     return Difference(
@@ -353,9 +353,9 @@ def _events(
 ) -> tuple[list[tuple[float, str, str]], list[tuple[float, str, str]]]:
     """Return the events of approach and filters only in the recording, and those only in the replay."""
     now = Counter((event.t_s, event.source, event.text) for event in gnc.events())
-    before = Counter(
+    original = Counter(
         (entry["t_s"], entry["name"], entry["message"])
         for entry in recorded.log
         if entry["kind"] == "event" and entry["name"] != "bench" and entry["t_s"] <= last_s
     )
-    return sorted((before - now).elements()), sorted((now - before).elements())
+    return sorted((original - now).elements()), sorted((now - original).elements())

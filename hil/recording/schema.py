@@ -46,7 +46,7 @@ LOG_ENTRY: Final = np.dtype(
 )  # fmt: skip
 """Entry of the log. t_s: time of the run, nan before it; bench_s: bench time; cycle: the first on which it acts, or
 during which it happened, -1 before the run. kind: event, alarm, alarm state, mode, order (command to the GNC), setting,
-operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as of
+operator (action at the console), fault (switched on an emulator). number, key, rights, configuration, digest: as in
 ``audit``."""
 
 SENSORS_FILE: Final = "sensors.json"
@@ -102,8 +102,8 @@ def describe(name: str, fields: Fields) -> bytes:
         "encoding": "packed record, little-endian; type as in numpy",
         "size": dtype.itemsize,
         "fields": [
-            {**place, "unit": field.unit, "frame": field.frame, "description": field.meaning}
-            for place, field in zip(flat_fields(dtype), leaf_fields(fields), strict=True)
+            {**entry, "unit": field.unit, "frame": field.frame, "description": field.meaning}
+            for entry, field in zip(flat_fields(dtype), leaf_fields(fields), strict=True)
         ],
     }
     return json.dumps(table, indent=1).encode()
@@ -202,10 +202,10 @@ def with_present_names(model: str, table: Table) -> Table:
             value = [present_key(model, key) for key in value]
         elif model == "Scenario" and isinstance(value, str):
             value = _VALUES.get((*parents, last), {}).get(value, value)
-        place = present
+        node = present
         for parent in parents:
-            place = place.setdefault(parent, {})
-        place[last] = value
+            node = node.setdefault(parent, {})
+        node[last] = value
     return present
 
 

@@ -32,14 +32,14 @@ from hil.recording.sinks import RecordingSinks
 from hil.recording.writer import RecordingHeader, RecordingStats
 from hil.session.assembly import Job
 
-_RING_S: Final = 5.0  # of cycles: longest pause of the recorder without loss
+_RING_S: Final = 5.0  # length of the ring of cycles: longest pause of the recorder without loss
 _ROWS_LEAST: Final = 2048
 SLOTS: Final = {
     "arrivals": 1024,
     "log": 256,
     "images": camera_images.SLOTS,
 }
-"""Rows of each ring except those whose rate is that of the cycle or more."""
+"""Rows of each ring whose rate is below the cycle's."""
 _READY_WALL_S: Final = 60.0
 _FINISH_WALL_S: Final = 30.0
 _EXIT_WALL_S: Final = 1.0
@@ -69,7 +69,7 @@ class RunRecorder:
         self._recorder = recorder
 
     def finish(self, summary: dict[str, Any]) -> RecordingStats:
-        """Close the recording with the run's numbers (as of ``hil run --json``); enter them into the catalogue."""
+        """Close the recording with the run's numbers (as in ``hil run --json``); enter them into the catalogue."""
         return self._finish(DONE, summary["stop"], summary)
 
     def break_off(self, reason: str) -> RecordingStats:
@@ -152,7 +152,7 @@ def _plain(name: str) -> str:
 
 def required_sinks(job: Job) -> set[str]:
     """Return the names in ``RecordingSinks`` to which a run of ``job`` writes: rings of images are large."""
-    scenario, wanted = job.scenario.value, image_policy(job.rig.value).encoding != "none"
+    scenario, with_images = job.scenario.value, image_policy(job.rig.value).encoding != "none"
     required = {"cycles", "arrivals", "log"}
     if scenario.imu_samples > 1:
         required.add("imu_samples")
@@ -164,10 +164,10 @@ def required_sinks(job: Job) -> set[str]:
         required.add("manipulator_samples")
     if job.rig.value.groups_at_places:
         required.add("held_samples")
-    if scenario.vmu.source == "rendered" and wanted:
+    if scenario.vmu.source == "rendered" and with_images:
         required.add("images")
     for used in used_parts(scenario, job.rig.value):
-        required |= {name for name, sink in used.part.sinks.items() if sink.topic or wanted}
+        required |= {name for name, sink in used.part.sinks.items() if sink.topic or with_images}
     return required
 
 

@@ -157,11 +157,11 @@ class RunFile(RunMessages):
             path.unlink()
             raise OSError(0, self._file.problem)
 
-    def continue_from(self, before: RunFile) -> None:
+    def continue_from(self, previous: RunFile) -> None:
         """Take over what rows refer to from the part before, the times and counts of their sources."""
-        self._last_s = self._flushed_s = before._last_s
-        self._json_s = before._json_s
-        self._source_dropped = before._source_dropped
+        self._last_s = self._flushed_s = previous._last_s
+        self._json_s = previous._json_s
+        self._source_dropped = previous._source_dropped
 
     def _after_message(self) -> None:
         """Write what is buffered, every ``FLUSH_S`` of the run and after many images."""

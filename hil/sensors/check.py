@@ -23,7 +23,7 @@ from hil.sensors.compiled import addresses
 from hil.sensors.module import SensorKind
 
 _STEPS: Final = np.array([1e-5] * 3 + [1e-6] * 3 + [1e-6] * 3)  # m, m/s, rad
-_TOLERANCE: Final = 1e-3  # of the largest entry of a row
+_TOLERANCE: Final = 1e-3  # relative to the largest entry of a row
 _POSES: Final = 40
 _SAMPLES: Final = 400
 _TAIL: Final = 1e-6
@@ -33,11 +33,11 @@ _RANGES_M: Final = (0.4, 1.0, 3.0, 8.0, 30.0, 90.0)
 class Trial:
     """A module called from Python, as the loop calls it. values: of the settings, in the order of their declaration."""
 
-    def __init__(self, found: SensorKind, values: Array) -> None:
-        self._found = found
+    def __init__(self, sensor: SensorKind, values: Array) -> None:
+        self._sensor = sensor
         self._values = np.ascontiguousarray(values if len(values) else np.zeros(1), float)
         kind = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_void_p] * 3)
-        self._measure, self._innovate = (kind(address) for address in addresses(found))
+        self._measure, self._innovate = (kind(address) for address in addresses(sensor))
         self.truth, self.output = new(SENSOR_TRUTH), new(SENSOR_OUTPUT)
         self.estimate, self.innovation = new(SENSOR_ESTIMATE), new(SENSOR_INNOVATION)
 
@@ -50,15 +50,15 @@ class Trial:
 
     def innovate(self) -> Array:
         """Compare ``output`` with ``estimate``; return the innovation (n,), with the others in ``innovation``."""
-        found, n = self.innovation, len(self._found.components)
-        found.sample = self.output.sample
+        innovation, n = self.innovation, len(self._sensor.components)
+        innovation.sample = self.output.sample
         for name in ("value", "h", "h_errors"):
-            found[name][...] = 0.0
-        for k, error in enumerate(self._found.module.errors):
-            found["h_errors"][error.component, k] = 1.0
-        found.noise = self.output.sample.covariance
-        self._call(self._innovate, self.estimate, found)
-        value: Array = found["value"][:n].copy()
+            innovation[name][...] = 0.0
+        for k, error in enumerate(self._sensor.module.errors):
+            innovation["h_errors"][error.component, k] = 1.0
+        innovation.noise = self.output.sample.covariance
+        self._call(self._innovate, self.estimate, innovation)
+        value: Array = innovation["value"][:n].copy()
         return value
 
     def _call(self, function: Any, first: np.record, second: np.record) -> None:
@@ -69,13 +69,13 @@ def _address(record: np.record) -> int:
     return int(np.asarray(record).__array_interface__["data"][0])
 
 
-def problems(found: SensorKind, values: Array | None = None, seed: int = 0) -> list[str]:
+def problems(kind: SensorKind, values: Array | None = None, seed: int = 0) -> list[str]:
     """Return what is wrong with the kernels of a module, one line each; [] if nothing is.
 
     values: of the settings; None: the defaults. Raises BadInput if a kernel does not compile.
     """
-    nominal = np.array([setting.default for setting in found.settings]) if values is None else values
-    trial, random = Trial(found, nominal), np.random.default_rng(seed)
+    nominal = np.array([setting.default for setting in kind.settings]) if values is None else values
+    trial, random = Trial(kind, nominal), np.random.default_rng(seed)
     lines: list[str] = []
     seen = 0
     for _ in range(_POSES):
@@ -86,18 +86,18 @@ def problems(found: SensorKind, values: Array | None = None, seed: int = 0) -> l
         seen += 1
         if text := _unrepeatable(trial):
             return [text]
-        lines += _finite(found, trial) or _jacobian(found, trial) or _covariance(found, trial) or _wire(found, trial)
+        lines += _finite(kind, trial) or _jacobian(kind, trial) or _covariance(kind, trial) or _wire(kind, trial)
         if lines:
             return lines
     if seen == 0:
         return [f"measure: has no measurement at any of {_POSES} places from {_RANGES_M[0]:g} to {_RANGES_M[-1]:g} m"]
-    return _noise(found, trial, random)
+    return _noise(kind, trial, random)
 
 
 def _unrepeatable(trial: Trial) -> str:
     """Measure the same truth again; return what differs, "" if nothing does."""
-    before, trial.truth.memory = trial.output.copy(), 0.0
-    if trial.measure() and np.array_equal(trial.output.sample.value, before.sample.value):
+    first, trial.truth.memory = trial.output.copy(), 0.0
+    if trial.measure() and np.array_equal(trial.output.sample.value, first.sample.value):
         return ""
     return "measure: gives another value for the same truth: take random numbers from truth.normal, no others"
 
@@ -118,7 +118,7 @@ def _place(trial: Trial, random: np.random.Generator) -> None:
         trial.estimate[name] = truth[name]
 
 
-def _finite(found: SensorKind, trial: Trial) -> list[str]:
+def _finite(kind: SensorKind, trial: Trial) -> list[str]:
     value = trial.innovate()
     if not np.isfinite(value).all():
         return ["innovate: value is not finite"]
@@ -128,10 +128,10 @@ def _finite(found: SensorKind, trial: Trial) -> list[str]:
     return []
 
 
-def _jacobian(found: SensorKind, trial: Trial) -> list[str]:
+def _jacobian(kind: SensorKind, trial: Trial) -> list[str]:
     """Compare ``h`` with central differences of the innovation by the estimate."""
     trial.innovate()
-    n = len(found.components)
+    n = len(kind.components)
     stated = trial.innovation.h[:n].copy()
     measured = np.empty((n, STATES))
     nominal = {name: np.copy(trial.estimate[name]) for name in SENSOR_ESTIMATE.names or ()}
@@ -144,7 +144,7 @@ def _jacobian(found: SensorKind, trial: Trial) -> list[str]:
     for name, value in nominal.items():
         trial.estimate[name] = value
     names = [f"{part}[{i}]" for part in ("r", "v", "theta") for i in range(3)]
-    for i, component in enumerate(found.components):
+    for i, component in enumerate(kind.components):
         largest = max(np.abs(measured[i]).max(), np.abs(stated[i]).max())
         j = int(np.argmax(np.abs(measured[i] - stated[i])))
         if abs(measured[i, j] - stated[i, j]) > _TOLERANCE * largest:
@@ -168,9 +168,9 @@ def _shift(estimate: np.record, nominal: dict[str, Any], state: int, step: float
         estimate.q_CH = quat.multiply(quat.from_rotation_vector(turn), nominal["q_CH"])
 
 
-def _covariance(found: SensorKind, trial: Trial) -> list[str]:
+def _covariance(kind: SensorKind, trial: Trial) -> list[str]:
     trial.innovate()
-    n = len(found.components)
+    n = len(kind.components)
     noise = trial.innovation.noise[:n, :n]
     if np.abs(noise - noise.T).max() > 1e-9 * np.abs(noise).max():
         return ["innovate: noise is not symmetric"]
@@ -183,9 +183,9 @@ def _covariance(found: SensorKind, trial: Trial) -> list[str]:
     return []
 
 
-def _wire(found: SensorKind, trial: Trial) -> list[str]:
+def _wire(kind: SensorKind, trial: Trial) -> list[str]:
     """Send the measurement as a line: it must mean the same to a fraction of its noise, which no line reports."""
-    protocol, n = found.module.wire, len(found.components)
+    protocol, n = kind.module.wire, len(kind.components)
     if protocol is None:
         return []
     sent = trial.output.sample.value[:n].copy()
@@ -205,10 +205,10 @@ def _wire(found: SensorKind, trial: Trial) -> list[str]:
     return []
 
 
-def _noise(found: SensorKind, trial: Trial, random: np.random.Generator) -> list[str]:
+def _noise(kind: SensorKind, trial: Trial, random: np.random.Generator) -> list[str]:
     """Measure many times with noise: the innovations must be as large as noise and errors that the module states."""
-    n = len(found.components)
-    sigmas = {setting.name: setting.default for setting in found.settings}
+    n = len(kind.components)
+    sigmas = {setting.name: setting.default for setting in kind.settings}
     square, count, total = 0.0, 0, np.zeros(n)
     for _ in range(_SAMPLES):
         _place(trial, random)
@@ -217,7 +217,7 @@ def _noise(found: SensorKind, trial: Trial, random: np.random.Generator) -> list
             continue
         value = trial.innovate()
         covariance = trial.innovation.noise[:n, :n].copy()
-        for k, error in enumerate(found.module.errors):
+        for k, error in enumerate(kind.module.errors):
             if error.time_s is not None:  # processes are drawn by measure, constant errors are settings
                 h = trial.innovation.h_errors[:n, k]
                 covariance += sigmas[error.sigma] ** 2 * np.outer(h, h)
@@ -231,5 +231,5 @@ def _noise(found: SensorKind, trial: Trial, random: np.random.Generator) -> list
     worst = int(np.argmax(np.abs(total)))
     if abs(total[worst]) > 5.5 * np.sqrt(count):
         mean = total[worst] / count
-        return [f"measure and innovate: {found.components[worst].name} is off by {mean:.2f} sigma on average"]
+        return [f"measure and innovate: {kind.components[worst].name} is off by {mean:.2f} sigma on average"]
     return []

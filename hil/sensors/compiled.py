@@ -31,9 +31,9 @@ class Addresses(NamedTuple):
 
 
 @cache
-def addresses(found: SensorKind) -> Addresses:
+def addresses(sensor: SensorKind) -> Addresses:
     """Return the addresses of the compiled kernels of a module. Raises BadInput if one does not compile."""
-    module, settings = found.module, found.settings
+    module, settings = sensor.module, sensor.settings
     layout = np.dtype([(setting.name, "f8") for setting in settings] or [("none", "f8")], align=True)
     return Addresses(*(_address(module, name, layout) for name in _ARGUMENTS))
 

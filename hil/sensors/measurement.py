@@ -76,7 +76,7 @@ SENSOR_TRACK = np.dtype(
         ("has_measured", "i8"),
         ("has_sample", "i8"),
         ("frozen", SENSOR_SAMPLE),  # last sample that was passed on
-        ("memory", "f8", MEMORY),  # of the module
+        ("memory", "f8", MEMORY),  # memory of the module
     ],
     align=True,
 )
@@ -231,21 +231,21 @@ def deliver(state, t_s, inbox):
     """
     inbox.arrived = 0
     while inbox.arrived < SAMPLES_PER_CYCLE:
-        found = -1
+        earliest = -1
         for i in range(state.waiting):
             if state.sample[i].received_s <= t_s + TIME_SLACK_S and (
-                found < 0 or state.sample[i].received_s < state.sample[found].received_s
+                earliest < 0 or state.sample[i].received_s < state.sample[earliest].received_s
             ):
-                found = i
-        if found < 0:
+                earliest = i
+        if earliest < 0:
             return
         arrival = inbox.arrival[inbox.arrived]
-        copy_record(state.sample[found], arrival.sample)
+        copy_record(state.sample[earliest], arrival.sample)
         arrival.result, arrival.nis = NOT_USED, np.nan
         fill(arrival.innovation, np.nan)
         inbox.arrived += 1
         state.waiting -= 1
-        for i in range(found, state.waiting):  # the order of the others stays
+        for i in range(earliest, state.waiting):  # the order of the others stays
             copy_record(state.sample[i + 1], state.sample[i])
 
 

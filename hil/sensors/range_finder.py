@@ -45,12 +45,12 @@ class DimetixLines(LineProtocol):
 
     def decode(self, line: bytes) -> tuple[float, ...] | None:
         """Return the distance of a line."""
-        if found := _DISTANCE.fullmatch(line):
-            return (int(found[1]) * _UNIT_M,)
+        if match := _DISTANCE.fullmatch(line):
+            return (int(match[1]) * _UNIT_M,)
         if _ACKNOWLEDGED.fullmatch(line):
             return None
-        if found := _ERROR.fullmatch(line):
-            raise ValueError(f"the sensor reports error {found[1].decode()}")
+        if match := _ERROR.fullmatch(line):
+            raise ValueError(f"the sensor reports error {match[1].decode()}")
         raise ValueError("no line of a distance sensor")
 
 

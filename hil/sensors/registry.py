@@ -50,10 +50,10 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
             return checked(getattr(importlib.import_module(where), name))
         points = _packages()
         if kind not in points:
-            known = [*SHIPPED, *points]
-            close = difflib.get_close_matches(kind, known, n=1)
+            names = [*SHIPPED, *points]
+            close = difflib.get_close_matches(kind, names, n=1)
             hint = f"did you mean {close[0]}? " if close else ""
-            raise refuse(f"no such sensor: {hint}known are {', '.join(known)}, or a class in a file, FILE.py:NAME")
+            raise refuse(f"no such sensor: {hint}known are {', '.join(names)}, or a class in a file, FILE.py:NAME")
         point = points[kind]
         return checked(point.load(), point.dist.name if point.dist else "")
     except BadInput:
@@ -66,13 +66,13 @@ def sensor(kind: str, refuse: Callable[[str], BadInput] | None = None) -> Sensor
 
 def kinds() -> dict[str, SensorKind | str]:
     """Return each kind of sensor, or why its module cannot be used."""
-    found: dict[str, SensorKind | str] = {}
+    loaded: dict[str, SensorKind | str] = {}
     for kind in (*SHIPPED, *_packages()):
         try:
-            found[kind] = sensor(kind)
+            loaded[kind] = sensor(kind)
         except BadInput as error:
-            found[kind] = error.problems[0].message
-    return found
+            loaded[kind] = error.problems[0].message
+    return loaded
 
 
 def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:
@@ -88,12 +88,12 @@ def with_sensor_settings(scenario: Loaded[Scenario]) -> Loaded[Scenario]:
     for name, config in scenario.value.sensors.items():
         key = f"sensors.{name}"
         try:
-            found = sensor(config.kind, lambda text, k=key, c=config: _refusal(scenario, k, c, text))  # type: ignore[misc]
+            kind = sensor(config.kind, lambda text, k=key, c=config: _refusal(scenario, k, c, text))  # type: ignore[misc]
         except BadInput as error:
             problems += error.problems
             continue
-        values = _settings_of(found, key, config, scenario, problems)
-        states += sum(1 for error in found.module.errors if values[error.sigma] > 0.0)
+        values = _settings_of(kind, key, config, scenario, problems)
+        states += sum(1 for error in kind.module.errors if values[error.sigma] > 0.0)
         tables[name] = config.model_dump(mode="json", exclude_none=True) | values
     if states > ERROR_STATES_MAX:
         text = f"{states} errors with a sigma above 0, at most {ERROR_STATES_MAX} are states of the filters"
@@ -109,10 +109,10 @@ def _refusal(scenario: Loaded[Scenario], key: str, config: SensorConfig, text: s
 
 
 def _settings_of(
-    found: SensorKind, key: str, config: SensorConfig, scenario: Loaded[Scenario], problems: list[Problem]
+    kind: SensorKind, key: str, config: SensorConfig, scenario: Loaded[Scenario], problems: list[Problem]
 ) -> dict[str, float]:
     """Return the value of each declared setting; add the problems of the given ones."""
-    declared = {setting.name: setting for setting in found.settings}
+    declared = {setting.name: setting for setting in kind.settings}
     given = config.settings
     for name, value in given.items():
         where, here = scenario.where(f"{key}.{name}"), f"{key}.{name}"
@@ -129,12 +129,12 @@ def _settings_of(
 
 
 def _unknown(name: str, declared: dict[str, Setting]) -> str:
-    known = [*declared, *(key for key in COMMON if key not in ("kind", "name"))]
+    names = [*declared, *(key for key in COMMON if key not in ("kind", "name"))]
     stem = name.rpartition("_")[0] or name
-    close = [key for key in known if key.startswith((f"{name}_", f"{stem}_"))]
-    close = close or difflib.get_close_matches(name, known, n=1)
+    close = [key for key in names if key.startswith((f"{name}_", f"{stem}_"))]
+    close = close or difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]}? " if close else ""
-    return f"unknown key: {hint}known here: {', '.join(known)}"
+    return f"unknown key: {hint}known here: {', '.join(names)}"
 
 
 def _of_file(kind: str, refuse: Callable[[str], BadInput]) -> Any:

@@ -67,7 +67,7 @@ class RelativeGnss(SensorModule):
 
     @staticmethod
     def innovate(settings, estimate, out):
-        """Position and velocity are those of the estimate."""
+        """Position and velocity come from the estimate."""
         for i in range(3):
             out.value[i] = out.sample.value[i] - estimate.r_CT_H[i]
             out.value[3 + i] = out.sample.value[3 + i] - estimate.v_CT_H[i]

@@ -143,7 +143,7 @@ class Job:
 
     @property
     def tick_s(self) -> float:
-        """Period of the fastest rate that waits for its time, s: that of the rate keeper."""
+        """Period of the rate keeper, the fastest rate that waits for its time, s."""
         return self.scenario.value.step_s / self.ticks
 
 
@@ -318,13 +318,13 @@ def _seen_axes(devices: Devices, bench: BenchStage) -> Callable[[], tuple[Array,
 
     def axes() -> tuple[Array, Array]:
         if isinstance(bench.rails, MockAxes) and isinstance(bench.turntable, MockAxes):
-            found = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
+            positions = np.asarray(bench.rails.servo.position), np.asarray(bench.turntable.servo.position)
         else:
-            found = bench.feedback[0].position, bench.feedback[1].position
+            positions = bench.feedback[0].position, bench.feedback[1].position
         if rotated is not None:
             at = target.servo.position if isinstance(target, MockAxes) else rotated.feedback.position
-            return relative_axes(bench.params, rotated.params, *found, at)
-        return found
+            return relative_axes(bench.params, rotated.params, *positions, at)
+        return positions
 
     return axes
 
@@ -357,7 +357,7 @@ def make_gnc(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMem
 def make_backend(scenario: Scenario, own: OwnBackends = NO_BACKENDS, memory: CoreMemory | None = None) -> GncBackend:
     """Return the built-in GNC, or that of ``own`` or ``scenario`` elsewhere. Raises BadInput if it cannot be loaded.
 
-    Arguments as of ``make_gnc``.
+    Arguments: see ``make_gnc``.
     """
     library = open_library(scenario.gnc, own=own.gnc)
     if library is None:

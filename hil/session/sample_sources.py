@@ -152,13 +152,13 @@ def wired_sensors(scenario: Scenario, rig: Rig) -> list[str]:
 
 def sample_sources(scenario: Scenario) -> list[UdpSamples]:
     """Return the open sockets of the scenario's sensors. Raises BadInput for one that cannot be opened."""
-    found: list[UdpSamples] = []
+    sources: list[UdpSamples] = []
     try:
         for number, (name, (kind, config, _)) in enumerate(sensors_of(scenario).items()):
             if config.source == "udp":
-                found.append(UdpSamples(name, number, len(kind.components), config))
+                sources.append(UdpSamples(name, number, len(kind.components), config))
     except BadInput:
-        for source in found:
+        for source in sources:
             source.close()
         raise
-    return found
+    return sources

@@ -87,24 +87,24 @@ class BoardEstimator:
 
     def solve(self, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> PoseEstimate:
         """Return the pose by the images (h, w), uint8, exposed at ``t_s``; None for a missing image."""
-        found = [{} if image is None else self._find(image) for image in (left, right)]
-        ids = self._chosen(found)
+        corners = [{} if image is None else self._find(image) for image in (left, right)]
+        ids = self._chosen(corners)
         if len(ids) < 4:
             return PoseEstimate(t_s, "too_few")
         solver = self._solver(ids)
         spots, view_spots = np.full((2, MAX_LEDS), -1, np.int64), []
         for c in range(2):
-            rows = np.zeros(0 if not found[c] else sum(k in found[c] for k in ids), SPOT)
-            seen = [n for n, k in enumerate(ids) if k in found[c]]
+            rows = np.zeros(0 if not corners[c] else sum(k in corners[c] for k in ids), SPOT)
+            seen = [n for n, k in enumerate(ids) if k in corners[c]]
             for row, n in zip(rows, seen, strict=True):
-                row["u"], row["v"] = found[c][ids[n]]
+                row["u"], row["v"] = corners[c][ids[n]]
                 row["var_u"] = row["var_v"] = self._variance
             spots[c, seen] = np.arange(len(seen))
             view_spots.append(rows)
         view = solver.view(*view_spots)
         fits = [
             fit
-            for r, t in self._starts(found, ids)
+            for r, t in self._starts(corners, ids)
             for fit in solver.from_start(view, r, t, spots)
             if (fit["spot"] == spots).all() and fit["t"][2] > 0.0 and fit["r"][2, 2] > 0.0
         ]
@@ -122,10 +122,10 @@ class BoardEstimator:
         q_vt = quat.from_matrix(best["r"])
         return PoseEstimate(t_s, "ok", best["t"].copy(), q_vt, best["covariance"].copy(), best["noise"].copy())
 
-    def _chosen(self, found: list[Corners]) -> tuple[int, ...]:
-        """Return corners that both images show, else those of the better one: the farthest from those before."""
-        both = sorted(set(found[0]) & set(found[1]))
-        ids = both if len(both) >= 4 else sorted(found[0] if len(found[0]) >= len(found[1]) else found[1])
+    def _chosen(self, corners: list[Corners]) -> tuple[int, ...]:
+        """Return corners that both images show, else of the better one: each the farthest from those before."""
+        both = sorted(set(corners[0]) & set(corners[1]))
+        ids = both if len(both) >= 4 else sorted(corners[0] if len(corners[0]) >= len(corners[1]) else corners[1])
         if len(ids) <= MAX_LEDS:
             return tuple(ids)
         places = self._points[ids]
@@ -144,13 +144,13 @@ class BoardEstimator:
             self._solvers[ids] = Solver(geometry, SolverSettings())
         return self._solvers[ids]
 
-    def _starts(self, found: list[Corners], ids: tuple[int, ...]) -> list[tuple[Array, Array]]:
+    def _starts(self, corners: list[Corners], ids: tuple[int, ...]) -> list[tuple[Array, Array]]:
         """Return the two poses (r, t) of a flat target by the image that shows more corners."""
-        side = 0 if len(found[0]) >= len(found[1]) else 1
+        side = 0 if len(corners[0]) >= len(corners[1]) else 1
         camera = (self._geometry.left, self._geometry.right)[side]
-        seen = [k for k in ids if k in found[side]]
+        seen = [k for k in ids if k in corners[side]]
         matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-        pixels = np.array([found[side][k] for k in seen])
+        pixels = np.array([corners[side][k] for k in seen])
         _, turns, shifts, _ = cv2.solvePnPGeneric(
             self._points[seen], pixels, matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
         )

@@ -89,7 +89,7 @@ class Consistency:
 
     def _cause(self) -> Doubt:
         """Return the kind of error that explains the residuals best, with its size."""
-        best, found = -math.inf, Doubt(SHAPE)
+        best, cause = -math.inf, Doubt(SHAPE)
         for name, unit, directions in causes(self._scene):
             prior = self._tolerance + directions @ directions.T
             root = _root(prior)
@@ -100,8 +100,8 @@ class Consistency:
             if likelihood > best:
                 best = likelihood
                 estimate = root @ (vectors @ (y / (1.0 + values)))
-                found = Doubt(name, _size(self._scene, name, estimate), unit)
-        return found
+                cause = Doubt(name, _size(self._scene, name, estimate), unit)
+        return cause
 
 
 def causes(scene: RingScene) -> Iterator[tuple[str, str, Array]]:
@@ -125,17 +125,17 @@ def causes(scene: RingScene) -> Iterator[tuple[str, str, Array]]:
 
 def _usual_sigmas(scene: RingScene) -> Array:
     """Return errors (p,) of a usual size, by which parameters of different units are compared."""
-    found = np.full(len(scene.tolerance), 1e-4)
+    sigmas = np.full(len(scene.tolerance), 1e-4)
     for c in range(2):
         lens = scene.lens[c]
         corner = 0.5 * math.hypot(float(lens["width"]), float(lens["height"])) / float(lens["fx"])
         bend = 0.2 / _swell(lens)
-        found[9 * c : 9 * c + 9] = (
+        sigmas[9 * c : 9 * c + 9] = (
             1e-3 * lens["fx"], 1e-3 * lens["fy"], 0.2, 0.2, bend, bend / corner**2, bend * corner, bend * corner,
             bend / corner**4,
         )  # fmt: skip
-    found[18:21] = math.radians(0.02)
-    return found
+    sigmas[18:21] = math.radians(0.02)
+    return sigmas
 
 
 def _swell(lens: np.void) -> float:

@@ -94,10 +94,10 @@ class SpotDetector:
             return self._spots[:0].copy()
         regions = _NO_WINDOWS if windows is None else np.ascontiguousarray(windows, dtype=np.int64)
         first_light = not self._noise_sums[1] and self._given_per_level is None
-        found = self._search(np.ascontiguousarray(image), regions, weak)
+        spots = self._search(np.ascontiguousarray(image), regions, weak)
         if self._update_noise() and first_light:
-            found = self._search(np.ascontiguousarray(image), regions, weak)
-        return found
+            spots = self._search(np.ascontiguousarray(image), regions, weak)
+        return spots
 
     def _search(self, image: np.ndarray, windows: np.ndarray, weak: bool) -> np.ndarray:
         chosen = self._settings
@@ -116,12 +116,12 @@ class SpotDetector:
             if count != TOO_MANY:
                 break
         self.overfull = count == TOO_MANY
-        found = self._spots[: max(count, 0)].copy()
-        if len(found) > chosen.most_spots:
-            brightest = np.argsort(found["flux"])[-chosen.most_spots :]
-            found = found[np.sort(brightest)]
-        self._last = found.copy()
-        return found
+        spots = self._spots[: max(count, 0)].copy()
+        if len(spots) > chosen.most_spots:
+            brightest = np.argsort(spots["flux"])[-chosen.most_spots :]
+            spots = spots[np.sort(brightest)]
+        self._last = spots.copy()
+        return spots
 
     def _update_noise(self) -> bool:
         """Update the shot noise by the last image: the mean of its typical spots' estimates."""

@@ -1,6 +1,6 @@
 """Pose estimators: the software that a vision unit runs on its images, selected by ``vmu.estimator`` of the rig file.
 
-Shipped are those of ``_BUILT_IN``. Those of other packages are found by entry points of the group
+``_BUILT_IN`` lists the shipped ones. Other packages register theirs by entry points of the group
 ``hil.pose_estimators``:
 
     [project.entry-points."hil.pose_estimators"]
@@ -32,7 +32,7 @@ _BUILT_IN: Final = {
     "charuco": "hil.vmu.boards:charuco",
 }
 _UNIT: Final = 1e-6
-_DEFINITE: Final = -1e-9  # of the largest eigenvalue
+_DEFINITE: Final = -1e-9  # relative to the largest eigenvalue
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,13 +122,13 @@ def make_estimator(name: str, geometry: VmuGeometry, settings: Mapping[str, Any]
 def _factory(name: str) -> Factory:
     if name in _BUILT_IN:
         module, _, attribute = _BUILT_IN[name].partition(":")
-        found: Factory = getattr(import_module(module), attribute)
-        return found
+        factory: Factory = getattr(import_module(module), attribute)
+        return factory
     points = [point for point in entry_points(group=GROUP) if point.name == name]
     if len(points) != 1:
         what = "of several packages" if points else "unknown estimator"
-        known = ", ".join([*_BUILT_IN, *sorted({point.name for point in entry_points(group=GROUP)})])
-        raise BadInput.single("rig", "vmu.estimator", f'"{name}": {what}, known: {known}')
+        names = ", ".join([*_BUILT_IN, *sorted({point.name for point in entry_points(group=GROUP)})])
+        raise BadInput.single("rig", "vmu.estimator", f'"{name}": {what}, known: {names}')
     try:
         loaded: Factory = points[0].load()
     except Exception as cause:
@@ -139,8 +139,8 @@ def _factory(name: str) -> Factory:
 
 def board_of(estimator: PoseEstimator) -> FlatTarget | None:
     """Return the printed target of ``estimator``, None if it measures the LED ring."""
-    found: FlatTarget | None = getattr(estimator, "board", None)
-    return found
+    board: FlatTarget | None = getattr(estimator, "board", None)
+    return board
 
 
 def solve_pair(estimator: PoseEstimator, left: np.ndarray | None, right: np.ndarray | None, t_s: float) -> Solved:

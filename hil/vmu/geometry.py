@@ -14,14 +14,14 @@ from hil.vmu.kernels.records import SHARED
 
 def lenses(*cameras: VmuCamera) -> np.ndarray:
     """Return ``cameras`` as an array of LENS."""
-    found = np.zeros(len(cameras), LENS)
-    for record, camera in zip(found, cameras, strict=True):
+    records = np.zeros(len(cameras), LENS)
+    for record, camera in zip(records, cameras, strict=True):
         for name in ("fx", "fy", "cx", "cy", "width", "height"):
             record[name] = getattr(camera, name)
         record["row_s"] = camera.row_time_s or 0.0
         for name, value in zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=True):
             record[name] = value
-    return found
+    return records
 
 
 def camera_pair(geometry: VmuGeometry) -> CameraPair:
@@ -55,19 +55,19 @@ def considered_covariance(geometry: VmuGeometry) -> Array:
     the right camera's rotation vector are taken for small rotations: right to 5 % for cameras turned by 6 deg.
     """
     n = len(geometry.leds_m)
-    found = np.zeros((SHARED + 3 * n, SHARED + 3 * n))
+    covariance = np.zeros((SHARED + 3 * n, SHARED + 3 * n))
     stated = geometry.tolerances
     for side, camera in enumerate((geometry.left, geometry.right)):
-        _add_camera(found[9 * side : 9 * side + 9, 9 * side : 9 * side + 9], camera, stated)
-    index = np.arange(len(found))
+        _add_camera(covariance[9 * side : 9 * side + 9, 9 * side : 9 * side + 9], camera, stated)
+    index = np.arange(len(covariance))
     rest = [np.radians(stated.rotation_deg)] * 3 + [stated.baseline_m] * 3 + [stated.led_m] * (3 * n)
-    found[index[18:], index[18:]] = np.square(rest)
-    focal = np.zeros(len(found))
+    covariance[index[18:], index[18:]] = np.square(rest)
+    focal = np.zeros(len(covariance))
     focal[[0, 1, 9, 10]] = geometry.left.fx, geometry.left.fy, geometry.right.fx, geometry.right.fy
-    found += stated.focal_scale**2 * np.outer(focal, focal)
+    covariance += stated.focal_scale**2 * np.outer(focal, focal)
     leds = led_positions(geometry)
     ring = np.concatenate([np.zeros(SHARED), (leds - leds.mean(axis=0)).ravel()])
-    found += stated.led_scale**2 * np.outer(ring, ring)
+    covariance += stated.led_scale**2 * np.outer(ring, ring)
     if geometry.calibration is not None:
         rows = geometry.calibration.covariance
         covered = np.zeros((len(rows), len(rows)))
@@ -75,9 +75,9 @@ def considered_covariance(geometry: VmuGeometry) -> Array:
             covered[k, : k + 1] = covered[: k + 1, k] = row
         kept = np.r_[:SHARED, COMMON : len(rows)]
         size = len(kept)
-        if size in (SHARED, len(found)):
-            found[:size, :size] = covered[np.ix_(kept, kept)]
-    return found
+        if size in (SHARED, len(covariance)):
+            covariance[:size, :size] = covered[np.ix_(kept, kept)]
+    return covariance
 
 
 def _add_camera(out: Array, camera: VmuCamera, stated: Tolerances) -> None:

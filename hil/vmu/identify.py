@@ -37,17 +37,17 @@ _TRACK_REACH_PX = 150.0
 _MARKED_COST = 20.0
 _FEW_DEGREES, _FEW_SIGMA = 6, 3.3
 _BRIGHTER = 1.3
-_SHIFTED = 4.5  # sigmas between the two images
+_SHIFTED = 4.5  # sigmas: shift between the two images
 _APART = 12.0  # ratio of variances (6 and 12 degrees of freedom), which images of one moment exceed once in 5000
-_OWN, _MORE = 5, 2  # spots of a camera that make a pattern of its own, and by how many it exceeds the best pose's
-_SECOND = 4  # LEDs, all of other lights, that make a second pattern
-_TWO_LIGHTS = 1.5  # of the usual flux: two lights may be one spot ...
+_OWN, _MORE = 5, 2  # least spots of a camera's own pattern, and by how many more than the best pose
+_SECOND = 4  # LEDs, all by other lights, that make a second pattern
+_TWO_LIGHTS = 1.5  # times the usual flux: two lights may be one spot ...
 _TWO_LIGHTS_PX = 6.0  # ... which is displaced
 _RANDOM = 1.0  # ln of the number of patterns by other lights up to which a position is reported
-_LIGHTS = 4  # in an image in which as many LEDs should be seen
+_LIGHTS = 4  # least number of lights in an image that should show as many LEDs
 _EDGE_PX = 4.0
 _EPIPOLAR_PX = 3.0
-_NEAR_TRACK = 20.0  # of the score, by which a pose that continues a mature track may be below the best
+_NEAR_TRACK = 20.0  # score by which a pose that continues a mature track may be below the best
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,13 +114,13 @@ class Identifier:
     def search(self, view: View, prediction: Prediction | None, mature: bool = False) -> LedIdentification:
         """Return the identification over all hypotheses; the prediction is used only if the spots are ambiguous.
 
-        mature: the prediction is that of a long track, which a single pair of images does not overrule.
+        mature: the prediction continues a long track, which a single pair of images does not overrule.
         """
-        found = self._by_hypotheses(view, prediction, mature)
-        unknown = found.status in (NO_MATCH, GEOMETRY, TOO_FEW) and view.counts.max() < MAX_SPOTS
+        identification = self._by_hypotheses(view, prediction, mature)
+        unknown = identification.status in (NO_MATCH, GEOMETRY, TOO_FEW) and view.counts.max() < MAX_SPOTS
         if unknown and (apart := self._each_alone(view)) != OK:
             return LedIdentification(apart)
-        return found
+        return identification
 
     def _by_hypotheses(self, view: View, prediction: Prediction | None, mature: bool) -> LedIdentification:
         if max(view.counts) < 3:
@@ -158,15 +158,15 @@ class Identifier:
             return tracked
         return LedIdentification(AMBIGUOUS, candidates=[alone.fit], jump=True)
 
-    def partly(self, view: View, found: LedIdentification) -> bool:
-        """Return whether one of the candidates of ``found`` is the true pose, so that what they agree on is known.
+    def partly(self, view: View, verdict: LedIdentification) -> bool:
+        """Return whether one of the candidates of ``verdict`` is the true pose, so that what they agree on is known.
 
-        The lights have to be those of the LEDs: hardly any of another pattern, none that the best candidate leaves out
+        The lights have to belong to the LEDs: hardly any to another pattern, none that the best candidate leaves out
         near it, and none at all with three LEDs, which other lights may be as well.
         """
-        if found.open or found.jump or not found.candidates or not fits_within_budget(found.candidates[0]):
+        if verdict.open or verdict.jump or not verdict.candidates or not fits_within_budget(verdict.candidates[0]):
             return False
-        best = found.candidates[0]
+        best = verdict.candidates[0]
         used = (best["spot"] >= 0).sum(axis=1)
         if self._log_false_alarms(view, best, None) > _RANDOM or used.min() < 2:
             return False
@@ -183,15 +183,15 @@ class Identifier:
         """
         rest = without_spots(view, best)
         if rest.counts.min() >= _SECOND or rest.counts.max() >= _OWN:
-            found = self._patterns(rest)
-            return found if len(found) else self._touching(rest)
+            patterns = self._patterns(rest)
+            return patterns if len(patterns) else self._touching(rest)
         if rest.counts.min() < _SECOND - 1:
             return np.zeros(0, FIT)
         for n in np.flatnonzero((best["spot"] >= 0).all(axis=0)):
             others = best.copy()
             others["spot"][:, n] = -1
-            if len(found := self._patterns(without_spots(view, others))):
-                return found
+            if len(patterns := self._patterns(without_spots(view, others))):
+                return patterns
         return np.zeros(0, FIT)
 
     def _patterns(self, rest: View) -> np.ndarray:

@@ -37,7 +37,7 @@ class LongSample:
     def add(self, t_s: float, spots: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:
         """Add the spots (SPOT) of a pair; return the lights of each image at ``t_s`` as SPOT, None if there are none.
 
-        A pair that does not follow the last one in time begins a new sample. Images equal to the last ones, as of a
+        A pair that does not follow the last one in time begins a new sample. Images equal to the last ones, as from a
         camera that repeats them, are no new ones and do not count.
         """
         if self._pairs and not t_s > self._times[-1]:
@@ -50,17 +50,17 @@ class LongSample:
             return None
         first = next((k for k, at in enumerate(self._times) if t_s - at <= _LONGEST_S), len(self._times))
         self._times, self._pairs = [*self._times[first:], t_s], [*self._pairs[first:], spots]
-        misfit, degrees, found = 0.0, 0, []
+        misfit, degrees, combined = 0.0, 0, []
         for images in zip(*self._pairs, strict=True):
             lights = []
             for rows in self._chains(images):
                 light, square = line_of(rows, np.array([self._times[k] for k, _ in rows]), images, t_s)
                 misfit, degrees = misfit + square, degrees + 2 * len(rows) - 4
                 lights.append(light)
-            found.append(np.array(lights, SPOT))
+            combined.append(np.array(lights, SPOT))
         if not degrees or misfit > chi_square_limit(degrees):
             return None
-        return found[0], found[1]
+        return combined[0], combined[1]
 
     def accelerated(self, fit: np.void) -> np.void:
         """Return the pose ``fit`` (FIT) of the lights with the covariance of a motion that is not of constant rates.
@@ -68,10 +68,10 @@ class LongSample:
         At the end of the straight line through a motion of acceleration a over a time T the error is ``a T^2 / 12``.
         """
         off = (self._times[-1] - self._times[0]) ** 2 / 12.0
-        found = fit.copy()
+        widened = fit.copy()
         for name in ("covariance", "noise"):
-            found[name] += np.diag(np.repeat([(_MPS2 * off) ** 2, (_RADPS2 * off) ** 2], 3))
-        return found
+            widened[name] += np.diag(np.repeat([(_MPS2 * off) ** 2, (_RADPS2 * off) ** 2], 3))
+        return widened
 
     def _chains(self, images: tuple[np.ndarray, ...]) -> list[list[tuple[int, int]]]:
         """Return the lights of one camera's spots ``images``: of each, the pairs and the indices of its spots."""
@@ -79,10 +79,10 @@ class LongSample:
         for k, spots in enumerate(images):
             free = np.ones(len(spots), bool)
             for chain in sorted(chains, key=len, reverse=True):
-                before, last = chain[-1]
-                away = np.hypot(spots["u"] - images[before][last]["u"], spots["v"] - images[before][last]["v"])
+                image, last = chain[-1]
+                away = np.hypot(spots["u"] - images[image][last]["u"], spots["v"] - images[image][last]["v"])
                 sigma = np.sqrt(spots["var_u"] + spots["var_v"])
-                reach = _REACH_PX + _REACH_SIGMAS * sigma + _SPEED_PXPS * (self._times[k] - self._times[before])
+                reach = _REACH_PX + _REACH_SIGMAS * sigma + _SPEED_PXPS * (self._times[k] - self._times[image])
                 inside = np.flatnonzero(free & (away < reach))
                 if len(inside):
                     nearest = int(inside[np.argmin(away[inside])])

@@ -44,26 +44,26 @@ def shapes(scene: RingScene, solution: Solution, camera: int, title: str = "") -
 
 def lines(solution: Solution, title: str = "") -> list[tuple[str, str]]:
     """Return lines of text about the pose, each with its part: STATUS, VALUE or NOTE."""
-    found = [(f"{title}  {solution.status}  {solution.n_leds} LEDs".strip(), STATUS)]
+    texts = [(f"{title}  {solution.status}  {solution.n_leds} LEDs".strip(), STATUS)]
     if solution.pose is not None:
         t, rotation = solution.pose.t_v, np.degrees(solution.pose.rotation_vector)
         sigma = np.sqrt(np.diag(solution.pose.covariance))
-        found.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m", VALUE))
-        found.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", NOTE))
-        found.append((f"r  {rotation[0]:+.3f} {rotation[1]:+.3f} {rotation[2]:+.3f} deg", VALUE))
+        texts.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m", VALUE))
+        texts.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", NOTE))
+        texts.append((f"r  {rotation[0]:+.3f} {rotation[1]:+.3f} {rotation[2]:+.3f} deg", VALUE))
         s = np.degrees(sigma[3:])
-        found.append((f"sigma {s[0]:.4f} {s[1]:.4f} {s[2]:.4f} deg", NOTE))
+        texts.append((f"sigma {s[0]:.4f} {s[1]:.4f} {s[2]:.4f} deg", NOTE))
     elif solution.partial is not None:
         t, sigma = solution.t, np.sqrt(np.diag(solution.covariance))
-        found.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m, no attitude", VALUE))
-        found.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", NOTE))
+        texts.append((f"t  {t[0]:+.4f} {t[1]:+.4f} {t[2]:+.4f} m, no attitude", VALUE))
+        texts.append((f"sigma {1e3 * sigma[0]:.3f} {1e3 * sigma[1]:.3f} {1e3 * sigma[2]:.3f} mm", NOTE))
     if solution.doubt is not None:
-        found.append((str(solution.doubt), NOTE))
+        texts.append((str(solution.doubt), NOTE))
     if solution.degrees:
-        found.append((f"chi-square {solution.chi2:.1f} at {solution.degrees} degrees of freedom", NOTE))
+        texts.append((f"chi-square {solution.chi2:.1f} at {solution.degrees} degrees of freedom", NOTE))
     elif solution.candidates > 1:
-        found.append((f"{solution.candidates} poses fit the spots", NOTE))
-    return found
+        texts.append((f"{solution.candidates} poses fit the spots", NOTE))
+    return texts
 
 
 def _caption(solution: Solution, title: str) -> list[Shape]:
@@ -78,19 +78,19 @@ def _leds(scene: RingScene, solution: Solution, camera: int) -> list[Shape]:
     if solution.pose is None:
         return []
     r, arm, point = matrix_of(solution.pose.q_vt), np.empty(3), np.empty(3)
-    found: list[Shape] = []
+    crosses: list[Shape] = []
     for led in scene.leds:
         place_when_seen(scene, camera, led, r, solution.pose.t_v, arm, point)
         u, v = project(scene.lens[camera], point[0], point[1], point[2])
         if math.isfinite(u + v) and max(abs(u), abs(v)) < _FARTHEST_PX:
-            found.append({"kind": "cross", "at": _at(u, v), "good": True, "part": LED})
-    return found
+            crosses.append({"kind": "cross", "at": _at(u, v), "good": True, "part": LED})
+    return crosses
 
 
 def _spots(solution: Solution, camera: int) -> list[Shape]:
-    """Return circles around the spots, those of LEDs first, with their numbers."""
+    """Return numbered circles around the spots, LEDs first."""
     names = {k: n for n, k in enumerate(solution.leds[camera]) if k >= 0}
-    known: list[Shape] = []
+    identified: list[Shape] = []
     others: list[Shape] = []
     for k, spot in enumerate(solution.spots[camera]):
         u, v, radius = float(spot["u"]), float(spot["v"]), 3.0 * float(spot["size"]) + 4.0
@@ -100,8 +100,8 @@ def _spots(solution: Solution, camera: int) -> list[Shape]:
             continue
         corner = [round(u + radius + 2), round(v - radius - 2)]
         number = {"kind": "text", "at": corner, "text": str(names[k]), "good": True, "part": IDENTITY}
-        known += [circle, number]
-    return [*known, *others]
+        identified += [circle, number]
+    return [*identified, *others]
 
 
 def _at(u: float, v: float) -> list[float]:

@@ -16,7 +16,7 @@ OK_POSITION: Final = "ok_position"
 OK_SIGHT: Final = "ok_sight"
 
 _LEAST_WEIGHT: Final = 0.04  # no candidate is more than five sigmas off
-_LARGEST_SIGMA: Final = 0.05  # of the range
+_LARGEST_SIGMA: Final = 0.05  # relative to the range
 _LARGEST_SIGHT_RAD: Final = math.radians(1.0)
 
 

@@ -161,11 +161,11 @@ class Solver:
             self._search.least_trace = 1.0 + 2.0 * math.cos(angle)
         count = search(self.scene, view, self._search, self._starts, self._fits, self._state)
         complete = not self._state[STATE_FULL]
-        found = self._fit(view, self._fits[:count])
-        turned = [turn for fit in found[np.argsort(found["score"])[::-1][:_TURNED]] for turn in self._turned(fit)]
+        fits = self._fit(view, self._fits[:count])
+        turned = [turn for fit in fits[np.argsort(fits["score"])[::-1][:_TURNED]] for turn in self._turned(fit)]
         if turned:
-            found = self._fit(view, np.concatenate([found, *turned]))
-        return found, complete
+            fits = self._fit(view, np.concatenate([fits, *turned]))
+        return fits, complete
 
     def from_start(self, view: View, r: Array, t: Array, spots: npt.NDArray[np.int64]) -> np.ndarray:
         """Return the pose (FIT) fitted from a start with first ``spots`` (2, MAX_LEDS), and its mirror image.
@@ -174,11 +174,11 @@ class Solver:
         """
         start = np.zeros(1, FIT)
         start["r"], start["t"], start["spot"] = r, t, spots
-        found = self._fit(view, start)
-        if any(fits_within_budget(fit) for fit in found):
-            return found
-        turned = [turn for fit in found[:1] for turn in self._turned(fit)]
-        return self._fit(view, np.concatenate([found, *turned])) if turned else found
+        fits = self._fit(view, start)
+        if any(fits_within_budget(fit) for fit in fits):
+            return fits
+        turned = [turn for fit in fits[:1] for turn in self._turned(fit)]
+        return self._fit(view, np.concatenate([fits, *turned])) if turned else fits
 
     def _fit(self, view: View, starts: np.ndarray) -> np.ndarray:
         """Return the distinct poses (FIT) within the error budget that follow from ``starts``, with their scores."""
@@ -190,7 +190,7 @@ class Solver:
 
     def _turned(self, fit: np.void) -> list[np.ndarray]:
         """Return a start (FIT) for every turn of the ring onto itself: the same spots, each of another LED."""
-        found = []
+        starts = []
         for turn, moved in self._turns:
             start = np.zeros(1, FIT)
             start["spot"] = -1
@@ -198,8 +198,8 @@ class Solver:
             start["t"] = fit["t"] + (fit["r"] - start["r"][0]) @ self.centre_t
             for n, m in enumerate(moved):
                 start["spot"][0, :, m] = fit["spot"][:, n]
-            found.append(start)
-        return found
+            starts.append(start)
+        return starts
 
     def expected(
         self, view: View, r: Array, t: Array, covariance: Array, reach_px: float
@@ -262,9 +262,9 @@ def _with_motion(scene: RingScene, still: Array, sync_s: float, motion: TargetMo
     turn = np.array([[0.0, -arm[2], arm[1]], [arm[2], 0.0, -arm[0]], [-arm[1], arm[0], 0.0]])
     moved = np.block([[np.zeros((3, 3)), -scene.rotation[1]], [-np.eye(3), -turn]])
     second_moment = np.outer(motion.rates, motion.rates) + motion.covariance
-    found = still.copy()
-    found[SHARED - 6 : SHARED, SHARED - 6 : SHARED] += sync_s**2 * moved @ second_moment @ moved.T
-    return found
+    covariance = still.copy()
+    covariance[SHARED - 6 : SHARED, SHARED - 6 : SHARED] += sync_s**2 * moved @ second_moment @ moved.T
+    return covariance
 
 
 def _slack(scene: RingScene) -> Array:
@@ -274,8 +274,8 @@ def _slack(scene: RingScene) -> Array:
     eq = equations(which)
     fill_shared(scene, np.eye(3), np.array([0.0, 0.0, _TYPICAL_RANGE_M]), eq)
     variances = np.diag(eq.shared).reshape(2, 2 * n).max(axis=1)
-    found: Array = variances + OPTICS_PX**2
-    return found
+    slack: Array = variances + OPTICS_PX**2
+    return slack
 
 
 def ring_turns(leds: Array, normal: Array) -> Iterator[tuple[Array, npt.NDArray[np.int64]]]:

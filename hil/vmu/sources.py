@@ -87,15 +87,15 @@ def _is_whole(suffix: str, data: bytes) -> bool:
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
-    found: dict[int, Path] = {}
+    paths: dict[int, Path] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         name = _NAME.match(path.name)
         if name and path.is_file():
             number = int(name.group(1))
-            if number in found:
-                raise BadInput.single(str(path), "", f"frame {number} is also in {found[number].name}: keep one")
-            found[number] = path
-    return found
+            if number in paths:
+                raise BadInput.single(str(path), "", f"frame {number} is also in {paths[number].name}: keep one")
+            paths[number] = path
+    return paths
 
 
 def names_two(source: str) -> bool:

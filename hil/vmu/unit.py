@@ -46,9 +46,9 @@ CROWDED: Final = "rejected_crowded"
 
 _NO_SPOTS: Final = np.zeros(0, SPOT)
 _OPEN_TILT_RAD, _OPEN_TURN_RAD = 0.15, 0.03
-_BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # of the pixels: more than LEDs cover
-_WINDOW_LIMIT = 0.6  # of the image: larger windows are no faster than the whole image
-_FAINT_SNR = 25.0  # of a light, beyond which no other of its kind is lost in the noise
+_BRIGHT_LEVEL, _BRIGHT_FRACTION = 230, 0.1  # fraction of the pixels: more than LEDs cover
+_WINDOW_LIMIT = 0.6  # fraction of the image: larger windows are no faster than the whole image
+_FAINT_SNR = 25.0  # signal-to-noise ratio of a light beyond which no other of its kind is lost in noise
 _USUAL_SHIFT = 2.0  # sigmas between the two images
 _USUAL_SCALE = 2.3  # sigmas of the residuals' scale, which one good pair in a hundred exceeds
 _LARGEST_SCALE = 4.0  # of the residuals: beyond it cameras or ring are not those of the geometry file
@@ -113,8 +113,8 @@ class Solution:
         """Rotation matrix, (3, 3), t to v: ``p_v = R p_t + t``; nan without a pose."""
         if self.pose is None:
             return np.full((3, 3), np.nan)
-        found: Array = quat.to_matrix(self.pose.q_vt)
-        return found
+        rotation: Array = quat.to_matrix(self.pose.q_vt)
+        return rotation
 
     @property
     def covariance(self) -> Array:
@@ -124,11 +124,11 @@ class Solution:
         """
         if self.pose is not None:
             return self.pose.covariance
-        found = np.full((6, 6), np.nan)
+        covariance = np.full((6, 6), np.nan)
         if self.partial is not None and self.partial.covariance is not None:
-            found = np.diag(np.full(6, np.inf))
-            found[:3, :3] = self.partial.covariance
-        return found
+            covariance = np.diag(np.full(6, np.inf))
+            covariance[:3, :3] = self.partial.covariance
+        return covariance
 
     @property
     def n_leds(self) -> int:
@@ -145,11 +145,11 @@ class Solution:
         A position alone has the status POSITION_ONLY. only_noise: the covariance of a pose is that of the part that is
         independent between images.
         """
-        known = self.partial
-        if known is not None and known.t_v is not None:
+        partial = self.partial
+        if partial is not None and partial.t_v is not None:
             covariance = np.diag(np.full(6, UNKNOWN_ATTITUDE_RAD**2))
-            covariance[:3, :3] = known.covariance
-            return PoseFrame(counter, self.t_s, received_s, known.t_v, known.q_vt, covariance, 0, 0, POSITION_ONLY)
+            covariance[:3, :3] = partial.covariance
+            return PoseFrame(counter, self.t_s, received_s, partial.t_v, partial.q_vt, covariance, 0, 0, POSITION_ONLY)
         if self.pose is None or self.status != OK:
             return None
         p = self.pose
@@ -192,8 +192,8 @@ class VisionUnit:
         images = (left, right)
         for side, image, shape in zip(("left", "right"), images, self._shapes, strict=True):
             if image is not None and not _fits(image, shape):
-                found = " x ".join(map(str, image.shape))
-                text = f"{side} image is {found} {image.dtype}, expected {shape[0]} x {shape[1]} uint8 (rows, columns)"
+                actual = " x ".join(map(str, image.shape))
+                text = f"{side} image is {actual} {image.dtype}, expected {shape[0]} x {shape[1]} uint8 (rows, columns)"
                 return Solution(t_s, WRONG_SIZE, None, (_NO_SPOTS, _NO_SPOTS), (self._none,) * 2, doubt=Doubt(text))
         if left is None and right is None:
             return self._predicted(t_s, TOO_FEW)
@@ -280,7 +280,7 @@ class VisionUnit:
             verdict, view, spots = self._by_faint_lights(images, t_s, expected) or (verdict, view, spots)
         if verdict.fit is None and not verdict.jump and any(is_bright(image) for image in images):
             return self._no_pose(t_s, BRIGHT)
-        if not any(len(found) for found in spots):
+        if not any(len(side) for side in spots):
             return self._no_pose(t_s, CROWDED if is_overfull else DARK)
         return self._conclude(verdict, view, spots, t_s, full_frame=True)
 
@@ -296,9 +296,9 @@ class VisionUnit:
         verdict = self._identifier.search(view, expected, self.track.is_mature)
         if verdict.fit is None and expected is None and (lights := self._sample.add(t_s, spots)) is not None:
             long = self.solver.view(*lights)
-            found = self._identifier.search(long, None)
-            if found.fit is not None:
-                return replace(found, fit=self._sample.accelerated(found.fit)), long, lights
+            identification = self._identifier.search(long, None)
+            if identification.fit is not None:
+                return replace(identification, fit=self._sample.accelerated(identification.fit)), long, lights
         return (verdict, view, spots) if verdict.status in (OK, AMBIGUOUS) else None
 
     def _may_be_faint(self, spots: tuple[np.ndarray, np.ndarray]) -> bool:
@@ -375,14 +375,14 @@ class VisionUnit:
         self, verdict: LedIdentification, view: View, spots: tuple[np.ndarray, np.ndarray], t_s: float
     ) -> Solution:
         """Return the solution without a pose, with what all candidates agree on."""
-        known = partial_pose(verdict.candidates) if self._identifier.partly(view, verdict) else None
-        if known is not None and (
+        partial = partial_pose(verdict.candidates) if self._identifier.partly(view, verdict) else None
+        if partial is not None and (
             self._consistency.doubt or doubt_of_lights(self.solver.scene, view, verdict.candidates[0])
         ):
-            known = None
-        status = verdict.status if known is None else known.status
+            partial = None
+        status = verdict.status if partial is None else partial.status
         candidates = len(verdict.candidates) if verdict.status == AMBIGUOUS else 0
-        return Solution(t_s, status, None, spots, (self._none, self._none), candidates=candidates, partial=known)
+        return Solution(t_s, status, None, spots, (self._none, self._none), candidates=candidates, partial=partial)
 
     def _confirmed(self, verdict: LedIdentification, t_s: float) -> LedIdentification:
         """Return a jump off the track as ``ok`` once it has come several times in a row; the old track then ends."""
@@ -422,7 +422,7 @@ def with_strained_tolerances(fit: np.void) -> np.void:
     """Return ``fit`` with larger tolerances if its images are further apart than they usually are by those stated.
 
     The part of the covariance that is not noise grows with the square of the shift between the images. Residuals that
-    are larger as a whole show the size of an error that is not stated, not its kind; of one that the spots share, as of
+    are larger as a whole show the size of an error that is not stated, not its kind; of one that the spots share, as in
     the lens, the pose absorbs most. They count with the square of their scale.
     """
     degrees, scale = residual_scale(fit)
@@ -430,9 +430,9 @@ def with_strained_tolerances(fit: np.void) -> np.void:
     strain = max(float(np.abs(fit["shift"]).max()) / _USUAL_SHIFT, scale**2 if unusual else 1.0)
     if strain <= 1.0:
         return fit
-    found = fit.copy()
-    found["covariance"] = fit["noise"] + strain**2 * (fit["covariance"] - fit["noise"])
-    return found
+    strained = fit.copy()
+    strained["covariance"] = fit["noise"] + strain**2 * (fit["covariance"] - fit["noise"])
+    return strained
 
 
 def is_bright(image: np.ndarray | None) -> bool:

@@ -94,7 +94,7 @@ def wait_gone(pid: int, wall_s: float = 3.0) -> None:
         time.sleep(0.005)
 
 
-def test_several_start_side_by_side_and_tell_their_addresses() -> None:
+def test_several_start_side_by_side_and_report_their_addresses() -> None:
     children = [start(port=f"/dev/{i}") for i in range(3)]
     try:
         assert [child.wait_ready(20.0)["addresses"]["vmu"] for child in children] == [f"/dev/{i}" for i in range(3)]
@@ -112,7 +112,7 @@ def test_chatter_does_not_reach_the_terminal(child: ChildProcess, capfd: pytest.
     assert capfd.readouterr() == ("", "")
 
 
-def test_faults_are_switched_at_the_address_that_the_child_tells(child: ChildProcess) -> None:
+def test_faults_are_switched_at_the_address_that_the_child_reports(child: ChildProcess) -> None:
     control = FaultControl(child.wait_ready(20.0)["addresses"]["vmu.faults"])
     assert control.send("on drop 0.5") == "ok"
     assert control.send("list") == "drop 0.5"

@@ -119,7 +119,7 @@ def test_axes_are_found_in_order_one_at_a_time_and_stand_where_they_stood() -> N
     ("without_pose", "text"),
     [(250, "250 frames without a pose: is the target in view from here?"), (0, "no frame within 5 s")],
 )
-def test_unit_that_answers_without_a_pose_is_told_from_one_that_is_silent(without_pose: int, text: str) -> None:
+def test_unit_that_answers_without_a_pose_is_distinguished_from_a_silent_one(without_pose: int, text: str) -> None:
     def sees_nothing(runner: Runner, trial: Trial, _: Button) -> None:
         runner.source.poll = lambda now_s: []  # type: ignore[method-assign,assignment]
         runner.source.counters = lambda: {"no_pose": without_pose}  # type: ignore[method-assign]
@@ -184,7 +184,7 @@ def test_no_of_the_technician_ends_it_with_the_axes_stopped(words: str, step: st
     assert trial.found is None
     assert trial.fails is not None
     assert trial.fails.what == step
-    assert "the technician" in trial.fails.found
+    assert "the technician" in trial.fails.observed
     assert trial.calls == ([] if step.startswith("io") else ["stop", "close"])
     assert words in trial.prompt.questions[-1]
 
@@ -212,7 +212,7 @@ def test_axis_that_deviates_from_its_encoder_is_detected_by_measurement(factor: 
     assert trial.fails is not None
     assert trial.fails.what == f"turntable.yaw: {step}"
     assert "+2.000 deg within 2 %" in trial.fails.expected
-    assert f"{2.0 * factor:+.3f} deg measured" in trial.fails.found
+    assert f"{2.0 * factor:+.3f} deg measured" in trial.fails.observed
     assert trial.calls == ["stop", "close"]
 
 
@@ -248,7 +248,7 @@ def test_encoder_that_does_not_go_with_the_command_is_found(factor: float, step:
     assert trial.fails is not None
     assert trial.fails.what == f"rails.x: {step}"
     assert word in trial.fails.advice
-    assert "by the encoder" in trial.fails.found
+    assert "by the encoder" in trial.fails.observed
     assert trial.calls == ["stop", "close"]
     assert float(np.ptp(np.array(trial.places)[:, X])) <= 0.02 + 1e-9
 
@@ -260,7 +260,7 @@ def test_emergency_stop_with_a_broken_wire_is_found_before_anything_is_opened() 
     trial = commissioned((X,), prepare=broken)
     assert trial.fails is not None
     assert trial.fails.expected == "input opens"
-    assert "still closed after 120 s" in trial.fails.found
+    assert "still closed after 120 s" in trial.fails.observed
     assert trial.calls == []
 
 
@@ -276,7 +276,7 @@ def test_relay_that_closes_by_itself_after_the_release_is_found() -> None:
 
     trial = commissioned((X,), prepare=by_itself)
     assert trial.fails is not None
-    assert trial.fails.found == "closed without reset"
+    assert trial.fails.observed == "closed without reset"
     assert trial.calls == []
 
 

@@ -34,10 +34,10 @@ DARK_S = 5.0
 
 @dataclass
 class Technician:
-    """The page's end of the line. said: what it received; mode and now_s: of the bench."""
+    """The page's end of the line. received: messages; mode and now_s: of the bench."""
 
     end: socket.socket
-    said: list[dict[str, Any]] = field(default_factory=list)
+    received: list[dict[str, Any]] = field(default_factory=list)
     mode: Mode = Mode.OFF
     now_s: float = 0.0
     asked_s: float = 0.0
@@ -46,7 +46,7 @@ class Technician:
     @property
     def question(self) -> dict[str, Any] | None:
         """Question that waits for an answer."""
-        asked = [message["question"] for message in self.said if "question" in message]
+        asked = [message["question"] for message in self.received if "question" in message]
         return asked[-1] if asked else None
 
     def send(self, **message: Any) -> None:
@@ -55,8 +55,8 @@ class Technician:
     def listen(self) -> None:
         with suppress(BlockingIOError):
             while True:
-                self.said.append(json.loads(self.end.recv(1 << 18)))
-                if self.said[-1].get("question"):
+                self.received.append(json.loads(self.end.recv(1 << 18)))
+                if self.received[-1].get("question"):
                     self.asked_s = self.now_s
 
     def answer(self, yes: bool = True) -> None:
@@ -99,7 +99,7 @@ def commission_by(script: Callable[[Technician], None]) -> tuple[Findings, Techn
             assert isinstance(lines.io, MockIo)
             steps = Commissioning(runner, job.rig.value, operator, CommissioningPlan((X,)), Button(lines.io))
             findings = steps.run()
-            technician.listen()  # what was said of the last answer
+            technician.listen()  # reply to the last answer
             return findings, technician
     finally:
         here.close()
@@ -114,8 +114,8 @@ def test_steps_and_questions_come_to_the_page_and_each_answer_counts_once() -> N
 
     findings, technician = commission_by(script)
     assert [axis.name for axis in findings.axes] == ["rails.x"]
-    assert "rails.x: sign and scale" in [message.get("word") for message in technician.said]
-    answers = [message["text"] for message in technician.said if "answer" in message]
+    assert "rails.x: sign and scale" in [message.get("word") for message in technician.received]
+    answers = [message["text"] for message in technician.received if "answer" in message]
     assert answers.count("") == 3
     assert set(answers) == {"", "this question is answered already"}
 
@@ -172,7 +172,7 @@ def test_no_other_command_is_executed() -> None:
 
     _, technician = commission_by(script)
     assert "bench: cannot arm during a commissioning: answer its questions, or STOP" in [
-        message.get("text") for message in technician.said
+        message.get("text") for message in technician.received
     ]
 
 

@@ -140,7 +140,7 @@ def test_run_goes_by_orders_over_the_line_with_hold_and_resume() -> None:
     assert any("hold: commanded by the operator" in e["text"] for m in talk.said for e in m.get("events", []))
 
 
-def test_order_that_its_mode_does_not_allow_is_refused_in_words_and_does_nothing() -> None:
+def test_order_that_its_mode_does_not_allow_is_refused_with_a_message_and_does_nothing() -> None:
     def script(talk: Talk) -> None:
         talk.order("start", talk.mode is Mode.STANDBY)
         talk.order("stop", bool(talk.answers()))
@@ -151,7 +151,7 @@ def test_order_that_its_mode_does_not_allow_is_refused_in_words_and_does_nothing
 
 
 @pytest.mark.parametrize("how", ["silent", "absent"])
-def test_lost_operator_holds_a_run_and_it_goes_on_only_by_an_order(how: str) -> None:
+def test_lost_operator_holds_a_run_and_only_an_order_resumes_it(how: str) -> None:
     def script(talk: Talk) -> None:
         talk.fly()
         if talk.once("lose", talk.mode is Mode.RUNNING and talk.runner.loop.now.t_s[0] > 0.5):
@@ -180,7 +180,7 @@ def test_lost_operator_does_not_matter_where_the_rig_lets_the_run_continue() -> 
     assert Mode.HOLD not in talk.modes
 
 
-def test_lost_operator_stops_the_bench_with_an_alarm_where_the_rig_says_so() -> None:
+def test_lost_operator_stops_the_bench_with_an_alarm_if_the_rig_is_configured_so() -> None:
     def script(talk: Talk) -> None:
         talk.fly()
         talk.beats &= talk.mode is not Mode.RUNNING
@@ -263,7 +263,7 @@ def test_session_without_its_console_ends_by_itself_with_the_bench_at_rest(on_lo
         assert outcome.alarms[0].text.startswith("console: console process disconnected")
 
 
-def test_alarm_is_told_latched_acknowledged_over_the_line_and_reset() -> None:
+def test_alarm_is_reported_latched_acknowledged_over_the_line_and_reset() -> None:
     def script(talk: Talk) -> None:
         if talk.once("fail", talk.mode is Mode.STANDBY and talk.now_s > 0.2):
             talk.button = True
@@ -279,7 +279,7 @@ def test_alarm_is_told_latched_acknowledged_over_the_line_and_reset() -> None:
     assert (told[-1]["latched"], told[-1]["acknowledged"]) == (True, True)
 
 
-def test_status_tells_mode_and_axes_in_shared_memory() -> None:
+def test_status_has_mode_and_axes_in_shared_memory() -> None:
     seen = []
 
     def script(talk: Talk) -> None:
@@ -295,7 +295,7 @@ def test_status_tells_mode_and_axes_in_shared_memory() -> None:
     assert all(age >= 0.0 for _, _, age in seen)
 
 
-def test_line_that_nobody_reads_never_stops_the_loop() -> None:
+def test_line_without_a_reader_never_stops_the_loop() -> None:
     def script(talk: Talk) -> None:
         talk.take = lambda: None  # type: ignore[method-assign]
         talk.fly()
@@ -325,4 +325,4 @@ def test_setting_is_changed_between_two_cycles_and_what_the_scenario_does_not_al
     assert event.text == f"ann changed {DEADBAND}=90.0, from cycle {round(event.t_s / 0.02) + 1}"
     changed = round(event.t_s / 0.02) + 11  # when the last burn that had begun is over
     assert outcome.history["command"]["torque"][:changed].any()
-    assert not outcome.history["command"]["torque"][changed:].any()  # a quarter of a turn is nothing now
+    assert not outcome.history["command"]["torque"][changed:].any()  # a quarter turn is nothing now

@@ -126,7 +126,7 @@ def test_child_has_the_present_environment_and_folder(
         assert two.wait_ready(20.0)["now"] == [None, "now", str(tmp_path)]
 
 
-def test_child_has_the_present_share_of_the_processors(server: ForkServer) -> None:
+def test_child_has_the_present_set_of_processors(server: ForkServer) -> None:
     def share() -> object:
         with ChildProcess("one", "forked_child", {}, server=server) as one:
             return one.wait_ready(20.0)["share"]

@@ -1,4 +1,4 @@
-"""kill -9 of either side of a split run: the other one knows within three cycles; whoever comes back joins."""
+"""kill -9 of either side of a split run: the other one detects it within three cycles; a restarted side joins."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def test_partition_stops_the_bench_within_the_cycles_that_are_configured() -> No
 
 
 @pytest.mark.slow
-def test_partition_that_is_held_through_goes_on_without_a_step() -> None:
+def test_run_held_during_a_partition_resumes_without_a_step() -> None:
     settings = ("rig.gnc_link.timeout_cycles=20", 'rig.gnc_link.on_loss="hold"')
     with (
         split_bench("scheme-1", 4.0, settings, lock_step=False, operator=AutoResumeOperator()) as bench,
@@ -118,7 +118,7 @@ def test_partition_that_is_held_through_goes_on_without_a_step() -> None:
 
 
 @pytest.mark.slow
-def test_partition_that_is_coasted_through_closes_the_thrusters_and_starts_the_filters_anew() -> None:
+def test_coasting_through_a_partition_closes_the_thrusters_and_restarts_the_filters() -> None:
     with (
         split_bench("scheme-1", 8.0, ("rig.gnc_link.timeout_cycles=200",), lock_step=False) as bench,
         Relay(bench.link.address) as relay,

@@ -172,7 +172,7 @@ def test_link_that_fails_ends_it() -> None:
     assert calls == ["stop", "close"]
 
 
-def test_axis_that_does_not_follow_is_told_apart() -> None:
+def test_axis_that_does_not_follow_is_identified() -> None:
     with standing() as sequencer:
         bench = sequencer.loop.bench
         read, stuck = bench.rails.read, bench.rails.read(0.0).position.copy()

@@ -188,7 +188,7 @@ class Welded:
         return True
 
 
-def test_nobody_at_the_address_is_said() -> None:
+def test_missing_server_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(LinkLost, match=rf"io: no connection to 127\.0\.0\.1:{port}"):
@@ -233,7 +233,7 @@ def _read_until_it_fails(io: ModbusIo, clock: WallClock) -> None:
 
 
 def _fuzz(rounds: int, seed: int) -> None:
-    """Feed mutated answers; the driver may say that the device failed, and nothing else."""
+    """Feed mutated answers; the driver may report that the device failed, and nothing else."""
     rng = random.Random(seed)
 
     def mutated(right: bytes) -> bytes:

@@ -208,7 +208,7 @@ def test_the_kind_of_a_fault_arrives_while_a_device_is_served_and_at_its_opening
     assert caught.value.kind is kind
 
 
-def test_an_error_at_opening_is_told_there(sides: Sides) -> None:
+def test_error_at_opening_is_reported_there(sides: Sides) -> None:
     sides.unit.error = LinkLost("vmu", "cannot open /dev/null")
     with pytest.raises(LinkLost, match="vmu: cannot open /dev/null"):
         sides.vmu.open(sides.clock.now_s())
@@ -229,7 +229,7 @@ def test_axes_are_stopped_when_the_loop_falls_silent(sides: Sides) -> None:
         sides.rails.read(sides.clock.now_s())
 
 
-def test_a_process_that_was_paused_itself_says_so_for_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_process_that_was_paused_reports_it_for_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     here, there = socket.socketpair()
     stop, woken = threading.Event(), []
     host = IoServer({}, ScriptedVmu(), IoSharedMemory.create(), there, WallClock())
@@ -313,7 +313,7 @@ def test_setpoints_from_before_an_opening_are_left_out(sides: Sides) -> None:
     assert np.abs(rails.read(sides.clock.now_s()).position - started).max() < 1e-4
 
 
-def test_an_ended_io_process_is_told_of_at_once(sides: Sides) -> None:
+def test_ended_io_process_is_reported_at_once(sides: Sides) -> None:
     sides.rails.open(sides.clock.now_s())
     sides.ended.append("was ended by SIGKILL")
     with pytest.raises(LinkLost, match="rails: I/O process was ended by SIGKILL"):

@@ -1,4 +1,4 @@
-"""The docking monitor beside a run: its process sees what a watch of the recording sees, and it dies alone."""
+"""Docking monitor of a run: its process sees what a replay of the recording sees, and its end ends nothing else."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _next(reader: Reader) -> np.void:
         time.sleep(0.02)
 
 
-def test_a_monitor_that_dies_is_told_by_name(scenario: Scenario, rig: Rig) -> None:
+def test_monitor_that_dies_is_reported_by_name(scenario: Scenario, rig: Rig) -> None:
     ring = Ring.create(CYCLE, 64)
     try:
         with MonitorProcess(scenario, load_scene("atv").value, rig, 0, MonitorRings(ring)) as process:
@@ -154,7 +154,7 @@ def test_monitor_vision_unit_and_truth_agree_in_their_sigmas(
     assert monitor_lines(found)[0].startswith("Monitor     atv: 76 frames")
 
 
-def test_a_wrong_station_shows_as_many_sigmas(
+def test_wrong_mounting_shows_as_many_sigmas(
     scenario: Scenario, rig: Rig, history: np.ndarray, recorded: MonitorOutcome
 ) -> None:
     moved = scenario.monitor.model_copy(update={"camera_position_m": (0.82, 0.0, -0.5)})
@@ -238,7 +238,7 @@ def test_monitor_of_an_emulated_bench_holds_the_approach(tmp_path: Path) -> None
 
 @pytest.mark.wires
 @pytest.mark.slow
-def test_monitor_beside_an_emulated_bench_agrees_with_the_encoders(tmp_path: Path) -> None:
+def test_monitor_of_an_emulated_bench_agrees_with_the_encoders(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     arguments = ["run", "scheme-1", "--rig", "emulated", "--duration", "20", "--json", str(path)]
     done = subprocess.run(

@@ -125,7 +125,7 @@ def test_held_bench_stands_and_the_run_then_completes_with_the_same_verdict() ->
     assert summary["passed_all_parts"]
 
 
-def test_placing_can_be_held_and_goes_on_from_where_it_stood() -> None:
+def test_placing_can_be_held_and_continues_from_its_position() -> None:
     standing: list[np.ndarray] = []
     script = hold_once(Mode.PLACING, lambda session: float(np.abs(session.rates()).max()) > 0.1, 3.0, standing)
     outcome, session = operate(script, 'rig.rails.y.encoder="incremental"')
@@ -138,7 +138,7 @@ def test_placing_can_be_held_and_goes_on_from_where_it_stood() -> None:
     assert acceleration <= 1.0 + 1e-3
 
 
-def test_nobody_is_there_to_resume_an_unattended_run() -> None:
+def test_unattended_run_without_operator_is_not_resumed() -> None:
     def script(session: Session) -> None:
         if session.mode is Mode.RUNNING:
             session.runner.safety.request_hold("three late cycles")
@@ -219,7 +219,7 @@ def test_signal_during_a_stop_ends_the_session() -> None:
         session.rails.disable = interrupted  # type: ignore[method-assign]
 
     outcome, session = operate(script, plan=(), prepare=prepare)
-    assert OperatorCommand.STOP.value not in session.marks  # nobody had to end it
+    assert OperatorCommand.STOP.value not in session.marks  # no command had to end it
     assert outcome.mode is Mode.SAFE_STOP
     assert outcome.stop == "bench: emergency stop pressed, allowed released and reset"
 
@@ -296,7 +296,7 @@ def test_axis_that_is_not_homed_may_be_jogged_slowly_and_stops_at_its_switch() -
     assert not speed[t[1:] > 2.1].any()
 
 
-def test_jog_of_an_unknown_axis_is_refused_in_words() -> None:
+def test_jog_of_an_unknown_axis_is_refused_with_a_message() -> None:
     _, session = operate(jog_script("rails.w", 1, 0.1, 0.5), plan=())
     assert session.operator.rejections[0] == "bench: cannot jog rails.w by 1"
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY]
@@ -446,7 +446,7 @@ def test_axis_that_still_creeps_is_waited_for_and_then_named(mode: Mode, creeps_
         assert session.rails.sent[0][0] - session.marks["creep"] >= creeps_s + 0.1 - STEP_S
 
 
-def test_plan_does_not_go_on_by_itself_after_a_reset() -> None:
+def test_plan_does_not_continue_by_itself_after_a_reset() -> None:
     def script(session: Session) -> None:
         session.button = session.once("press", session.mode is Mode.STANDBY)
         session.order_once(OperatorCommand.RESET, session.mode is Mode.SAFE_STOP)
@@ -496,7 +496,7 @@ def test_hold_of_a_run_stays_without_poses_and_ends_in_a_safe_stop_when_the_visi
         assert session.runner.loop.vision.source.counters()["no_pose"] > 30
 
 
-def test_bench_parks_after_a_whole_run_where_its_rig_says() -> None:
+def test_bench_parks_after_a_whole_run_at_the_pose_of_its_rig_file() -> None:
     outcome, session = operate(idle, "rig.bench.park_after_run=true", "rig.turntable.yaw.park_deg=20", attended=False)
     assert session.seen_modes == [Mode.OFF, Mode.STANDBY, Mode.RUNNING, Mode.STANDBY, Mode.PARKING]
     assert outcome.stop == "completed"

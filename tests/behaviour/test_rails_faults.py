@@ -176,7 +176,7 @@ def test_answers_that_come_twice_are_counted_and_harm_nothing(bench: Bench) -> N
     ("fault", "value", "what"),
     [("drop", 1.0, "no answer within .* s, asked twice"), ("delay", 5.0, "no answer within .* s, asked twice")],
 )
-def test_a_silent_wire_is_told_by_the_name_of_an_axis(bench: Bench, fault: str, value: float, what: str) -> None:
+def test_silent_wire_is_reported_with_the_name_of_an_axis(bench: Bench, fault: str, value: float, what: str) -> None:
     bench.emulator.faults.on(fault, value=value)
     error = bench.failure()
     assert isinstance(error, LinkTimeout)
@@ -185,14 +185,14 @@ def test_a_silent_wire_is_told_by_the_name_of_an_axis(bench: Bench, fault: str, 
         bench.read()
 
 
-def test_a_wire_that_damages_everything_is_told_by_the_name_of_an_axis(bench: Bench) -> None:
+def test_wire_that_damages_everything_is_reported_with_the_name_of_an_axis(bench: Bench) -> None:
     bench.emulator.faults.on("corrupt", value=1.0)
     error = bench.failure()
     assert error.device in bench.rails.axis_names
     assert bench.rails.counters()["retries"] > 0
 
 
-def test_a_dead_link_is_told_and_can_be_opened_again_once_it_is_back(bench: Bench) -> None:
+def test_dead_link_is_reported_and_can_be_opened_again_once_it_is_back(bench: Bench) -> None:
     bench.emulator.faults.on("link_down")
     error = bench.failure()
     assert isinstance(error, LinkLost if bench.tcp else LinkTimeout)
@@ -222,7 +222,7 @@ def test_a_jump_of_an_encoder_is_confirmed_and_then_shown(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("chosen", [False, True])
-def test_a_fault_of_a_drive_is_told_by_its_name(bench: Bench, chosen: bool) -> None:
+def test_fault_of_a_drive_is_reported_by_its_name(bench: Bench, chosen: bool) -> None:
     text = "motor too hot" if chosen else "following error too large" if bench.tcp else "over-current"
     code = (3.0 if bench.tcp else 0x4310) if chosen else None
     bench.emulator.faults.on("drive_fault", "z", code)
@@ -296,7 +296,7 @@ def test_torque_off_is_known_by_its_code_when_the_map_calls_it_otherwise(rig: st
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_axes_that_do_not_know_their_place_are_homed(rig: str) -> None:
+def test_axes_without_a_reference_position_are_homed(rig: str) -> None:
     axes = load_rig(rig).value.rails
     changes = {name: getattr(axes, name).model_dump() | INCREMENTAL | {"park_m": 0.2} for name in ("x", "z")}
     with bench_of(rig, **changes) as bench:
@@ -342,7 +342,7 @@ def test_a_search_whose_controller_falls_silent_is_ended_by_the_drive() -> None:
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_an_axis_on_a_limit_switch_says_on_which(rig: str) -> None:
+def test_axis_on_a_limit_switch_reports_which_one(rig: str) -> None:
     axes = load_rig(rig).value.rails
     ends = {"y": {"park_m": axes.y.travel_m[1]}, "z": {"park_m": axes.z.travel_m[0]}}
     changes = {name: getattr(axes, name).model_dump() | park for name, park in ends.items()}
@@ -351,7 +351,7 @@ def test_an_axis_on_a_limit_switch_says_on_which(rig: str) -> None:
         assert bench.read().limit == (0, 1, -1)
 
 
-def test_a_port_that_cannot_be_opened_is_told_with_its_name() -> None:
+def test_port_that_cannot_be_opened_is_reported_with_its_name() -> None:
     rails = load_rig("emulated-rtu").value.rails
     assert rails.rtu is not None
     gone = rails.model_copy(update={"rtu": rails.rtu.model_copy(update={"port": "/dev/no-such-port"})})

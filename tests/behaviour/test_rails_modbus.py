@@ -211,7 +211,7 @@ def test_drives_without_function_23_are_written_and_then_read(registers: dict[st
             ModbusRails(config(bench.addresses), bench.clock).open(bench.clock.now_s())
 
 
-def test_feedback_stays_fresh_and_axes_stand_while_nobody_sends(bench: Bench) -> None:
+def test_feedback_stays_fresh_and_axes_stand_without_setpoints(bench: Bench) -> None:
     with opened(config(bench.addresses), bench.clock) as rails:
         rails.send(np.array([1.1, 0.0, 0.5]), np.array([0.2, 0.0, 0.0]), bench.clock.now_s())
         time.sleep(WATCHDOG_S + 2.0 * TIMEOUT_S)
@@ -297,7 +297,7 @@ def test_missing_port_is_bad_input() -> None:
         config().make_driver(WallClock(), "rails")
 
 
-def test_nobody_listening_is_told_with_the_address(bench: Bench) -> None:
+def test_missing_server_is_reported_with_the_address(bench: Bench) -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         gone = f"127.0.0.1:{unused.getsockname()[1]}"
@@ -342,7 +342,7 @@ def test_fault_is_reset_by_open(bench: Bench) -> None:
         rails.read(bench.clock.now_s())
 
 
-def test_quick_stop_that_nobody_asked_for_is_a_fault(bench: Bench) -> None:
+def test_unrequested_quick_stop_is_a_fault(bench: Bench) -> None:
     with opened(config(bench.addresses), bench.clock) as rails:
         with socket.create_connection(("127.0.0.1", bench.port("x")), timeout=2.0) as other:
             other.sendall(bytes.fromhex("0001 0000 0006 01 06 0000 0003"))

@@ -1,4 +1,4 @@
-"""What the loop is given by the operating system, what it says when it is not, and that all of it is taken back."""
+"""Privileges of the loop from the operating system, messages about refusals, and their return at the end."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_threads_and_processes_of_the_loop_do_not_inherit_its_policy() -> None:
 
 
 @pytest.mark.usefixtures("refused")
-def test_refusals_are_told_with_their_reason_and_what_would_help_and_the_body_runs() -> None:
+def test_refusals_are_reported_with_reason_and_remedy_and_the_body_runs() -> None:
     told: dict[str, str] = {}
 
     def body() -> None:
@@ -141,7 +141,7 @@ def test_refusals_are_told_with_their_reason_and_what_would_help_and_the_body_ru
     assert NICE in told
 
 
-def test_fifo_that_is_switched_off_is_not_taken_and_says_so() -> None:
+def test_fifo_that_is_switched_off_is_not_used_and_reported() -> None:
     def body() -> None:
         with RealTime(fifo=False) as real_time, real_time.realtime_priority():
             assert os.sched_getscheduler(0) == os.SCHED_OTHER
@@ -167,7 +167,7 @@ def test_hardware_is_refused_without_real_time(hardware: str, capsys: pytest.Cap
 
 
 @pytest.mark.usefixtures("refused")
-def test_hardware_runs_without_real_time_when_told_to(hardware: str) -> None:
+def test_hardware_runs_without_real_time_on_request(hardware: str) -> None:
     rig = load_rig(hardware, ["rig.host.require_realtime=false"])
     told: list[str] = []
     job = build.Job(load_scenario("scheme-1"), rig, 0, 1.0, 1.0)

@@ -61,7 +61,7 @@ class Bench:
         return k
 
     def last_words(self) -> tuple[int, str]:
-        """Return the last cycle that the loop has put, and what it said at its end."""
+        """Return the last cycle that the loop has put, and its message at the end."""
         out, _ = self.loop.communicate()
         numbers = [int(line) for line in out.splitlines() if line.isdecimal()]
         return max(numbers, default=-1), out.splitlines()[-1] if out else ""
@@ -129,7 +129,7 @@ def kill_loop(folder: Path, after: int) -> float:
     return (last + 1 - len(times)) * STEP_S
 
 
-def test_a_killed_recorder_leaves_a_file_that_recovers_and_the_loop_goes_on(tmp_path: Path) -> None:
+def test_killed_recorder_leaves_a_recoverable_file_and_the_loop_continues(tmp_path: Path) -> None:
     lost_s = kill_recorder(tmp_path, 40)
     assert lost_s < 0.6  # the product's own figure is below 0.2 s; this one holds on a busy machine too
 

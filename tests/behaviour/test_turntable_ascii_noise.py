@@ -22,7 +22,7 @@ pytestmark = pytest.mark.wires
 
 
 class NoisyLine:
-    """A pty whose far end is a controller that answers as it is told to."""
+    """A pty whose far end is a controller with given answers."""
 
     def __init__(self, spoil):
         self._near, self._far = os.openpty()

@@ -33,7 +33,7 @@ def test_open_holds_the_present_position(driver):
         assert np.degrees(emulator.gimbals.position) == pytest.approx(PARK_DEG, abs=1e-4)
 
 
-def test_axes_go_where_they_are_sent_and_feedback_says_so(driver):
+def test_axes_reach_their_setpoints_and_feedback_confirms_it(driver):
     goal = np.radians((5.0, -4.0, 1.0))
     with served(driver) as (emulator, device, clock):
         assert device.send(goal, np.zeros(3), clock.now_s()) == pytest.approx(goal)
@@ -69,7 +69,7 @@ def test_rate_feedforward_reaches_the_drives(driver):
         assert lag_deg() < 0.1
 
 
-def test_rate_of_a_setpoint_that_nobody_renews_is_dropped(driver):
+def test_rate_of_a_setpoint_that_is_not_renewed_is_dropped(driver):
     goal = np.radians((5.0, -4.0, 1.0))
     with served(driver) as (_, device, clock):
         device.send(goal, np.full(3, math.radians(10.0)), clock.now_s())

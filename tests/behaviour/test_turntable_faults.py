@@ -20,7 +20,7 @@ def driver(request):
 
 
 def strike(clock, emulator, device, fault, share, counters, times):
-    """Switch a fault on until the driver has counted ``times`` of it, then off; the link goes on all the while."""
+    """Switch a fault on until the driver has counted ``times`` of it, then off; the link stays up."""
     before = device.counters()
 
     def counted():
@@ -59,7 +59,7 @@ def test_burst_ends_in_an_error_that_names_the_device(driver, fault, value):
         assert isinstance(error, DeviceError)
         assert str(error).startswith("turntable")
         emulator.faults.clear()
-        with pytest.raises(DeviceError):  # for good: a link that has returned must be opened anew
+        with pytest.raises(DeviceError):  # for good: a link that has returned must be reopened
             device.read(clock.now_s())
         device.close()
         eventually(clock, lambda: not device._thread.is_alive())
@@ -80,7 +80,7 @@ def test_dead_wire_is_a_time_out_and_the_drives_stop_by_themselves(driver):
 def test_answers_that_come_late_are_counted_and_not_taken_for_new_ones(driver):
     with served(driver, timeout_s=2.0) as (emulator, device, clock):
         before = device.counters()
-        # a PDO bears no number: one that is late by whole exchanges leaves nothing but a gap
+        # a PDO bears no number: one that is late by whole exchanges leaves only a gap
         told = ("late", "lost") if driver == "cia402" else ("late",)
         emulator.faults.on("delay", value=0.08)
         eventually(clock, lambda: any(device.counters()[name] > before[name] for name in told))

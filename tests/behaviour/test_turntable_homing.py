@@ -1,4 +1,4 @@
-"""Homing, limit switches, identity, parking: what the turntable drivers do beside following setpoints."""
+"""Homing, limit switches, identity, parking: what the turntable drivers do besides following setpoints."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_homing_finds_the_place_and_setpoints_are_taken_afterwards(driver):
         eventually(clock, lambda: np.allclose(emulator.gimbals.position, goal, atol=2e-3))
 
 
-def test_homing_that_fails_is_told_and_stops_all_axes(driver):
+def test_homing_that_fails_is_reported_and_stops_all_axes(driver):
     with served(driver, **{**INCREMENTAL, "homing_rate_degps": 0.1}) as (emulator, device, clock):
         device.home(clock.now_s())
         eventually(clock, lambda: emulator.gimbals.homing.count(Homing.UNDER_WAY) == 3)
@@ -61,7 +61,7 @@ def test_homing_that_fails_is_told_and_stops_all_axes(driver):
         assert device.send(np.ones(3), np.zeros(3), clock.now_s()) == pytest.approx(np.zeros(3), abs=0.01)
 
 
-def test_axis_on_its_limit_switch_is_told(driver):
+def test_axis_on_its_limit_switch_is_reported(driver):
     with served(driver) as (_, device, clock):
         assert feedback(device, clock).limit == (0, 0, 0)
         goal = np.radians((-60.0, -2.0, 60.0))

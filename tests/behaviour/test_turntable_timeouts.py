@@ -104,7 +104,7 @@ def test_cia402_works_on_any_bus_of_python_can():
 
 
 @pytest.mark.slow
-def test_flood_of_foreign_frames_on_the_bus_leaves_the_feedback_fresh():
+def test_flood_of_other_frames_on_the_bus_leaves_the_feedback_fresh():
     dice, oldest_s = np.random.default_rng(1), 0.0
     with (
         served("cia402", "virtual", "test-flood", speed=1.0, timeout_s=1.6) as (_, device, clock),

@@ -155,7 +155,7 @@ def test_a_flat_ring_needs_a_start(folder: Path) -> None:
         (lambda f: (f / "left" / "00000.png").write_bytes(b"x"), "keep one"),
     ],
 )
-def test_bad_input_is_said_in_a_line(
+def test_bad_input_is_reported_in_one_line(
     folder: Path, capsys: pytest.CaptureFixture[str], change: object, said: str
 ) -> None:
     assert callable(change)

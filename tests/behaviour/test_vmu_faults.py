@@ -91,7 +91,7 @@ def test_fault_of_the_unit_or_its_wire_is_no_sign_of_life(
         assert f"{counter} " in str(error)
 
 
-def test_own_clock_that_jumps_back_is_not_believed() -> None:
+def test_unit_clock_that_jumps_back_is_not_trusted() -> None:
     with emulated("clock_jump", 10.0, clock="own") as (emulator, vmu, clock):
         vmu.open(clock.now_s())
         desk = Desk(clock, vmu)
@@ -118,7 +118,7 @@ def test_lost_repeated_and_late_frames_are_counted_and_survived() -> None:
         desk.poll_until(lambda frames: vmu.counters()["late"] > 1)
 
 
-def test_unit_is_known_by_what_it_says() -> None:
+def test_unit_is_identified_by_its_reply() -> None:
     named = {"vendor": "hil", "serial": "VMU-0001", "firmware": "1.4"}
     with emulated(identity=named) as (_, vmu, clock):
         vmu.open(clock.now_s())
@@ -134,7 +134,7 @@ def test_another_unit_is_refused(name: str, text: str, said: str) -> None:
             vmu.poll(clock.now_s())
 
 
-def test_unit_that_does_not_say_what_it_is_is_refused() -> None:
+def test_unit_that_does_not_identify_itself_is_refused() -> None:
     with (
         emulated("link_down", identity={"vendor": "hil"}) as (_, vmu, clock),
         pytest.raises(LinkTimeout, match=r"vmu: no identity frame within 2\.5 s"),

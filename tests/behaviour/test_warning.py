@@ -46,7 +46,7 @@ def test_a_stop_ends_the_warning_and_nothing_moves() -> None:
     assert not session.rails.sent
 
 
-def test_parking_is_as_slow_as_the_rig_file_says() -> None:
+def test_parking_has_the_speed_of_the_rig_file() -> None:
     def script(session: Session) -> None:
         session.order_once(OperatorCommand.PARK, session.mode is Mode.STANDBY)
 

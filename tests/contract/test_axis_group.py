@@ -223,7 +223,7 @@ def _wired_of(rig_file: str) -> dict[str, AxisGroupTable]:
 
 
 def _incremental(config: AxisGroupTable) -> Any:
-    """Return ``config`` with axes that do not know their places, near home, when their drives are switched on."""
+    """Return ``config`` with axes without reference positions, near home, when their drives are switched on."""
     axes = {
         name: axis.model_copy(update={"encoder": "incremental", axis.key_of("park"): 0.1})
         for name, axis in zip(config.axis_names, config.axes, strict=True)
@@ -284,7 +284,7 @@ def test_axes_that_are_not_homed_move_only_while_they_are_jogged(name: str) -> N
         device.set_jogging(True)
         assert backend.wait_until(lambda: creep(backend))
         beyond = device.send(backend.high + 1.0, backend.rest, now_s())
-        assert np.array_equal(beyond, backend.high + 1.0)  # it does not know where its ends are
+        assert np.array_equal(beyond, backend.high + 1.0)  # the positions of its ends are unknown
         device.stop(now_s())
         device.set_jogging(False)
 

@@ -130,7 +130,7 @@ def test_the_chain_closes_with_a_running_pump_and_an_edge_of_enable(backend: Bac
     assert backend.thrusters() == (True, False, False, True, False, False)
 
 
-def test_inputs_tell_when_the_thruster_lines_last_changed(backend: Backend) -> None:
+def test_inputs_have_the_time_when_the_thruster_lines_last_changed(backend: Backend) -> None:
     backend.close_the_chain()
     first_s = backend.wait_for(lambda inputs: not math.isnan(inputs.thrusters_s)).thrusters_s
     backend.pass_time(0.1)
@@ -141,7 +141,7 @@ def test_inputs_tell_when_the_thruster_lines_last_changed(backend: Backend) -> N
     assert changed_s <= inputs.thrusters_s <= inputs.t_s
 
 
-def test_the_chain_opens_when_nobody_pulses(backend: Backend) -> None:
+def test_chain_opens_without_pulses(backend: Backend) -> None:
     backend.close_the_chain()
     backend.wait_for(lambda inputs: not inputs.chain_closed, pulsing=False)
 

@@ -26,7 +26,7 @@ COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 4e-7, 5e-7, 6e-7])
 
 
 def _pose_at(t_s: float) -> PoseFrame:
-    """A pose that tells its time of exposure."""
+    """A pose that has its time of exposure."""
     return PoseFrame(
         0, t_s, t_s, np.array([0.1, -0.2, 1.0 + t_s]), np.array([0.0, 0.6, 0.0, 0.8]), COVARIANCE, 0x3F, 0x1F
     )

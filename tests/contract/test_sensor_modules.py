@@ -264,7 +264,7 @@ class SunSensor(hil.SensorModule):
 """
 
 
-def test_module_of_a_direction_in_inertial_space_knows_where_the_hill_frame_points(tmp_path: Path) -> None:
+def test_module_of_a_direction_in_inertial_space_has_the_attitude_of_the_hill_frame(tmp_path: Path) -> None:
     path = tmp_path / "sun.py"
     path.write_text(SUN)
     kind = f"{path}:SunSensor"

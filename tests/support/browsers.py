@@ -50,7 +50,7 @@ def until(page: Any, expression: str, wall_s: float = 20.0) -> None:
 
 
 def ask_by(page: Any, button: str) -> None:
-    """Click a button that asks the console, while the page hears it: after a frame of 0.5 s the page sends nothing."""
+    """Click a button that asks the console, while the page receives: after a frame of 0.5 s it sends nothing."""
     until(page, f"!window.hil.link.lost && (document.getElementById('{button}').click(), true)")
 
 

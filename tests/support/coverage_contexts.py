@@ -41,7 +41,7 @@ class _Contexts(coverage.CoveragePlugin):
 
 
 def coverage_init(registry: Any, _options: Any) -> None:
-    """Register the plugin of coverage; a forked process registers it anew, with the hooks of its parent."""
+    """Register the plugin of coverage; a forked process registers it again, with the hooks of its parent."""
     registry.add_configurer(_Contexts())
     if not any(isinstance(finder, _NumbaImport) for finder in sys.meta_path):
         _add_hooks()

@@ -32,7 +32,7 @@ def emulated(
     sensor: tuple[int, int] = (2048, 2048),
     exposure_s: float | None = None,
 ) -> Iterator[CameraEmulator]:
-    """Serve a camera; skip the test where none can be served."""
+    """Serve a camera; skip the test if none can be served."""
     require_libaravis()
     camera = CameraEmulator(f"camera.{address[-1]}", address, WallClock(), image_at, sensor, exposure_s)
     stop = threading.Event()

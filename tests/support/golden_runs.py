@@ -2,7 +2,7 @@
 
     python -m tests.support.golden_runs
 
-writes ``tests/data/golden_runs.json`` anew, or the file that is named; the commit that changes a digest says which
+writes ``tests/data/golden_runs.json`` again, or the file that is named; the commit that changes a digest names which
 formula has changed.
 """
 

@@ -108,7 +108,7 @@ class MonitorRow:
         return scene.model_copy(update=changed)
 
     def run(self, portions: int, seed: int) -> MonitorTally:
-        """Return the tally of ``portions`` portions, each of a new monitor."""
+        """Return the verdict counts of ``portions`` portions, each of a new monitor."""
         tally = MonitorTally()
         for number in range(portions):
             self.add_portion(tally, number, seed)

@@ -13,7 +13,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.session.build import Job
 
 NEAR = ("initial.position_m=[0.7, -0.03, 0.03]", "rig.rails.x.park_m=0.6", "requirements.required_ready_s=1.0")
-"""A start from which the ready point is near, for a run that is short on the wall at the speed of time: faster
+"""A start from which the ready point is near, for a run that is short in real time: faster
 ones ask more of the computer that the tests run on than it may have left."""
 
 PATIENT_RELAY = ("rig.io.pump_timeout_s=1.0",)
@@ -96,8 +96,8 @@ def faults_setting(*faults: dict[str, Any]) -> str:
 
 
 @contextmanager
-def without_pictures() -> Iterator[None]:
-    """Let campaigns draw no pictures of their cases, and write no page: both take longer than short flights."""
+def without_figures() -> Iterator[None]:
+    """Let campaigns draw no figures of their cases, and write no page: both take longer than short flights."""
     with pytest.MonkeyPatch.context() as patch:
         for name in ("draw_percentiles", "draw_integrity", "write_page"):
             patch.setattr(f"hil.parts.campaigns.api.campaign_request.{name}", lambda *_: None)

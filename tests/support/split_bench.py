@@ -32,13 +32,13 @@ LOCAL: Address = (LOOPBACK, 0)
 def gnc_thread(
     scenario_name: str, bench: Address, settings: Sequence[str] = (), patience_s: float = 20.0
 ) -> Iterator[GncServer]:
-    """Give our GNC, which serves the bench at ``bench`` in a thread until that says goodbye or falls silent."""
+    """Give our GNC, which serves the bench at ``bench`` in a thread until the bench disconnects or falls silent."""
     scenario = load_scenario(scenario_name, settings)
     link = gnc_side("test gnc", None, bench, wants=wants_of(scenario))
     computer = GncServer(scenario.value, link)
 
     def serve() -> None:
-        with suppress(DeviceError):  # told by the bench's side as well
+        with suppress(DeviceError):  # reported by the bench's side as well
             computer.serve(patience_s)
 
     thread = threading.Thread(target=serve, daemon=True)
@@ -76,7 +76,7 @@ class Split:
     setpoints: list[np.ndarray] = field(default_factory=list)
     """Each that the axes were sent, (6,), rails in m, gimbals in rad."""
     each_cycle: Callable[[int], None] = lambda _: None
-    """Told the number of each cycle that has been run."""
+    """Called with the number of each cycle that has been run."""
 
     def fly(self) -> Outcome:
         """Wait for the GNC, then run."""

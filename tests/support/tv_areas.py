@@ -1,6 +1,6 @@
 """Television images of a docking target by areas: outlines of its parts, projected forwards, cover each pixel exactly.
 
-A second renderer beside the rays of ``tv_pixels``: no samples, but the area of a pixel that each polygon covers.
+A second renderer besides the rays of ``tv_pixels``: no samples, but the area of a pixel that each polygon covers.
 """
 
 from __future__ import annotations

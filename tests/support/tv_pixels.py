@@ -1,7 +1,7 @@
 """Television images of a docking target for the monitor: rays through each pixel, supersampled at the edges.
 
 It shares no mathematics with ``hil.parts.monitor``: its own rotation, planes and lens. It has what the monitor does not
-model: lens distortion, pixel aspect, gamma and S-curve, overexposure, vibration, fields, lost frames, a shadow beside
+model: lens distortion, pixel aspect, gamma and S-curve, overexposure, vibration, fields, lost frames, a shadow next to
 an arm.
 """
 
@@ -35,7 +35,7 @@ class TvCamera:
 
     distortion: k1. gamma: exponent of the levels. s_curve: strength of a smooth step mixed in. jitter_px: 1 sigma of
     the displacement of each frame by a rotation of the camera. fields: "" for whole frames, else which field is exposed
-    first, the other half a period later. shadow: depth of a shadow beside the cross, 0..1. plate_behind_m: of the plate
+    first, the other half a period later. shadow: depth of one at the cross, 0..1. plate_behind_m: of the plate
     behind the disc. coarse: pixels are integrated in steps of a quarter of a pixel and blurred afterwards, which
     displaces edges by about 0.02 px. finer: eleven times as many samples, for long straight edges, which the usual ones
     displace by about 0.003 px.

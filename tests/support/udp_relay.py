@@ -14,9 +14,9 @@ import numpy as np
 
 
 class Relay:
-    """Datagrams to ``address`` go on to ``bench``, and its answers back to whoever sent last.
+    """Datagrams to ``address`` are forwarded to ``bench``, and its answers back to the last sender.
 
-    loss, duplicate: shares of the datagrams, each way. delay_s, jitter_s: each datagram is late by the first and a
+    loss, duplicate: fractions of the datagrams, each way. delay_s, jitter_s: each datagram is late by the first and a
     part of the second, drawn for each; a jitter longer than the pause between two datagrams reorders them.
     """
 

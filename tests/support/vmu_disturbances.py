@@ -194,7 +194,7 @@ class Row:
     expected: Expectation = USUAL_ROW
 
     def run(self, count: int, seed: int) -> Tally:
-        """Return the tally of ``count`` frames."""
+        """Return the verdict counts of ``count`` frames."""
         tally, unit = Tally(), VisionUnit(known_geometry(self.stated))
         left = count
         while left > 0:

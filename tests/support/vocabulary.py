@@ -2,7 +2,8 @@
 
 `python -m tests.support.vocabulary [PATH...]` prints `file:line: word: text` for each private word in the given
 files and folders (default: ALL), then the counts per word, kind of text and file. Code is not checked: inline code,
-link targets and code blocks of Markdown (except comments in them), and string literals without a space.
+link targets and code blocks of Markdown (except comments in them), and string literals without a space. Of tests, whose
+string literals are input and expected output, docstrings, comments and the names of the tests are checked.
 """
 
 import ast
@@ -17,7 +18,19 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 
-ALL = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "benchmarks", "configs", "examples", "hil", "sims")
+TESTS = ROOT / "tests"
+ALL = (
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "docs",
+    "benchmarks",
+    "configs",
+    "examples",
+    "hil",
+    "sims",
+    "tests",
+)
 
 # name of the word -> pattern; the field's term or plain English replaces it ("if" for "where", "per" for "a")
 WORDS = {
@@ -97,7 +110,7 @@ ALLOWED = re.compile(r"rate keeper|hand-eye|in other words|beside the (?:recordi
 
 
 class Finding(NamedTuple):
-    """One private word: file, line number, kind of text, the word's entry in WORDS and the line."""
+    """A finding: file, line number, kind of text, entry of WORDS and the line."""
 
     path: Path
     line: int
@@ -143,8 +156,9 @@ def _markdown(path: Path) -> Iterator[Line]:
 
 
 def _python(path: Path) -> Iterator[Line]:
-    """Yield docstrings, comments and string literals with a space."""
+    """Yield docstrings, comments and string literals with a space; of tests their names instead of the literals."""
     source = path.read_text(encoding="utf-8")
+    is_test = TESTS in path.parents
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
             yield token.start[0], "comment", CODE.sub("", token.string)
@@ -152,8 +166,12 @@ def _python(path: Path) -> Iterator[Line]:
     # a string that is a statement is a docstring: of a module, class, function or attribute
     docstrings = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
     for node in nodes:
+        if is_test and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_"):
+            yield node.lineno, "name", node.name.replace("_", " ")
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
             kind = "docstring" if id(node) in docstrings else "text"
+            if is_test and kind == "text":
+                continue
             for offset, text in enumerate(node.value.splitlines()):
                 yield node.lineno + offset, kind, CODE.sub("", text)
 

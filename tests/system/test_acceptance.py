@@ -19,7 +19,7 @@ from hil.recording.read import load
 from hil.report.comparison import key_numbers
 from hil.report.page import report
 from hil.report.summary import summary_of
-from tests.support.run_settings import without_pictures
+from tests.support.run_settings import without_figures
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -110,7 +110,7 @@ def test_run_that_misses_several_parts_names_them(capsys: pytest.CaptureFixture[
 
 def test_campaign_counts_accepted_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ("--runs", "4", "--workers", "1", "--out", str(tmp_path / "c"))
-    with without_pictures():
+    with without_figures():
         assert execute(["campaign", "scheme-3", *options, *STRICT, *WITHOUT_ENERGY]) == 0
     out = capsys.readouterr().out
     summary = json.loads((tmp_path / "c" / "summary.json").read_text())

@@ -53,7 +53,7 @@ def test_violated_limit_stops_the_approach(velocity: str, words: str) -> None:
         assert outcome.history["reference"]["phase"][-1] >= 2
 
 
-def test_aborted_run_is_complete_but_not_passed_and_says_why(tmp_path: Path) -> None:
+def test_aborted_run_is_complete_but_not_passed_and_gives_the_reason(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
     settings = ["--set", "gnc.abort.at_s=5", "--set", "initial.position_m=[2.0,0.0,0.0]"]
     assert execute(["run", "scheme-1", "--duration", "40", "--json", str(path), *settings]) == 1

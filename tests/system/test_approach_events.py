@@ -70,7 +70,7 @@ def test_decision_after_an_abort_is_no_go(event_log: ApproachEventLog) -> None:
     assert texts(event_log)[-1] == "docking: no-go, the approach was aborted"
 
 
-def test_order_to_go_on_is_answered_once() -> None:
+def test_order_to_continue_is_answered_once() -> None:
     settings = ["initial.position_m=[0.4,0.0,0.0]", "initial.attitude_deg=[0.0,0.0,0.0]"]
     job = make_job(20.0, settings)
     with build.runner(job) as runner:
@@ -83,7 +83,7 @@ def test_order_to_go_on_is_answered_once() -> None:
     assert decisions[0][1].startswith(f"docking: no-go, the ready state does not hold: {what_is_missing}")
 
 
-def test_order_to_abort_is_obeyed_in_the_same_cycle() -> None:
+def test_order_to_abort_is_executed_in_the_same_cycle() -> None:
     job = make_job(2.0)
     with build.runner(job) as runner:
         runner.loop.gnc.order_abort()

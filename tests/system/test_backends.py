@@ -336,7 +336,7 @@ def test_text_of_a_backend_is_an_event_and_it_can_ask_for_a_hold(tmp_path: Path)
     assert one.stop == session.stop == stop
 
 
-def test_estimate_without_poses_is_lost_whatever_its_backend_says() -> None:
+def test_estimate_without_poses_is_lost_whatever_its_backend_reports() -> None:
     settings = (*named(OBSERVER), 'faults=[{device="vmu", kind="no_pose", at_s=3.0}]', "rig.vmu.timeout_s=60.0")
     health = flown(settings, 8.0).history["navigation"]["health"]
     lost = np.flatnonzero(health & 1)

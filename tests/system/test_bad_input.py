@@ -148,7 +148,7 @@ def test_gravity_file_that_is_cut_is_refused_by_file_and_key(
         assert word in line, line
 
 
-def test_all_faults_of_a_file_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_faults_of_a_file_are_reported_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('extends = "scheme-1"\n[chaser]\nmass_kg = -3\ncolour = "red"\n[orbit]\naltitude_km = 200\n')
     assert execute(["run", str(path)]) == 2

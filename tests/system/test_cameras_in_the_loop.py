@@ -83,7 +83,7 @@ def test_a_camera_that_ends_is_a_safe_stop_that_names_it(side: str) -> None:
 
 @pytest.fixture
 def approach(tmp_path: Path) -> tuple[Rig, Path]:
-    """Return the rig, and the geometry file beside the folders of an approach's images."""
+    """Return the rig, and the geometry file next to the folders of an approach's images."""
     job = Job(load_scenario("scheme-1", [SOURCE]), load_rig("emulated", ["rig.vmu.rate_hz=2"]), 0, 1.0, 1.0)
     rig, start = job.rig.value, start_axes(job.scenario.value, job.rig.value)
     cameras, rng = rendered_cameras(job.scenario.value, rig, 3), stream(3, "pictures")
@@ -154,7 +154,7 @@ def test_a_run_begins_with_the_drift_check_and_a_camera_that_moved_refuses_it(
 
 
 @pytest.mark.slow
-def test_desk_without_cameras_comes_to_its_first_pose_in_two_commands(tmp_path: Path) -> None:
+def test_computer_without_cameras_gets_its_first_pose_in_two_commands(tmp_path: Path) -> None:
     """The last section of docs/how-to/use-cameras.md."""
     require_libaravis()
     geometry, poses = tmp_path / "vmu.json", tmp_path / "poses.csv"

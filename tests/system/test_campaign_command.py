@@ -1,4 +1,4 @@
-"""``hil campaign`` from its command line: the same results whoever flies, and nothing lost."""
+"""``hil campaign`` from its command line: the same results from every engine, and nothing lost."""
 
 from __future__ import annotations
 
@@ -20,22 +20,20 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.errors import CampaignStopped
-from hil.parts.campaigns import batch, engines
-from hil.parts.campaigns.campaign import CampaignJob
-from hil.parts.campaigns.engines import LocalEngine
-from hil.parts.campaigns.store import Store
-from tests.support.run_settings import without_pictures
+from hil.parts.campaigns import (batch, engines)
+from hil.parts.campaigns.campaign import (CampaignJob)
+from hil.parts.campaigns.engines import (LocalEngine)
+from hil.parts.campaigns.store import (Store)
+from tests.support.run_settings import without_figures
 
 pytestmark = pytest.mark.xdist_group("campaign")
 
 SHORT = ("--duration", "1.0")
 
 
-def fly(
-    folder: Path, *options: str, runs: int = 120, duration: tuple[str, str] = SHORT, pictures: bool = False
-) -> None:
-    """Run a short campaign into ``folder``. pictures: draw those of its cases, which takes longer than to fly them."""
-    with nullcontext() if pictures else without_pictures():
+def fly(folder: Path, *options: str, runs: int = 120, duration: tuple[str, str] = SHORT, figures: bool = False) -> None:
+    """Run a short campaign into ``folder``. figures: draw those of its cases, which takes longer than the flights."""
+    with nullcontext() if figures else without_figures():
         assert execute(["campaign", "scheme-1", "--runs", str(runs), "--out", str(folder), *duration, *options]) == 0
 
 
@@ -43,7 +41,7 @@ def fly(
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a campaign that one process flew."""
     folder = tmp_path_factory.mktemp("alone") / "c"
-    fly(folder, "--workers", "1", pictures=True)
+    fly(folder, "--workers", "1", figures=True)
     return folder
 
 
@@ -53,7 +51,7 @@ def assert_same(one: Path, other: Path) -> None:
     assert (one / "cases.parquet").read_bytes() == (other / "cases.parquet").read_bytes()
 
 
-def test_campaign_leaves_cases_summary_and_picture(alone: Path) -> None:
+def test_campaign_writes_cases_summary_and_figure(alone: Path) -> None:
     table = pq.read_table(alone / "cases.parquet")
     assert table.column("case").to_pylist() == list(range(120))
     assert len(set(table.column("initial.position_m[0]").to_pylist())) == 120
@@ -138,7 +136,7 @@ def _deadly_from_two_on(spec: batch.Spec, first: int, count: int) -> batch.Rows:
     return batch.run_batch(spec, first, count)
 
 
-def test_campaign_killed_in_the_middle_goes_on_where_it_was_and_shares_its_folder_with_no_other(
+def test_killed_campaign_resumes_where_it_was_and_locks_its_folder(
     alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "c"

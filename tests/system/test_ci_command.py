@@ -17,7 +17,7 @@ from hil.api.runs import run
 from hil.cli.main import execute
 from hil.parts.campaigns.cli import ci as command
 from tests.support.pytest_runs import pytest_run
-from tests.support.run_settings import without_pictures
+from tests.support.run_settings import without_figures
 
 pytestmark = pytest.mark.xdist_group("test campaigns")
 
@@ -81,7 +81,7 @@ def test_change_that_loses_cases_is_red_and_an_equal_one_green(
     monkeypatch.setattr("hil.api.runs.run", run_from_near)
     (in_lab / "scenarios" / "short.toml").write_text(SHORT)
     arguments = ["ci", "scenarios/short.toml", *RUN]
-    with without_pictures():
+    with without_figures():
         assert execute([*arguments, "--out", str(tmp_path / "base")]) == 0
     assert "## PASS approach" in (tmp_path / "base" / "summary.md").read_text()
     law = in_lab / "gnc" / "law.py"
@@ -89,7 +89,7 @@ def test_change_that_loses_cases_is_red_and_an_equal_one_green(
     law.write_text(before.replace("to_rate = math.sqrt(2.0) * bandwidth", "to_rate = 0.1 * bandwidth"))
     compared = ("--out", str(tmp_path / "new"), "--base", str(tmp_path / "base"), "--json", "-")
     try:
-        with without_pictures():
+        with without_figures():
             found = execute([*arguments, *compared])
     finally:
         law.write_text(before)

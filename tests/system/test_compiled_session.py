@@ -379,7 +379,7 @@ def test_ctrl_c_stops_a_compiled_run_between_two_blocks(tmp_path: Path) -> None:
         ((), ""),
     ],
 )
-def test_job_that_needs_the_cycle_in_python_says_why(settings: tuple[str, ...], reason: str) -> None:
+def test_job_that_needs_the_cycle_in_python_gives_the_reason(settings: tuple[str, ...], reason: str) -> None:
     assert python_only(make_job(1.0, settings)) == reason
 
 

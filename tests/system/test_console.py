@@ -49,14 +49,14 @@ def start(page: Page) -> None:
     page.until(lambda: len(page.rows) > 20, "rows of the run")
 
 
-def test_numbers_move_and_hold_resume_abort_and_a_lost_page_are_obeyed_and_recorded(tmp_path: Path) -> None:
+def test_numbers_move_and_hold_resume_abort_and_a_lost_page_take_effect_and_are_recorded(tmp_path: Path) -> None:
     anns, bobs = new_key("ann"), new_key("bob")
     write_operators(tmp_path / "keys.toml", {key.id: key for key in (anns, bobs)})
     options = ("--operators", str(tmp_path / "keys.toml"), "--set", "rig.console.lease_s=3")
     with console("--rig", "mock", *options, *typed(*NEAR), record=tmp_path) as c:
         ann = c.page("ann", operator=anns)
         start(ann)
-        bob = c.page("bob", operator=bobs)  # whom nobody heeds while the bench opens, seconds on a busy computer
+        bob = c.page("bob", operator=bobs)  # ignored while the bench opens, seconds on a busy computer
         assert np.all(np.diff(ann.column("t_s")) > 0.0)
         assert np.isfinite(ann.column("estimate_m.x")[-1])
 
@@ -216,7 +216,7 @@ def test_region_of_search_goes_from_the_page_to_the_monitor_and_its_frame_comes_
 
 
 def searched(page: Page) -> list[list[float]]:
-    """Return the corners of the region of search on the newest picture."""
+    """Return the corners of the region of search on the newest image."""
     return [shape["from"] for shape in page.picture.get("overlay", []) if shape.get("part") == "search"]
 
 
@@ -241,7 +241,7 @@ def test_gnc_of_the_users_own_is_flown_held_and_aborted_from_the_page(tmp_path: 
 
 
 @pytest.mark.slow
-def test_recorder_that_dies_is_said_on_the_page_and_the_bench_goes_on(tmp_path: Path) -> None:
+def test_recorder_that_dies_is_reported_on_the_page_and_the_bench_continues(tmp_path: Path) -> None:
     with console("--rig", "mock", *typed(*NEAR), record=tmp_path) as c:
         page = c.page("ann")
         start(page)
@@ -259,7 +259,7 @@ def test_recorder_that_dies_is_said_on_the_page_and_the_bench_goes_on(tmp_path: 
 
 
 @pytest.mark.slow
-def test_disk_that_fills_up_is_said_on_the_page_and_the_bench_goes_on(small_disk: Path) -> None:
+def test_disk_that_fills_up_is_reported_on_the_page_and_the_bench_continues(small_disk: Path) -> None:
     with console("--rig", "mock", *typed(*NEAR), record=small_disk) as c:
         page = c.page("ann")
         start(page)
@@ -278,7 +278,7 @@ def test_disk_that_fills_up_is_said_on_the_page_and_the_bench_goes_on(small_disk
         assert len(load(Path(told["file"])).cycles) > 10  # what was written stands
 
 
-def test_takeover_is_asked_back_and_logged(idle: Console) -> None:
+def test_takeover_requires_confirmation_and_is_logged(idle: Console) -> None:
     ann, bob = idle.page("ann"), idle.page("bob")
     assert ann.ask("take")["ok"]
     assert bob.ask("take_over")["ask"] == "Take the command over from ann, who can then only watch?"
@@ -397,14 +397,16 @@ def test_only_this_computers_own_addresses_go_without_a_token(host: str, expecte
     assert is_loopback(host) is expected
 
 
-def test_missing_extra_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_extra_is_reported_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "uvicorn" else object())
     assert execute(["console"]) == BAD_INPUT
     assert capsys.readouterr().err == "hil console: uvicorn missing: pip install 'hil-bench[console]'\n"
 
 
 @pytest.mark.parametrize("line_is_dropped", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_last_word_of_a_session_is_heard_also_where_it_left_something_unread(line_is_dropped: bool) -> None:
+def test_last_message_of_a_session_arrives_even_if_it_left_input_unread(line_is_dropped: bool) -> None:
     async def talk() -> list[dict[str, Any]]:
         heard: list[dict[str, Any]] = []
         choice = Choice(scenario="scheme-1", rig="mock", settings=("rig.rails.x.park_m=99",))

@@ -174,7 +174,7 @@ def image_of(screen: Screen) -> str:
     return str(screen.page.evaluate("document.getElementById('camera').toDataURL().slice(-4000)"))
 
 
-def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(browser: Any, pictures: Path) -> None:
+def test_images_of_each_camera_change_and_the_monitor_s_numbers_are_next_to_them(browser: Any, pictures: Path) -> None:
     rendered = ("--set", "vmu.source=rendered", "--set", "monitor.source=rendered")
     with console("--rig", "emulated", *rendered, *typed(*NEAR), *PATIENT) as c:
         screen = open_screen(browser, c, pictures)
@@ -195,7 +195,7 @@ def test_pictures_of_each_camera_change_and_the_monitor_s_numbers_stand_beside(b
             "(() => { const s = window.hil.store, p = s.portions.findLast((portion) => portion.r_m);"
             " return Math.abs(p.r_m[0] - s.at(Math.min(s.from(p.t_s), s.count - 1), 'bench_m.x')); })()"
         )
-        assert off_m < 0.02  # beside the encoders, in the plot of both
+        assert off_m < 0.02  # off the encoders, in the plot of both
         screen.page.click("#camera_choice button[data-camera=monitor]")
         screen.press("l", "camera_large")
         screen.until("document.querySelectorAll('#monitor_numbers tr').length === 12")
@@ -393,7 +393,7 @@ def test_waived_protections_are_asked_about_and_shown_in_red(browser: Any, pictu
         assert screen.errors == []
 
 
-def test_sensors_have_their_ages_and_sizes_and_one_that_is_excluded_says_so(browser: Any, pictures: Path) -> None:
+def test_sensors_have_ages_and_sizes_and_an_excluded_one_is_marked(browser: Any, pictures: Path) -> None:
     fault = '[{device = "sensor.ranger", kind = "offset", at_s = 6.0, value = 0.3}]'
     sensors = ("sensors.ranger.kind=range_finder", "sensors.mocap.kind=pose", 'sensors.mocap.use="witness"')
     with console("--rig", "mock", *typed(*NEAR, *sensors, f"faults={fault}")) as c:

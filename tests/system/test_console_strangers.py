@@ -237,7 +237,7 @@ def test_mutated_messages_disturb_neither_the_loop_nor_other_clients(tmp_path: P
     assert p99_us < 2000.0
 
 
-def test_idle_connections_of_one_address_keep_nobody_out() -> None:
+def test_idle_connections_of_one_address_do_not_block_others() -> None:
     elsewhere = ("127.0.0.2", 0)
     with console("--rig", "mock") as c, ExitStack() as idle:
         host, _, port = c.address.rpartition(":")

@@ -1,4 +1,4 @@
-"""Stops in lock-step: drives that do not obey, gravity, holding brakes, with and without an operator."""
+"""Stops in lock-step: drives that do not stop, gravity, holding brakes, with and without an operator."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DETECTED_S = 0.2
 
 @dataclass
 class Session:
-    """A run in lock-step, what has happened to its axes, and a script beside it in bench time."""
+    """A run in lock-step, what has happened to its axes, and a parallel script in bench time."""
 
     bench: WiredBench
     runner: Runner
@@ -81,7 +81,7 @@ class Session:
 
 
 def run(attended: bool, script: Callable[[Session], None], *settings: str) -> None:
-    """Run a session, and ``script`` beside it from RUNNING on."""
+    """Run a session, and ``script`` in parallel from RUNNING on."""
     job = make_job(60.0, (*START, *IN_LOCK_STEP, *settings), rig="emulated")
     warm_up(job)
     with build.wired_bench(job) as bench:
@@ -115,7 +115,7 @@ def cases(*of_one_case: object, slow: int = 0) -> list[object]:
 
 
 @pytest.mark.parametrize(("axis", "attended"), cases("rails.x", "rails.z", "turntable.yaw", slow=1))
-def test_a_drive_that_does_not_obey_a_safe_stop_loses_its_torque(axis: str, attended: bool) -> None:
+def test_drive_that_does_not_follow_a_safe_stop_loses_its_torque(axis: str, attended: bool) -> None:
     device, name = axis.split(".")
 
     def script(made: Session) -> None:
@@ -156,7 +156,7 @@ FIRST_CAUSES = ("rails on drive_fault y", "turntable on drive_fault yaw", "vmu o
 
 
 @pytest.mark.parametrize(("first", "attended"), cases(*FIRST_CAUSES, slow=0))
-def test_a_drive_that_does_not_obey_loses_its_torque_whatever_the_stop_is_for(first: str, attended: bool) -> None:
+def test_drive_that_does_not_stop_loses_its_torque_for_any_stop_cause(first: str, attended: bool) -> None:
     def script(made: Session) -> None:
         made.wait(lambda: made.speed("rails") > 0.025)
         made.fault("rails", "on runaway x 0")  # at its present speed: no following error gives it away

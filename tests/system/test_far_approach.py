@@ -49,7 +49,7 @@ def test_bench_has_no_jump_between_its_scale_and_full_scale(run: hil.Run) -> Non
         {"device": "sensor.stars", "kind": "drift", "value": [1e-5, 0.0, 0.0], "at_s": 400.0},
     ],
 )
-def test_fault_of_one_sensor_misleads_nobody(fault: dict[str, Any]) -> None:
+def test_fault_of_one_sensor_does_not_mislead(fault: dict[str, Any]) -> None:
     run = hil.run("far-approach", seed=3, faults=[fault])
     assert run.summary["integrity"]["hmi_cycles"] == 0
     assert not run.summary["decision"]["error"]

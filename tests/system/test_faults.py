@@ -208,7 +208,7 @@ def test_offset_and_drift_displace_the_chaser_in_hill_axes() -> None:
     assert abs(slope - 0.1) < 0.01
 
 
-def test_a_share_of_the_poses_are_outliers_of_the_given_size() -> None:
+def test_given_fraction_of_the_poses_are_outliers_of_the_given_size() -> None:
     errors = np.linalg.norm(measured(fly(fault("vmu.outlier", until_s=60.0), duration_s=60.0)), axis=1)
     thrown = errors[18:] > 0.25
     assert 0.3 < thrown.mean() < 0.5

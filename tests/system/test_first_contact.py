@@ -89,7 +89,7 @@ def kernel_and_key(script: str, **environment: str) -> list[str]:
     ],
     ids=["unknown user without home", "home is a file", "read-only home", "full cache folder"],
 )
-def test_kernels_and_key_are_in_a_private_folder_if_the_home_has_no_room_for_them(
+def test_kernels_and_key_are_in_a_private_folder_if_the_home_is_full(
     script: str, environment: dict[str, str], reason: str
 ) -> None:
     removed = dict.fromkeys(("XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "") | environment

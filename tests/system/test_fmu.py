@@ -104,7 +104,7 @@ r_CT_H_m = ["px", "py", "pz"]
 
 
 def test_mapping_converts_names_orders_and_units(library: Path, fmu: Path, tmp_path: Path) -> None:
-    """The same binary under a description with other names and units: the bench converts, the FMU cannot tell."""
+    """The same binary under a description with other names and units: the bench converts, the FMU sees the same."""
     places = {"q1": 1, "q2": 2, "q3": 3, "q0": 4}
     changes = [f'name="reference_q_CH[{i}]" => name="{name}"' for name, i in places.items()]
     changes += [f'name="r_CT_H_m[{i}]" => name="{name}"' for i, name in ((1, "px"), (2, "py"), (3, "pz"))]

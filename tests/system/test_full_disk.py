@@ -36,7 +36,7 @@ def fly(folder: Path) -> int:
 
 
 @pytest.mark.slow
-def test_full_disk_stops_the_campaign_and_with_room_it_goes_on_to_the_same_table(
+def test_full_disk_stops_the_campaign_which_resumes_to_the_same_table(
     small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert fly(tmp_path / "roomy") == 0
@@ -51,7 +51,7 @@ def test_full_disk_stops_the_campaign_and_with_room_it_goes_on_to_the_same_table
     cases = [case for path in kept for case in pq.read_table(path).column("case").to_pylist()]
     assert cases == sorted(set(cases))
     written = {path: path.stat().st_mtime_ns for path in kept}
-    assert fly(folder) == SAFE_STOPPED  # still no room: the same words, and nothing is lost
+    assert fly(folder) == SAFE_STOPPED  # still full: the same message, and nothing is lost
     assert {path: path.stat().st_mtime_ns for path in kept} == written
     subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
     assert fly(folder) == 0

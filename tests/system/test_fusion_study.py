@@ -1,4 +1,4 @@
-"""``hil fusion``: the filters sit on the bound of the linear problem, whoever does the sums."""
+"""``hil fusion``: the filters reach the bound of the linear problem, by any implementation."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_bound_is_the_published_one(
 
 @pytest.mark.parametrize("reading", READINGS)
 def test_bound_is_that_of_one_axis_alone(scheme_2: Scenario, reading: Reading) -> None:
-    """A double integrator with bias and a turn with drift, in numpy: no orbit, no lever arm."""
+    """A double integrator with bias and a rotation with drift, in numpy: no orbit, no lever arm."""
     dt, imu, (sigma_m, sigma_deg) = 0.02, scheme_2.imu, VMU_SIGMA[reading]
     r_0, v_0, bias_0, turn_0, drift_0 = INITIAL_SIGMA
     noise = imu.accelerometer_noise_mps2 * np.array([0.5 * dt**2, dt, 0.0])
@@ -153,7 +153,7 @@ def test_bound_is_that_of_one_axis_alone(scheme_2: Scenario, reading: Reading) -
 
 
 @pytest.mark.parametrize(("setting", "code"), [("step_s=0.02", 0), ("gnc.pkf.accelerometer_noise_mps2=1e-2", 1)])
-def test_exit_code_says_whether_the_filters_sit_on_the_bound(
+def test_exit_code_reports_whether_the_filters_reach_the_bound(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, code: int
 ) -> None:
     path, seed = tmp_path / "fusion.json", 0
@@ -226,7 +226,7 @@ def test_dash_after_a_space_is_standard_output(capsys: pytest.CaptureFixture[str
     assert json.loads(capsys.readouterr().out)["runs"] == 1
 
 
-def test_all_bad_options_are_told_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_bad_options_are_reported_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["fusion", "--runs", "0", "--seed", "-1", "--workers", "-1", "--json", "/no/such/f.json"]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert [line.split(":")[0] for line in lines] == ["--runs", "--seed", "--workers", "--json"]
@@ -241,7 +241,7 @@ def test_bound_does_not_move_with_the_filters_that_it_judges() -> None:
 
 
 def test_limit_of_the_ratio_is_that_of_the_scatter_of_the_runs(studies: Studies) -> None:
-    """The mean square errors of sixty runs scatter as the degrees of freedom say that the limit is made of."""
+    """The mean square errors of sixty runs scatter as the degrees of freedom of the limit."""
     for reading in READINGS:
         results = studies.results[reading]
         assert len(results) == 60

@@ -97,7 +97,7 @@ def test_late_answers_are_named_and_end_the_check(tmp_path: Path) -> None:
     assert not report.passed
 
 
-def test_command_writes_what_it_found_and_says_so_by_its_exit_code(tmp_path: Path) -> None:
+def test_command_writes_its_findings_and_reports_them_by_its_exit_code(tmp_path: Path) -> None:
     fires_in_hold, numbers = c_example(tmp_path, "broken.so", *FAULTS["hold"]), tmp_path / "check.json"
     assert execute(["gnc", "check", str(fires_in_hold), "--json", str(numbers)]) == 1
     found = json.loads(numbers.read_text())
@@ -126,7 +126,7 @@ def test_programs_pass_over_udp(tmp_path: Path, language: str) -> None:
     assert faults(report) == []
 
 
-def test_nobody_there_and_nothing_to_check_are_said_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_server_and_nothing_to_check_are_reported_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["gnc", "check", "127.0.0.1:0", "--wait", "0.2"]) == 3
     assert "none has answered" in capsys.readouterr().err.splitlines()[-1]
     assert execute(["gnc", "check", "mygnc"]) == 2

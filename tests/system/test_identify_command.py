@@ -42,7 +42,7 @@ def test_rig_file_that_it_writes_lays_the_lead_over_the_rig(tmp_path: Path) -> N
     assert found["setpoint_to_encoder_ms"] == pytest.approx(20.0 + 1e3 * found["lead_s"])
 
 
-def test_lead_of_a_rig_in_a_file_is_found_from_beside_it(tmp_path: Path) -> None:
+def test_lead_of_a_rig_in_a_file_is_read_from_its_folder(tmp_path: Path) -> None:
     (tmp_path / "rigs").mkdir()
     mine = tmp_path / "rigs" / "mine.toml"
     mine.write_text('extends = "mock"\nname = "mine"\n')
@@ -92,7 +92,7 @@ def test_file_that_exists_is_not_written_over(tmp_path: Path, capsys: pytest.Cap
     assert (tmp_path / "lab.toml").read_text() == "mine"
 
 
-def test_hardware_does_not_move_before_somebody_says_yes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hardware_does_not_move_before_confirmation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "lab.toml"
     path.write_text(HARDWARE)
     assert execute(["identify", str(path)]) == 2

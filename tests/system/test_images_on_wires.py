@@ -1,4 +1,4 @@
-"""Pictures of the emulated rig, whose vision unit and docking monitor are processes of their own."""
+"""Images of the emulated rig, whose vision unit and docking monitor are processes of their own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SETTINGS = (
 
 
 @pytest.mark.slow
-def test_pictures_of_a_rig_on_wires_replay_bit_by_bit(tmp_path: Path) -> None:
+def test_images_of_a_rig_on_wires_replay_bit_by_bit(tmp_path: Path) -> None:
     arguments = ("--rig", "emulated", "--duration", "6", "--record", str(tmp_path))
     assert execute(["run", "scheme-1", *typed(*SETTINGS, *UNHURRIED), *arguments]) in (0, 1)
     (path,) = tmp_path.glob("*.mcap")

@@ -1,4 +1,4 @@
-"""kill -9 and kill -STOP of each process of a running bench: the axes stand soon after, whoever it was."""
+"""kill -9 and kill -STOP of each process of a running bench: the axes stand soon after, whichever it was."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ pytestmark = [
 
 @contextmanager
 def emulated(rig: str) -> Iterator[dict[str, str]]:
-    """Run ``hil emulate``; give name -> address of what it says."""
+    """Run ``hil emulate``; give name -> address of its output."""
     command = [sys.executable, "-u", "-m", "hil", "emulate", "--rig", rig]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -61,7 +61,7 @@ def test_mbpoll_reads_the_drives_over_tcp() -> None:
             "0x0048",
             "0x0007",
             "0x0000",
-        ]  # homed; fault: safe torque off, nobody closes the chain; no exchange
+        ]  # homed; fault: safe torque off, the chain stays open; no exchange
         assert read(19, 2, "-t 4:int -B") == ["3000000", "0"]  # parked at 3 m, in um; at rest
         assert read(100, 1, "-t 4") == ["Read output (holding) register failed: Illegal data address"]
 
@@ -83,4 +83,4 @@ def test_mbpoll_reads_the_drives_over_a_serial_line() -> None:
         ]  # homed (bit 12); fault: safe torque off
         assert read(11, 2004, 1, "4:float") == ["3000"]  # parked at 3 m, in mm, low word first
         assert read(13, 2004, 1, "4:float") == ["0"]
-        assert read(9, 2000, 1, "4") == ["Read output (holding) register failed: Connection timed out"]  # nobody's id
+        assert read(9, 2000, 1, "4") == ["Read output (holding) register failed: Connection timed out"]  # an unused id

@@ -42,7 +42,7 @@ def fill(folder: Path) -> None:
             file.write(bytes(4096))
 
 
-def test_verdict_is_printed_if_the_disk_has_no_room_for_its_numbers(
+def test_verdict_is_printed_if_the_disk_is_too_full_for_its_numbers(
     full_disk: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fill(full_disk)

@@ -102,7 +102,7 @@ def test_abort_with_a_library_has_the_same_bits_and_retreats(library: Path, tmp_
     assert history["truth"]["v_CT_H"][-1, 0] > 0.0 > history["truth"]["v_CT_H"][700, 0]
 
 
-def test_abort_is_told_once_in_the_input_after_it_has_begun(tmp_path: Path) -> None:
+def test_abort_is_reported_once_in_the_input_after_it_has_begun(tmp_path: Path) -> None:
     said = 'if (input->orders & HIL_GNC_ABORT) strcpy(output->text, "aborts");'
     outcome = flown(variant(tmp_path, f"{STEP} => {STEP} {said}"), 4.0, "gnc.abort.at_s=2.0")
     assert [(e.t_s, e.text) for e in outcome.events if e.source == "gnc other.so"] == [(2.02, "aborts")]
@@ -131,8 +131,8 @@ def test_run_without_an_estimate_is_judged_on_the_truth_and_never_claims_docking
     assert again.identical
 
 
-def test_hold_is_told_to_the_library_and_the_run_goes_on(tmp_path: Path) -> None:
-    told = "if (input->mode == HIL_GNC_HOLD) g->first_s -= 1.0;"  # seen in the time at which the estimate is told
+def test_hold_is_reported_to_the_library_and_the_run_continues(tmp_path: Path) -> None:
+    told = "if (input->mode == HIL_GNC_HOLD) g->first_s -= 1.0;"  # seen in the time at which the estimate is reported
     chosen = variant(tmp_path, f"{STEP} => {STEP} {told}")
     free, held = flown(chosen, 8.0), flown(chosen, 8.0, operator=_Holding())
     assert free.stop == held.stop == COMPLETED
@@ -141,7 +141,7 @@ def test_hold_is_told_to_the_library_and_the_run_goes_on(tmp_path: Path) -> None
 
 
 class _Holding(Operator):
-    """Starts the run, holds it after 100 cycles, and lets it go on 20 cycles later."""
+    """Starts the run, holds it after 100 cycles, and resumes it 20 cycles later."""
 
     def __init__(self) -> None:
         super().__init__(attended=True)
@@ -192,7 +192,9 @@ def test_output_that_cannot_be_right_stops_the_bench_with_the_same_words_everywh
         (GncState.ASKS_FOR_HOLD, "gnc other.so asks for it: star tracker"),
     ],
 )
-def test_library_that_reports_a_fault_or_asks_for_a_hold_is_heard(tmp_path: Path, state: GncState, words: str) -> None:
+def test_library_that_reports_a_fault_or_requests_a_hold_takes_effect(
+    tmp_path: Path, state: GncState, words: str
+) -> None:
     said = f'if (input->cycle == 50) {{ output->state = {state.value}; strcpy(output->text, "star tracker"); }}'
     chosen = variant(tmp_path, f"{STEP} => {STEP} {said}")
     outcome = flown(chosen, 4.0)

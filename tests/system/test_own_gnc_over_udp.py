@@ -42,7 +42,7 @@ def flown_over_udp(folder: Path, language: str, *options: str) -> tuple[int, dic
     with subprocess.Popen([*command, "127.0.0.1", port]) as program:
         listen = ["--lock-step", "--listen", f"127.0.0.1:{port}", "--json", str(numbers)]
         code = execute(["dss", "scheme-1", *listen, *options])
-        assert program.wait(10.0) == 0  # it has heard the goodbye
+        assert program.wait(10.0) == 0  # it has received the disconnect
     return code, json.loads(numbers.read_text())
 
 

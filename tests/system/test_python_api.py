@@ -191,7 +191,7 @@ def test_bench_that_leaves_its_block_stands_still_without_torque() -> None:
     assert bench.result.stop == "stopped by the operator"
 
 
-def test_rejected_command_and_timeout_are_errors_and_the_bench_goes_on() -> None:
+def test_rejected_command_and_timeout_are_errors_and_the_bench_continues() -> None:
     with hil.Bench("mock", "scheme-1") as bench:
         with pytest.raises(hil.errors.BenchError, match="bench: cannot start in standby"):
             bench.start()

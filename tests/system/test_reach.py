@@ -104,7 +104,7 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize("what", REFUSALS)
-def test_scenario_that_the_bench_cannot_follow_is_refused_in_one_line_an_axis(
+def test_scenario_that_the_bench_cannot_follow_is_refused_in_one_line_per_axis(
     capsys: pytest.CaptureFixture[str], what: str
 ) -> None:
     settings, words = REFUSALS[what]
@@ -175,7 +175,7 @@ def _barely_enough(scenario: str, settings: tuple[str, ...]) -> Loaded[Rig]:
     flown = load_scenario(scenario, settings).value
     hardest = axis_demands(flown, loaded.value).axes.acceleration.max(axis=0) * (1.0 + 1e-6)
     rig = _limited(loaded.value, {}, hardest)
-    asked = axis_demands(flown, rig).axes  # the room to brake depends on the acceleration
+    asked = axis_demands(flown, rig).axes  # the braking distance depends on the acceleration
     travel = np.stack([asked.low.min(axis=0), asked.high.max(axis=0)]) + np.array([[-1e-6], [1e-6]])
     rig = _limited(rig, {"travel": travel, "rate_max": asked.rate.max(axis=0) * (1.0 + 1e-6)}, hardest)
     return Loaded(rig, loaded.source, loaded.origin)

@@ -69,7 +69,7 @@ def test_recorded_runs_are_listed(folder: Path, capsys: pytest.CaptureFixture[st
         assert capsys.readouterr().out.startswith("0 runs")
 
 
-def test_the_run_s_json_tells_its_recording(folder: Path) -> None:
+def test_json_of_a_run_names_its_recording(folder: Path) -> None:
     told = json.loads((folder.parents[1] / "run.json").read_text())["recording"]
     assert told["file"] in files(folder)
     assert (told["dropped"], told["problem"]) == (0, "")
@@ -92,7 +92,7 @@ def test_a_recording_holds_configuration_versions_and_the_run_s_numbers(folder: 
 
 
 class Links(HTMLParser):
-    """Collects every address that a browser would ask somebody for."""
+    """Collects every address that a browser would request."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -104,7 +104,7 @@ class Links(HTMLParser):
         self.addresses += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
 
 
-def test_a_report_compares_runs_holds_everything_and_asks_nobody(folder: Path, tmp_path: Path) -> None:
+def test_report_compares_runs_and_is_self_contained(folder: Path, tmp_path: Path) -> None:
     whole = Path(files(folder)[0]).read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) // 2])
@@ -244,7 +244,7 @@ def test_a_killed_loop_on_wires_leaves_a_whole_file_that_replays(tmp_path: Path)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rig", ["mock", pytest.param("emulated", marks=pytest.mark.wires)])
-def test_a_full_disk_is_said_and_nothing_that_was_written_is_lost(small_disk: Path, tmp_path: Path, rig: str) -> None:
+def test_full_disk_is_reported_and_no_written_data_is_lost(small_disk: Path, tmp_path: Path, rig: str) -> None:
     if rig == "emulated":
         (small_disk / "other").write_bytes(bytes(1_750_000))
         near = typed(*NEAR, *UNHURRIED)

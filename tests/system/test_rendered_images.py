@@ -1,4 +1,4 @@
-"""Pictures of a run in its recording, and through vision unit and docking monitor once more."""
+"""Images of a run in its recording, and through vision unit and docking monitor once more."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def record(folder: Path, duration_s: float, *settings: str, rig: str = "mock") -
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of 2 s whose pictures were all kept as PNG; do not change it."""
+    """A run of 2 s whose images were all kept as PNG; do not change it."""
     return record(tmp_path_factory.mktemp("pictures") / "png", 2.0, *RENDERED, *ALL_PNG)
 
 
@@ -60,7 +60,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return line
 
 
-def test_pictures_and_what_was_found_are_in_the_recording(path: Path) -> None:
+def test_images_and_findings_are_in_the_recording(path: Path) -> None:
     with path.open("rb") as file:
         reader = make_reader(file)
         counts = {channel.topic: 0 for channel in reader.get_summary().channels.values()}  # type: ignore[union-attr]
@@ -84,7 +84,7 @@ def test_pictures_and_what_was_found_are_in_the_recording(path: Path) -> None:
     assert {picture.status for picture in recorded_images(path, "monitor")} == {"near"}
 
 
-def test_the_same_pictures_give_the_very_same_poses(recorded: Recorded) -> None:
+def test_same_images_give_the_very_same_poses(recorded: Recorded) -> None:
     found = replay_vision_unit(recorded, geometry_of(recorded))
     assert found.identical, (found.statuses, found.differences)
     assert (found.images, found.compared, found.remarks) == (13, 13, [])
@@ -100,11 +100,11 @@ def test_the_same_frames_give_the_very_same_portions(recorded: Recorded) -> None
     )
 
 
-def test_the_gnc_of_a_run_on_pictures_replays_bit_by_bit(recorded: Recorded) -> None:
+def test_gnc_of_a_run_on_images_replays_bit_by_bit(recorded: Recorded) -> None:
     assert replay(recorded, recorded.scenario).identical
 
 
-def test_the_command_says_that_all_is_the_same(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_reports_that_all_is_the_same(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["replay", str(path), "--vmu", "--monitor"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said == [
@@ -143,7 +143,7 @@ def test_another_scene_shows_in_range_and_sigmas(
     assert said.splitlines()[-1].startswith("differs from 0.")
 
 
-def test_exported_pictures_give_hil_vmu_the_same_poses(recorded: Recorded, tmp_path: Path) -> None:
+def test_exported_images_give_hil_vmu_the_same_poses(recorded: Recorded, tmp_path: Path) -> None:
     folder, out = tmp_path / "pictures", tmp_path / "poses.csv"
     assert execute(["export", str(recorded.path), "--images", str(folder)]) == 0
     geometry = str(folder / GEOMETRY_FILE)
@@ -171,7 +171,7 @@ def test_exported_frames_give_hil_monitor_the_same_portions(recorded: Recorded, 
     assert [float(row["range_m"]) for row in rows] == pytest.approx(recorded.of_parts["portions"]["range_m"], abs=1e-3)
 
 
-def test_portions_are_exported_beside_the_cycles(recorded: Recorded, tmp_path: Path) -> None:
+def test_portions_are_exported_together_with_the_cycles(recorded: Recorded, tmp_path: Path) -> None:
     assert execute(["export", str(recorded.path), "--out", str(tmp_path / "run.csv")]) == 0
     with (tmp_path / "run-portions.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -179,7 +179,7 @@ def test_portions_are_exported_beside_the_cycles(recorded: Recorded, tmp_path: P
     assert [float(row["range_m"]) for row in rows] == recorded.of_parts["portions"]["range_m"].tolist()
 
 
-def test_half_frames_are_woven_into_pictures_again(tmp_path: Path) -> None:
+def test_half_frames_are_interleaved_into_images_again(tmp_path: Path) -> None:
     path = record(tmp_path / "run", 0.2, "monitor.source=rendered", "monitor.scene=bright-cross", *ALL_PNG)
     recorded = load(path)
     found = replay_monitor(recorded, recorded.calibration(SCENE_FILE, Scene))
@@ -197,7 +197,7 @@ def test_half_frames_are_woven_into_pictures_again(tmp_path: Path) -> None:
     np.testing.assert_array_equal(image[1 - first :: 2], half_frames[3].image(path)[::2])
 
 
-def test_jpeg_now_and_then_replays_with_a_word_on_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_occasional_jpeg_replays_with_a_remark(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = record(tmp_path / "run", 2.0, *RENDERED[::2])  # as the rig file has it
     assert [picture.bench_s for picture, _ in pairs(path)] == [k / 6.25 for k in (0, 4, 8, 12)]
     assert math.isclose(path.stat().st_size, 8 * 45_000, rel_tol=0.9)
@@ -209,14 +209,14 @@ def test_jpeg_now_and_then_replays_with_a_word_on_it(tmp_path: Path, capsys: pyt
     assert said[-1].startswith("differs from 0.00 s on: the vision unit, 4 exposures")
 
 
-def test_none_are_kept_where_none_are_wanted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_images_are_kept_if_none_are_requested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = record(tmp_path / "run", 0.4, "vmu.source=rendered", "rig.recording.images=none")
     line = refused(capsys, "replay", str(path), "--vmu")
     assert "has no images of the vision unit" in line
     assert "recording.images" in line
 
 
-def test_a_recording_without_pictures_is_one_line(recorded_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recording_without_images_is_one_line(recorded_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, said in (
         (["replay", str(recorded_run), "--vmu"], "holds no images of the vision unit"),
         (["replay", str(recorded_run), "--monitor"], "holds no images of a docking monitor"),
@@ -226,7 +226,7 @@ def test_a_recording_without_pictures_is_one_line(recorded_run: Path, capsys: py
     assert not Path(f"{recorded_run}.pictures").exists()
 
 
-def test_a_truncated_recording_gives_the_pictures_that_are_whole(
+def test_truncated_recording_gives_its_complete_images(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole = path.read_bytes()

@@ -75,7 +75,7 @@ def test_samples_of_a_fast_imu_are_replayed(tmp_path: Path) -> None:
 
 
 def record_operated(folder: Path, operator: Operator, watch: Callable[[Mode, float], None]) -> Recorded:
-    """Return 4 s of scheme-1, recorded, with somebody who gives orders while being told how far the run is."""
+    """Return 4 s of scheme-1, recorded, with an operator who gives orders at given progress of the run."""
     job = make_job(4.0, seed=1)
     with recording(job, "mock", folder, lambda _: None) as taken:
         with build.runner(job, watch, lambda _: None, operator, taken.sinks) as runner:

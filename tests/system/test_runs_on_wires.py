@@ -149,7 +149,7 @@ def test_emulators_do_not_outlive_a_controller_that_is_killed() -> None:
     assert _none_left(pids)
 
 
-def test_emulate_says_where_each_device_listens_and_ends_on_ctrl_c() -> None:
+def test_emulate_prints_the_address_of_each_device_and_ends_on_ctrl_c() -> None:
     command = [sys.executable, "-m", "hil", "emulate"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:

@@ -58,7 +58,7 @@ def test_lines_that_cannot_be_used_are_counted_by_their_reason() -> None:
     assert all(reason and count > 0 for reason, count in refused.items())
 
 
-def test_hardware_needs_the_port_and_says_what_a_line_s_time_means(tmp_path: Path) -> None:
+def test_hardware_needs_the_port_and_the_meaning_of_a_line_s_time(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     path.write_text(f'extends = "emulated"\nname = "lab"\nkind = "hardware"\nsign_off.waived = true\n{HARDWARE_WIRES}')
 

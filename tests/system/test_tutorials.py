@@ -49,7 +49,7 @@ def is_printed(line: str, printed: str) -> bool:
     "page",
     ["first-measurement", "first-law", "reading-a-recording", pytest.param("first-rig", marks=pytest.mark.slow)],
 )
-def test_tutorial_does_what_it_says(
+def test_tutorial_works_as_written(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

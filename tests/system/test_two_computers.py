@@ -82,7 +82,7 @@ def test_answer_from_before_an_abort_is_not_taken_for_the_one_after_it() -> None
     assert transmitted(apart.history) == transmitted(alone.history)
 
 
-def test_shadow_filter_that_parts_is_told_where_the_gnc_runs() -> None:
+def test_shadow_filter_that_diverges_is_reported_where_the_gnc_runs() -> None:
     settings = (*PLAIN, "gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
     with split_bench("scheme-1", 4.0) as bench, gnc_thread("scheme-1", bench.link.address, settings) as gnc:
         assert bench.fly().faults == []
@@ -91,7 +91,7 @@ def test_shadow_filter_that_parts_is_told_where_the_gnc_runs() -> None:
     assert told[0].endswith("allowed 1e-05 m and 0.05 deg")
 
 
-def test_gnc_of_another_chaser_is_refused_in_words() -> None:
+def test_gnc_of_another_chaser_is_refused_with_a_message() -> None:
     heavier = ("chaser.mass_kg=1200.0",)
     with (
         split_bench("scheme-1", 1.0) as bench,
@@ -101,7 +101,7 @@ def test_gnc_of_another_chaser_is_refused_in_words() -> None:
         bench.fly()
 
 
-def test_bench_that_nobody_answers_says_where_it_waited() -> None:
+def test_bench_without_a_reply_reports_where_it_waited() -> None:
     with (
         split_bench("scheme-1", 1.0) as bench,
         pytest.raises(LinkTimeout, match=r"gnc: none has answered 127\.0\.0\.1:\d+ within 0\.1 s"),

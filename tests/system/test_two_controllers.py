@@ -49,7 +49,7 @@ def cpu_of_children_s() -> float:
 
 
 @pytest.mark.parametrize("lines", [(), ("rig.io.driver=none",)], ids=["with digital lines", "without"])
-def test_second_controller_is_refused_within_a_second_and_the_axes_of_the_first_go_on(
+def test_second_controller_is_refused_within_a_second_and_the_axes_of_the_first_continue(
     tmp_path: Path, lines: tuple[str, ...]
 ) -> None:
     with running(tmp_path, *UNHURRIED, *lines) as bench:

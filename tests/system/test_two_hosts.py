@@ -1,4 +1,4 @@
-"""Bench and GNC in two network namespaces joined by a veth pair: two hosts, as far as either can tell."""
+"""Bench and GNC in two network namespaces joined by a veth pair: two hosts to either side."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def two_hosts() -> Iterator[tuple[list[str], list[str]]]:
 
 
 def fly(folder: Path, *options: str) -> dict[str, Any]:
-    """Fly scheme 1 with bench and GNC on two hosts; return what ``hil dss`` says of it in JSON."""
+    """Fly scheme 1 with bench and GNC on two hosts; return what ``hil dss`` reports of it in JSON."""
     hil = [sys.executable, "-m", "hil"]
     result = folder / "dss.json"
     with two_hosts() as (at_bench, at_gnc), (folder / "gnc.log").open("wb") as log:

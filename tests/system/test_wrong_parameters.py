@@ -35,7 +35,7 @@ def _release() -> Iterator[None]:
 
 
 def fly(name: str, settings: tuple[str, ...], seed: int) -> dict[str, Any]:
-    """Return the outcome of a run whose truth has ``settings`` that its GNC does not know."""
+    """Return the outcome of a run whose truth has ``settings`` that is unknown to its GNC."""
     assumed, runner = _runner(name)
     truth = load_scenario(name, settings).value
     return row_of(*runner.run(truth, seed), assumed, truth)

@@ -1,4 +1,4 @@
-"""Structure of the package: what lies where, unique names, short signatures."""
+"""Structure of the package: folders, unique names, short signatures."""
 
 from __future__ import annotations
 

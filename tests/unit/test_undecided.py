@@ -174,7 +174,7 @@ def test_a_pause_is_the_lateness_times_the_fraction_of_others() -> None:
 BURN = "import time\nwhile time.process_time() < 0.1: pass"
 
 
-def test_processor_time_of_a_tree_includes_children_that_nobody_has_seen() -> None:
+def test_processor_time_of_a_tree_includes_unobserved_children() -> None:
     tree = ProcessTree(os.getpid())
     used_s = tree.used_s()
     for _ in range(2):

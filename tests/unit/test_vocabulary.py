@@ -38,3 +38,9 @@ def test_prose_is_checked_and_code_is_not(tmp_path: Path, name: str, text: str, 
     lines = sorted(str(finding).removeprefix(f"{tmp_path / name}:") for finding in vocabulary.findings([tmp_path]))
     assert len(lines) == len(found)
     assert all(line.startswith(start) for line, start in zip(lines, found, strict=True))
+
+
+def test_names_of_tests_are_checked_and_their_literals_are_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(vocabulary, "TESTS", tmp_path)
+    (tmp_path / "test_module.py").write_text('def test_nobody_is_told() -> None:\n    assert "it says so"\n')
+    assert [(found.line, found.word) for found in vocabulary.findings([tmp_path])] == [(1, "whoever"), (1, "tell")]

@@ -11,13 +11,13 @@ from hil.config.tables.model import ConfigModel, Name, Positive, Triple
 from hil.config.tables.truth import HIGHEST_DEGREE, check_direction
 from hil.core.messages import MAX_AIR_LAYERS, MAX_THIRD_BODIES
 
-_LARGEST: Final = 1e15  # of the Sun's gravity and of distances, in km
+_LARGEST: Final = 1e15  # bound of the Sun's gravity and of distances, in km
 
 Layers = Annotated[tuple[float, ...], Field(min_length=1, max_length=MAX_AIR_LAYERS)]
 
 
 class _AstronomicalModel(ConfigModel):
-    """Tables with numbers beyond those of a bench."""
+    """Tables with numbers beyond the range of a bench."""
 
     @field_validator("*")
     @classmethod

@@ -139,12 +139,12 @@ def driver_entry(device: str, name: str) -> DriverEntry:
     if key in _BUILT_IN:
         entry: DriverEntry = _imported(_BUILT_IN[key])
         return entry
-    found = [point for point in entry_points(group=GROUP) if point.name == key]
-    if not found:
+    points = [point for point in entry_points(group=GROUP) if point.name == key]
+    if not points:
         raise ValueError(f'"{name}": unknown {device} driver, known: {_listed(device)}')
-    if len(found) > 1:
-        raise ValueError(f'"{name}": {device} driver of several packages: {", ".join(map(_package, found))}')
-    (point,) = found
+    if len(points) > 1:
+        raise ValueError(f'"{name}": {device} driver of several packages: {", ".join(map(_package, points))}')
+    (point,) = points
     what = f'"{name}": {device} driver of package {_package(point)}: {point.value}'
     try:
         loaded = point.load()
@@ -162,11 +162,11 @@ def check_axes(key: str, device: str, name: str, axes: Sequence[str], all_names:
 
     all_names: of the axes that the device may have; a driver of one number of axes drives the first ones.
     """
-    known = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
+    drivers = [other.partition(".")[2] for other in _BUILT_IN if other.startswith(f"{device}.")]
     allowed, n = driver_entry(device, name).axes, len(axes)
     if n in allowed and (len(allowed) > 1 or [*axes] == [*all_names[:n]]):
         return
-    others = [other for other in known if n in (found := driver_entry(device, other).axes) and len(found) > 1]
+    others = [other for other in drivers if n in (counts := driver_entry(device, other).axes) and len(counts) > 1]
     drives = ", ".join(all_names[: allowed[0]]) if len(allowed) == 1 else f"{allowed[0]} to {allowed[-1]} axes"
     raise ValueError(f'{key} "{name}": drives {drives}, here {", ".join(axes)}; allowed: {", ".join(others)}')
 
@@ -250,8 +250,8 @@ class DeviceTable(ConfigModel):
 
     def wires(self, prefix: str = "") -> list[Wire]:
         """Return the wires that the selected driver opens; prefix: key of this table."""
-        found = [key.wire(self) for key in self.wire_keys] if self.has_wires else []
-        return [Wire(".".join(filter(None, (prefix, wire.key))), wire.kind, wire.address) for wire in found]
+        wires = [key.wire(self) for key in self.wire_keys] if self.has_wires else []
+        return [Wire(".".join(filter(None, (prefix, wire.key))), wire.kind, wire.address) for wire in wires]
 
     def connected(self, name: str, addresses: Mapping[str, str]) -> Self:
         """Return the table with the addresses that the emulator of the device ``name`` reports."""
@@ -262,7 +262,7 @@ class DeviceTable(ConfigModel):
 
     @classmethod
     def model_of(cls, key: str) -> type[BaseModel] | None:
-        """Return the model of the table ``key``: a field's, or that of a registered driver; None for other keys."""
+        """Return the model of the table ``key``, a field's or a registered driver's; None for other keys."""
         if key in cls.model_fields:
             return model_of_field(cls, key)
         try:
@@ -272,7 +272,7 @@ class DeviceTable(ConfigModel):
 
     @classmethod
     def unknown_keys(cls, keys: Iterable[str]) -> list[str]:
-        """Return those of ``keys`` that are neither fields nor tables of registered drivers."""
+        """Return the ``keys`` that are neither fields nor tables of registered drivers."""
         return [key for key in keys if key not in cls.model_fields and cls.model_of(key) is None]
 
     @field_validator("driver")
@@ -320,10 +320,10 @@ def model_of_field(model: type[BaseModel], key: str) -> type[BaseModel] | None:
 
 
 def _inner(table: ConfigModel, path: Sequence[str]) -> object:
-    found: object = table
+    value: object = table
     for key in path:
-        found = getattr(found, key, None)
-    return found
+        value = getattr(value, key, None)
+    return value
 
 
 def _updated(table: Any, path: Sequence[str], values: Mapping[str, Any]) -> Any:

@@ -61,11 +61,11 @@ class ImuErrors(ConfigModel):
     accelerometer_misalignment_deg: Misalignment = _NONE
     """Rotation of the accelerometers' axes against c."""
     accelerometer_instability_mps2: NotNegative = 0.0
-    """Bias instability, as that of the gyros."""
+    """Bias instability, defined as for the gyros."""
     accelerometer_instability_time_s: Positive = 100.0
     """Its correlation time."""
     accelerometer_quantum_mps2: NotNegative = 0.0
-    """Quantum of a reading, as that of the gyros."""
+    """Quantum of a reading, defined as for the gyros."""
     lever_arm_m: Triple = _NONE
     """From the reference point to the accelerometers, in c; the GNC takes them to be there."""
 

@@ -1,6 +1,6 @@
 """Faults of devices, as data: the tables of all kinds, and the timetable ``[[faults]]`` of a scenario.
 
-A fault is a term of a device's error model that acts for a time; an emulated device has those of its wires as well.
+A fault is a term of a device's error model that acts for a time; an emulated device has faults of its wires as well.
 """
 
 from __future__ import annotations
@@ -284,7 +284,7 @@ class TimedFault(ConfigModel):
     at_s: NotNegative
     """Onset."""
     until_s: Positive | None = None
-    """End; unless set, that of the run."""
+    """End; default: the end of the run."""
     device: str
     """`vmu`, `imu`, `thruster.1` and so on in the scenario's order, `rails.x`, `turntable.roll`, ..., `monitor`,
     `sensor.NAME`, `target`."""

@@ -73,5 +73,5 @@ class FlightComputer(ConfigModel):
         )
         if self.poses.port is not None:
             keys.append(WireKey("poses.port", "serial"))
-        found = [key.wire(self) for key in keys]
-        return [Wire(f"flight_computer.{wire.key}", wire.kind, wire.address) for wire in found]
+        wires = [key.wire(self) for key in keys]
+        return [Wire(f"flight_computer.{wire.key}", wire.kind, wire.address) for wire in wires]

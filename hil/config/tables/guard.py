@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from hil.config.tables.model import ConfigModel, NotNegative, Positive, Triple
 
-BODIES_MAX: Final = 8  # of each kind
+BODIES_MAX: Final = 8  # bodies of each kind
 
 
 class Body(ConfigModel):
@@ -43,8 +43,8 @@ def check_kinds(bodies: Sequence[SpacecraftBody | BenchBody], fixed: str) -> Non
         if kinds.count(kind) > BODIES_MAX:
             raise ValueError(f'bodies: {kinds.count(kind)} with on = "{kind}", allowed {BODIES_MAX}')
     if kinds and (fixed not in kinds or set(kinds) == {fixed}):
-        found = ", ".join(f'"{kind}"' for kind in sorted(set(kinds)))
-        raise ValueError(f'bodies: all have on = {found}, allowed is "{fixed}" together with one that moves')
+        shown = ", ".join(f'"{kind}"' for kind in sorted(set(kinds)))
+        raise ValueError(f'bodies: all have on = {shown}, allowed is "{fixed}" together with one that moves')
 
 
 Count = Annotated[int, Field(ge=1, le=10_000)]

@@ -199,12 +199,12 @@ def values(limits: tuple[Limit, ...], table: BaseModel) -> Iterator[tuple[str, L
             yield key, limit, max(map(abs, value)) if isinstance(value, tuple) else float(value)
 
 
-def _found(names: list[str], table: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+def _found(names: list[str], table: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the keys under ``table`` that match ``names``, and their values; what is not set is left out."""
     if table is None:
         return
     if not names:
-        yield before.removeprefix("."), table
+        yield prefix.removeprefix("."), table
         return
     if isinstance(table, tuple):
         table = {str(number): each for number, each in enumerate(table)}
@@ -212,7 +212,7 @@ def _found(names: list[str], table: Any, before: str = "") -> Iterator[tuple[str
         table = table.__dict__ | (table.__pydantic_extra__ or {})
     members = table if isinstance(table, dict) else {}
     for name in members if names[0] == "*" else names[:1]:
-        yield from _found(names[1:], members.get(name), f"{before}.{name}")
+        yield from _found(names[1:], members.get(name), f"{prefix}.{name}")
 
 
 def excess(limits: tuple[Limit, ...], table: BaseModel, kind: Kind) -> list[tuple[str, str]]:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from hil.config.tables.model import ConfigModel, NotNegative, Positive
 from hil.maths.elementary import square
 
-_HIGHEST_HZ: Final = 500.0  # of the model's own frequencies, which is integrated in steps of 0.1 ms
+_HIGHEST_HZ: Final = 500.0  # highest frequency of the model, which is integrated in steps of 0.1 ms
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Frequency = Annotated[float, Field(ge=0.0, le=_HIGHEST_HZ)]
@@ -33,7 +33,7 @@ class DriveMechanics(ConfigModel):
     resonance_hz: Frequency = 0.0
     """Frequency of the load on its transmission while the motor is held; 0: rigid."""
     load_ratio: Positive = 1.0
-    """Mass or inertia of the load divided by that of the motor, at the load's side of the gear."""
+    """Ratio of load to motor, mass or inertia, at the load's side of the gear."""
     damping_ratio: Fraction = 0.05
     """Damping of that resonance."""
 
@@ -83,7 +83,7 @@ class RailMechanics(DriveMechanics):
     friction_breakaway_n: NotNegative = 0.0
     """Friction at which it begins to slide; more than the former makes it stick and slip. 0: no friction."""
     friction_stribeck_mps: Positive = 0.001
-    """Speed at which break-away friction has fallen to that of sliding."""
+    """Speed at which break-away friction has fallen to sliding friction."""
     friction_viscous_n_per_mps: NotNegative = 0.0
     """Increase of the friction per speed."""
     presliding_m: Positive = 1.5e-5
@@ -119,7 +119,7 @@ class GimbalMechanics(DriveMechanics):
     friction_breakaway_nm: NotNegative = 0.0
     """Friction at which it begins to turn; more than the former makes it stick and slip. 0: no friction."""
     friction_stribeck_degps: Positive = 0.05
-    """Rate at which break-away friction has fallen to that of turning."""
+    """Rate at which break-away friction has fallen to sliding friction."""
     friction_viscous_nm_per_degps: NotNegative = 0.0
     """Increase of the friction per rate."""
     presliding_deg: Positive = 0.001

@@ -215,7 +215,7 @@ class RailMap(ConfigModel):
         return self.control_bits.home >= 0 and self.status_bits.homed >= 0
 
     def blocks(self) -> dict[str, dict[str, AnyRegister]]:
-        """Return the numbers of each block by name, those of unnumbered exchanges left out."""
+        """Return the numbers of each block by name, without unnumbered exchanges."""
         unused = () if self.numbered else ("number", "echo")
         return {
             name: {key: register for key, register in block.registers().items() if key not in unused}

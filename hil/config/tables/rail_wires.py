@@ -11,7 +11,7 @@ from hil.config.tables.rail_map import RailMap, span
 
 DeviceId = Annotated[int, Field(ge=1, le=247)]
 
-_BYTES: Final = {3: 13, 6: 14, 16: 17, 23: 18}  # of a transaction on a serial line without the registers, both ways
+_BYTES: Final = {3: 13, 6: 14, 16: 17, 23: 18}  # a serial transaction, both ways, without the registers
 
 
 class ModbusRtu(ConfigModel):

@@ -22,5 +22,5 @@ PART_COLUMNS: Final[Mapping[str, str]] = {
 
 def required_parts(chosen: Iterable[str] | None, judged: Iterable[str]) -> list[str]:
     """Return the parts that a run must pass: those ``chosen`` by its scenario, or all that were ``judged``."""
-    wanted = set(judged if chosen is None else chosen)
-    return [name for name in PART_COLUMNS if name in wanted]
+    parts = set(judged if chosen is None else chosen)
+    return [name for name in PART_COLUMNS if name in parts]

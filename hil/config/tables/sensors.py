@@ -21,13 +21,13 @@ def device_of(name: str) -> str:
 class SensorConfig(ConfigModel):
     """A sensor other than vision unit, IMU and docking monitor; its module declares further keys.
 
-    They are those of [Sensors](sensors.md).
+    The keys are listed in [Sensors](sensors.md).
     """
 
     model_config = ConfigDict(extra="allow")
 
     kind: Annotated[str, Field(min_length=1)]
-    """Kind of sensor: that of a shipped module, or of a package with an entry point of the group `hil.sensors`."""
+    """Kind of sensor: a shipped module, or an entry point of the group `hil.sensors` in a package."""
     enabled: bool = True
     """Whether its measurements are used; false: they are made and recorded alone."""
     use: Literal["fusion", "witness"] = "fusion"
@@ -75,13 +75,13 @@ def by_name(tables: Any, source: str) -> Any:
     """Return the tables ``[[sensors]]`` of a file as one table by name. Raises BadInput for two of one name."""
     if not isinstance(tables, list):
         return tables
-    found: dict[str, Any] = {}
+    named: dict[str, Any] = {}
     for number, table in enumerate(tables, start=1):
         name = table.get("name") if isinstance(table, dict) else None
         if not (isinstance(name, str) and name.isidentifier()):
             text = f"{number}: needs a name of letters, digits and _, as the key of its columns"
             raise BadInput.single(source, "sensors", text)
-        if name in found:
+        if name in named:
             raise BadInput.single(source, "sensors", f'name = "{name}": two sensors have it')
-        found[name] = {key: value for key, value in table.items() if key != "name"}
-    return found
+        named[name] = {key: value for key, value in table.items() if key != "name"}
+    return named

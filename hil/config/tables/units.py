@@ -88,8 +88,8 @@ def si_factor(key: str) -> float:
     return _RAD if unit.startswith("deg") else UNITS[unit].factor
 
 
-def converted(key: str, value: Any, known: Iterable[str]) -> str:
-    """Return a key of ``known`` with the name of ``key`` in another unit of the same kind, as ``NAME = VALUE``.
+def converted(key: str, value: Any, names: Iterable[str]) -> str:
+    """Return a key of ``names`` with the name of ``key`` in another unit of the same kind, as ``NAME = VALUE``.
 
     Returns "" if there is none; only the name if ``value`` is no number.
     """
@@ -97,7 +97,7 @@ def converted(key: str, value: Any, known: Iterable[str]) -> str:
     unit = UNITS.get(end)
     if not stem or unit is None or not unit.base:
         return ""
-    for name in known:
+    for name in names:
         start, _, other = name.rpartition("_")
         if start == stem and name != key and other in UNITS and UNITS[other].base == unit.base:
             if isinstance(value, bool) or not isinstance(value, int | float):

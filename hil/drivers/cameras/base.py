@@ -85,7 +85,7 @@ def to_8_bits(raw: np.ndarray, bits: int) -> np.ndarray:
     return reduced
 
 
-def check_size(name: str, found: tuple[int, int], size: tuple[int, int]) -> None:
+def check_size(name: str, actual: tuple[int, int], size: tuple[int, int]) -> None:
     """Raise DeviceError if a camera's images, (width, height), are of another size than the geometry's."""
-    if found != size:
-        raise DeviceError(name, f"images of {found[0]} x {found[1]} px, the geometry has {size[0]} x {size[1]}")
+    if actual != size:
+        raise DeviceError(name, f"images of {actual[0]} x {actual[1]} px, the geometry has {size[0]} x {size[1]}")

@@ -10,7 +10,7 @@ import numpy as np
 _PERCENTILE: Final = 99.0
 _DARKEST: Final = 1.0  # level: the factor of one step is bounded by it
 _SATURATED: Final = 250.0
-_FACTORS: Final = (0.5, 2.0)  # of one step; a saturated image does not show how much brighter it is than full scale
+_FACTORS: Final = (0.5, 2.0)  # bounds of one step; a saturated image does not show by how much it exceeds full scale
 _DEAD_BAND: Final = 0.1  # relative; steps within it would change the image for nothing
 _SETTLING: Final = 4  # images from a command until one shows it: those in flight and in the camera's buffers
 _SHORTEST_S: Final = 2e-5
@@ -22,17 +22,17 @@ def brightest_hundredth(image: np.ndarray) -> float:
 
 
 class BrightnessControl:
-    """Exposure time, s, with which the ``level`` of an image is ``wanted``, up to ``longest_s``."""
+    """Exposure time, s, with which the ``level`` of an image is ``target``, up to ``longest_s``."""
 
     def __init__(
         self,
-        wanted: float,
+        target: float,
         exposure_s: float,
         longest_s: float,
         level: Callable[[np.ndarray], float] = brightest_hundredth,
     ) -> None:
         self.exposure_s = min(exposure_s, longest_s)
-        self._wanted, self._level = wanted, level
+        self._target, self._level = target, level
         self._longest_s = longest_s
         self._images = 0
 
@@ -42,7 +42,7 @@ class BrightnessControl:
         if self._images < _SETTLING:
             return False
         level = self._level(image)
-        ratio = _FACTORS[0] if level >= _SATURATED else self._wanted / max(level, _DARKEST)
+        ratio = _FACTORS[0] if level >= _SATURATED else self._target / max(level, _DARKEST)
         if abs(ratio - 1.0) < _DEAD_BAND:
             return False
         before_s = self.exposure_s

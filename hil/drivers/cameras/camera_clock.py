@@ -25,7 +25,7 @@ class CameraClock:
         self._best = max if triggered else min
         self._triggered = triggered
         self._offsets: deque[float] = deque(maxlen=_HISTORY)
-        self._arrived_s = -math.inf  # of the frame before
+        self._arrived_s = -math.inf  # arrival of the previous frame
         self.jumps = 0
         """Number of times that the camera's clock has jumped, after which its offset is estimated again."""
 

@@ -18,9 +18,9 @@ def frame_type(size: tuple[int, int]) -> np.dtype:
         [
             ("exposed_s", "f8"),  # bench time; nan if the frame arrived without its time stamp
             ("arrived_s", "f8"),
-            ("number", "i8"),  # of the camera
+            ("number", "i8"),  # frame number of the camera
             ("complete", "i8"),
-            ("jumps", "i8"),  # of the camera's clock so far
+            ("jumps", "i8"),  # jumps of the camera's clock so far
             ("image", "u1", (size[1], size[0])),
         ]
     )

@@ -90,26 +90,26 @@ class GenicamCamera:
         self._check_offered("trigger source", source, library.camera_dup_available_trigger_sources)
         self._do("trigger", library.camera_set_trigger, camera, source.encode())
 
-    def _check_offered(self, what: str, wanted: str, offered: Callable[..., Any]) -> None:
-        """Raise DeviceError if the camera does not have ``wanted``; a camera that does not list them is tried."""
+    def _check_offered(self, what: str, requested: str, offered: Callable[..., Any]) -> None:
+        """Raise DeviceError if the camera does not have ``requested``; a camera that does not list them is tried."""
         count = ctypes.c_uint()
         try:
-            found = offered(self._camera, ctypes.byref(count))
+            values = offered(self._camera, ctypes.byref(count))
         except AravisError:
             return
-        names = [found[k].decode() for k in range(count.value)]
-        if wanted not in names:
-            raise DeviceError(self._name, f"{what} {wanted!r}: the camera has {', '.join(names) or 'none'}")
+        names = [values[k].decode() for k in range(count.value)]
+        if requested not in names:
+            raise DeviceError(self._name, f"{what} {requested!r}: the camera has {', '.join(names) or 'none'}")
 
     @property
     def shutter(self) -> str:
         """See ``Camera``."""
         device = self._library.camera_get_device(self._camera)
         try:
-            found: bytes | None = self._library.device_get_string_feature_value(device, SHUTTER.encode())
+            mode: bytes | None = self._library.device_get_string_feature_value(device, SHUTTER.encode())
         except AravisError:
             return ""
-        return (found or b"").decode(errors="replace")
+        return (mode or b"").decode(errors="replace")
 
     @property
     def packet_bytes(self) -> int:
@@ -150,8 +150,8 @@ class GenicamCamera:
 
     def _image(self, buffer: int) -> np.ndarray:
         library = self._library
-        found = library.buffer_get_image_width(buffer), library.buffer_get_image_height(buffer)
-        check_size(self._name, found, self._size)
+        size = library.buffer_get_image_width(buffer), library.buffer_get_image_height(buffer)
+        check_size(self._name, size, self._size)
         length = ctypes.c_size_t()
         address = library.buffer_get_data(buffer, ctypes.byref(length))
         pixel_bytes = 1 if self._bits == 8 else 2
@@ -185,8 +185,8 @@ def found_cameras() -> list[CameraInfo]:
     library.update_device_list()
 
     def text(key: str, k: int) -> str:
-        found: bytes | None = getattr(library, f"get_device_{key}")(k)
-        return (found or b"").decode(errors="replace")
+        value: bytes | None = getattr(library, f"get_device_{key}")(k)
+        return (value or b"").decode(errors="replace")
 
     return [
         CameraInfo(

@@ -87,14 +87,14 @@ class GentlCamera:
                 buffer.parent.queue_buffer(buffer)
 
     def _image(self, buffer: Any) -> np.ndarray:
-        found = int(buffer.width), int(buffer.height)
-        check_size(self._name, found, self._size)
+        size = int(buffer.width), int(buffer.height)
+        check_size(self._name, size, self._size)
         pixel_bytes = 1 if self._bits == 8 else 2
-        row = found[0] * pixel_bytes + _whole(buffer, "padding_x", self._errors)
+        row = size[0] * pixel_bytes + _whole(buffer, "padding_x", self._errors)
         data = np.frombuffer(buffer.raw_buffer, np.uint8, offset=_whole(buffer, "image_offset", self._errors))
-        if len(data) < row * found[1]:
-            raise DeviceError(self._name, f"image of {len(data)} bytes, expected {row * found[1]}")
-        rows = data[: row * found[1]].reshape(found[1], row)[:, : found[0] * pixel_bytes]
+        if len(data) < row * size[1]:
+            raise DeviceError(self._name, f"image of {len(data)} bytes, expected {row * size[1]}")
+        rows = data[: row * size[1]].reshape(size[1], row)[:, : size[0] * pixel_bytes]
         return to_8_bits(rows.copy().view(f"<u{pixel_bytes}"), self._bits)  # the producer uses the buffer again
 
     def set_exposure(self, exposure_s: float) -> None:

@@ -20,8 +20,8 @@ _DRIVERS: Final[dict[CameraInterface, str]] = {
 
 def camera_type(interface: CameraInterface) -> CameraType:
     """Return the driver of ``interface``; the first call imports it."""
-    found: CameraType = _imported(_DRIVERS[interface])
-    return found
+    driver: CameraType = _imported(_DRIVERS[interface])
+    return driver
 
 
 def _imported(path: str) -> Any:

@@ -116,12 +116,12 @@ class NodeMap:
         source = "Software" if settings.trigger == "software" else settings.trigger_source
         self._choose("trigger source", "TriggerSource", source)
 
-    def _choose(self, what: str, feature: str, wanted: str) -> None:
+    def _choose(self, what: str, feature: str, requested: str) -> None:
         """Set ``feature`` to one of its names."""
         names = self._choices(feature)
-        if wanted not in names:
-            raise DeviceError(self._name, f"{what} {wanted!r}: the camera has {', '.join(names) or 'none'}")
-        self.set(feature, wanted)
+        if requested not in names:
+            raise DeviceError(self._name, f"{what} {requested!r}: the camera has {', '.join(names) or 'none'}")
+        self.set(feature, requested)
 
     def _choices(self, feature: str) -> Sequence[str]:
         return tuple(self._attribute(feature, "symbolics"))

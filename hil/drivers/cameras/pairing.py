@@ -15,7 +15,7 @@ FRAME_NUMBERS: Final = 65535
 _HALF: Final = FRAME_NUMBERS // 2
 _SHIFT_AGREED: Final = 3  # pairs with a new shift of the frame numbers until it is accepted
 _KEPT: Final = 8  # frames of one camera
-_SAME_TRIGGER: Final = 0.75  # of the period: frames that are further apart are of two triggers, whatever their numbers
+_SAME_TRIGGER: Final = 0.75  # fraction of the period: frames further apart have two triggers, whatever their numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +116,8 @@ class Pairing:
         if self._shift is None or shift == self._shift:
             self._shift, self._other = shift, (0, 0)
             return True
-        before, count = self._other
-        self._other = (shift, count + 1 if shift == before else 1)
+        previous, count = self._other
+        self._other = (shift, count + 1 if shift == previous else 1)
         if self._other[1] >= _SHIFT_AGREED:
             self._shift, self._other = shift, (0, 0)
             return True

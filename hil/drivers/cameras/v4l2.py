@@ -82,8 +82,8 @@ class V4l2Camera:
 
 def found_devices() -> list[CameraInfo]:
     """Return the video devices of this host."""
-    found = []
+    devices = []
     for path in sorted(Path("/sys/class/video4linux").glob("video*")):
         model = (path / "name").read_text(errors="replace").strip()
-        found.append(CameraInfo(f"/dev/{path.name}", "", model, "", f"/dev/{path.name}", "V4L2", "v4l2"))
-    return found
+        devices.append(CameraInfo(f"/dev/{path.name}", "", model, "", f"/dev/{path.name}", "V4L2", "v4l2"))
+    return devices

@@ -83,13 +83,13 @@ class LineMap:
 
 def runs(addresses: Iterable[int]) -> tuple[range, ...]:
     """Return the addresses, sorted, as ranges without gaps, one per request."""
-    found: list[range] = []
+    blocks: list[range] = []
     for address in sorted(addresses):
-        if found and found[-1].stop == address and len(found[-1]) < MAX_WRITE:
-            found[-1] = range(found[-1].start, address + 1)
+        if blocks and blocks[-1].stop == address and len(blocks[-1]) < MAX_WRITE:
+            blocks[-1] = range(blocks[-1].start, address + 1)
         else:
-            found.append(range(address, address + 1))
-    return tuple(found)
+            blocks.append(range(address, address + 1))
+    return tuple(blocks)
 
 
 @dataclass

@@ -40,7 +40,7 @@ class Coupler:
         self._device_id = config.device_id
         self._timeout_s = timeout_s
         self._timeout_wall_s = clock.wall_s(timeout_s)
-        self._waits: set[asyncio.Timeout] = set()  # of pending requests
+        self._waits: set[asyncio.Timeout] = set()  # time-outs of pending requests
         self._decode_error: BaseException | None = None
         asyncio.get_running_loop().set_exception_handler(self._on_decode_error)
         self._client = AsyncModbusTcpClient(
@@ -61,17 +61,17 @@ class Coupler:
             raise LinkTimeout(NAME, f"no connection to {self._address} in {self._timeout_s:g} s") from error
         if not connected:
             raise LinkLost(NAME, f"no connection to {self._address}: nothing listens there")
-        wanted = [(number, name, getattr(self._identity, name)) for number, name in enumerate(_IDENTITY)]
-        if all(expected is None for _, _, expected in wanted):
+        fields = [(number, name, getattr(self._identity, name)) for number, name in enumerate(_IDENTITY)]
+        if all(expected is None for _, _, expected in fields):
             return
         request = partial(self._client.read_device_information, read_code=1, object_id=0, device_id=self._device_id)
         reply = await self._request(Function.ENCAPSULATED, request)
         objects: dict[int, object] = getattr(reply, "information", {})
-        for number, name, expected in wanted:
+        for number, name, expected in fields:
             reported = objects.get(number, b"")
-            found = reported.decode("ascii", "replace") if isinstance(reported, bytes) else str(reported)
-            if expected is not None and found != expected:
-                text = f"wrong coupler at {self._address}: {name} {found!r}, expected {expected!r}"
+            actual = reported.decode("ascii", "replace") if isinstance(reported, bytes) else str(reported)
+            if expected is not None and actual != expected:
+                text = f"wrong coupler at {self._address}: {name} {actual!r}, expected {expected!r}"
                 raise ProtocolError(NAME, text)
 
     async def exchange(self, levels: dict[int, bool]) -> dict[int, bool]:
@@ -82,8 +82,7 @@ class Coupler:
         """
         await self.write(levels)
         for run in self._lines.coil_runs:
-            found = await self._bits(Function.READ_COILS, self._client.read_coils, run)
-            for address, level in found.items():
+            for address, level in (await self._bits(Function.READ_COILS, self._client.read_coils, run)).items():
                 if level != levels[address]:
                     name = self._lines.coil_names[self._lines.coils.index(address)]
                     raise ProtocolError(NAME, f"output {name} reads {level:d}, written {levels[address]:d}")

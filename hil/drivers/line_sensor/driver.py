@@ -24,7 +24,7 @@ _REASON: Final = 100  # characters
 
 
 class LineSettings(NamedTuple):
-    """Wire of a sensor. port: path. baud: None: that of the protocol. latency_s: from the measurement to its line."""
+    """Wire of a sensor. port: path. baud: None: the protocol's. latency_s: from the measurement to its line."""
 
     port: str
     baud: int | None = None
@@ -51,7 +51,7 @@ class LineSensor:
         self._count, self._pending = 0, b""
         self._ending = threading.Event()
         self.last_s = clock.now_s()
-        """Bench time of the last usable line, at first that of the opening."""
+        """Bench time of the last usable line, at first of the opening."""
         try:
             self._port = open_serial(
                 clock, settings.port, self._baud, timeout=_READ_WALL_S, write_timeout=_READ_WALL_S, exclusive=True,

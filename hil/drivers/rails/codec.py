@@ -56,7 +56,7 @@ class ControlFlags(IntFlag):
 
 
 class Status(IntFlag):
-    """Status bits of the drive. Their positions on the wire are those of the map."""
+    """Status bits of the drive. The map gives their positions on the wire."""
 
     READY = 1 << 0
     ENABLED = 1 << 1
@@ -100,13 +100,13 @@ class RegisterBlock:
     def encode(self, values: Sequence[float]) -> list[int]:
         """Return the registers for ``values`` (SI, in the order of the numbers); ValueError where one does not fit."""
         registers = [0] * self.count
-        for number, (place, layout, words), value in zip(self._numbers, self._places, values, strict=True):
+        for number, (offset, layout, words), value in zip(self._numbers, self._places, values, strict=True):
             count = value * number.counts_per_unit
             try:
                 data = layout.pack(count if number.form in _FLOATS else round(count))
             except (struct.error, OverflowError, ValueError) as error:
                 raise ValueError(f"{tuple(values)} does not fit registers from {self.address}: {error}") from error
-            registers[place] = words.unpack(data)[:: self._step]
+            registers[offset] = words.unpack(data)[:: self._step]
         return registers
 
     def decode(self, registers: Sequence[int]) -> tuple[float, ...]:
@@ -117,8 +117,8 @@ class RegisterBlock:
         if len(registers) != self.count:
             raise ValueError(f"{len(registers)} registers came, expected {self.count}")
         values = []
-        for number, (place, layout, words) in zip(self._numbers, self._places, strict=True):
-            (count,) = layout.unpack(words.pack(*registers[place][:: self._step]))
+        for number, (offset, layout, words) in zip(self._numbers, self._places, strict=True):
+            (count,) = layout.unpack(words.pack(*registers[offset][:: self._step]))
             if not math.isfinite(count):
                 raise ValueError(f"register {number.address} holds {count}, expected a finite number")
             values.append(count if number.counts_per_unit == 1.0 else count / number.counts_per_unit)
@@ -235,8 +235,8 @@ class RegisterMap:
 
     def fault_kind(self, code: int) -> FaultKind:
         """Return what a fault code means to the bench."""
-        known = code == self.config.torque_off and code in self._faults
-        return FaultKind.TORQUE_OFF if known else FaultKind.OTHER
+        declared = code == self.config.torque_off and code in self._faults
+        return FaultKind.TORQUE_OFF if declared else FaultKind.OTHER
 
     def code_of(self, kind: FaultKind) -> int:
         """Return the first code of that kind in the list; of another kind, or 1, where the list has none."""

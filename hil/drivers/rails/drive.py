@@ -193,12 +193,12 @@ class Drive:
             self._bus.counters["protocol_errors"] += 1
             raise ProtocolError(self.name, str(error)) from error
 
-    def _jumped(self, state: State, before: tuple[float, float] | None) -> bool:
-        """Whether the axis cannot have moved there from its position ``before`` (bench time, m)."""
-        if before is None:
+    def _jumped(self, state: State, previous: tuple[float, float] | None) -> bool:
+        """Whether the axis cannot have moved there from its ``previous`` position (bench time, m)."""
+        if previous is None:
             return False
-        path_m = _RATE_MARGIN * self._rate_max * (self._clock.now_s() - before[0]) + _POSITION_MARGIN_M
-        return abs(state.position_m - before[1]) > path_m or abs(state.rate_mps) > 2.0 * _RATE_MARGIN * self._rate_max
+        path_m = _RATE_MARGIN * self._rate_max * (self._clock.now_s() - previous[0]) + _POSITION_MARGIN_M
+        return abs(state.position_m - previous[1]) > path_m or abs(state.rate_mps) > 2.0 * _RATE_MARGIN * self._rate_max
 
 
 # Waiting for one drive delays the commands of the others: it must stay below their watchdog time.
@@ -246,7 +246,7 @@ class HomingMonitor:
 
     def __init__(self, config: LinearAxes) -> None:
         self._absolute = [axis.encoder == "absolute" for axis in config.axes]
-        self.state = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
+        self.state = [Homing.DONE if absolute else Homing.NEEDED for absolute in self._absolute]
         self._exchanges = [0] * len(self.state)  # since homing was commanded
 
     def begin(self) -> None:
@@ -270,8 +270,8 @@ class HomingMonitor:
         """Update from a state of the drive; return whether its zero has just moved. commanded: homing bit was set."""
         if self._absolute[axis]:
             return False
-        before = self.state[axis]
-        if before is Homing.UNDER_WAY:
+        previous = self.state[axis]
+        if previous is Homing.UNDER_WAY:
             self._exchanges[axis] += commanded
             if not commanded:
                 return False
@@ -279,11 +279,11 @@ class HomingMonitor:
                 self.state[axis] = Homing.FAILED
             elif state.status & Status.HOMED:
                 self.state[axis] = Homing.DONE
-        elif state.status & Status.HOMED and before is Homing.NEEDED:
+        elif state.status & Status.HOMED and previous is Homing.NEEDED:
             self.state[axis] = Homing.DONE  # homed in an earlier run, not switched off since
-        elif not state.status & Status.HOMED and before is Homing.DONE:
+        elif not state.status & Status.HOMED and previous is Homing.DONE:
             self.state[axis] = Homing.NEEDED  # the drive was switched off
-        return self.state[axis] is not before
+        return self.state[axis] is not previous
 
 
 def limit_switch(status: Status, position_m: float, middle_m: float) -> int:

@@ -262,8 +262,8 @@ class ModbusRails(LoopThread):
         position, rate, sent_s = self._setpoint
         now_s = self._clock.now_s()
         fresh = now_s - sent_s <= self._timeout_s
-        wanted = position[index], rate[index] if fresh else 0.0
-        return self._limiters[index].next(*wanted, sent_s, now_s, self._drives[index].measured)
+        setpoint = position[index], rate[index] if fresh else 0.0
+        return self._limiters[index].next(*setpoint, sent_s, now_s, self._drives[index].measured)
 
     def _begin_stop(self) -> None:
         self._homing.abort()

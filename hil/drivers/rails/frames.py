@@ -73,21 +73,21 @@ Measure = Callable[[bytes, int], int]
 
 def measure_rtu(data: bytes, start: int) -> int:
     """Return the length of the intact RTU response at ``start``; 0: incomplete; -1: none."""
-    left = len(data) - start
-    if left < 2:
+    available = len(data) - start
+    if available < 2:
         return 0
     size = 5
     if data[start + 1] in _WRITING:
         size = 6 + _CRC
     elif data[start + 1] in _READING:
-        if left < 3:
+        if available < 3:
             return 0
         if not _even_and_full(data[start + 2]):
             return -1
         size = 3 + data[start + 2] + _CRC
     elif not _is_error(data[start + 1]):
         return -1
-    if left < size:
+    if available < size:
         return 0
     end = start + size
     return size if FramerRTU.check_CRC(data[start : end - _CRC], int.from_bytes(data[end - _CRC : end], "big")) else -1
@@ -95,8 +95,8 @@ def measure_rtu(data: bytes, start: int) -> int:
 
 def measure_tcp(data: bytes, start: int) -> int:
     """Return the same for a TCP response, whose header must be consistent with its body."""
-    left = len(data) - start
-    if left < _MBAP + 2:
+    available = len(data) - start
+    if available < _MBAP + 2:
         return 0
     if data[start + 2] or data[start + 3]:
         return -1
@@ -111,7 +111,7 @@ def measure_tcp(data: bytes, start: int) -> int:
     elif not _is_error(function) or length != 3:
         return -1
     size = _MBAP - 1 + length
-    return size if left >= size else 0
+    return size if available >= size else 0
 
 
 def split(data: bytes, measure: Measure) -> tuple[int, list[bytes], int]:

@@ -197,7 +197,7 @@ class RemoteAxes(_RemoteDevice):
         return self._newest
 
     def exchanges(self) -> tuple[int, float]:
-        """Return the number of samples since ``open``, and bench time of the newest, s; as of the last ``read``."""
+        """Return the number of samples since ``open``, and bench time of the newest, s, at the last ``read``."""
         return self._received - self._feedback_before, 0.0 if self._newest is None else self._newest.t_s
 
     def stop(self, now_s: float) -> None:

@@ -102,7 +102,7 @@ class IoSharedMemory:
 
     @classmethod
     def create(cls, held: Mapping[str, int] = {}) -> IoSharedMemory:
-        """Create new memory; pass ``descriptors`` to the other processes (``pass_fds``). held: as of ``layout``."""
+        """Create new memory; pass ``descriptors`` to the other processes (``pass_fds``). held: see ``layout``."""
         wakes = {name: os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC) for name in (IO, WATCHDOG)}
         return cls(MailboxBlock.create(layout(held), "io"), Ring.create(VMU_FRAME, _FRAMES, "poses"), wakes)
 

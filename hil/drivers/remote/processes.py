@@ -68,11 +68,11 @@ class IoProcesses:
 
     def pauses(self) -> dict[str, float]:
         """Return the last pause of each process by the host, s, as it was at its last heartbeat; 0 without one."""
-        heartbeat, found = np.zeros(1, HEARTBEAT), {}
+        heartbeat, pauses = np.zeros(1, HEARTBEAT), {}
         for name in self._processes:
             self._memory.block[name].read(heartbeat)
-            found[f"the {name} process"] = float(heartbeat["pause_s"][0])
-        return found
+            pauses[f"the {name} process"] = float(heartbeat["pause_s"][0])
+        return pauses
 
     def wait_ready(self) -> None:
         """Return once all serve. Raises DeviceError if one does not start."""

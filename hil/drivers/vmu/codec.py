@@ -21,7 +21,7 @@ RANGE_MAX_M: Final = 100.0
 SIGMA_MAX: Final = (10.0, 10.0, 10.0, math.pi, math.pi, math.pi)
 """A pose with a larger standard deviation, m and rad, is none."""
 _SIGMA_MIN: Final = 1e-9
-_EIGENVALUE_TOLERANCE: Final = 1e-5  # of the correlations: the wire has float32
+_EIGENVALUE_TOLERANCE: Final = 1e-5  # tolerance of the correlations: the wire has float32
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,17 +99,17 @@ class Rs422Vmu:
 
     def _check_identity(self, now_s: float) -> None:
         """Wait for the identity frame and check it, if the rig file requires an identity."""
-        wanted = {name: text for name, text in self._expected.model_dump().items() if text is not None}
-        if not wanted:
+        expected = {name: text for name, text in self._expected.model_dump().items() if text is not None}
+        if not expected:
             return
-        while (found := self._decoder.identity) is None:
+        while (identity := self._decoder.identity) is None:
             self._received.check()
             if self._clock.now_s() - now_s > _IDENTITY_WAIT_S:
                 raise LinkTimeout(self.name, f"no identity frame within {_IDENTITY_WAIT_S:g} s{self._hint()}")
             self._clock.sleep(_LOOK_WALL_S)
-        for name, text in wanted.items():
-            if getattr(found, name) != text:
-                raise ProtocolError(self.name, f"wrong unit: {name} {getattr(found, name)!r}, expected {text!r}")
+        for name, text in expected.items():
+            if getattr(identity, name) != text:
+                raise ProtocolError(self.name, f"wrong unit: {name} {getattr(identity, name)!r}, expected {text!r}")
         self._received.put(True, self._clock.now_s())
 
     def poll(self, now_s: float) -> list[PoseFrame]:

@@ -22,8 +22,8 @@ _TYPES: Final = ("u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f
 _STRUCT: Final = dict(zip(_TYPES, "BbHhIiQqfd", strict=True))
 _UPPER: Final = np.triu_indices(6)
 _COUNTER_BITS: Final = 32
-_UNIT_TOLERANCE: Final = 1e-6  # of a quaternion: a unit that computes in float32 passes
-_INTEGER_TOLERANCE: Final = 1e-3  # of one in scaled integers of 16 bits, which is normalised
+_UNIT_TOLERANCE: Final = 1e-6  # tolerance of a quaternion's length: a unit that computes in float32 passes
+_INTEGER_TOLERANCE: Final = 1e-3  # tolerance in scaled integers of 16 bits; the quaternion is normalised
 _IDENTITY: Final = struct.Struct("16s16sBB")
 
 
@@ -164,23 +164,23 @@ class FrameDecoder:
         return frames
 
     def _size_at(self, start: int) -> int:
-        """Return the size of the frame at ``start``, that of a pose frame if its sync is incomplete."""
+        """Return the size of the frame at ``start``; of a pose frame if its sync is incomplete."""
         rest = self._buffer[start:]
         return next((size for sync, size in self._sizes.items() if rest.startswith(sync)), self._frames.size)
 
     def _skip(self, start: int) -> int:
         """Return the position of the next sync, or of an incomplete one at the end of the buffer."""
-        buffer, place, first = self._buffer, start, self._frames.sync[:1]
-        while (place := buffer.find(first, place)) >= 0:
-            heads = [(sync, bytes(buffer[place : place + len(sync)])) for sync in self._sizes]
+        buffer, position, first = self._buffer, start, self._frames.sync[:1]
+        while (position := buffer.find(first, position)) >= 0:
+            heads = [(sync, bytes(buffer[position : position + len(sync)])) for sync in self._sizes]
             if any(sync.startswith(head) for sync, head in heads):
                 break
             is_other = any(head[:-1] == sync[:-1] and len(head) == len(sync) for sync, head in heads)
             self.wrong_length += is_other and self._frames.frame.sync_ends_with_length
-            place += 1
-        found = place if place >= 0 else len(buffer)
-        self.skipped_bytes += found - start
-        return found
+            position += 1
+        end = position if position >= 0 else len(buffer)
+        self.skipped_bytes += end - start
+        return end
 
     def _is_intact(self, raw: bytes) -> bool:
         if self._frames.is_intact(raw):
@@ -195,7 +195,7 @@ class FrameDecoder:
     def _numbers(self, raw: bytes) -> dict[str, Array] | None:
         """Return the SI values of each field, None for a frame with another constant or a wrong checksum."""
         frame, k = self._frames.frame, 0
-        found: dict[str, Array] = {}
+        numbers: dict[str, Array] = {}
         values = self._frames.body.unpack_from(raw, len(self._frames.sync))
         with np.errstate(invalid="ignore"):  # a damaged number may be a signalling NaN
             for field in frame.fields:
@@ -203,8 +203,8 @@ class FrameDecoder:
                 k += field.count
                 if field.name == "constant" and part[0] != field.value:
                     return None
-                found[field.name] = _si(np.array(part, dtype=float), field)
-        return found if self._is_intact(raw) else None
+                numbers[field.name] = _si(np.array(part, dtype=float), field)
+        return numbers if self._is_intact(raw) else None
 
     def _decode(self, values: dict[str, Array], received_s: float) -> Decoded | None:
         frame = self._frames.frame
@@ -219,9 +219,9 @@ class FrameDecoder:
             return None
         leds = [int(values[name][0]) if name in values else 0 for name in ("leds_left", "leds_right")]
         covariance = self._covariance(values)
-        known = STATUS_GOOD if status == frame.status.good else POSITION_ONLY
+        quality = STATUS_GOOD if status == frame.status.good else POSITION_ONLY
         return checked_pose(
-            PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], known)
+            PoseFrame(counter, t_s, received_s, values["position"], q_vt, covariance, leds[0], leds[1], quality)
         )
 
     def _quaternion(self, values: dict[str, Array]) -> Array | None:
@@ -328,8 +328,8 @@ def euler_angles(rotation: Array, sequence: str) -> Array:
     """Return the Euler angles (3,), rad, of an active rotation (3, 3); sequence: as in ``VmuFrame``."""
     from scipy.spatial.transform import Rotation  # slow to import; emulators and tests only
 
-    found: Array = Rotation.from_matrix(rotation).as_euler(sequence)
-    return found
+    angles: Array = Rotation.from_matrix(rotation).as_euler(sequence)
+    return angles
 
 
 @cache

@@ -68,8 +68,8 @@ class MockVmu:
         self._receive(now_s)
         self._received.put(True, float(self._transit["last_rx_s"]))
         self._received.get(now_s, self._timeout_s)
-        found, self._arrived = self._arrived, []
-        return found
+        frames, self._arrived = self._arrived, []
+        return frames
 
     def _receive(self, now_s: float) -> None:
         n = receive_frames(self._transit, now_s, self._frames)

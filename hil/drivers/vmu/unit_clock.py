@@ -31,10 +31,10 @@ class UnitClock:
         self._frames += 1
         if self._frames < WINDOW:
             return
-        found = self._at_s, self._least_s
+        sample = self._at_s, self._least_s
         if self._last is not None:
-            self._step_s = max(self._step_s, abs(found[1] - self._last[1]))
-        self._first, self._last = self._first or found, found
+            self._step_s = max(self._step_s, abs(sample[1] - self._last[1]))
+        self._first, self._last = self._first or sample, sample
         self._frames, self._least_s = 0, math.inf
 
     def numbers(self) -> dict[str, int]:

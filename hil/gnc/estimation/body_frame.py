@@ -92,7 +92,7 @@ def enter_middle(axes, filters, n):
 
 @kernel
 def leave_middle(axes, filters, n):
-    """Transform back after the filter's step; arguments as of ``enter_middle``."""
+    """Transform back after the filter's step; arguments: see ``enter_middle``."""
     rest = stack.vector(3)
     fill(rest, 0.0)
     _apply(axes.half, rest, axes.after, filters, n)

@@ -111,7 +111,7 @@ def carry_motion(of_pkf, a, force, rows, lanes, out):
 
 @kernel
 def add_force_noise(of_pkf, variance, out):
-    """Add the covariance of the force's white noise to that of r and v in ``out`` (6, _TRANSPOSED).
+    """Add the covariance of the force's white noise to r and v in ``out`` (6, _TRANSPOSED).
 
     It acts as a force in H, because it is isotropic. variance: of a step, (m/s^2)^2.
     """
@@ -135,7 +135,7 @@ def add_force_noise(of_pkf, variance, out):
 
 @kernel
 def carry_rotation(phi, rate, rows, lanes, first, out):
-    """Write rotations after the step into the rows of ``out`` from ``first`` on, which may be those of ``rows``.
+    """Write rotations after the step into the rows of ``out`` from ``first`` on; ``out`` may be ``rows``.
 
     phi: (3, 6), of ``akf.transition``. rate: (3, lanes), of ``rate_error``.
     """

@@ -56,10 +56,10 @@ PARAMETER_BLOCKS: Final = (
     _block("scale", 1, "1", BlockMotion.CONSTANT, True),  # of the distance
     _block("correlated", 6, "1", BlockMotion.MARKOV, True),  # noise of position and rotation, of unit variance
     _block("sensor_errors", ERROR_STATES_MAX, "as of the sensor", BlockMotion.MARKOV, True),  # as many as are declared
-    _block("target_rate", 3, "rad/s", BlockMotion.EULER, True),  # of a target that tumbles, in H
+    _block("target_rate", 3, "rad/s", BlockMotion.EULER, True),  # rate of a tumbling target, in H
     _block("target_moments", 3, "1", BlockMotion.CONSTANT, True),  # logarithms of its principal moments
     _block("disturbance", 3, "m/s^2", BlockMotion.CONSTANT, True),  # of the specific force apart from the thrust, in c
-    _block("thrust_scale", 1, "1", BlockMotion.CONSTANT, True),  # of a commanded thrust
+    _block("thrust_scale", 1, "1", BlockMotion.CONSTANT, True),  # scale error of a commanded thrust
     _block("gyro_scale", 3, "1", BlockMotion.CONSTANT, False),
     _block("gyro_misalignment", 3, "rad", BlockMotion.CONSTANT, False),
     _block("gyro_instability", 3, "rad/s", BlockMotion.MARKOV, True),
@@ -85,11 +85,11 @@ ERROR_STATE = np.dtype(
         *((block.name, "i8") for block in PARAMETER_BLOCKS),  # index of the first state of each, 0: it is left out
         ("imu", "i8"),  # index of the first state that acts on the motion: disturbance, thrust, IMU; n: there is none
         ("moves", "i8"),  # 1: a Gauss-Markov process is among the states
-        ("variance", "f8", LANES),  # of the parameters
+        ("variance", "f8", LANES),  # variance of the parameters
         ("kept", "f8", LANES),  # part of each that is left after a step, 1 of a constant
         ("estimated", "i8", LANES),
         ("target_walk", "f8"),  # (rad/s)^2 in a step, variance of the target rate's random walk
-        ("fraction", "f8"),  # of the noise's variance that is correlated
+        ("fraction", "f8"),  # correlated fraction of the noise's variance
         ("bench_variance", "f8", 2),  # m^2, rad^2: part of a pose's covariance that is the bench's, all correlated
         ("noise_variance", "f8"),  # of the logarithm of true over reported variance, 0: the reported one is true
         ("noise_window", "f8"),  # poses

@@ -185,10 +185,10 @@ def _compare(state, pose):
 @kernel
 def _add_jump(state, z, delta_s):
     """Widen the covariance by how far the filter's position is from ``z`` (3,), in c: it may be wrong by that much."""
-    filters, place = state.filters, stack.vector(3)
-    quat.transform_back_into(filters.akf.x[0:4], z, place)
+    filters, position = state.filters, stack.vector(3)
+    quat.transform_back_into(filters.akf.x[0:4], z, position)
     for i in range(3):
-        jump = -place[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
+        jump = -position[i] - filters.pkf.x[i] - delta_s * filters.pkf.x[3 + i]
         filters.p[R + i, R + i] += jump * jump
         state.jump_m[i] = max(state.jump_m[i], abs(jump))
 
@@ -233,21 +233,21 @@ def _remember_attitude(state):
 
 
 @kernel
-def _gain(found, i):
-    """Return the length of row ``i`` of the gain of ``found`` (INNOVATION)."""
-    return math.sqrt(found.gain[0, i] ** 2 + found.gain[1, i] ** 2 + found.gain[2, i] ** 2)
+def _gain(innovation, i):
+    """Return the length of row ``i`` of the gain of ``innovation`` (INNOVATION)."""
+    return math.sqrt(innovation.gain[0, i] ** 2 + innovation.gain[1, i] ** 2 + innovation.gain[2, i] ** 2)
 
 
 @kernel
-def _gain_of_noise(found, i):
+def _gain_of_noise(innovation, i):
     """Return by how much innovations of one sigma each move component ``i``, over the largest of these sigmas.
 
     The roll about the line of sight is measured several times better than the tilt, and its gain is as much larger: the
     largest gain and the largest noise are of different axes.
     """
-    largest, total = max(found.s[0, 0], found.s[1, 1], found.s[2, 2]), 0.0
+    largest, total = max(innovation.s[0, 0], innovation.s[1, 1], innovation.s[2, 2]), 0.0
     for k in range(3):
-        total += found.gain[k, i] ** 2 * found.s[k, k]
+        total += innovation.gain[k, i] ** 2 * innovation.s[k, k]
     return math.sqrt(total / largest)
 
 
@@ -403,18 +403,18 @@ def _fuse_bias(params, state, memory, cycle):
     window = params.thrust.window
     if params.thrust.enabled == 0 or cycle % window != 0:
         return
-    mean, found, errors, filters = stack.vector(3), state.found_position, params.errors, state.filters
+    mean, innovation, errors, filters = stack.vector(3), state.found_position, params.errors, state.filters
     count = _quiet_mean(params, state, memory, cycle, JUMP_WINDOWS * window, mean)
     if count > window:
-        thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, found)
-        if joint_filter.innovate(errors, filters, R, 9, found) > JUMP_NIS:
-            thrust_model.admit_jump(errors, filters, found)
+        thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, innovation)
+        if joint_filter.innovate(errors, filters, R, 9, innovation) > JUMP_NIS:
+            thrust_model.admit_jump(errors, filters, innovation)
             state.thrust.jumped = cycle
     count = _quiet_mean(params, state, memory, cycle, window, mean)
     if count > 0:
-        thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, found)
-        joint_filter.innovate(errors, filters, R, 9, found)
-        joint_filter.update(errors, filters, found)
+        thrust_model.bias_innovation(params.pkf, errors, filters, mean, count, innovation)
+        joint_filter.innovate(errors, filters, R, 9, innovation)
+        joint_filter.update(errors, filters, innovation)
 
 
 @kernel
@@ -430,7 +430,7 @@ def _fuse_step(params, state, memory, step, cycle):
 
 @entry
 def advance(params, state, memory, imu):
-    """Begin the next step and carry the filters over it; arguments as of ``begin_step``."""
+    """Begin the next step and carry the filters over it; arguments: see ``begin_step``."""
     begin_step(params, state, memory, imu)
     predict_step(params, state, memory)
 

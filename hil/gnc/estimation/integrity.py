@@ -33,7 +33,7 @@ SUMS: Final = 12
 LEVEL_TERMS: Final = 5
 """Terms of a protection level: noise, undetected fault of the poses, its growth since the last pose, reopened gate,
 bound of the second sensor."""
-_REPEATS_MAX = 2  # of a pose with all its digits: noise leaves none
+_REPEATS_MAX = 2  # repetitions of a pose with all its digits: with noise none are expected
 _FOLLOW_EACH = 4  # accepted poses
 _CONVERGES = 4.0  # times the variance of the velocity: what it was
 _JUMP_S = 60.0  # in which a change of the dynamics is estimated
@@ -51,7 +51,7 @@ INTEGRITY_PARAMS = np.dtype(
         ("suspect_after", "i8"),  # consecutive rejections from which on it is suspect
         ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
         ("cusum_limit", "f8"),  # standard deviations
-        ("nis_weight", "f8"),  # of a pose in the mean NIS
+        ("nis_weight", "f8"),  # weight of a pose in the mean NIS
         ("nis_limit", "f8"),  # largest mean of three components
         ("gate", "f8"),  # standard deviations of one component that the gate passes
         ("sigmas", "f8"),  # in a protection level, from the integrity risk
@@ -84,7 +84,7 @@ INTEGRITY_STATE = np.dtype(
         ("terms", "f8", (LEVEL_TERMS, 3)),  # m, of which it consists, see ``LEVEL_TERMS``
         ("cap", "f8", 3),  # m, the level when poses returned after a gap: with them less is possible, not more
         ("cap_s", "f8"),
-        ("age_s", "f8"),  # of the last accepted pose, in the cycle before
+        ("age_s", "f8"),  # age of the last accepted pose, in the previous cycle
         ("second_m", "f8"),  # bound on the position error by a second sensor, 0 for none
         ("second_s", "f8"),  # at this time of the run
         ("restarted_s", "f8"),  # when the filters were started again: a bound of before is none

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.core.jit import kernel
 
-_WEIGHT = 0.1  # of an interval in the mean
+_WEIGHT = 0.1  # weight of an interval in the mean
 
 
 @kernel

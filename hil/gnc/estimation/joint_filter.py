@@ -123,13 +123,13 @@ def _add_fresh(errors, i, k, p):
 
 
 @kernel
-def innovate(errors, filters, first, rows, found):
-    """Complete ``found`` (INNOVATION) from its value, ``h`` and ``noise``; return the NIS.
+def innovate(errors, filters, first, rows, innovation):
+    """Complete ``innovation`` (INNOVATION) from its value, ``h`` and ``noise``; return the NIS.
 
     The NIS is nan if the covariance of the innovation is not positive definite. first, rows: errors of the filter that
     the update corrects, besides the estimated parameters. The value is corrected by the estimated parameters.
     """
-    n, lanes, h = errors.n, errors.lanes, found.h
+    n, lanes, h = errors.n, errors.lanes, innovation.h
     cross, gain = stack.matrix(3, LANES), stack.matrix(3, LANES)
     for j in range(lanes):
         cross[0, j] = cross[1, j] = cross[2, j] = 0.0
@@ -143,15 +143,15 @@ def innovate(errors, filters, first, rows, found):
                 cross[2, j] += h2 * value
     for i in range(3):
         for m in range(FILTER_ERRORS, n):
-            found.value[i] -= h[i, m] * filters.parameters[m]
+            innovation.value[i] -= h[i, m] * filters.parameters[m]
         for j in range(i + 1):
-            total = found.noise[i, j]
+            total = innovation.noise[i, j]
             for m in range(n):
                 total += h[i, m] * cross[j, m]
-            found.s[i, j] = found.s[j, i] = total
-    nis = 0.0 if invert_symmetric_3(found.s, found.s_inverse) else np.nan
+            innovation.s[i, j] = innovation.s[j, i] = total
+    nis = 0.0 if invert_symmetric_3(innovation.s, innovation.s_inverse) else np.nan
     for k in range(3):
-        i0, i1, i2 = found.s_inverse[0, k], found.s_inverse[1, k], found.s_inverse[2, k]
+        i0, i1, i2 = innovation.s_inverse[0, k], innovation.s_inverse[1, k], innovation.s_inverse[2, k]
         for j in range(lanes):
             gain[k, j] = cross[0, j] * i0 + cross[1, j] * i1 + cross[2, j] * i2
     for k in range(3):
@@ -160,26 +160,26 @@ def innovate(errors, filters, first, rows, found):
             if not corrected:
                 gain[k, j] = 0.0
         for j in range(lanes):
-            found.cross[k, j], found.gain[k, j] = cross[k, j], gain[k, j]
+            innovation.cross[k, j], innovation.gain[k, j] = cross[k, j], gain[k, j]
     for i in range(3):
         for j in range(3):
-            nis += found.value[i] * found.s_inverse[i, j] * found.value[j]
+            nis += innovation.value[i] * innovation.s_inverse[i, j] * innovation.value[j]
     return nis
 
 
 @kernel
-def update(errors, filters, found):
+def update(errors, filters, innovation):
     """Fuse an accepted innovation (INNOVATION, of ``innovate``): correct all estimates and the covariance."""
-    n, lanes, s = errors.n, errors.lanes, found.s
+    n, lanes, s = errors.n, errors.lanes, innovation.s
     gain, u, correction = stack.matrix(3, LANES), stack.matrix(3, LANES), stack.vector(LANES)
     # P - K G.T - G K.T + K S K.T = P - K U.T - U K.T with U = G - K S / 2
     for j in range(lanes):
-        k0, k1, k2 = found.gain[0, j], found.gain[1, j], found.gain[2, j]
+        k0, k1, k2 = innovation.gain[0, j], innovation.gain[1, j], innovation.gain[2, j]
         gain[0, j], gain[1, j], gain[2, j] = k0, k1, k2
-        correction[j] = k0 * found.value[0] + k1 * found.value[1] + k2 * found.value[2]
-        u[0, j] = found.cross[0, j] - 0.5 * (k0 * s[0, 0] + k1 * s[1, 0] + k2 * s[2, 0])
-        u[1, j] = found.cross[1, j] - 0.5 * (k0 * s[0, 1] + k1 * s[1, 1] + k2 * s[2, 1])
-        u[2, j] = found.cross[2, j] - 0.5 * (k0 * s[0, 2] + k1 * s[1, 2] + k2 * s[2, 2])
+        correction[j] = k0 * innovation.value[0] + k1 * innovation.value[1] + k2 * innovation.value[2]
+        u[0, j] = innovation.cross[0, j] - 0.5 * (k0 * s[0, 0] + k1 * s[1, 0] + k2 * s[2, 0])
+        u[1, j] = innovation.cross[1, j] - 0.5 * (k0 * s[0, 1] + k1 * s[1, 1] + k2 * s[2, 1])
+        u[2, j] = innovation.cross[2, j] - 0.5 * (k0 * s[0, 2] + k1 * s[1, 2] + k2 * s[2, 2])
     for i in range(n):
         k0, k1, k2, u0, u1, u2 = gain[0, i], gain[1, i], gain[2, i], u[0, i], u[1, i], u[2, i]
         if k0 == 0.0 and k1 == 0.0 and k2 == 0.0:

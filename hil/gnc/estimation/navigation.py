@@ -27,7 +27,7 @@ NAVIGATION_PARAMS = np.dtype(
     [
         ("sensors", "i8"),
         ("fusion", FUSION_PARAMS),
-        ("dt_s", "f8"),  # of a cycle
+        ("dt_s", "f8"),  # duration of a cycle
         ("integrity", INTEGRITY_PARAMS),
         ("has_start", "i8"),  # 1: the filters start from ``start`` instead of the first pose
         ("start", POSE),
@@ -38,7 +38,7 @@ NAVIGATION_STATE = np.dtype(
     [
         ("fusion", FUSION_STATE),
         ("integrity", INTEGRITY_STATE),
-        ("t_s", "f8"),  # of the next call, time of the run
+        ("t_s", "f8"),  # time of the run at the next call
         ("fused", "i8"),  # 1: the filters were given a pose in this cycle
     ],
     align=True,
@@ -116,7 +116,7 @@ def navigate(params, state, memory, samples, poses, n_poses, out):
 
 @kernel
 def _watch_update(params, state, accepted):
-    """Give the monitors the innovation of the last pose if it was accepted. accepted: number of those before it."""
+    """Give the monitors the innovation of the last pose if it was accepted. accepted: number of poses before."""
     fused = state.fusion
     if fused.updated != 0:
         integrity.monitor(params.integrity, state.integrity, fused.innovation, fused.nis_position, fused.nis_attitude)
@@ -155,11 +155,11 @@ def normalised_errors(filters, orbit, truth, imu, out):
     """
     from_akf, from_pkf = stack.vector(6), stack.vector(9)
     of_akf, of_pkf = stack.matrix(6, 6), stack.matrix(9, 9)
-    known, drift = stack.vector(3), stack.vector(3)
-    frame_rate(orbit, truth.t_s, known)
+    rate_error, drift = stack.vector(3), stack.vector(3)
+    frame_rate(orbit, truth.t_s, rate_error)
     for i in range(3):
-        known[i] = truth.w_HI_H[i] - known[i] if orbit.estimated == 0 else 0.0
-    quat.transform_into(truth.q_CH, known, drift)
+        rate_error[i] = truth.w_HI_H[i] - rate_error[i] if orbit.estimated == 0 else 0.0
+    quat.transform_into(truth.q_CH, rate_error, drift)
     for i in range(3):
         drift[i] += imu.drift_C[i]
     akf.error(filters.akf, truth.q_CH, drift, from_akf)

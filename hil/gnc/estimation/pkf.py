@@ -24,7 +24,7 @@ from hil.maths.arrays import copy_into
 PKF_PARAMS = np.dtype(
     [
         ("dt_s", "f8"),
-        ("hill_transition", "f8", (6, 6)),  # of [r, v] over one step
+        ("hill_transition", "f8", (6, 6)),  # transition of [r, v] over one step
         ("hill_response", "f8", (6, 3)),  # to a constant acceleration in H
         ("sigma_accelerometer", "f8"),  # m/s^2 per sample
         ("sigma_bias", "f8"),  # m/s^3, eq. (15): bias[k+1] = bias[k] + dt * w

@@ -21,8 +21,8 @@ from hil.maths import elementary, quat, stack
 from hil.maths.arrays import copy_into, fill_matrix
 from hil.sensors.vision_unit.pose import position_in_h
 
-_LEAST_WHITE = 1e-4  # of a pose's variance
-_LONGEST_STEP = 1.0  # of the logarithm of the noise's factor, per pose
+_LEAST_WHITE = 1e-4  # fraction of a pose's variance
+_LONGEST_STEP = 1.0  # step of the logarithm of the noise factor, per pose
 _LEAST_FACTOR = 3.0  # standard deviations of the logarithm as it was known, below the reported noise
 
 
@@ -47,7 +47,7 @@ def _white(errors, covariance, k, noise, out):
 
 @kernel
 def _add_correlated(errors, covariance, k, noise, h):
-    """Write the sensitivity to the correlated noise, the Cholesky factor of its covariance; k: as of ``_white``."""
+    """Write the sensitivity to the correlated noise, the Cholesky factor of its covariance; k: see ``_white``."""
     if errors.correlated == 0:
         return
     first, factor = errors.correlated + 3 * k, elementary.exp(noise.log[k]) * errors.fraction
@@ -170,22 +170,22 @@ def start(params, pose, noise, filters):
 
 
 @kernel
-def innovate_attitude(errors, filters, noise, q_measured, covariance, found):
-    """Write innovation, a small-angle rotation in rad, and gain of a measured attitude into ``found``; return the NIS.
+def innovate_attitude(errors, filters, noise, q_measured, covariance, innovation):
+    """Write innovation, a rotation in rad, and gain of a measured attitude into ``innovation``; return the NIS.
 
-    errors: ERROR_STATE. filters: FILTERS, not changed. noise: NOISE_FACTOR. covariance: (3, 3), rad^2, in c. found:
-    INNOVATION. The NIS is nan if the covariance of the innovation is not positive definite.
+    errors: ERROR_STATE. filters: FILTERS, not changed. noise: NOISE_FACTOR. covariance: (3, 3), rad^2, in c.
+    innovation: INNOVATION. The NIS is nan if the covariance of the innovation is not positive definite.
     """
-    quat.rotation_between(q_measured, filters.akf.x[0:4], found.value)
-    attitude_sensitivity(errors, covariance, noise, found.h)
+    quat.rotation_between(q_measured, filters.akf.x[0:4], innovation.value)
+    attitude_sensitivity(errors, covariance, noise, innovation.h)
     for i in range(3):
-        found.h[i, ROTATION + i] = 1.0
-    _white(errors, covariance, 1, noise, found.noise)
-    return joint_filter.innovate(errors, filters, ROTATION, 6, found)
+        innovation.h[i, ROTATION + i] = 1.0
+    _white(errors, covariance, 1, noise, innovation.noise)
+    return joint_filter.innovate(errors, filters, ROTATION, 6, innovation)
 
 
 @kernel
-def innovate_position(errors, filters, noise, z_TC_C, covariance, delta_s, found):
+def innovate_position(errors, filters, noise, z_TC_C, covariance, delta_s, innovation):
     """As ``innovate_attitude``, of a measured position (3,), m, in c at the filter's moment.
 
     covariance: (3, 3), m^2. delta_s: exposure after the filter's moment, a fraction of a step.
@@ -196,19 +196,19 @@ def innovate_position(errors, filters, noise, z_TC_C, covariance, delta_s, found
     for i in range(3):
         expected[i] = filters.pkf.x[i] + delta_s * filters.pkf.x[3 + i]
     quat.transform_into(q_CH, expected, expected)
-    position_sensitivity(errors, expected, q_CH, covariance, noise, found.h)
-    _cross_of(expected, found.h, ROTATION, 1.0)
+    position_sensitivity(errors, expected, q_CH, covariance, noise, innovation.h)
+    _cross_of(expected, innovation.h, ROTATION, 1.0)
     for i in range(3):
-        found.value[i] = z_TC_C[i] + expected[i]
+        innovation.value[i] = z_TC_C[i] + expected[i]
         for j in range(3):
-            found.h[i, R + j] = -a[i, j]
-            found.h[i, V + j] = -delta_s * a[i, j]
-    _white(errors, covariance, 0, noise, found.noise)
-    return joint_filter.innovate(errors, filters, R, 9, found)
+            innovation.h[i, R + j] = -a[i, j]
+            innovation.h[i, V + j] = -delta_s * a[i, j]
+    _white(errors, covariance, 0, noise, innovation.noise)
+    return joint_filter.innovate(errors, filters, R, 9, innovation)
 
 
 @kernel
-def adapt(errors, noise, k, found):
+def adapt(errors, noise, k, innovation):
     """Take an accepted innovation (INNOVATION) into the factor of the noise's variance; k: 0 position, 1 attitude.
 
     With ``V`` the noise in ``S``: score ``(v.T S^-1 V S^-1 v - tr S^-1 V) / 2``, information ``tr (S^-1 V)^2 / 2``.
@@ -219,15 +219,15 @@ def adapt(errors, noise, k, found):
     for i in range(3):
         y[i] = 0.0
         for j in range(3):
-            y[i] += found.s_inverse[i, j] * found.value[j]
+            y[i] += innovation.s_inverse[i, j] * innovation.value[j]
             w[i, j] = 0.0
             for m in range(3):
-                w[i, j] += found.s_inverse[i, m] * found.noise[m, j]
+                w[i, j] += innovation.s_inverse[i, m] * innovation.noise[m, j]
     score, information = 0.0, 0.0
     for i in range(3):
         score -= 0.5 * w[i, i]
         for j in range(3):
-            score += 0.5 * y[i] * found.noise[i, j] * y[j]
+            score += 0.5 * y[i] * innovation.noise[i, j] * y[j]
             information += 0.5 * w[i, j] * w[j, i]
     noise.information[k] += information
     noise.information[k] = min(noise.information[k], errors.noise_window * information)

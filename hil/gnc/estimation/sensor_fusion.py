@@ -50,12 +50,12 @@ SENSOR_SLOT = np.dtype(
         ("innovate", "i8"),  # address
         ("enabled", "i8"),
         ("witness", "i8"),  # 1: it is compared, not fused
-        ("sigmas", "f8"),  # of a witness: standard deviations of both that are allowed
-        ("samples", "i8"),  # of a witness: consecutive, that set its interlock or release it
+        ("sigmas", "f8"),  # allowed standard deviations between a witness and the estimate
+        ("samples", "i8"),  # consecutive samples of a witness that set its interlock or release it
         ("n", "i8"),  # components
         ("gate", "f8", 2),  # largest NIS of the first three components, and of the others
         ("errors", "i8"),
-        ("component", "i8", SENSOR_ERRORS_MAX),  # of each error
+        ("component", "i8", SENSOR_ERRORS_MAX),  # component of each error
         ("sigma", "f8", SENSOR_ERRORS_MAX),  # its standard deviation
         ("state", "i8", SENSOR_ERRORS_MAX),  # its index in the error state, 0: it is left out
     ],
@@ -64,12 +64,12 @@ SENSOR_SLOT = np.dtype(
 SENSOR_FUSION_PARAMS = np.dtype(
     [
         ("n", "i8"),
-        ("fused", "i8"),  # of them those that are no witnesses
+        ("fused", "i8"),  # fused sensors: without witnesses
         ("slot", SENSOR_SLOT, MAX_SENSORS),
         ("witness", WITNESS_PARAMS),
         ("mean_shift", "f8"),  # standard deviations, reference value of the CUSUM
         ("cusum_limit", "f8"),
-        ("nis_weight", "f8"),  # of a sample in the mean NIS
+        ("nis_weight", "f8"),  # weight of a sample in the mean NIS
         ("nis_limit", "f8"),  # largest mean of a component
         ("suspect_after", "i8"),  # consecutive rejections
         ("gate", "f8"),  # standard deviations of one component that the gate passes
@@ -147,44 +147,44 @@ def fuse_samples(params, state, memory, cycle):
 @kernel
 def _innovate(params, state, sample, cycle, group):
     """Write innovation and gain of a group of components into ``state.found_position``; return the NIS."""
-    sensors, filters, found = state.sensors, state.filters, state.found_position
+    sensors, filters, joint = state.sensors, state.filters, state.found_position
     slot, innovation, x = params.sensors.slot[sample.sensor], sensors.innovation, filters.pkf.x
     delta_s = sample.t_s - cycle * params.pkf.dt_s
     innovate(params.sensors, slot, sensors, sample, x[0:3], x[3:6], filters.akf.x[0:4], filters.akf.w_CH_C, delta_s)
     first = 3 * group
-    fill_matrix(found.h, 0.0)
-    fill_matrix(found.noise, 0.0)
+    fill_matrix(joint.h, 0.0)
+    fill_matrix(joint.noise, 0.0)
     for i in range(3):
-        found.value[i], found.noise[i, i] = 0.0, 1.0  # of a component that there is not: no information
+        joint.value[i], joint.noise[i, i] = 0.0, 1.0  # absent component: no information
         if first + i >= slot.n:
             continue
-        found.value[i] = innovation.value[first + i]
+        joint.value[i] = innovation.value[first + i]
         for j in range(3):
             if first + j < slot.n:
-                found.noise[i, j] = innovation.noise[first + i, first + j]
-            found.h[i, R + j] = innovation.h[first + i, j]
-            found.h[i, V + j] = innovation.h[first + i, 3 + j] + delta_s * innovation.h[first + i, j]
-            found.h[i, ROTATION + j] = innovation.h[first + i, 6 + j]
+                joint.noise[i, j] = innovation.noise[first + i, first + j]
+            joint.h[i, R + j] = innovation.h[first + i, j]
+            joint.h[i, V + j] = innovation.h[first + i, 3 + j] + delta_s * innovation.h[first + i, j]
+            joint.h[i, ROTATION + j] = innovation.h[first + i, 6 + j]
         for k in range(slot.errors):
             if slot.state[k] != 0:
-                found.h[i, slot.state[k]] += innovation.h_errors[first + i, k]
-    return joint_filter.innovate(params.errors, filters, 0, FILTER_ERRORS, found)
+                joint.h[i, slot.state[k]] += innovation.h_errors[first + i, k]
+    return joint_filter.innovate(params.errors, filters, 0, FILTER_ERRORS, joint)
 
 
 @kernel
 def _judge(params, state, sample, cycle, arrival):
     """Gate a new sample and fuse it if it is accepted; return the result, also in ``arrival`` (SENSOR_ARRIVAL)."""
-    sensors, found = state.sensors, state.found_position
+    sensors, innovation = state.sensors, state.found_position
     slot, monitor = params.sensors.slot[sample.sensor], sensors.monitor[sample.sensor]
     passes, arrival.nis = True, 0.0
     groups = (slot.n + 2) // 3
     for group in range(groups):
         nis = _innovate(params, state, sample, cycle, group)
-        passes = passes and 0.0 <= nis <= slot.gate[group] and is_covariance_3(found.noise, np.inf)
+        passes = passes and 0.0 <= nis <= slot.gate[group] and is_covariance_3(innovation.noise, np.inf)
         arrival.nis += nis
         for i in range(3):
             if 3 * group + i < slot.n:
-                arrival.innovation[3 * group + i] = found.value[i] / math.sqrt(found.s[i, i])
+                arrival.innovation[3 * group + i] = innovation.value[i] / math.sqrt(innovation.s[i, i])
     passes = passes and math.isfinite(arrival.nis)
     watch(params.sensors, monitor, slot.n, arrival, passes)
     if monitor.suspect == 1:
@@ -209,7 +209,7 @@ def _judge(params, state, sample, cycle, arrival):
         if groups > 1:  # of the only group it is the one that was judged
             _innovate(params, state, sample, cycle, group)
         if monitor.accepted % _MISSED_EACH == 1:
-            bound_missed(params.sensors, found, monitor, min(3, slot.n - 3 * group))
-        joint_filter.update(params.errors, state.filters, found)
+            bound_missed(params.sensors, innovation, monitor, min(3, slot.n - 3 * group))
+        joint_filter.update(params.errors, state.filters, innovation)
     arrival.result = ACCEPTED
     return ACCEPTED

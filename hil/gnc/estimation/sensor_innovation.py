@@ -10,7 +10,7 @@ from hil.maths import quat, stack
 from hil.maths.arrays import fill, fill_matrix
 from hil.maths.record_view import copy_record
 
-_ERROR_SIGMAS = 3.0  # of a constant error for which the module states no tolerance
+_ERROR_SIGMAS = 3.0  # sigmas of a constant error for which the module states no tolerance
 
 
 @kernel

@@ -15,7 +15,7 @@ from hil.gnc.estimation.missed_fault import largest_missed
 _CONFIRMED_FRACTION = 4  # of the accepted samples: the longest time over which a fault can have grown
 _SILENT_INTERVALS = 10.0  # after the last accepted sample
 _SHORTEST_S = 1.0
-_NO_CHANGE = 1e-12  # of a component that the estimate does not follow
+_NO_CHANGE = 1e-12  # variance ratio of a component that the estimate does not follow
 
 SENSOR_MONITOR = np.dtype(
     [
@@ -34,7 +34,7 @@ SENSOR_MONITOR = np.dtype(
         ("last_s", "f8"),  # newest accepted sample
         ("interval_s", "f8"),  # between accepted samples
         ("missed_m", "f8", 3),  # error of the position by the largest fault that is not found, in H
-        ("missed_mps", "f8", 3),  # of the velocity
+        ("missed_mps", "f8", 3),  # missed velocity
         ("missed_rad", "f8"),
     ],
     align=True,
@@ -82,34 +82,35 @@ def watch(params, monitor, n, arrival, passes):
 
 
 @kernel
-def bound_missed(params, found, monitor, n):
+def bound_missed(params, innovation, monitor, n):
     """Raise the ``missed`` errors by what a fault of one of ``n`` components leads to before it is found.
 
-    found: INNOVATION. The fault is a step or a ramp of the component, which the expected value follows by
+    innovation: INNOVATION. The fault is a step or a ramp of the component, which the expected value follows by
     ``h K = 1 - R / S``, and position, velocity and attitude by their gains. It can have grown for a fraction of the
     accepted samples at most.
     """
     steps = min(params.cusum_limit / params.mean_shift, max(1.0, monitor.accepted / _CONFIRMED_FRACTION))
     for c in range(n):
-        follows, speed = 1.0 - found.noise[c, c] / found.s[c, c], 0.0
+        follows, speed = 1.0 - innovation.noise[c, c] / innovation.s[c, c], 0.0
         if not follows > _NO_CHANGE:
             continue
         for i in range(3):
-            speed += found.h[c, R + i] * found.gain[c, V + i] * monitor.interval_s
+            speed += innovation.h[c, R + i] * innovation.gain[c, V + i] * monitor.interval_s
         step, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 0, np.inf)
         ramp, _ = largest_missed(params, follows, speed, steps, params.cusum_limit, 1, np.inf)
-        size = max(step, ramp) * math.sqrt(found.s[c, c]) / follows
+        size = max(step, ramp) * math.sqrt(innovation.s[c, c]) / follows
         for i in range(3):
-            monitor.missed_m[i] = max(monitor.missed_m[i], size * abs(found.gain[c, R + i]))
-            monitor.missed_mps[i] = max(monitor.missed_mps[i], size * abs(found.gain[c, V + i]))
-            monitor.missed_rad = max(monitor.missed_rad, size * abs(found.gain[c, ROTATION + i]))
+            monitor.missed_m[i] = max(monitor.missed_m[i], size * abs(innovation.gain[c, R + i]))
+            monitor.missed_mps[i] = max(monitor.missed_mps[i], size * abs(innovation.gain[c, V + i]))
+            monitor.missed_rad = max(monitor.missed_rad, size * abs(innovation.gain[c, ROTATION + i]))
 
 
 @kernel
 def _left(params, monitor, error, t_s, sigma):
-    """Return what is left at ``t_s`` of the error ``error`` that a fault of a sensor has made.
+    """Return the part of ``error``, caused by a fault of a sensor, that remains in the estimate at ``t_s``.
 
-    Of one that has been silent for long the others leave as much as their gates pass, in standard deviations ``sigma``.
+    Once the sensor has been silent for long, the other sensors bound the error: their gates, in standard deviations
+    ``sigma``, pass no more.
     """
     if t_s - monitor.last_s > _SILENT_INTERVALS * max(monitor.interval_s, _SHORTEST_S):
         return min(error, params.gate * sigma)

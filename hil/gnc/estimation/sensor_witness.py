@@ -27,7 +27,7 @@ WITNESS_PARAMS = np.dtype(
     [
         ("acceleration", "f8"),  # m/s^2, largest of the chaser: the estimate is carried back with its velocity
         ("angular_acceleration", "f8"),  # rad/s^2
-        ("age_max_s", "f8"),  # of a measurement that is compared
+        ("age_max_s", "f8"),  # largest age of a measurement that is compared
         ("step_s", "f8"),  # age of the estimate: it is that of the cycle before
         ("bound_sigmas", "f8"),  # standard deviations of the witness in the bound on the estimate's error
     ],
@@ -39,10 +39,10 @@ WITNESS = np.dtype(
         ("disagrees", "i8"),  # 1: the interlock is set
         ("compared", "i8"),  # measurements
         ("last_s", "f8"),  # the newest of them, time of the run
-        ("beyond", "i8"),  # of them those that disagree
+        ("beyond", "i8"),  # compared measurements that disagree
         ("beyond_in_a_row", "i8"),
         ("within_in_a_row", "i8"),
-        ("component", "i8"),  # of the last disagreement
+        ("component", "i8"),  # component of the last disagreement
         ("value", "f8"),  # its difference
         ("limit", "f8"),  # what is allowed
         ("bound_m", "f8"),  # largest position error of the estimate by the newest measurement, 0 for none

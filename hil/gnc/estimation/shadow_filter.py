@@ -92,7 +92,7 @@ class ShadowFilter:
             behind = last - round(pose.t_s / self._dt)
             if 0 <= behind < len(self._inputs):
                 inputs = self._inputs[-1 - behind]
-                if all(abs(known.t_s - pose.t_s) > 1e-6 for known in inputs.poses):
+                if all(abs(earlier.t_s - pose.t_s) > 1e-6 for earlier in inputs.poses):
                     inputs.poses.append(pose.copy())
 
     def _advance(self, inputs: _Inputs, compiled: np.void) -> Divergence | None:
@@ -130,14 +130,14 @@ class ShadowFilter:
         assert self._position is not None
         ekf, kf, dt = self._attitude, self._position, self._dt
         w0 = float(hill["turn"]) / dt
-        before = ekf.x[:4].copy()
+        attitude = ekf.x[:4].copy()
         # eq. (3): dQ/dt = Omega(w) Q / 2, the rate [0, -w0, 0] of H on the other side
         rate = inputs.rate_C - ekf.x[4:]
         process = np.zeros((7, 7))
         process[:4, :4] = 0.5 * (_omega(rate) + w0 * _HILL_RATE)
-        process[:4, 4:] = -0.5 * _xi(before)
+        process[:4, 4:] = -0.5 * _xi(attitude)
         transition = _exponential(process * dt)
-        q = _exponential(process[:4, :4] * dt) @ before
+        q = _exponential(process[:4, :4] * dt) @ attitude
         q /= np.linalg.norm(q)
         spread = 0.5 * dt * _xi(q)
         noise = np.zeros((7, 7))
@@ -146,7 +146,7 @@ class ShadowFilter:
         noise[4:, 4:] = dt**2 * (a.sigma_drift**2 * np.eye(3) + to_c @ np.diag(a.rate_noise**2) @ to_c.T)
         ekf.x = np.concatenate([q, ekf.x[4:]])
         ekf.P = transition @ ekf.P @ transition.T + noise
-        middle = before + q
+        middle = attitude + q
         to_h = _matrix(middle / np.linalg.norm(middle)).T
         # eq. (14): a force in c, and minus a bias in c, act through the response to an acceleration in H
         step_in_h = self._step_in_h(hill) if hill["is_elliptic"] else self._on_circle

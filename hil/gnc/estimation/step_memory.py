@@ -43,7 +43,7 @@ STEP = np.dtype(
         ("thrust_C", "f8", 3),  # m/s^2, of the commands
         ("torque_C", "f8", 3),  # rad/s^2
         ("regains", "i8"),  # 1: the gyros are used again from this step on
-        ("doubts", DOUBTS),  # of before this step
+        ("doubts", DOUBTS),  # doubts before this step
         ("rate_variance", "f8"),  # (rad/s)^2 that the drift gains in that step beyond its random walk
         ("hill", HILL_STEP),
         ("akf", AKF_STATE),  # before the poses of this moment
@@ -63,7 +63,7 @@ SENSOR_STEP = np.dtype(
     [
         ("n", "i8"),
         ("sample", SENSOR_SAMPLE, SAMPLES_PER_STEP),
-        ("result", "i8", SAMPLES_PER_STEP),  # as of ``sensor_records``, ``sensor_fusion.NEW`` before it is gated
+        ("result", "i8", SAMPLES_PER_STEP),  # as in ``sensor_records``; ``sensor_fusion.NEW`` before gating
         ("arrival", "i8", SAMPLES_PER_STEP),  # place among the arrivals of the cycle in which it came
     ],
     align=True,

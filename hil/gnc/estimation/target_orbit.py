@@ -29,7 +29,7 @@ TARGET_ORBIT = np.dtype(
         ("mean_motion", "f8"),  # rad/s
         ("eccentricity", "f8"),
         ("mean_anomaly", "f8"),  # rad, at the start of the run
-        ("tumble", TUMBLE),  # of a target whose axes are not those of the Hill frame, as it is known at the start
+        ("tumble", TUMBLE),  # motion, as known at the start, of a target whose axes are not the Hill frame
         ("estimated", "i8"),  # 1: the filters estimate the rate of a tumble, by Euler's equations
         ("moments", "f8", 3),  # kg m^2, principal, of the body as they are known
         ("q_PB", "f8", 4),  # from its body axes to the principal ones

@@ -48,8 +48,8 @@ THRUST_PARAMS = np.dtype(
         ("minimum_on_s", "f8"),
         ("settle", "i8"),  # steps after the last expected thrust in which a valve may still be open
         ("variance", "f8"),  # (m/s^2)^2 of a step's specific force without thrust
-        ("fraction", "f8"),  # of a commanded thrust, 1 sigma, without IMU
-        ("measured_fraction", "f8"),  # of a measured one
+        ("fraction", "f8"),  # fraction of a commanded thrust, 1 sigma, without IMU
+        ("measured_fraction", "f8"),  # fraction of a measured thrust
         ("walk", "f8"),  # m/s^2 in a step, of the disturbance
         ("rate_variance", "f8"),  # (rad/s)^2 that the rate gains in a step without gyros
         ("window", "i8"),  # steps over which quiet readings are averaged
@@ -246,21 +246,21 @@ def write_input(params, of_pkf, errors, filters, step):
 
 
 @kernel
-def bias_innovation(of_pkf, errors, filters, mean, count, found):
-    """Write innovation and sensitivity of the ``mean`` (3,) of ``count`` quiet readings into ``found`` (INNOVATION)."""
-    fill_matrix(found.h, 0.0)
+def bias_innovation(of_pkf, errors, filters, mean, count, innovation):
+    """Write innovation and sensitivity of the ``mean`` (3,) of ``count`` quiet readings into ``innovation``."""
+    fill_matrix(innovation.h, 0.0)
     for i in range(3):
-        found.value[i] = mean[i] - filters.pkf.x[6 + i]
-        found.h[i, BIAS + i] = found.h[i, errors.disturbance + i] = 1.0
-        fill(found.noise[i], 0.0)
-        found.noise[i, i] = of_pkf.sigma_accelerometer**2 / count
+        innovation.value[i] = mean[i] - filters.pkf.x[6 + i]
+        innovation.h[i, BIAS + i] = innovation.h[i, errors.disturbance + i] = 1.0
+        fill(innovation.noise[i], 0.0)
+        innovation.noise[i, i] = of_pkf.sigma_accelerometer**2 / count
 
 
 @kernel
-def admit_jump(errors, filters, found):
+def admit_jump(errors, filters, innovation):
     """Take an innovation of quiet readings that neither bias nor disturbance explain as a possible change of both."""
     for i in range(3):
-        square = found.value[i] ** 2
+        square = innovation.value[i] ** 2
         filters.p[BIAS + i, BIAS + i] += square
         d = errors.disturbance + i
         filters.p[d, d] += square

@@ -22,7 +22,7 @@ STAGES: Final = 3
 
 TORQUE_PARAMS = np.dtype(
     [
-        ("weight", "f8"),  # of a step in each low-pass
+        ("weight", "f8"),  # weight of a step in each low-pass
         ("delay", "i8"),  # steps, of the mean
         ("limit", "f8"),  # rad/s^2, change of the mean that is none of a leak
         ("bending", "f8"),  # of the mean torque of the firings, that bending leaves of it
@@ -57,10 +57,10 @@ def count_firings(params, state, torque):
 
 
 @kernel
-def watch(params, state, before, rate, dt_s):
+def watch(params, state, previous, rate, dt_s):
     """Return by how much more the force may differ, m/s^2, 1 sigma, after a step without thrust; 0 for nothing new.
 
-    before, rate: (3,), rad/s, in c, before and after that step.
+    previous, rate: (3,), rad/s, in c, before and after that step.
     """
     state.since += 1
     if state.admitted > 0.0 and state.since > _DELAYS * params.delay:
@@ -68,7 +68,7 @@ def watch(params, state, before, rate, dt_s):
         state.admitted = 0.0
     change, square = 0.0, 0.0
     for i in range(3):
-        value = (rate[i] - before[i]) / dt_s
+        value = (rate[i] - previous[i]) / dt_s
         for k in range(STAGES):
             state.mean[k, i] += params.weight * (value - state.mean[k, i])
             value = state.mean[k, i]

@@ -19,7 +19,7 @@ WANTED_PEAK: Final = 180.0
 """Grey level of the median spot's peak at the right exposure: room for near LEDs, noise far below it."""
 _FULL_SCALE: Final = 255.0
 _BEST_WIDTH_PX: Final = (0.8, 2.5)
-_RING_PX: Final = 4.0  # of a mark: times the spot's width
+_RING_PX: Final = 4.0  # radius of a mark: times the spot's width
 _SPOTS_SHOWN: Final = 64
 
 
@@ -78,17 +78,17 @@ class PairNumbers:
 
     def as_json(self) -> dict[str, Any]:
         """Return the numbers for a page: null for what is not known."""
-        found = {
+        fields = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in asdict(self).items()
         }
         for name, side in zip(SIDES, (self.left, self.right), strict=True):
             if side is not None:
                 numbers = asdict(side) | {"advice": side.advice}
-                found[name] = {
+                fields[name] = {
                     k: v if not isinstance(v, float) or math.isfinite(v) else None for k, v in numbers.items()
                 }
-        return found
+        return fields
 
 
 class SetUpAid:

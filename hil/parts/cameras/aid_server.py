@@ -81,8 +81,8 @@ class AidServer:
             timeout = 5.0
 
             def do_GET(self) -> None:
-                found = server._answer(self.path.partition("?")[0]) if self._is_local() else None
-                self._send(404 if found is None else 200, *(found or (b"", "text/plain")))
+                answer = server._answer(self.path.partition("?")[0]) if self._is_local() else None
+                self._send(404 if answer is None else 200, *(answer or (b"", "text/plain")))
 
             def do_POST(self) -> None:
                 # a page of another site cannot set this header

@@ -95,13 +95,13 @@ class LiveVision:
 
     def counters(self) -> dict[str, int]:
         """Return the counters, times in microseconds."""
-        found = {"frames": self._solved, **self._counts, **self._pairing.counters}
-        found["pair_skew_max_us"] = round(1e6 * self._skew_max_s)
+        counters = {"frames": self._solved, **self._counts, **self._pairing.counters}
+        counters["pair_skew_max_us"] = round(1e6 * self._skew_max_s)
         if self._latencies_s:
             percentiles = np.percentile(self._latencies_s, [50, 99], axis=0)
             for name, (p50, p99) in zip(_STAGES, percentiles.T, strict=True):
-                found |= {f"{name}_p50_us": round(1e6 * p50), f"{name}_p99_us": round(1e6 * p99)}
-        return found
+                counters |= {f"{name}_p50_us": round(1e6 * p50), f"{name}_p99_us": round(1e6 * p99)}
+        return counters
 
 
 def middle_row_s(geometry: VmuGeometry) -> float:

@@ -85,7 +85,7 @@ class RenderedPoseSensor:
 
     cameras: with the rendered geometry; estimator: with the geometry that the unit assumes. rng: noise of the images.
     Every error of the bench, and of the calibration if they differ, affects the pose as it would in a lab.
-    shown: receives the images with their overlay. only_noise: the poses' covariance is that of the noise alone.
+    shown: receives the images with their overlay. only_noise: the poses' covariance covers the noise alone.
     """
 
     def __init__(

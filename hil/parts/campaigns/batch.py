@@ -37,8 +37,8 @@ _here = threading.local()
 class Spec:
     """A campaign in a form that can be sent to any worker: scenario and rig as JSON text, with all files read.
 
-    mixed: seeds of the cases of a rare-event campaign, by the case's number; the other cases have that of their number.
-    sobol: the cases are those of a campaign of Sobol' indices. density: text of the importance density of their noise.
+    mixed: seeds of the cases of a rare-event campaign, by the case's number; others have the seed of their number.
+    sobol: the cases belong to a campaign of Sobol' indices. density: text of the importance density of their noise.
     own: backends of navigation and control that the caller gives, pickled.
     """
 
@@ -63,7 +63,7 @@ def pickled(own: OwnBackends) -> bytes:
     try:
         import cloudpickle
 
-        found: bytes = cloudpickle.dumps(own)
+        data: bytes = cloudpickle.dumps(own)
     except ImportError as error:
         text = (
             "an object flies in a campaign with cloudpickle, which is not installed: pip install 'hil-bench[campaign]'"
@@ -71,7 +71,7 @@ def pickled(own: OwnBackends) -> bytes:
         raise BadInput.single("campaign", "", text) from error
     except Exception as error:
         raise BadInput.single("campaign", "", f"a backend cannot be sent to other processes: {error}") from error
-    return found
+    return data
 
 
 class Case:
@@ -98,10 +98,10 @@ class Case:
             outcome = row_of(*self.runner.run(truth, seed), gnc, truth, self.runner.alarm)
         except Exception as error:  # one case must not end the campaign: its row has the reason
             outcome = _not_flown(error)
-        found = {"case": case, "seed": int(seed), **self._named(values), **outcome}
+        row = {"case": case, "seed": int(seed), **self._named(values), **outcome}
         if (raised := self.runner.user_error) is not None:
-            found[TRACEBACK] = "".join(traceback.format_exception(raised))
-        return found if self._density is None else found | {LOG_WEIGHT: self._log_weight(seed)}
+            row[TRACEBACK] = "".join(traceback.format_exception(raised))
+        return row if self._density is None else row | {LOG_WEIGHT: self._log_weight(seed)}
 
     def _log_weight(self, seed: int) -> float:
         """Return the logarithm of the weight of the case that was run last."""

@@ -140,7 +140,7 @@ class CampaignJob:
         """Return the folder's store; raise BadInput if it holds another campaign.
 
         warn: called with a line for each file of an earlier start that cannot be used. more: part of the identity of
-        the campaign. columns: names of numbers in addition to those of every campaign.
+        the campaign. columns: names of numbers in addition to the common ones of campaigns.
         """
         return Store(folder, self.identity() | (more or {}), [*self.design.names, *columns], warn)
 
@@ -192,7 +192,7 @@ class CampaignJob:
         title: of the progress; the scenario's name without one.
         """
         missing = store.missing(runs)
-        left = sum(count for _, count in missing)
+        remaining = sum(count for _, count in missing)
         begun_s = time.perf_counter()
         done, failures = 0, _first_errors(store.folder)
         with closing(engine.run(spec, missing)) as results:
@@ -201,7 +201,7 @@ class CampaignJob:
                 store.put(first, rows)
                 done += len(rows)
                 speed = done * self.duration_s / max(1e-9, time.perf_counter() - begun_s)
-                watch(Progress(title or self.scenario.value.name, runs - left + done, runs, speed))
+                watch(Progress(title or self.scenario.value.name, runs - remaining + done, runs, speed))
         store.finish(runs)
         return failures
 
@@ -214,8 +214,8 @@ class CampaignJob:
 def _first_errors(folder: Path) -> dict[int, str]:
     """Return the traceback that the summary of an earlier start has, by the number of its case."""
     try:
-        found = json.loads((folder / "summary.json").read_text())["first_error"]
-        return {int(found["case"]): str(found["traceback"])}
+        first = json.loads((folder / "summary.json").read_text())["first_error"]
+        return {int(first["case"]): str(first["traceback"])}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
 
@@ -241,10 +241,10 @@ def _digest(*texts: str) -> str:
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
 
 
-def write_summary(path: Path, found: dict[str, Any]) -> None:
-    """Write ``found`` as JSON, atomically. Raises CampaignStopped if the disk is full."""
+def write_summary(path: Path, summary: dict[str, Any]) -> None:
+    """Write ``summary`` as JSON, atomically. Raises CampaignStopped if the disk is full."""
     with atomic_write(path) as partial:
-        partial.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        partial.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
 @dataclass(frozen=True)

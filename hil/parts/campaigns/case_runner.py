@@ -213,8 +213,8 @@ class CaseRunner:
         if code == shell.GNC_HOLDS:
             return str(hold_trip(self._backends.hold_reason(state.gnc.backends)))
         if code == shell.NOT_FINITE:
-            wanted = [*state.next.rail_m, *state.next.gimbal_rad]
-            axis = next((i for i, value in enumerate(wanted) if not math.isfinite(value)), 0)
-            return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(wanted[axis]), "a finite number"))
+            setpoint = [*state.next.rail_m, *state.next.gimbal_rad]
+            axis = next((i for i, value in enumerate(setpoint) if not math.isfinite(value)), 0)
+            return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(setpoint[axis]), "a finite number"))
         self.alarm = (guard_alarm if is_of_guard(code) else breach_alarm)(0.0, BENCH_AXES, code, state.breach)
         return str(self.alarm.trip())

@@ -130,8 +130,8 @@ class Design:
 
     def normals(self, seed: int) -> Array:
         """Return the standard normals of the dispersed numbers in a rare-event campaign, in the order of ``names``."""
-        found: Array = noise_source(seed, "dispersions").standard_normal((len(self.components),))
-        return found
+        normals: Array = noise_source(seed, "dispersions").standard_normal((len(self.components),))
+        return normals
 
     def fault(self, case: int) -> dict[str, Any] | None:
         """Return the fault of ``case``, a table of ``[[faults]]``; None if it has none."""
@@ -141,10 +141,10 @@ class Design:
         return drawn_fault(self._settings.faults, len(self._nominal.chaser.thrusters.position_m), sequence)
 
     def apply(self, values: Array, fault: dict[str, Any] | None = None) -> tuple[Scenario, Scenario]:
-        """Return the scenario of the truth, and that of the GNC; raise BadInput if one is invalid.
+        """Return the scenarios of truth and GNC; raise BadInput if one is invalid.
 
         The GNC has the nominal numbers, the dispersed ones of its own table, and the target's orbit.
-        fault: added to those of the scenario.
+        fault: added to the scenario's faults.
         """
         truth, gnc = (json.loads(self._text) for _ in range(2))
         if fault is not None:
@@ -248,12 +248,12 @@ def _leaves(
     for key, inner in given.items():
         here = (*path, key)
         if not isinstance(table, dict) or key not in table:
-            known = sorted(table) if isinstance(table, dict) else []
-            close = difflib.get_close_matches(key, known, n=1)
+            keys = sorted(table) if isinstance(table, dict) else []
+            close = difflib.get_close_matches(key, keys, n=1)
             hint = f"did you mean {close[0]}? " if close else ""
             name = f"dispersions.{'.'.join(here)}"
             problems.append(
-                Problem(scenario.where(name), name, f"unknown key: {hint}known here: {', '.join(known) or 'none'}")
+                Problem(scenario.where(name), name, f"unknown key: {hint}known here: {', '.join(keys) or 'none'}")
             )
         elif isinstance(table[key], dict) and isinstance(inner, dict):
             yield from _leaves(inner, table[key], here, scenario, problems)
@@ -313,10 +313,10 @@ def _pick(value: Number | None, i: int, n: int, otherwise: Any = None) -> Any:
 
 def _put(table: Any, component: DispersedComponent, value: float) -> None:
     *parents, last = component.path
-    place = _at(table, tuple(parents))
+    parent = _at(table, tuple(parents))
     if component.factor:
-        place[last] = [[value * entry for entry in row] for row in place[last]]
+        parent[last] = [[value * entry for entry in row] for row in parent[last]]
     elif component.index is None:
-        place[last] = value
+        parent[last] = value
     else:
-        place[last][component.index] = value
+        parent[last][component.index] = value

@@ -24,13 +24,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 VALUE, DISTANCE, PRODUCT, DISTANCE_PRODUCT, RATIO = "value", "distance", "product", "distance product", "ratio"
 FALSE_ALARM: Final = 0.04
-"""Probability of a driver without a cause, half of it for terms of one number, half for those of two."""
+"""Probability of a driver without a cause, half of it for terms of one number, half for terms of two."""
 LEAST: Final = 4  # failing and passing cases, below which nothing is looked for
 _CENTRES: Final = (0.35, 0.5, 0.65)  # quantiles
 _PERMUTATIONS: Final = 400
 _TERMS_MAX: Final = 4
 _FOLDS: Final = 5
-_REPEATS: Final = 5  # of a permutation importance
+_REPEATS: Final = 5  # repetitions of a permutation importance
 _PAIR_GAIN: Final = 0.03  # of explained variance, by which a term of two numbers has to be better
 _PAIR_NUMBERS: Final = 60  # with more of them, only terms of one are candidates
 
@@ -69,23 +69,23 @@ class Candidates:
 
 
 def _single(x: Array, j: int) -> list[Term]:
-    found = [Term(VALUE, (j,))]
+    terms = [Term(VALUE, (j,))]
     centres = [float(c) for c in np.quantile(x, _CENTRES)]
     if x.min() < 0.0 < x.max():
         centres.insert(0, 0.0)
-    return found + [Term(DISTANCE, (j,), (centre,)) for centre in centres]
+    return terms + [Term(DISTANCE, (j,), (centre,)) for centre in centres]
 
 
 def _pairs(values: Array, j: int, k: int) -> list[Term]:
     x, y = values[:, j], values[:, k]
     centres = (float(np.median(x)), float(np.median(y)))
-    found = [Term(kind, (j, k), centres) for kind in (PRODUCT, DISTANCE_PRODUCT)]
+    terms = [Term(kind, (j, k), centres) for kind in (PRODUCT, DISTANCE_PRODUCT)]
     signs = [bool(np.all(v > 0.0)) for v in (x, y)]
     if any(signs):
-        found += [Term(PRODUCT, (j, k)), Term(DISTANCE_PRODUCT, (j, k))]
+        terms += [Term(PRODUCT, (j, k)), Term(DISTANCE_PRODUCT, (j, k))]
     if all(signs):
-        found.append(Term(RATIO, (j, k)))
-    return found
+        terms.append(Term(RATIO, (j, k)))
+    return terms
 
 
 @dataclass(frozen=True)
@@ -134,15 +134,15 @@ def _correlations(ranks: Array, residual: Array) -> Array:
     """Return the correlation of each row of ``ranks`` (t, n) with each column of ``residual`` (n, p), centred."""
     spread = ranks.std(axis=1)
     scale = len(residual) * np.where(spread > 0.0, spread, np.inf)
-    found: Array = (ranks @ residual) / scale[:, None] / np.maximum(residual.std(axis=0), 1e-12)
-    return found
+    correlations: Array = (ranks @ residual) / scale[:, None] / np.maximum(residual.std(axis=0), 1e-12)
+    return correlations
 
 
 def _residual(ranks: Array, y: Array, chosen: list[int]) -> Array:
     """Return what the ``chosen`` terms leave of ``y``, centred."""
     basis = np.vstack([np.ones(len(y), np.float32), *ranks[chosen]]).T
-    left: Array = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
-    return left
+    residual: Array = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
+    return residual
 
 
 def _select(candidates: Candidates, ranks: Array, y: Array, rng: np.random.Generator) -> list[int]:
@@ -168,14 +168,14 @@ def _best(candidates: Candidates, ranks: Array, residual: Array, limits: tuple[f
 
     A term of two numbers is taken if it is better than each of its numbers alone, by ``_PAIR_GAIN``.
     """
-    found = np.abs(_correlations(ranks, residual[:, None])[:, 0])
+    strength = np.abs(_correlations(ranks, residual[:, None])[:, 0])
     n = candidates.singles
-    single = int(np.argmax(found[:n]))
-    if len(found) > n:
-        pair = n + int(np.argmax(found[n:]))
-        if found[pair] > limits[1] and found[pair] ** 2 > found[single] ** 2 + _PAIR_GAIN:
+    single = int(np.argmax(strength[:n]))
+    if len(strength) > n:
+        pair = n + int(np.argmax(strength[n:]))
+        if strength[pair] > limits[1] and strength[pair] ** 2 > strength[single] ** 2 + _PAIR_GAIN:
             return pair
-    return single if found[single] > limits[0] else None
+    return single if strength[single] > limits[0] else None
 
 
 def _cross_validated(
@@ -223,9 +223,9 @@ def _cross_validated(
 def _rank_of(candidates: Candidates, i: int, values: Array) -> Array:
     """Return the rank of term ``i`` of ``values`` (m, d) among all cases, 0 to 1."""
     term = candidates.terms[i]
-    known = np.sort(term.of(candidates.values))
-    found: Array = np.searchsorted(known, term.of(values)) / len(known)
-    return found
+    ordered = np.sort(term.of(candidates.values))
+    ranks: Array = np.searchsorted(ordered, term.of(values)) / len(ordered)
+    return ranks
 
 
 def auc(score: Array, y: Array) -> float:
@@ -262,13 +262,13 @@ def threshold(term: Term, values: Array, failed: np.ndarray) -> dict[str, Any]:
         cut = int(clean[0])
     else:
         cut = int(places[np.argmax(failures_beyond[places] / total_bad - passes_beyond[places] / total_good)])
-    beyond, before = len(x) - cut, cut
+    beyond, others = len(x) - cut, cut
     edge = float(x[cut]) if cut == 0 else float(0.5 * (x[cut] + x[cut - 1]))
     return {
         "side": "above" if above else "below",
         "value": edge,
         "cases": beyond,
         "passes": int(passes_beyond[cut]),
-        "other_cases": before,
+        "other_cases": others,
         "other_passes": total_good - int(passes_beyond[cut]),
     }

@@ -34,7 +34,7 @@ from hil.parts.campaigns.outcome import failed_row
 
 _AHEAD: Final = 2  # batches per worker, or parts of them, that are queued or running
 _PART: Final = 10  # cases that are submitted to a worker of this computer at once
-_TRIES: Final = 3  # of a batch whose worker dies
+_TRIES: Final = 3  # tries of a batch whose worker dies
 _DEAD_MAX: Final = 3  # cases in a row whose workers died: it is not the cases
 _CONNECT_S: Final = 10.0
 _ASK_EVERY_S: Final = 5.0  # a scheduler whose computer has lost power does not close the connection
@@ -71,25 +71,25 @@ class LocalEngine:
             for first, count in batches:
                 yield first, run_batch(spec, first, count)
             return
-        left = deque(batches)
-        while left:
-            suspects = yield from self._until_worker_death(spec, left)
+        remaining = deque(batches)
+        while remaining:
+            suspects = yield from self._until_worker_death(spec, remaining)
             with _Isolated(spec) as isolated:
                 for batch in suspects:
                     yield batch[0], isolated.run(*batch)
 
-    def _until_worker_death(self, spec: Spec, left: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
-        """Run batches of ``left`` until it is empty; after the death of a worker return those under way."""
+    def _until_worker_death(self, spec: Spec, queue: deque[Batch]) -> Generator[tuple[int, Rows], None, list[Batch]]:
+        """Run batches of ``queue`` until it is empty; after the death of a worker return those under way."""
         under_way: dict[Batch, _Parts] = {}
         waiting: dict[Future[Rows], tuple[Batch, int]] = {}
         parts: deque[tuple[Batch, int]] = deque()
         pool = self._pool = self._pool or _pool(self.workers)
         completed = False
         try:
-            while left or parts or waiting:
-                while (left or parts) and len(waiting) < _AHEAD * self.workers:
+            while queue or parts or waiting:
+                while (queue or parts) and len(waiting) < _AHEAD * self.workers:
                     if not parts:
-                        batch = left.popleft()
+                        batch = queue.popleft()
                         under_way[batch] = _Parts(batch)
                         parts.extend((batch, first) for first in under_way[batch].borders)
                     batch, first = parts[0]
@@ -125,7 +125,7 @@ class _Parts:
         self._rows: dict[int, Rows] = {}
 
     def put(self, first: int, rows: Rows) -> Rows | None:
-        """Add the rows of the part that begins with case ``first``; return those of the batch when it is complete."""
+        """Add the rows of the part that begins with case ``first``; return the batch's rows when it is complete."""
         self._rows[first] = rows
         if len(self._rows) < len(self.borders):
             return None
@@ -256,7 +256,7 @@ class DaskEngine:
         from distributed import CancelledError
         from distributed.comm.core import CommClosedError
 
-        left = iter(batches)
+        remaining = iter(batches)
         tries: dict[Batch, int] = {}
         of: dict[Any, Batch] = {}
         done: SimpleQueue[Any] = SimpleQueue()
@@ -267,7 +267,7 @@ class DaskEngine:
             future.add_done_callback(done.put)
 
         try:
-            for batch in islice(left, _AHEAD * self.workers):
+            for batch in islice(remaining, _AHEAD * self.workers):
                 submit(batch)
             while of:
                 future = self._next(done)
@@ -282,7 +282,7 @@ class DaskEngine:
                         submit(batch)
                         continue
                     yield batch[0], [died_row(spec, case) for case in range(batch[0], sum(batch))]
-                if (following := next(left, None)) is not None:
+                if (following := next(remaining, None)) is not None:
                     submit(following)
         except (CommClosedError, CancelledError, TimeoutError, OSError) as error:
             lost = f"no answer for {_SILENT_S:g} s" if isinstance(error, TimeoutError) else "connection lost"

@@ -69,8 +69,8 @@ class Cases:
     def summary(self) -> dict[str, Any]:
         """Content of ``summary.json``; empty without one."""
         path = self.folder / "summary.json"
-        found: dict[str, Any] = parse_json(read_text(path, 64 * MIB)) if path.is_file() else {}
-        return found
+        summary: dict[str, Any] = parse_json(read_text(path, 64 * MIB)) if path.is_file() else {}
+        return summary
 
     def column(self, name: str) -> Any:
         """Return a column as a numpy array, (n,); missing numbers are nan."""
@@ -83,7 +83,7 @@ class Cases:
 
 
 def dispersed_names(columns: list[str]) -> list[str]:
-    """Return those of the ``columns`` of a campaign that are dispersed numbers."""
+    """Return the ``columns`` of a campaign that are dispersed numbers."""
     return [name for name in columns if name not in _FIXED and not name.startswith("weight_") and "." in name]
 
 
@@ -135,9 +135,9 @@ class _Campaign:
         )  # fmt: skip
         self.values = np.column_stack([np.asarray(column(name), dtype=float) for name in names] or [self.at_s * 0.0])
         self.names = names or ["none"]
-        known = np.isfinite(self.values).all(axis=1)
-        self.known = known
-        self.values[~known] = 0.0
+        complete = np.isfinite(self.values).all(axis=1)
+        self.complete = complete
+        self.values[~complete] = 0.0
         self.spread = np.where(self.values.std(axis=0) > 0.0, self.values.std(axis=0), np.inf)
         self.candidates = Candidates(self.values if ranked else self.values[:, :0])
 
@@ -145,15 +145,15 @@ class _Campaign:
         """Return limit, phase and members of each cluster, the largest first."""
         limits = np.array([_FAMILY.get(name, name) for name in self.limit])
         keys = np.char.add(np.char.add(limits.astype(str), "\n"), self.phase.astype(str))
-        found = []
+        clusters = []
         for key in np.unique(keys[~self.accepted]):
             limit, _, phase = str(key).partition("\n")
-            found.append((limit, phase, (keys == key) & ~self.accepted))
-        return sorted(found, key=lambda each: (-int(each[2].sum()), each[0], each[1]))[:_CLUSTERS]
+            clusters.append((limit, phase, (keys == key) & ~self.accepted))
+        return sorted(clusters, key=lambda each: (-int(each[2].sum()), each[0], each[1]))[:_CLUSTERS]
 
     def drivers(self, members: np.ndarray, seed: int) -> Drivers:
         """Return the drivers of ``members`` (n,) against the cases that are accepted."""
-        used = (members | self.accepted) & self.known
+        used = (members | self.accepted) & self.complete
         return find_drivers(self.candidates, self.names, members, used, seed)
 
     def cause(self, limit: str, phase: str, members: np.ndarray, seed: int) -> dict[str, Any]:
@@ -161,7 +161,7 @@ class _Campaign:
         size, failed = int(members.sum()), int((~self.accepted).sum())
         share, drivers = wilson(size, failed), self.drivers(members, seed)
         typical = self._typical(members)
-        found: dict[str, Any] = {
+        cause: dict[str, Any] = {
             "limit": limit,
             "phase": phase,
             "cases": size,
@@ -180,12 +180,12 @@ class _Campaign:
             "threshold": None,
         }
         if drivers.terms:
-            term, used = drivers.terms[0], (members | self.accepted) & self.known
-            found["driver"] = term_text(term, self.names)
-            found["threshold"] = threshold(term, self.values[used], members[used])
-            found["threshold"] |= {"unit": _unit_of_term(term, self.names), "kind": _measured(term)}
-        found["nearest"] = self.nearest(typical)
-        return found | {"text": cause_text(found, failed)}
+            term, used = drivers.terms[0], (members | self.accepted) & self.complete
+            cause["driver"] = term_text(term, self.names)
+            cause["threshold"] = threshold(term, self.values[used], members[used])
+            cause["threshold"] |= {"unit": _unit_of_term(term, self.names), "kind": _measured(term)}
+        cause["nearest"] = self.nearest(typical)
+        return cause | {"text": cause_text(cause, failed)}
 
     def _typical(self, members: np.ndarray) -> int:
         """Return the place of the member whose value over its limit is the median."""
@@ -196,15 +196,15 @@ class _Campaign:
 
     @staticmethod
     def _common(texts: np.ndarray) -> str:
-        found, counts = np.unique(texts.astype(str), return_counts=True)
-        return str(found[np.argmax(counts)]) if len(found) else ""
+        values, counts = np.unique(texts.astype(str), return_counts=True)
+        return str(values[np.argmax(counts)]) if len(values) else ""
 
-    def nearest(self, place: int) -> dict[str, Any] | None:
-        """Return the accepted case nearest to that at ``place``, in standard deviations, and how they differ."""
-        passing = np.flatnonzero(self.accepted & self.known)
-        if not len(passing) or not self.known[place]:
+    def nearest(self, row: int) -> dict[str, Any] | None:
+        """Return the accepted case nearest to that at ``row``, in standard deviations, and how they differ."""
+        passing = np.flatnonzero(self.accepted & self.complete)
+        if not len(passing) or not self.complete[row]:
             return None
-        apart = (self.values[passing] - self.values[place]) / self.spread
+        apart = (self.values[passing] - self.values[row]) / self.spread
         best = int(np.argmin((apart**2).sum(axis=1)))
         order = np.argsort(-np.abs(apart[best]), kind="stable")[:_DIFFERENCES]
         return {
@@ -213,7 +213,7 @@ class _Campaign:
                 {
                     "name": self.names[j],
                     "value": float(self.values[passing[best], j]),
-                    "here": float(self.values[place, j]),
+                    "here": float(self.values[row, j]),
                     "sigmas": float(apart[best, j]),
                 }
                 for j in order
@@ -285,8 +285,8 @@ def case_of(table: Any, case: int, scenario: str, folder: str = "DIR") -> dict[s
     at = np.flatnonzero(table.column("case").to_numpy() == case)
     if not len(at):
         raise BadInput.single("--case", "", f"{case}: not in the campaign, which has 0 to {len(table) - 1}")
-    place = int(at[0])
-    row: dict[str, Any] = table.slice(place, 1).to_pylist()[0]
+    index = int(at[0])
+    row: dict[str, Any] = table.slice(index, 1).to_pylist()[0]
     campaign = _Campaign(lambda name: table.column(name).to_numpy(), dispersed_names(table.column_names), False)
     margins = [
         {
@@ -311,6 +311,6 @@ def case_of(table: Any, case: int, scenario: str, folder: str = "DIR") -> dict[s
         "alarms_before": row["alarms_before"],
         "stop": row["stop"],
         "limits": margins,
-        "nearest": None if row["accepted"] else campaign.nearest(place),
+        "nearest": None if row["accepted"] else campaign.nearest(index),
         "command": f"hil run {scenario} --campaign {folder} --case {case}",
     }  # fmt: skip

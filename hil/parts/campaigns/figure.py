@@ -17,7 +17,7 @@ from hil.report.figures import RunFigure, draw_stanford
 from hil.report.limits import LIMITS
 from hil.report.verdict import TABLE_V
 
-_MOST_POINTS = 2000  # of a curve
+_MOST_POINTS = 2000  # points of a curve
 _PANELS = (
     ("ready_time_s", "ready at, s"),
     ("propellant_kg", "propellant, kg"),
@@ -45,8 +45,8 @@ def percentiles_figure(column: Column, scenario: Scenario) -> Figure:
     """
     figure = RunFigure(figsize=(11.0, 6.5), layout="constrained")
     axes = figure.subplots(2, 3).ravel()
-    for place, (name, label) in zip(axes, _PANELS, strict=False):
-        _curve(place, _finite(column, name), label)
+    for plot, (name, label) in zip(axes, _PANELS, strict=False):
+        _curve(plot, _finite(column, name), label)
     _deviations(axes[5], column, scenario)
     figure.suptitle(f"{scenario.name}, {len(column('case'))} cases")
     return figure
@@ -64,11 +64,11 @@ def stanford_figure(column: Column) -> Figure:
     error, limit, level = (
         np.asarray(column(name), dtype=float) for name in ("worst_error_m", "alert_limit_m", "protection_level_m")
     )
-    known = np.isfinite(level) & (limit > 0.0)
+    finite = np.isfinite(level) & (limit > 0.0)
     figure = RunFigure(figsize=(5.5, 5.0), layout="constrained")
     plot = figure.subplots()
-    draw_stanford(plot, error[known] / limit[known], level[known] / limit[known])
-    plot.set_title(f"{np.count_nonzero(known)} cases, each at its largest error", loc="left", fontsize=10)
+    draw_stanford(plot, error[finite] / limit[finite], level[finite] / limit[finite])
+    plot.set_title(f"{np.count_nonzero(finite)} cases, each at its largest error", loc="left", fontsize=10)
     return figure
 
 
@@ -77,7 +77,7 @@ def _finite(column: Column, name: str) -> Any:
     return values[np.isfinite(values)]
 
 
-def _deviations(place: Any, column: Column, scenario: Scenario) -> None:
+def _deviations(plot: Any, column: Column, scenario: Scenario) -> None:
     """Draw worst and median deviation of each cell of Table III, in percent of its tolerance."""
     cells = [(row, i) for row in ROW_NAMES for i in range(3)]
     allowed = tolerances(scenario.requirements)
@@ -91,42 +91,42 @@ def _deviations(place: Any, column: Column, scenario: Scenario) -> None:
             worst[k], median[k] = unit * values.max(), unit * float(np.median(values))
         if paper is not None:
             published[k] = unit * getattr(paper, row)[i]
-    place.barh(y, np.nan_to_num(worst), label="worst", color="#a6c8e4")
-    place.barh(y, np.nan_to_num(median), label="median", color="C0", height=0.35)
+    plot.barh(y, np.nan_to_num(worst), label="worst", color="#a6c8e4")
+    plot.barh(y, np.nan_to_num(median), label="median", color="C0", height=0.35)
     if paper is not None:
-        place.plot(published, y, "D", color="C1", markersize=4, label="Table V")
-    place.set_yticks(y, [f"{row.split('_')[0]} {'xyz'[i]}" for row, i in cells], fontsize=7)
-    place.invert_yaxis()
-    place.set_xlim(left=0.0)
-    place.set_xlabel("deviation, % of Table III")
-    place.legend(fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+        plot.plot(published, y, "D", color="C1", markersize=4, label="Table V")
+    plot.set_yticks(y, [f"{row.split('_')[0]} {'xyz'[i]}" for row, i in cells], fontsize=7)
+    plot.invert_yaxis()
+    plot.set_xlim(left=0.0)
+    plot.set_xlabel("deviation, % of Table III")
+    plot.legend(fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 
-def _curve(place: Any, values: Any, label: str) -> None:
-    place.set_xlabel(label)
-    place.set_ylabel("percentage of cases")
+def _curve(plot: Any, values: Any, label: str) -> None:
+    plot.set_xlabel(label)
+    plot.set_ylabel("percentage of cases")
     if not len(values):
-        place.text(0.5, 0.5, "none", ha="center", transform=place.transAxes)
+        plot.text(0.5, 0.5, "none", ha="center", transform=plot.transAxes)
         return
-    place.locator_params(axis="x", nbins=4)
-    place.xaxis.set_major_formatter("{x:.5g}")
+    plot.locator_params(axis="x", nbins=4)
+    plot.xaxis.set_major_formatter("{x:.5g}")
     percent = np.linspace(0.0, 100.0, min(len(values), _MOST_POINTS))
-    place.plot(np.percentile(values, percent), percent)
+    plot.plot(np.percentile(values, percent), percent)
     for mark in (5.0, 50.0, 95.0):
-        place.axvline(float(np.percentile(values, mark)), color="0.7", linewidth=0.8)
+        plot.axvline(float(np.percentile(values, mark)), color="0.7", linewidth=0.8)
 
 
-def draw_sweep(found: dict[str, Any], path: Path) -> None:
+def draw_sweep(sweep: dict[str, Any], path: Path) -> None:
     """Draw ``sweep_figure`` into ``path``."""
     with atomic_write(path) as partial:
-        sweep_figure(found).savefig(partial, dpi=110, format="png")
+        sweep_figure(sweep).savefig(partial, dpi=110, format="png")
 
 
-def sweep_figure(found: Mapping[str, Any]) -> Figure:
+def sweep_figure(sweep: Mapping[str, Any]) -> Figure:
     """Return rate of accepted cases and propellant along the sweep, with their intervals."""
     figure = Figure(figsize=(8.0, 5.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    points = found["points"]
+    points = sweep["points"]
     x = [point["value"] for point in points]
     rate = np.array([[point["accepted_rate"][k] for k in ("low", "rate", "high")] for point in points]) * 100.0
     above.fill_between(x, rate[:, 0], rate[:, 2], alpha=0.3)
@@ -136,7 +136,7 @@ def sweep_figure(found: Mapping[str, Any]) -> Figure:
     below.fill_between(x, spent[:, 0], spent[:, 2], alpha=0.3)
     below.plot(x, spent[:, 1], marker="o")
     below.set_ylabel("propellant, kg")
-    below.set_xlabel(found["key"])
+    below.set_xlabel(sweep["key"])
     return figure
 
 
@@ -145,9 +145,9 @@ def margins_figure(column: Column) -> Figure:
     rows = []
     for name in LIMITS:
         margin, limit = (np.asarray(column(f"margin_{name}{part}"), dtype=float) for part in ("", "_limit"))
-        known = np.isfinite(margin) & (np.abs(limit) > 0.0)
-        if known.any():
-            share = margin[known] / np.abs(limit[known])
+        finite = np.isfinite(margin) & (np.abs(limit) > 0.0)
+        if finite.any():
+            share = margin[finite] / np.abs(limit[finite])
             rows.append((name, float(share.min()), *np.percentile(share, (5.0, 50.0, 95.0))))
     rows.sort(key=lambda row: row[2])
     figure = RunFigure(figsize=(8.0, 1.0 + 0.24 * len(rows)), layout="constrained")
@@ -170,9 +170,9 @@ _BINS = 12
 
 def dependence_figure(name: str, values: Any, accepted: Any) -> Figure:
     """Return the fraction of ``accepted`` cases (n,) in bins of ``values`` (n,) of equal number, with intervals."""
-    known = np.isfinite(values)
-    order = np.argsort(values[known], kind="stable")
-    x, good = values[known][order], accepted[known][order]
+    finite = np.isfinite(values)
+    order = np.argsort(values[finite], kind="stable")
+    x, good = values[finite][order], accepted[finite][order]
     figure = RunFigure(figsize=(6.0, 3.0), layout="constrained")
     plot = figure.subplots()
     parts = [part for part in np.array_split(np.arange(len(x)), _BINS) if len(part)]

@@ -151,7 +151,7 @@ class Study:
         )
 
     def degrees_of_freedom(self) -> tuple[float, float]:
-        """Return those of a run's mean square error of an axis, of position and of attitude."""
+        """Return the degrees of freedom of a run's mean square error of an axis, in position and attitude."""
         imu, dt, study = self._imu_sizes, self.step_s, self._study
         r, v, bias, rotation, drift = INITIAL_SIGMA
         force = imu.accelerometer_noise_mps2 * np.array([0.5 * dt**2, dt, 0.0])

@@ -33,7 +33,7 @@ class AxisProblem:
 
 
 def degrees_of_freedom(problem: AxisProblem, steps_per_pose: int, first: int, poses: int) -> float:
-    """Return those of the mean square error of a run of so many ``poses``, from pose number ``first`` on."""
+    """Return the degrees of freedom of a run's mean square error over ``poses`` poses from number ``first`` on."""
     n, p = len(problem.start), problem.start
     moved = np.linalg.matrix_power(problem.transition, steps_per_pose)
     errors, carried = [], []

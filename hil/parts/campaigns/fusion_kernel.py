@@ -58,16 +58,16 @@ STUDY_RESULT = np.dtype(
 
 @kernel
 def _attitude(params, t_s):
-    """Return q_CH at ``t_s``: a smooth rotation (minimum-jerk) from the initial attitude to that of H."""
-    left = 1.0
+    """Return q_CH at ``t_s``: a smooth rotation (minimum-jerk) from the initial attitude to H."""
+    remaining = 1.0
     if t_s >= params.rotation_time:
-        left = 0.0
+        remaining = 0.0
     elif t_s > 0.0:
         u = t_s / params.rotation_time
-        left = 1.0 - u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+        remaining = 1.0 - u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
     rotation = np.empty(3)
     for i in range(3):
-        rotation[i] = left * params.initial_rotation[i]
+        rotation[i] = remaining * params.initial_rotation[i]
     return quat.from_rotation_vector(rotation)
 
 
@@ -139,16 +139,16 @@ def _measure(study, truth, t_s, noise, pose):
 def _fuse_sensors(params, sensors, waiting, errors, t_s, truth, state, memory):
     """Let the sensors measure that are due, with their constant ``errors`` (sensors, errors); fuse what arrives."""
     if is_any_due(sensors, waiting, t_s):
-        rate, before, found = np.empty(3), waiting.waiting, state.sensors
+        rate, first, fused = np.empty(3), waiting.waiting, state.sensors
         rate_against_hill(truth, rate)
         measure(sensors, waiting, t_s, truth, rate, truth.r_CT_H, truth.q_CH)
-        for i in range(before, waiting.waiting):
+        for i in range(first, waiting.waiting):
             sample = waiting.sample[i]
             slot = params.sensors.slot[sample.sensor]
-            innovate(params.sensors, slot, found, sample, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, 0.0)
+            innovate(params.sensors, slot, fused, sample, truth.r_CT_H, truth.v_CT_H, truth.q_CH, rate, 0.0)
             for k in range(slot.errors):
                 for c in range(slot.n):
-                    sample.value[c] += found.innovation.h_errors[c, k] * errors[sample.sensor, k]
+                    sample.value[c] += fused.innovation.h_errors[c, k] * errors[sample.sensor, k]
     deliver(waiting, t_s, state.sensors)
     if state.sensors.arrived > 0:
         fusion.fuse_sensors(params, state, memory)
@@ -181,10 +181,10 @@ def _start(study, params, truth, imu, draws, state, memory):
 def _count(truth, filters, error, weight, result):
     """Add the present errors and variances, times ``weight``. error (6,): of the AKF."""
     for i in range(3):
-        rotation, place = error[i], truth.r_CT_H[i] - filters.pkf.x[i]
-        result.square_error[i] += weight * place * place
+        rotation, difference = error[i], truth.r_CT_H[i] - filters.pkf.x[i]
+        result.square_error[i] += weight * difference * difference
         result.square_error[3 + i] += weight * rotation * rotation
-        result.largest_error[i] = max(result.largest_error[i], abs(place))
+        result.largest_error[i] = max(result.largest_error[i], abs(difference))
         result.largest_error[3 + i] = max(result.largest_error[3 + i], abs(rotation))
         result.variance[i] += weight * filters.p[R + i, R + i]
         result.variance[3 + i] += weight * filters.p[ROTATION + i, ROTATION + i]

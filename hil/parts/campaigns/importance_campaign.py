@@ -56,17 +56,17 @@ class ImportanceSettings:
     event: RareEvent
     cases: int = CASES
     columns: ClassVar = (importance_density.LOG_WEIGHT,)
-    """Columns of the cases in addition to those of every campaign."""
+    """Columns of the cases in addition to the common ones of campaigns."""
 
     def __post_init__(self) -> None:
         event = self.event
         if event.outcome not in COLUMNS or event.side != ">" or event.threshold <= 0.0:
-            known = ", ".join(COLUMNS)
-            text = f"{event}: importance sampling needs a largest deviation, >, and a threshold above 0: one of {known}"
+            names = ", ".join(COLUMNS)
+            text = f"{event}: importance sampling needs a largest deviation, >, and a threshold above 0: one of {names}"
             raise BadInput.single("--method", "importance", text)
 
     def identity(self) -> dict[str, Any]:
-        """Return what distinguishes the folder from those of other campaigns."""
+        """Return what distinguishes the folder from other campaigns' folders."""
         return {"importance": dataclasses.asdict(self.event)}
 
     def run(self, job: CampaignJob, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:
@@ -85,11 +85,11 @@ class ImportanceSettings:
     def _density(self, job: CampaignJob, path: Path, watch: Watch) -> importance_density.ImportanceDensity | None:
         if path.is_file():
             return read_density(path)
-        found = pilot_density(job, COLUMNS.index(self.event.outcome), self.event.threshold, watch)
-        if found is not None:
+        density = pilot_density(job, COLUMNS.index(self.event.outcome), self.event.threshold, watch)
+        if density is not None:
             with atomic_write(path) as partial:
-                partial.write_text(found.text(), encoding="utf-8")
-        return found
+                partial.write_text(density.text(), encoding="utf-8")
+        return density
 
     def _estimate(self, store: Store, density: importance_density.ImportanceDensity | None) -> dict[str, Any]:
         event = self.event
@@ -118,14 +118,14 @@ def read_density(path: Path) -> importance_density.ImportanceDensity:
 def _result(values: Array, weights: Array, level: float) -> dict[str, Any]:
     """Return the estimate from the cases' values and weights, by the keys of ``rare`` in ``summary.json``."""
     terms = np.where(values > level, weights, 0.0)
-    found: dict[str, Any] = {"probability": None, "cov": None, "low": None, "high": None, "verdict": TOO_FEW_EFFECTIVE}
+    rare: dict[str, Any] = {"probability": None, "cov": None, "low": None, "high": None, "verdict": TOO_FEW_EFFECTIVE}
     total, squares = float(terms.sum()), float((terms * terms).sum())
     effective = square(total) / squares if squares else 0.0
     if effective >= _LEAST_EFFECTIVE and terms.max() <= _LARGEST_PART * total:
         probability, cov = importance_estimate(terms)
         low, high = lognormal_interval(probability, cov)
-        found = {"probability": probability, "cov": cov, "low": low, "high": high, "verdict": ESTIMATED}
-    return found | {
+        rare = {"probability": probability, "cov": cov, "low": low, "high": high, "verdict": ESTIMATED}
+    return rare | {
         "confidence": CONFIDENCE,
         "cases": len(values),
         "pilot_cases": PILOT_CASES,
@@ -169,11 +169,11 @@ def pilot_density(
         watch(Progress("pilot cases", case + 1, PILOT_CASES, 0.0))
         if not stats.ready.is_ready:
             continue
-        found = deviations(history[: int(stats.cycles)], gnc.requirements)
-        deviation = np.column_stack([found.position_m, found.velocity_mps, found.attitude_deg, found.rate_degps])[
+        errors = deviations(history[: int(stats.cycles)], gnc.requirements)
+        deviation = np.column_stack([errors.position_m, errors.velocity_mps, errors.attitude_deg, errors.rate_degps])[
             :, axis
         ]
-        of_case = peaks_of(deviation, found.t_s, float(stats.ready.ready_s))
+        of_case = peaks_of(deviation, errors.t_s, float(stats.ready.ready_s))
         number = len(dispersions)
         peaks += [(number, min(blocks - 1, math.floor(t_s / block_s)), value) for t_s, value in of_case]
         for name, (drawn, rate_hz) in runner.noise().items():
@@ -191,9 +191,9 @@ def pilot_density(
 def peaks_of(deviation: Array, t_s: Array, from_s: float) -> list[tuple[float, float]]:
     """Return time and value of the largest deviations from ``from_s`` on, ``_APART_S`` apart; deviation, t_s: (n,)."""
     size = np.where(t_s >= from_s, np.abs(deviation), 0.0)
-    found: list[tuple[float, float]] = []
-    while len(found) < _PEAKS and size.max() > 0.0:
+    peaks: list[tuple[float, float]] = []
+    while len(peaks) < _PEAKS and size.max() > 0.0:
         at = int(np.argmax(size))
-        found.append((float(t_s[at]), float(deviation[at])))
+        peaks.append((float(t_s[at]), float(deviation[at])))
         size[np.abs(t_s - t_s[at]) < _APART_S] = 0.0
-    return found
+    return peaks

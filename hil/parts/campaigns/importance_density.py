@@ -25,7 +25,7 @@ from hil.maths.special import log_sum_exp
 from hil.parts.campaigns.dispersions import case_seed
 
 LOG_WEIGHT: Final = "log_weight"
-"""Column of the cases: logarithm of the density of the scenario's noise over that of the campaign's."""
+"""Column of the cases: log ratio of the densities of the scenario's noise and the campaign's."""
 LEAD_S: Final = 64.0
 """Time before a deviation in which its noise has means."""
 CHANNELS: Final = {
@@ -77,9 +77,9 @@ class ImportanceDensity:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the density that ``text`` returned. Raises ValueError, TypeError or KeyError for any other text."""
-        found = json.loads(text)
-        means = {str(name): np.array(mean, dtype=float) for name, mean in found.pop("means").items()}
-        return cls(means=means, dispersions=np.array(found.pop("dispersions"), dtype=float), **found)
+        table = json.loads(text)
+        means = {str(name): np.array(mean, dtype=float) for name, mean in table.pop("means").items()}
+        return cls(means=means, dispersions=np.array(table.pop("dispersions"), dtype=float), **table)
 
     @property
     def distance(self) -> float:
@@ -148,8 +148,8 @@ def block_normals(normals: Array, rate_hz: float, block_s: float, blocks: int) -
     index = block_of_row(rate_hz, block_s, blocks)
     starts = np.searchsorted(index, np.arange(blocks))
     sums = np.add.reduceat(normals[: len(index)], starts, axis=0)
-    found: Array = sums / np.sqrt(np.bincount(index))[:, None]
-    return found
+    scaled: Array = sums / np.sqrt(np.bincount(index))[:, None]
+    return scaled
 
 
 def fitted_density(
@@ -175,8 +175,8 @@ def _means(normals: Array, peaks: Array, level: float, leads: int) -> Array:
     width = normals.shape[2]
     aligned = np.zeros((len(peaks), leads, width))
     for row, (case, block, _) in zip(aligned, peaks, strict=True):
-        before = normals[int(case), max(0, int(block) + 1 - leads) : int(block) + 1][::-1]
-        row[: len(before)] = before
+        window = normals[int(case), max(0, int(block) + 1 - leads) : int(block) + 1][::-1]
+        row[: len(window)] = window
     value = peaks[:, 2]
     power = float((value * value).sum())
     per_unit = (value[:, None, None] * aligned).sum(axis=0) / power
@@ -184,8 +184,8 @@ def _means(normals: Array, peaks: Array, level: float, leads: int) -> Array:
     np.add.at(scatter, peaks[:, 0].astype(int), value[:, None, None] * (aligned - value[:, None, None] * per_unit))
     noise = square(scatter).sum(axis=(0, 1)) / (power * power)
     signal = np.maximum(0.0, 1.0 - noise / square(per_unit).sum(axis=0))
-    found: Array = level * per_unit * np.where(signal < _LEAST_SIGNAL, 0.0, signal)
-    return found
+    means: Array = level * per_unit * np.where(signal < _LEAST_SIGNAL, 0.0, signal)
+    return means
 
 
 def _dispersion_means(pilot: PilotCases, power: float) -> Array:
@@ -197,24 +197,24 @@ def _dispersion_means(pilot: PilotCases, power: float) -> Array:
     cases, d = pilot.dispersions.shape
     largest = np.zeros(cases)
     np.maximum.at(largest, pilot.peaks[:, 0].astype(int), np.abs(pilot.peaks[:, 2]))
-    known = largest > 0.0
-    if d == 0 or np.count_nonzero(known) < 2 * d:
+    positive = largest > 0.0
+    if d == 0 or np.count_nonzero(positive) < 2 * d:
         return np.zeros(d)
-    matrix = np.column_stack([np.ones(np.count_nonzero(known)), pilot.dispersions[known]])
+    matrix = np.column_stack([np.ones(np.count_nonzero(positive)), pilot.dispersions[positive]])
     inverse = linear.inverse(linear.product(matrix.T, matrix))
-    logarithms = elementary.each(elementary.log, largest[known])
+    logarithms = elementary.each(elementary.log, largest[positive])
     slopes = linear.product(inverse, linear.product(matrix.T, logarithms))
     residual = logarithms - linear.product(matrix, slopes)
     sigmas = np.sqrt((residual * residual).sum() / (len(residual) - d - 1) * np.diag(inverse))
     slope = np.where(np.abs(slopes) > _LEAST_SIGMAS * sigmas, slopes, 0.0)[1:]
-    found: Array = power * slope / (1.0 + 2.0 * power * float((slope * slope).sum()))
-    return found
+    means: Array = power * slope / (1.0 + 2.0 * power * float((slope * slope).sum()))
+    return means
 
 
 def noise_drivers(density: ImportanceDensity) -> list[dict[str, Any]]:
     """Return the channels of noise that lead to the deviation, by the keys of ``rare.noise``, the largest part first.
 
-    part: of the squared distance, as of the variance of a linear system. halved_by: factor on the channel's standard
+    part: of the squared distance, as for the variance of a linear system. halved_by: factor on the channel's standard
     deviation that halves the probability, which for a first passage goes with exp(-distance^2 / 2); None if the channel
     is too small for that.
     """

@@ -24,7 +24,7 @@ from hil.parts.campaigns.statistics import wilson
 from hil.parts.campaigns.store import Store, atomic_write
 
 _FIRST_S: Final = 0.01
-_WITHIN: Final = 0.05  # of the first delay that fails
+_WITHIN: Final = 0.05  # accuracy relative to the first delay that fails
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def delay_margins(
 def _delay_margin(
     part: DelayedPart, undelayed: dict[str, Any], fly: Callable[[float], dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the margin of one part. undelayed: rate of accepted cases without a delay. fly: that of a delay, s."""
+    """Return the margin of one part. undelayed: rate of accepted cases without delay. fly: returns it with one, s."""
     points = {0.0: undelayed}
 
     def passes(delay_s: float) -> bool:
@@ -118,11 +118,11 @@ def _judged(store: Store, scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def draw_margins(found: list[dict[str, Any]], path: Path) -> None:
+def draw_margins(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw the rate of accepted cases of each part against its delay into ``path``."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     plot = figure.subplots()
-    for each in found:
+    for each in rows:
         delays = [1e3 * point["delay_s"] for point in each["points"]]
         rates = [100.0 * point["pass_rate"]["rate"] for point in each["points"]]
         plot.plot(delays, rates, marker="o", markersize=4, label=each["part"])

@@ -56,10 +56,10 @@ def page_of(folder: Path) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        found: dict[str, Any] = parse_json(read_text(path, 64 * MIB))
+        summary: dict[str, Any] = parse_json(read_text(path, 64 * MIB))
     except (OSError, ValueError, BadInput) as error:
         raise BadInput.single("hil report", "", f"{path}: cannot be read: {one_line(str(error), 200)}") from error
-    return found
+    return summary
 
 
 def _title(cases: Cases) -> str:
@@ -88,8 +88,8 @@ def _campaign(cases: Cases) -> Iterator[str]:
     yield from _worst(cases, summary)
     if summary.get("requirements"):
         yield html.heading(2, "Requirements")
-        found = [(r["id"], r["text"], limit_text(r), result_text(r), r["verdict"]) for r in summary["requirements"]]
-        yield html.table(("id", "requirement", "limit", "result", "status"), found, words=True)
+        verdicts = [(r["id"], r["text"], limit_text(r), result_text(r), r["verdict"]) for r in summary["requirements"]]
+        yield html.table(("id", "requirement", "limit", "result", "status"), verdicts, words=True)
     yield html.heading(2, "Set-up")
     rows = [(key.replace("_", " "), str(value)) for key, value in cases.identity.items()]
     yield html.table(("", ""), rows, "Identity of the campaign", words=True)
@@ -148,11 +148,11 @@ def _margin_table(cases: Cases) -> str:
     rows, case = [], cases.column("case")
     for name in LIMITS:
         margin = np.asarray(cases.column(f"margin_{name}"), dtype=float)
-        known = np.isfinite(margin)
-        if not known.any():
+        finite = np.isfinite(margin)
+        if not finite.any():
             continue
         unit, at = unit_of(name), int(np.nanargmin(margin))
-        low, median = np.percentile(margin[known], (5.0, 50.0))
+        low, median = np.percentile(margin[finite], (5.0, 50.0))
         numbers = (shown(float(value), unit) for value in (margin[at], low, median))
         rows.append((words_of(name), *numbers, str(int(case[at]))))
     return html.table(("limit", "least", "5 %", "median", "case of the least"), rows)
@@ -199,37 +199,37 @@ def _worst(cases: Cases, summary: Mapping[str, Any]) -> Iterator[str]:
     yield html.table(("case", "margin to Table III", "command"), least, "Least margins", words=True)
 
 
-def _comparison(folder: Path, found: Mapping[str, Any]) -> tuple[str, list[str]]:
+def _comparison(folder: Path, comparison: Mapping[str, Any]) -> tuple[str, list[str]]:
     body = []
-    for word, rate in (("accepted", found["accepted_rate"]), ("Table III", found["pass_rate"])):
-        rows = [(found[each], _percent(rate[each]), str(rate[f"{each}_alone"])) for each in ("first", "second")]
+    for word, rate in (("accepted", comparison["accepted_rate"]), ("Table III", comparison["pass_rate"])):
+        rows = [(comparison[each], _percent(rate[each]), str(rate[f"{each}_alone"])) for each in ("first", "second")]
         body.append(html.table(("scenario", "rate, 95 % interval", "cases of it alone"), rows, word))
     rows = [
         (name, *(f"{cell[key]:.4g}" for key in ("first_mean", "second_mean")), f"{cell['mean']:+.3g}",
          f"{cell['low']:+.3g} .. {cell['high']:+.3g}")
-        for name, cell in found["difference"].items()
+        for name, cell in comparison["difference"].items()
         if cell["low"] is not None
     ]  # fmt: skip
-    head = ("", found["first"], found["second"], "difference", f"{found['confidence']:.0%} interval")
+    head = ("", comparison["first"], comparison["second"], "difference", f"{comparison['confidence']:.0%} interval")
     body.append(html.table(head, rows, "Paired differences: the same cases in both"))
     for each in ("first", "second"):
-        body += [html.heading(1, f"{found[each]}"), *_part_of(folder / each)]
-    return f"{found['second']} against {found['first']}, {found['runs']} cases", body
+        body += [html.heading(1, f"{comparison[each]}"), *_part_of(folder / each)]
+    return f"{comparison['second']} against {comparison['first']}, {comparison['runs']} cases", body
 
 
 def _part_of(folder: Path) -> Sequence[str]:
     return list(_campaign(Cases(folder, "hil report"))) if (folder / MANIFEST).is_file() else []
 
 
-def _sweep(folder: Path, found: Mapping[str, Any]) -> tuple[str, list[str]]:
+def _sweep(folder: Path, sweep: Mapping[str, Any]) -> tuple[str, list[str]]:
     rows = []
-    for i, point in enumerate(found["points"]):
+    for i, point in enumerate(sweep["points"]):
         means = (point[name]["mean"] for name in ("propellant_kg", "firings", "ready_time_s"))
         cells = ("-" if mean is None else f"{mean:.4g}" for mean in means)
         rows.append((f"{point['value']:.6g}", _percent(point["accepted_rate"]), *cells, _cause_of(folder, i)))
     head = ("value", "accepted, 95 % interval", "propellant, kg", "firings", "ready, s", "first cause")
-    picture = html.image(f"Accepted cases and propellant by {found['key']}", svg_address(sweep_figure(found)))
-    return f"Sweep of {found['key']}", [picture, html.table(head, rows)]
+    picture = html.image(f"Accepted cases and propellant by {sweep['key']}", svg_address(sweep_figure(sweep)))
+    return f"Sweep of {sweep['key']}", [picture, html.table(head, rows)]
 
 
 def _cause_of(folder: Path, i: int) -> str:

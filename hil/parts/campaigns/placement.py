@@ -32,39 +32,39 @@ RUN_OUTCOMES: Final = (
 
 
 def outcomes_of(summary: Mapping[str, Any]) -> dict[str, float]:
-    """Return the outcomes of a run, by the columns of a campaign; summary: that of ``hil run --json``."""
+    """Return the outcomes of a run, by the columns of a campaign; summary: as in ``hil run --json``."""
     ready, navigation, thrusters = (summary.get(key) or {} for key in ("ready_phase", "navigation", "thrusters"))
     security = (summary.get("verdict") or {}).get("security") or {}
-    found = {
+    outcomes = {
         "accepted": summary.get("accepted"),
         "passed": summary.get("passed"),
         "ready_time_s": summary.get("ready_time_s"),
         "propellant_kg": thrusters.get("propellant_kg"),
     }
-    found |= {name: navigation.get(name) for name in _CONSISTENCY}
-    found |= {name: security.get(name) for name in _SECURITY}
+    outcomes |= {name: navigation.get(name) for name in _CONSISTENCY}
+    outcomes |= {name: security.get(name) for name in _SECURITY}
     if "thruster_firings" in thrusters:
-        found["firings"] = sum(thrusters["thruster_firings"])
+        outcomes["firings"] = sum(thrusters["thruster_firings"])
     for names, table in ((ROW_NAMES, ready), (_NAVIGATION, navigation)):
         for name in names:
-            found |= {f"{name}_{axis}": value for axis, value in zip(_AXES, table.get(name) or (), strict=False)}
-    return {name: float(value) for name, value in found.items() if isinstance(value, int | float)}
+            outcomes |= {f"{name}_{axis}": value for axis, value in zip(_AXES, table.get(name) or (), strict=False)}
+    return {name: float(value) for name, value in outcomes.items() if isinstance(value, int | float)}
 
 
 def place(value: float, cases: Array) -> dict[str, Any]:
-    """Return the place of a run's outcome among those of the cases, (n,), nan without one; None if there are none.
+    """Return the place of a run's outcome among the ``cases`` (n,), nan without an outcome; None if there are none.
 
     percentile: of the cases below it. p_value: probability of a rank as extreme. outside: by how much it is beyond all
     cases, in widths of their range from 5 to 95 %; 0 inside.
     """
-    known = cases[np.isfinite(cases)]
-    n = len(known)
+    finite = cases[np.isfinite(cases)]
+    n = len(finite)
     if n == 0:
         return {"value": value, "cases": 0, "percentile": None, "p_value": None, "outside": None}
-    below, equal = int(np.count_nonzero(known < value)), int(np.count_nonzero(known == value))
+    below, equal = int(np.count_nonzero(finite < value)), int(np.count_nonzero(finite == value))
     tail = min(below + equal, n - below) + 1
-    low, high = np.percentile(known, (5.0, 95.0))
-    beyond = max(0.0, value - float(known.max()), float(known.min()) - value)
+    low, high = np.percentile(finite, (5.0, 95.0))
+    beyond = max(0.0, value - float(finite.max()), float(finite.min()) - value)
     width = float(high - low)
     return {
         "value": value,
@@ -84,8 +84,8 @@ def place_run(summary: Mapping[str, Any], folder: Path) -> dict[str, dict[str, A
         text = f"{folder}: is a campaign of {campaign.scenario}, the recording one of {scenario}"
         raise BadInput.single("--campaign", "", text)
     outcomes = outcomes_of(summary).items()
-    known = {name: value for name, value in outcomes if name in cases.table.column_names}
-    return {name: place(value, np.asarray(cases.column(name), dtype=float)) for name, value in known.items()}
+    shared = {name: value for name, value in outcomes if name in cases.table.column_names}
+    return {name: place(value, np.asarray(cases.column(name), dtype=float)) for name, value in shared.items()}
 
 
 class RecordedRun(NamedTuple):
@@ -123,6 +123,6 @@ def evidence_of_runs(runs: Mapping[str, RecordedRun], folder: Path) -> tuple[str
         evidence = f"{name}, rig {run.get('rig', '-')}, seed {run.get('seed', '-')}"
         verdict = "accepted" if run.get("accepted") else "not accepted"
         sources[name] = f"rig {run.get('rig', '-')}, seed {run.get('seed', '-')}, {run.get('stop', '-')}, {verdict}"
-        known = [each for each in requirements if each["column"] in RUN_OUTCOMES]
-        rows += [run_row(each, kind, evidence, outcomes.get(each["column"])) for each in known]
+        comparable = [each for each in requirements if each["column"] in RUN_OUTCOMES]
+        rows += [run_row(each, kind, evidence, outcomes.get(each["column"])) for each in comparable]
     return campaign.scenario, sources, rows

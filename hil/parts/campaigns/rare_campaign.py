@@ -49,7 +49,7 @@ class RareSettings:
     per_level: int = PER_LEVEL
 
     columns: ClassVar = POINT_COLUMNS
-    """Columns of the cases in addition to those of every campaign."""
+    """Columns of the cases in addition to the common ones of campaigns."""
 
     @property
     def cases_per_level(self) -> int:
@@ -57,7 +57,7 @@ class RareSettings:
         return _UNIT * math.ceil(self.per_level / _UNIT)
 
     def identity(self) -> dict[str, Any]:
-        """Return what distinguishes the folder from those of other campaigns."""
+        """Return what distinguishes the folder from other campaigns' folders."""
         return {"rare": {**dataclasses.asdict(self.event), "cases_per_level": self.cases_per_level}}
 
     def method(self, seed: int) -> rare_events.Method:
@@ -216,9 +216,9 @@ def verdict_line(rare: dict[str, Any]) -> str:
         extreme = _number(rare["extreme"])
         return f"{event}: never met, probability below {rare_events.LEAST:g}; extreme {extreme} of {cases}"
     if rare["verdict"] == rare_events.STUCK:
-        known = f"{rare['without_value']} cases have no value; " if rare["without_value"] else ""
+        missing = f"{rare['without_value']} cases have no value; " if rare["without_value"] else ""
         return (
-            f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {known}"
+            f"{event}: no estimate, the levels do not advance beyond {_number(rare['extreme'])}: {missing}"
             f"probability at most {rare['high']:.2g}, {cases}"
         )
     if rare["probability"] is None:
@@ -248,7 +248,7 @@ def stored_seed(case: int, campaign_seed: int, parents: Callable[[int], tuple[in
     line = [(case, *parents(case))]
     while line[-1][1] != rare_events.FRESH:
         line.append((line[-1][1], *parents(line[-1][1])))
-    found = MixedSeed.fresh(case_seed(campaign_seed, line[-1][0]))
+    mixed = MixedSeed.fresh(case_seed(campaign_seed, line[-1][0]))
     for number, _, scale in reversed(line[:-1]):
-        found = found.moved(case_seed(campaign_seed, number), scale)
-    return found
+        mixed = mixed.moved(case_seed(campaign_seed, number), scale)
+    return mixed

@@ -72,7 +72,7 @@ class RareEvent:
 
 
 class NormalPoint(NamedTuple):
-    """A point of the standard normal space: that of ``parent``, moved by ``scale`` towards fresh normals."""
+    """A point of the standard normal space: the point ``parent``, moved by ``scale`` towards fresh normals."""
 
     number: int
     parent: int
@@ -132,11 +132,11 @@ def chain_correlation(indicator: np.ndarray) -> float:
     variance = mean * (1.0 - mean)
     if variance == 0.0:
         return 0.0
-    found = 0.0
+    excess = 0.0
     for lag in range(1, steps):
         covariance = float((values[:, :-lag] * values[:, lag:]).mean()) - mean * mean
-        found += 2.0 * (1.0 - lag / steps) * covariance / variance
-    return max(0.0, found)
+        excess += 2.0 * (1.0 - lag / steps) * covariance / variance
+    return max(0.0, excess)
 
 
 def families_cov(shares: Array, size: int, levels: int) -> float:
@@ -154,11 +154,11 @@ def method_generator(seed: int, level: int) -> np.random.Generator:
     return generator_of(seed, (_METHOD, level))
 
 
-def mixed_seeds(campaign_seed: int, points: Sequence[NormalPoint], known: dict[int, MixedSeed]) -> dict[int, MixedSeed]:
-    """Return the seeds of ``points``; those of their parents are in ``known``."""
-    found = {}
+def mixed_seeds(campaign_seed: int, points: Sequence[NormalPoint], given: dict[int, MixedSeed]) -> dict[int, MixedSeed]:
+    """Return the seeds of ``points``; those of their parents are in ``given``."""
+    seeds = {}
     for point in points:
         seed = case_seed(campaign_seed, point.number)
         fresh = point.parent == FRESH
-        found[point.number] = MixedSeed.fresh(seed) if fresh else known[point.parent].moved(seed, point.scale)
-    return found
+        seeds[point.number] = MixedSeed.fresh(seed) if fresh else given[point.parent].moved(seed, point.scale)
+    return seeds

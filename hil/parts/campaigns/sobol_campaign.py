@@ -41,7 +41,7 @@ class SobolCampaign:
 
     @staticmethod
     def identity() -> dict[str, Any]:
-        """Return what distinguishes the folder from those of other campaigns."""
+        """Return what distinguishes the folder from other campaigns' folders."""
         return {"sobol": True}
 
     def run(self, store: Store, engine: Engine, watch: Watch) -> dict[str, Any]:

@@ -15,19 +15,19 @@ import numpy as np
 from hil.core.messages import Array
 from hil.maths.random_streams import MixedSeed
 
-_REPETITIONS: Final = 1000  # of the bootstrap
+_REPETITIONS: Final = 1000  # repetitions of the bootstrap
 _ROW: Final = 4  # of the spawn keys of a campaign's seed
 
 
 def sobol_point(campaign_seed: int, case: int, d: int) -> tuple[Array, MixedSeed]:
     """Return the point of ``case`` in the unit cube of ``d`` dispersed numbers, (d,), and the seed of its noise."""
-    row, place = divmod(case, d + 3)
+    row, column = divmod(case, d + 3)
     sequence = np.random.SeedSequence(campaign_seed, spawn_key=(_ROW, row))
     a, b = np.random.Generator(np.random.PCG64(sequence)).random((2, d))
     seeds = sequence.generate_state(2, np.uint64) >> np.uint64(1)
-    of_b = np.full(d + 1, place == 1)
-    if place >= 2:
-        of_b[place - 2] = True
+    of_b = np.full(d + 1, column == 1)
+    if column >= 2:
+        of_b[column - 2] = True
     return np.where(of_b[:d], b, a), MixedSeed.fresh(int(seeds[int(of_b[d])]))
 
 
@@ -37,8 +37,8 @@ def sobol_indices(a: Array, b: Array, mixed: Array, seed: int = 0) -> dict[str, 
     a, b: (n,) outcomes of the two sets. mixed: (d, n), with one number of ``b`` in ``a``. Rows with a value that is not
     finite are left out. Indices are nan for an outcome without variance.
     """
-    known = np.isfinite(a) & np.isfinite(b) & np.isfinite(mixed).all(axis=0)
-    a, b, mixed = a[known], b[known], mixed[:, known]
+    complete = np.isfinite(a) & np.isfinite(b) & np.isfinite(mixed).all(axis=0)
+    a, b, mixed = a[complete], b[complete], mixed[:, complete]
     d, n = mixed.shape
     if n < 2 or np.ptp(np.concatenate([a, b])) == 0.0:
         return {"first": np.full((d, 3), np.nan), "total": np.full((d, 3), np.nan)}
@@ -53,18 +53,18 @@ def sobol_indices(a: Array, b: Array, mixed: Array, seed: int = 0) -> dict[str, 
         row[:] = (products @ counts) / (squares @ counts)
     tail = 2.5
     low, high = np.percentile(drawn, (tail, 100.0 - tail), axis=0)
-    found = np.stack([index, low, high], axis=1)
-    return {"first": found[:d], "total": found[d:]}
+    intervals = np.stack([index, low, high], axis=1)
+    return {"first": intervals[:d], "total": intervals[d:]}
 
 
-def index_rows(found: dict[str, Array], names: list[str]) -> list[dict[str, Any]]:
+def index_rows(indices: dict[str, Array], names: list[str]) -> list[dict[str, Any]]:
     """Return the indices of each dispersed number, the largest total one first."""
-    order = np.argsort(-np.nan_to_num(found["total"][:, 0], nan=-1.0), kind="stable")
+    order = np.argsort(-np.nan_to_num(indices["total"][:, 0], nan=-1.0), kind="stable")
     rows = []
     for i in order:
         cells: dict[str, Any] = {"dispersion": names[i]}
         for kind in ("first", "total"):
-            index, low, high = (float(x) if np.isfinite(x) else None for x in found[kind][i])
+            index, low, high = (float(x) if np.isfinite(x) else None for x in indices[kind][i])
             cells[kind] = {"index": index, "low": low, "high": high}
         rows.append(cells)
     return rows

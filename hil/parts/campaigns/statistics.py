@@ -52,12 +52,12 @@ def wilson(passed: int, runs: int) -> dict[str, float | int]:
 
 def mean_interval(values: Array) -> dict[str, float | int | None]:
     """Return the mean of ``values`` with Student's interval of ``CONFIDENCE``; None if there are too few."""
-    known = values[np.isfinite(values)]
-    n = len(known)
+    finite = values[np.isfinite(values)]
+    n = len(finite)
     if n < 2:
-        return {"n": n, "mean": float(known[0]) if n else None, "low": None, "high": None}
-    half = float(scipy.stats.t.ppf(0.5 * (1.0 + CONFIDENCE), n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
-    mean = float(known.mean())
+        return {"n": n, "mean": float(finite[0]) if n else None, "low": None, "high": None}
+    half = float(scipy.stats.t.ppf(0.5 * (1.0 + CONFIDENCE), n - 1)) * float(finite.std(ddof=1)) / math.sqrt(n)
+    mean = float(finite.mean())
     return {"n": n, "mean": mean, "low": mean - half, "high": mean + half}
 
 
@@ -81,10 +81,10 @@ def _stops(store: Store) -> list[dict[str, Any]]:
     """Return the most frequent reasons why cases ended early or could not be run, each with its first case."""
     stop, abort = store.column("stop"), store.column("abort")
     reasons = np.where(stop != COMPLETED, stop, np.where(abort != "", "aborted: " + abort.astype(object), ""))
-    found, first, count = np.unique(reasons.astype(str), return_index=True, return_counts=True)
+    texts, first, count = np.unique(reasons.astype(str), return_index=True, return_counts=True)
     rows: list[dict[str, Any]] = [
         {"reason": str(reason), "cases": int(n), "first_case": int(i)}
-        for reason, i, n in zip(found, first, count, strict=True)
+        for reason, i, n in zip(texts, first, count, strict=True)
         if reason
     ]
     return sorted(rows, key=lambda row: (-row["cases"], row["first_case"]))[:_REASONS]
@@ -93,35 +93,35 @@ def _stops(store: Store) -> list[dict[str, Any]]:
 def _worst(store: Store, scenario: str, case: Array) -> dict[str, list[dict[str, Any]]]:
     """Return for each row and axis of Table III the largest deviation of all cases, its case, and Table V's value."""
     paper = TABLE_V.get(scenario)
-    found: dict[str, list[dict[str, Any]]] = {}
+    worst: dict[str, list[dict[str, Any]]] = {}
     for row in ROW_NAMES:
-        found[row] = []
+        worst[row] = []
         for i, axis in enumerate("xyz"):
             values = store.column(f"{row}_{axis}")
-            known = np.isfinite(values).any()
-            at = int(np.nanargmax(values)) if known else None
-            found[row].append(
+            has_value = np.isfinite(values).any()
+            at = int(np.nanargmax(values)) if has_value else None
+            worst[row].append(
                 {
                     "value": None if at is None else float(values[at]),
                     "case": None if at is None else int(case[at]),
                     "table_v": getattr(paper, row)[i] if paper else None,
                 }
             )
-    return found
+    return worst
 
 
 def percentiles(values: Array) -> dict[str, float | int | None]:
     """Return number, extremes and ``PERCENTILES`` of ``values`` (n,), without those that are missing."""
-    known = np.asarray(values, dtype=float)
-    known = known[np.isfinite(known)]
-    if not len(known):
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    if not len(finite):
         return {"n": 0}
-    cut = np.percentile(known, PERCENTILES)
+    cut = np.percentile(finite, PERCENTILES)
     return {
-        "n": len(known),
-        "least": float(known.min()),
+        "n": len(finite),
+        "least": float(finite.min()),
         **{f"p{p:g}": float(v) for p, v in zip(PERCENTILES, cut, strict=True)},
-        "greatest": float(known.max()),
+        "greatest": float(finite.max()),
     }
 
 
@@ -145,7 +145,7 @@ def compare(first: HasColumns, second: HasColumns, names: tuple[str, str]) -> di
 
     Cases in which one of both has no value are omitted.
     """
-    found: dict[str, Any] = {
+    comparison: dict[str, Any] = {
         "first": names[0],
         "second": names[1],
         "runs": len(first.column("passed")),
@@ -158,8 +158,8 @@ def compare(first: HasColumns, second: HasColumns, names: tuple[str, str]) -> di
         a, b = (np.asarray(store.column(name), dtype=float) for store in (first, second))
         both = np.isfinite(a) & np.isfinite(b)
         means = (float(a[both].mean()), float(b[both].mean())) if both.any() else (None, None)
-        found["difference"][name] = {"first_mean": means[0], "second_mean": means[1], **mean_interval(b - a)}
-    return found
+        comparison["difference"][name] = {"first_mean": means[0], "second_mean": means[1], **mean_interval(b - a)}
+    return comparison
 
 
 def paired_rates(first: HasColumns, second: HasColumns, flag: str) -> dict[str, Any]:

@@ -127,11 +127,11 @@ class Store:
 
     def _check(self, manifest: Path, identity: dict[str, Any]) -> None:
         try:
-            found = parse_json(read_text(manifest, CONFIG_BYTES))
+            stored = parse_json(read_text(manifest, CONFIG_BYTES))
         except (BadInput, ValueError) as error:
             raise BadInput.single("--out", "", f"{manifest}: cannot be read: {error}") from error
-        if found != identity:
-            held = found if isinstance(found, dict) else {}
+        if stored != identity:
+            held = stored if isinstance(stored, dict) else {}
             different = [key for key in {**identity, **held} if held.get(key) != identity.get(key)]
             text = f"{self.folder}: holds another campaign ({_listed(held, different)}; asked for: "
             text += f"{_listed(identity, different)}), give a new folder"

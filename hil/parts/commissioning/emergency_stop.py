@@ -106,14 +106,14 @@ class EmergencyStopTest:
         occurred: Callable[[IoInputs], bool],
         limit_s: float,
         expected: str,
-        found: str,
+        observed: str,
         advice: str,
     ) -> None:
         start_s = now_s = self._rate.now_s()
         while not occurred(self._poll(lines, now_s)):
             if now_s - start_s > limit_s:
                 raise StepFailed(
-                    _WHAT, expected, f"{found} after {limit_s:g} s", f"check {advice} (docs/how-to/set-up-a-rig.md)"
+                    _WHAT, expected, f"{observed} after {limit_s:g} s", f"check {advice} (docs/how-to/set-up-a-rig.md)"
                 )
             now_s = self._next_cycle()
 
@@ -149,8 +149,8 @@ class EmergencyStopTest:
             raise StepFailed(_WHAT, "the drives lose their power", "no by the technician", advice)
 
 
-_PAUSE_WALL_S: Final = 0.15  # of the watchdog process, beyond the relay's time-out
-_LONGEST_PAUSE: Final = 0.8  # of the coupler's time-out: a longer pause ends its link
+_PAUSE_WALL_S: Final = 0.15  # pause of the watchdog process beyond the relay's time-out
+_LONGEST_PAUSE: Final = 0.8  # fraction of the coupler's time-out: a longer pause ends its link
 _RESUMED_WALL_S: Final = 0.08
 _TORQUE_OFF_S: Final = 0.5  # until both devices report it
 
@@ -225,9 +225,9 @@ class ChainTests:
             while lines.brakes_closed(now_s) is released:
                 if now_s - begun_s > time_s + BRAKE_CONFIRMED_S:
                     expected = f"{'open' if released else 'closed'} within {time_s:g} s"
-                    found = "closed" if released else "not closed"
+                    state = "closed" if released else "not closed"
                     advice = "check the brakes' supply, their contact, and close_s and open_s in the rig file"
-                    raise StepFailed("io: holding brakes", expected, found, advice)
+                    raise StepFailed("io: holding brakes", expected, state, advice)
                 now_s = sequencer.tick().now_s
             text = "open" if released else "closed"
             self._prompt.show(f"io: holding brakes read as {text} after {now_s - begun_s:.2f} s")

@@ -32,14 +32,14 @@ _TRAVEL_FRACTION: Final = 0.25
 _STEPS: Final = 8
 _STEP_PERIOD_S: Final = 0.5
 _STEP_CYCLES: Final = 5  # largest duration of a step that the acceleration limit does not allow in one cycle
-_STEP_FRACTION: Final = 0.9  # of the speed change that the acceleration limit allows in a cycle
+_STEP_FRACTION: Final = 0.9  # fraction of the speed change that the acceleration limit allows in a cycle
 _FITTED_S: Final = 2.0  # least, of each sine without its fading in and out
 _FITTED_PERIODS: Final = 2
 _PROGRESS_CYCLES: Final = 10
 _SETTLE_S: Final = 3.0
 RESIDUAL_MAX: Final = 0.1
 DELAY_SIGMA_MAX_S: Final = 0.002
-GAIN_ERROR_MAX: Final = 0.1  # of the lowest frequency: an axis that is stuck or wrongly scaled exceeds it
+GAIN_ERROR_MAX: Final = 0.1  # gain error at the lowest frequency: an axis that is stuck or wrongly scaled exceeds it
 
 Path = Callable[[int, float], tuple[float, float]]
 """Returns, for a cycle and the time since the first one, position about the centre and rate."""
@@ -219,12 +219,12 @@ class Identification:
         self._target.rail_m, self._target.gimbal_rad = position[:3], position[3:]
         self._target.rail_mps, self._target.gimbal_radps = speed[:3], speed[3:]
 
-    def _next(self, before: Tick, counts: bool = True) -> Tick:
+    def _next(self, previous: Tick, counts: bool = True) -> Tick:
         """Wait for the next cycle, with the safety checks of a run."""
         tick = self._sequencer.tick()
         self._sequencer.hold_requested(Mode.PLACING)
         if counts:
-            self._done_s += tick.now_s - before.now_s
+            self._done_s += tick.now_s - previous.now_s
         if self._sequencer.ticks % _PROGRESS_CYCLES == 0:
             self._on_progress(self._title, min(1.0, self._done_s / self._all_s))
         return tick

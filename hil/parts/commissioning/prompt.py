@@ -76,12 +76,12 @@ def ask_meanwhile(prompt: OperatorPrompt, question: str, meanwhile: Callable[[],
 class StepFailed(Exception):
     """Failed step of commissioning; nothing is signed off.
 
-    what: axis or device, and the step. expected, found: with units. advice: the remedy.
+    what: axis or device, and the step. expected, observed: with units. advice: the remedy.
     """
 
-    def __init__(self, what: str, expected: str, found: str, advice: str) -> None:
+    def __init__(self, what: str, expected: str, observed: str, advice: str) -> None:
         self.what = what
         self.expected = expected
-        self.found = found
+        self.observed = observed
         self.advice = advice
-        super().__init__(f"{what}: expected {expected}, found {found}; {advice}")
+        super().__init__(f"{what}: expected {expected}, found {observed}; {advice}")

@@ -112,19 +112,19 @@ def fit_step(series: Series) -> StepFit:
         ((delay, lag) for delay in delays for lag in lags),
         key=lambda p: float(np.sum(residuals(np.array([*p, 0.0])) ** 2)),
     )
-    found = least_squares(
+    solution = least_squares(
         residuals,
         [*first, 0.0],
         bounds=([-0.1, 1e-4, -1.0], [0.5, 2.0 * _LONGEST_LAG_S, 1.0]),
         x_scale=[0.01, 0.01, 0.01],
     )
-    sigma = _sigmas(found.jac, found.fun)
+    sigma = _sigmas(solution.jac, solution.fun)
     return StepFit(
-        delay_s=float(found.x[0]),
+        delay_s=float(solution.x[0]),
         delay_sigma_s=float(sigma[0]),
-        lag_s=float(found.x[1]),
+        lag_s=float(solution.x[1]),
         lag_sigma_s=float(sigma[1]),
-        residual=float(np.sqrt(np.mean(found.fun**2))),
+        residual=float(np.sqrt(np.mean(solution.fun**2))),
     )
 
 
@@ -206,12 +206,12 @@ def _delay(slow: Sequence[Point]) -> tuple[float, float]:
     scale = np.linalg.norm(basis, axis=0)
     weighted = (basis / scale) * weight[:, None]
     phase = weight * np.array([p.phase_rad for p in slow])
-    found, *_ = np.linalg.lstsq(weighted, phase, rcond=None)
-    rest = phase - weighted @ found
+    coefficients, *_ = np.linalg.lstsq(weighted, phase, rcond=None)
+    rest = phase - weighted @ coefficients
     # at least the scatter of the sines, larger if the points deviate from the model
     excess = max(1.0, float(np.sum(rest**2)) / max(1, len(slow) - basis.shape[1]))
     variance = np.linalg.pinv(weighted.T @ weighted)[0, 0] * excess
-    return float(found[0] / scale[0]), float(math.sqrt(variance) / scale[0])
+    return float(coefficients[0] / scale[0]), float(math.sqrt(variance) / scale[0])
 
 
 def _bandwidth(points: Sequence[Point], setpoint_age_s: float) -> float | None:

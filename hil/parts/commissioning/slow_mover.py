@@ -22,7 +22,7 @@ CRAWL_FRACTION: Final = 0.1  # largest, of an axis' speed limit
 QUARTER: Final = 0.25
 _DEVIATION_M: Final = 0.005  # between command and encoder at crawl speed; beyond it the axis is stopped
 _DEVIATION_RAD: Final = math.radians(0.5)
-_CATCH_UP: Final = 1.5  # of the speed of a move, for an axis that is behind: its deviation is watched closely
+_CATCH_UP: Final = 1.5  # speed over that of the move, for an axis that lags: its deviation is monitored
 _SETTLE_S: Final = 3.0
 _SETTLING_S: Final = 0.2
 
@@ -165,9 +165,9 @@ class SlowMover:
         if abs(measured - commanded) <= (_DEVIATION_M if axis < 3 else _DEVIATION_RAD):
             return
         name = self._bench.axis_names[axis]
-        found = f"{shown(axis, measured)} by the encoder"
+        observed = f"{shown(axis, measured)} by the encoder"
         if commanded * measured < 0.0:
             advice = "encoder and motor have opposite signs: invert one of them in the drive"
-            raise StepFailed(f"{name}: sign", shown(axis, commanded), found, advice)
+            raise StepFailed(f"{name}: sign", shown(axis, commanded), observed, advice)
         advice = "the axis does not follow: check brake, coupling, encoder and the drive's error message"
-        raise StepFailed(f"{name}: following", shown(axis, commanded), found, advice)
+        raise StepFailed(f"{name}: following", shown(axis, commanded), observed, advice)

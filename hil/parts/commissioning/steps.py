@@ -25,7 +25,7 @@ _MOVE_M, _MOVE_RAD = 0.020, math.radians(2.0)
 _TRAVEL_FRACTION: Final = 0.25  # largest, of such a move
 _SHORT_OF_END_M, _SHORT_OF_END_RAD = 0.005, math.radians(0.5)
 _LAST_M, _LAST_RAD = 0.05, math.radians(5.0)  # before an end of the travel, at crawl speed
-_STRAIGHT_M: Final = 0.1  # of the dry run, from the start pose towards the target
+_STRAIGHT_M: Final = 0.1  # distance of the dry run, from the start pose towards the target
 _SWITCH_TEXTS: Final = {-1: "on the low switch", 0: "off its switches", 1: "on the high switch"}
 
 TruePosition = Callable[[int, float], float]
@@ -146,9 +146,9 @@ class Commissioning:
         distance = self._test_distance(axis, float(start[axis]))
         target = start.copy()
         target[axis] += distance
-        before = self._measured(mover, axis)
+        reading = self._measured(mover, axis)
         there = mover.crawl(axis, target)
-        measured = self._measured(mover, axis) - before
+        measured = self._measured(mover, axis) - reading
         error = self._scale_error(axis, distance, there, measured)
         self._prompt.show(
             f"{name}: commanded {shown(axis, distance)}, encoder {shown(axis, float(there.travelled[axis]))}, "
@@ -178,14 +178,14 @@ class Commissioning:
         allowed = f"{shown(axis, distance)} within {100.0 * SCALE_ERROR_MAX:g} %"
         advice = "set the counts per revolution in the drive, or the scale in the rig file"
         if abs(error) > SCALE_ERROR_MAX:
-            found = f"{shown(axis, float(move.travelled[axis]))} by the encoder"
-            raise StepFailed(f"{name}: scale", allowed, found, advice)
-        found = f"{shown(axis, measured)} measured"
+            observed = f"{shown(axis, float(move.travelled[axis]))} by the encoder"
+            raise StepFailed(f"{name}: scale", allowed, observed, advice)
+        observed = f"{shown(axis, measured)} measured"
         if measured * distance < 0.0:
             signs = "motor and encoder both have the wrong sign: invert both in the drive"
-            raise StepFailed(f"{name}: sign", allowed, found, signs)
+            raise StepFailed(f"{name}: sign", allowed, observed, signs)
         if abs(measured / distance - 1.0) > SCALE_ERROR_MAX:
-            raise StepFailed(f"{name}: scale", allowed, found, advice)
+            raise StepFailed(f"{name}: scale", allowed, observed, advice)
         return error
 
     def _limits(self, mover: SlowMover) -> None:
@@ -238,8 +238,8 @@ class Commissioning:
             )
             if fastest[axis] > self._params.rate_max[axis]:
                 limit = f"at most {size(axis, float(self._params.rate_max[axis]))}/s"
-                found = f"{size(axis, float(fastest[axis]))}/s"
-                raise StepFailed(f"{name}: speed", limit, found, "check the drive's speed limit and scale")
+                observed = f"{size(axis, float(fastest[axis]))}/s"
+                raise StepFailed(f"{name}: speed", limit, observed, "check the drive's speed limit and scale")
         return worst
 
     def _axes_at(self, on_m: float) -> Array:

@@ -29,7 +29,7 @@ from hil.session import build
 
 @dataclass
 class ConsoleBench:
-    """Runner and its outputs. event_recorder: recorder of operator actions. numbers: as of ``accumulate``."""
+    """Runner and its outputs. event_recorder: recorder of operator actions. numbers: see ``accumulate``."""
 
     runner: Runner
     telemetry: Ring

@@ -73,9 +73,9 @@ class CameraEmulator:
         """Pass on the fault of lost packets until ``stop`` is set; the library's thread serves the camera."""
         lost = 0.0
         while not stop.wait(_POLL_WALL_S):
-            wanted = 1.0 if self.faults.value("link_down") is not None else self.faults.value("drop") or 0.0
-            if wanted != lost:
-                lost = wanted
+            loss = 1.0 if self.faults.value("link_down") is not None else self.faults.value("drop") or 0.0
+            if loss != lost:
+                lost = loss
                 assert self._camera is not None
                 self._library.set_number(self._camera, "gvsp-lost-ratio", lost)
 

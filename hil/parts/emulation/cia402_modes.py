@@ -13,7 +13,7 @@ from hil.drivers.turntable.cia402 import codec as codec
 from hil.drivers.turntable.cia402.objects import ObjectDictionary
 from hil.parts.emulation.emulated_axes import EmulatedAxes
 
-_BIT_4 = 0x10  # of the controlword: start
+_BIT_4 = 0x10  # controlword bit: start
 _FOLLOWS = 0x1000  # statusword in cyclic synchronous position: the drive follows the target
 _CLOSE_COUNTS = 50
 _HOMING_WORD = {

@@ -22,13 +22,13 @@ from hil.parts.emulation.shared_state import ChainState, SharedAxisState
 STEP_S: Final = 0.004  # longest time between two updates of the axes, as BenchClock.paced_s
 WATCHDOG_S: Final = 0.5
 _SUBSTEP_S: Final = 0.002
-_SAMPLING_S: Final = 1e-4  # of a drive's encoder: what is asked more often is answered with the last sample
+_SAMPLING_S: Final = 1e-4  # sampling of a drive's encoder: requests in between return the last sample
 _PUBLISHED_S: Final = 0.001  # least time between two writes of the shared state
 _TIME_SLACK_S: Final = 1e-9
-_STANDSTILL: Final = 2e-3  # of m/s or rad/s
+_STANDSTILL: Final = 2e-3  # speed, m/s or rad/s
 _SWITCH: Final = 1e-6  # m or rad from the end stop, at which its limit switch closes
 _HOMING_TIME_MAX_S: Final = 120.0
-_GRAVITY_MPS2: Final = 9.81  # of a gravity-loaded gimbal rad/s2: its load is 1 m from the axis
+_GRAVITY_MPS2: Final = 9.81  # rad/s^2 for a gravity-loaded gimbal, whose load is 1 m from the axis
 _FRICTION: Final = 0.5  # deceleration of an axis without torque, in acceleration limits
 _BRAKE: Final = 4.0  # deceleration by a closed holding brake, in acceleration limits; at least twice the weight
 
@@ -85,14 +85,14 @@ class EmulatedAxes:
         ]
         self._falls = [axis.falls for axis in axes]
         self._enabled = [False] * n
-        self._current_until_s = [-math.inf] * n  # of a disabled drive, until its brake has closed
+        self._current_until_s = [-math.inf] * n  # end of the current of a disabled drive: its brake has closed
         self._runaway: list[float | None] = [None] * n
         self._sigma = config.si("encoder_sigma")
         self._noise = stream(seed, "encoders", device)
         self._absolute = [axis.encoder == "absolute" for axis in axes]
         self._home = np.array([axis.si("home") for axis in axes])
         self._homing_rate = np.array([axis.si("homing_rate") for axis in axes])
-        self.homing = [Homing.DONE if known else Homing.NEEDED for known in self._absolute]
+        self.homing = [Homing.DONE if absolute else Homing.NEEDED for absolute in self._absolute]
         # an incremental encoder counts from where it was switched on
         self._offset = np.where(self._absolute, 0.0, -self._axes.position)
         self._damage = np.zeros(n)  # part of it that faults have left
@@ -125,8 +125,8 @@ class EmulatedAxes:
     @property
     def limit(self) -> tuple[int, ...]:
         """The limit switch that each axis stands on: -1 low, 1 high, 0 none."""
-        place, low, high = self._axes.position, self._axes.low + _SWITCH, self._axes.high - _SWITCH
-        return tuple(-1 if place[i] <= low[i] else 1 if place[i] >= high[i] else 0 for i in range(len(self.names)))
+        at, low, high = self._axes.position, self._axes.low + _SWITCH, self._axes.high - _SWITCH
+        return tuple(-1 if at[i] <= low[i] else 1 if at[i] >= high[i] else 0 for i in range(len(self.names)))
 
     def moving(self, axis: int) -> bool:
         """Whether the axis moves faster than the standstill limit."""
@@ -195,10 +195,10 @@ class EmulatedAxes:
             self._t_s += step_s
             for axis in range(len(self.names)):
                 self._supervise(axis)
-            before = self._axes.position.copy(), self._axes.rate.copy()
+            previous = self._axes.position.copy(), self._axes.rate.copy()
             self._axes.step(step_s)
             for axis in range(len(self.names)):
-                self._apply_missing_torque(axis, before[0][axis], before[1][axis], step_s)
+                self._apply_missing_torque(axis, previous[0][axis], previous[1][axis], step_s)
             self._hold_stuck_axes()
         self._update_encoders()
         if self._t_s >= self._published_s + _PUBLISHED_S:
@@ -226,9 +226,9 @@ class EmulatedAxes:
             rate = rate_of_runaway
         else:
             rate = self._rate_without_torque(axis, rate, braked, step_s)
-        wanted = position + step_s * rate
-        place = min(max(wanted, axes.low[axis]), axes.high[axis])
-        axes.displace(axis, place, rate if place == wanted else 0.0)
+        target = position + step_s * rate
+        reached = min(max(target, axes.low[axis]), axes.high[axis])
+        axes.displace(axis, reached, rate if reached == target else 0.0)
 
     def _rate_without_torque(self, axis: int, rate: float, braked: bool, step_s: float) -> float:
         """Return the rate after ``step_s``, m/s or rad/s, by gravity, friction and holding brake."""
@@ -272,9 +272,9 @@ class EmulatedAxes:
 
         A reversed encoder makes the axis run away.
         """
-        place = self._axes.counted[axis]
-        error = self._setpoint[axis] - (self._count[axis] * place + self._offset[axis])
-        self._axes.setpoint[axis] = place + error / self._gear[axis]
+        counted = self._axes.counted[axis]
+        error = self._setpoint[axis] - (self._count[axis] * counted + self._offset[axis])
+        self._axes.setpoint[axis] = counted + error / self._gear[axis]
         return float(error)
 
     def _check_window(self, axis: int, error: float) -> None:
@@ -294,8 +294,8 @@ class EmulatedAxes:
 
     def _step_homing(self, axis: int) -> None:
         """Advance homing by one step."""
-        place, home = self._axes.position[axis], self._home[axis]
-        way = home - place
+        position, home = self._axes.position[axis], self._home[axis]
+        way = home - position
         if abs(way) <= self._homing_rate[axis] * _SUBSTEP_S:
             self._offset[axis] = self._damage[axis] = 0.0
             self._count[axis] = 1.0

@@ -79,8 +79,8 @@ class EmulatedDevices:
 
     def process_of(self, address: str) -> str:
         """Return the name of the process that serves the wire or control port ``address``, as in ``pids``."""
-        found = [name for name in self._processes if address == name or address.startswith(f"{name}.")]
-        return max(found, key=len)
+        owners = [name for name in self._processes if address == name or address.startswith(f"{name}.")]
+        return max(owners, key=len)
 
     def wait_ready(self) -> tuple[Rig, dict[str, str]]:
         """Return the rig with the wires that the emulators opened, and the address of each wire and control port.

@@ -79,8 +79,8 @@ class Faults:
     def shown(self) -> str:
         """Return what is on, in one line."""
         with self._lock:
-            found = [f"{kind} {axis} {value:g}".replace("  ", " ") for (kind, axis), value in self._on.items()]
-        return ", ".join(found) or "none"
+            active = [f"{kind} {axis} {value:g}".replace("  ", " ") for (kind, axis), value in self._on.items()]
+        return ", ".join(active) or "none"
 
     def execute(self, line: str) -> str:
         """Execute a line of the control port; return the response line."""
@@ -109,12 +109,12 @@ class Faults:
         return f"error: allowed: on FAULT, off FAULT, clear, list; faults: {self._menu()}"
 
     def _kind(self, kind: str, axis: str) -> ErrorTerm:
-        known = self.kinds.get(kind)
-        if known is None:
+        term = self.kinds.get(kind)
+        if term is None:
             raise ValueError(f"unknown fault {kind!r}, {self.device} has: {self._menu()}")
-        if known.of_axis and axis not in self.axes:
+        if term.of_axis and axis not in self.axes:
             raise ValueError(f"{kind} {axis!r}: give an axis, one of {', '.join(self.axes)}")
-        return known
+        return term
 
     def _menu(self) -> str:
         def entry(name: str, term: ErrorTerm) -> str:

@@ -13,7 +13,7 @@ from hil.maths.random_streams import stream
 from hil.parts.emulation.fault_injection import Faults, FaultyChannel
 from hil.parts.emulation.pty_line import PtyLine
 
-_CATCHES_UP: Final = 0.25  # of a period: a measurement that is later than this does not take place
+_CATCHES_UP: Final = 0.25  # fraction of a period: a later measurement is dropped
 
 
 class LineSensorEmulator:

@@ -76,16 +76,16 @@ class LockStepWire:
 
     def read(self, descriptor: int, size: int) -> bytes:
         """Return the pending bytes, at most ``size``, as soon as the wire has delivered them."""
-        wanted = min(self.pending, size)
+        remaining = min(self.pending, size)
         parts: list[bytes] = []
-        while wanted > 0:
+        while remaining > 0:
             select.select([descriptor], [], [])
-            part = os.read(descriptor, wanted)
+            part = os.read(descriptor, remaining)
             if not part:
                 break
             self.received(len(part))
             parts.append(part)
-            wanted -= len(part)
+            remaining -= len(part)
         return b"".join(parts) if parts else os.read(descriptor, size) if self.is_readable else b""
 
     def write(self, descriptor: int, data: bytes) -> int:
@@ -430,7 +430,7 @@ class LockStepConductor(LockStepClock):
 
 
 def _state(process: int) -> str:
-    """Return the state of a process as of proc(5), "X" for one that has gone."""
+    """Return the state of a process as in proc(5), "X" for one that has gone."""
     with suppress(OSError, IndexError):
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
     return "X"

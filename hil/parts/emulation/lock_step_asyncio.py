@@ -58,21 +58,21 @@ class _LockStepSelector(selectors.DefaultSelector):
             deadline_ns = self._clock.deadline_ns(math.inf if timeout is None else timeout)
             self._clock.wait_until_ns(deadline_ns, listens, self.accepts)
         self.called.clear()
-        found: list[tuple[selectors.SelectorKey, int]] = super().select(0.0)
-        while not self._expected() <= {key.fd for key, _ in found}:
+        events: list[tuple[selectors.SelectorKey, int]] = super().select(0.0)
+        while not self._expected() <= {key.fd for key, _ in events}:
             time.sleep(_DELIVERY_WALL_S)
-            found = super().select(0.0)
-        return sorted(found, key=lambda ready: ready[0].fd)  # in the same order each time
+            events = super().select(0.0)
+        return sorted(events, key=lambda ready: ready[0].fd)  # in the same order each time
 
     def _expected(self) -> set[int]:
         """Return the descriptors that are or will be ready by themselves: of counted bytes, of a new connection."""
-        found = set()
+        descriptors = set()
         keys: dict[int, selectors.SelectorKey] = self._fd_to_key  # type: ignore[attr-defined]
         for descriptor, key in keys.items():
             wire = self.wires.get(descriptor)
             if key.events & selectors.EVENT_WRITE or (wire is not None and wire.is_readable):
-                found.add(descriptor)
-        return found
+                descriptors.add(descriptor)
+        return descriptors
 
 
 class LockStepEventLoop(asyncio.SelectorEventLoop):

@@ -133,17 +133,17 @@ class LockStepPage:
         digest = int.from_bytes(hashlib.blake2b(key.encode(), digest_size=7).digest(), "little") + 1
         words = self.words
         with self.locked():
-            found = next((each for each in range(_WIRES) if words[wire_at(each) + KEY] == digest), None)
-            if found is None:
-                found = next(each for each in range(_WIRES) if words[wire_at(each) + KEY] == 0)
+            slot = next((each for each in range(_WIRES) if words[wire_at(each) + KEY] == digest), None)
+            if slot is None:
+                slot = next(each for each in range(_WIRES) if words[wire_at(each) + KEY] == 0)
                 for word in range(_WIRE_WORDS):
-                    words[wire_at(found) + word] = 0
-                words[wire_at(found) + KEY] = digest
-            at = wire_at(found)
+                    words[wire_at(slot) + word] = 0
+                words[wire_at(slot) + KEY] = digest
+            at = wire_at(slot)
             words[at + OWNER + end] = os.getpid()
             words[at + CLOSED + end] = 0
             words[at + ATTACHED + end] = 1
-        return found
+        return slot
 
 
 def wire_at(wire: int) -> int:

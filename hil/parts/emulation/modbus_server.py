@@ -41,7 +41,7 @@ class EmulatedRailDrive:
         self._fault = 0
         self._echo = 0
         self._homing = False
-        self._homing_deadline_s = math.inf  # of the watchdog
+        self._homing_deadline_s = math.inf  # deadline of the watchdog
 
     @property
     def held(self) -> bool:

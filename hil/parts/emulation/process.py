@@ -66,7 +66,7 @@ def make_emulator(configuration: Message) -> Emulator:
     if device == "monitor":
         from hil.parts.emulation.emulated_cameras import emulated_television
 
-        assert isinstance(clock, WallClock)  # as of ``check_lock_step``
+        assert isinstance(clock, WallClock)  # ensured by ``check_lock_step``
         return emulated_television(scenario, rig, seed, board, clock)
     if device == "sensor":
         from hil.parts.emulation.emulated_vision import emulated_sensor

@@ -21,7 +21,7 @@ from hil.parts.emulation.shared_state import SharedAxisState
 
 FIRMWARE: Final = (1, 0)
 _SILENCE_S: Final = 0.02  # much longer than between the bytes of one request, also on a busy host
-_PTY_BITS_PER_BYTE: Final = 10  # of PtyLine
+_PTY_BITS_PER_BYTE: Final = 10  # as PtyLine counts them
 
 
 class EmulatedRails:

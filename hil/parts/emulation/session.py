@@ -25,7 +25,7 @@ _GRID_S: Final = 0.02  # lock-step: longest time between two steps of emulators 
 def emulated_bench(
     job: Job, announce: Callable[[str], None] = lambda _: None, sinks: RecordingSinks | None = None
 ) -> Iterator[WiredBench]:
-    """Give the bench of ``job``'s rig, whose devices are emulated; arguments as of ``wired_bench``."""
+    """Give the bench of ``job``'s rig, whose devices are emulated; arguments: see ``wired_bench``."""
     timed = _in_lock_step(job) if job.rig.value.host.time == "lock_step" else in_real_time(job, announce)
     if job.rig.value.host.time != "lock_step" and job.speed > speed_held():
         announce(f"--speed {job.speed:g}: this computer keeps the time of an emulated rig up to {speed_held():g}")

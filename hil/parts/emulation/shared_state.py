@@ -18,7 +18,7 @@ _PARTS: Final = {group: [f"{group}.{first}" for first in range(3)] for group in 
 _MAILBOXES: Final = (
     dict.fromkeys(_SEEN, _AXES) | {name: _AXES for names in _PARTS.values() for name in names} | {"chain": _CHAIN}
 )
-_CHAIN_AGE_WALL_S: Final = 0.25  # of a coupler; its outputs are off when it is older
+_CHAIN_AGE_WALL_S: Final = 0.25  # largest age of a coupler's state; beyond it its outputs are off
 
 
 class ChainState(NamedTuple):
@@ -36,7 +36,7 @@ class ChainState(NamedTuple):
 class SharedAxisState:
     """Positions (3,) and rates (3,) of rails (m) and turntable (rad) with their bench time, s.
 
-    Each device writes its own mailbox; that of a killed device keeps its last value.
+    Each device writes its own mailbox, which keeps its last value if the device is killed.
     """
 
     def __init__(self, descriptor: int) -> None:

@@ -22,7 +22,7 @@ from hil.parts.emulation.pty_line import PtyLine
 
 IDENTITY: Final = ReportedIdentity("hil", "VMU-0001", "1.4")
 IDENTITY_PERIOD_S: Final = 1.0
-_CATCHES_UP = 0.25  # of a frame period: an exposure that is later than this does not take place
+_CATCHES_UP = 0.25  # fraction of a frame period: a later exposure is dropped
 
 
 class VmuEmulator:

@@ -68,19 +68,19 @@ def _export_images(recording: str, folder: str, out: str | None) -> int:
     from hil.recording.read import load
 
     recorded = load(Path(recording))
-    found = export_images(recorded, Path(folder))
+    exported = export_images(recorded, Path(folder))
 
-    for camera, count in found.images.items():
+    for camera, count in exported.images.items():
         if count:
-            say(f"{found.folder / FOLDERS[camera]}: {count} images")
-    if found.jpeg:
+            say(f"{exported.folder / FOLDERS[camera]}: {count} images")
+    if exported.jpeg:
         say("recorded as JPEG: not identical with the images that were evaluated")
-    root = found.folder
-    if found.images[LEFT]:
+    root = exported.folder
+    if exported.images[LEFT]:
         rate_hz = recorded.rig.vmu.rate_hz
         say(f"hil vmu {root} --geometry {root / GEOMETRY_FILE} --rate-hz {rate_hz} --out poses.csv")
-    if found.images[MONITOR]:
+    if exported.images[MONITOR]:
         say(f"hil monitor {root / FOLDERS[MONITOR]} --scene {root / SCENE_FILE} --out monitor.csv")
-        if not found.whole:
+        if not exported.whole:
             say("not every frame was recorded: hil monitor assumes evenly spaced frames")
     return 0

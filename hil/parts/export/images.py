@@ -44,7 +44,7 @@ def export_images(recorded: Recorded, folder: Path) -> Exported:
     taken = [folder / name for name in FOLDERS.values() if (folder / name).exists()]
     if taken:
         raise BadInput.single("--images", "", f"{taken[0]} exists: give another folder")
-    found = Exported(folder, dict.fromkeys(CAMERAS, 0))
+    exported = Exported(folder, dict.fromkeys(CAMERAS, 0))
     times: Path | None = None
     try:
         with _Times(folder / TIMES) as table:
@@ -54,17 +54,17 @@ def export_images(recorded: Recorded, folder: Path) -> Exported:
                 path.write_bytes(entry.data if image is None else _png(image))
                 table.write(entry, path.relative_to(folder))
                 if entry.camera == MONITOR:
-                    found.whole &= int(path.stem) == found.images[MONITOR]
-                found.images[entry.camera] += 1
-                found.jpeg |= entry.encoding == "jpeg"
+                    exported.whole &= int(path.stem) == exported.images[MONITOR]
+                exported.images[entry.camera] += 1
+                exported.jpeg |= entry.encoding == "jpeg"
             times = table.path
-        _write_calibrations(recorded, found)
+        _write_calibrations(recorded, exported)
     except OSError as error:
         raise BadInput.single("--images", "", f"{error.filename or times or folder}: {error.strerror}") from error
-    if not any(found.images.values()):
+    if not any(exported.images.values()):
         text = "has no images: a run has some if its vision unit or docking monitor is rendered"
         raise BadInput.single(str(recorded.path), "", text)
-    return found
+    return exported
 
 
 class _Times:
@@ -132,7 +132,7 @@ def _png(image: np.ndarray) -> bytes:
     return bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
-def _write_calibrations(recorded: Recorded, found: Exported) -> None:
+def _write_calibrations(recorded: Recorded, exported: Exported) -> None:
     for name, camera in ((GEOMETRY_FILE, LEFT), (SCENE_FILE, MONITOR)):
-        if found.images[camera] and name in recorded.files:
-            (found.folder / name).write_text(recorded.files[name], encoding="utf-8")
+        if exported.images[camera] and name in recorded.files:
+            (exported.folder / name).write_text(recorded.files[name], encoding="utf-8")

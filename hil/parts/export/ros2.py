@@ -95,12 +95,12 @@ _FORMS: Final = {"int32": "i", "uint32": "I", "byte": "B", "uint8": "B", "float6
 @cache
 def _fields(kind: str) -> tuple[tuple[str, int | None], ...]:
     """Return type and length of each field of ``kind``: None for a single value, 0 for a sequence of any length."""
-    found: list[tuple[str, int | None]] = []
+    fields: list[tuple[str, int | None]] = []
     for line in _DEFINITIONS[kind].splitlines():
         name, bracket, length = line.split()[0].partition("[")
         if "=" not in line:  # of a constant
-            found.append((_full_name(kind, name), int(length.rstrip("]") or 0) if bracket else None))
-    return tuple(found)
+            fields.append((_full_name(kind, name), int(length.rstrip("]") or 0) if bracket else None))
+    return tuple(fields)
 
 
 def _full_name(kind: str, name: str) -> str:
@@ -319,7 +319,7 @@ _AXIS_FIELDS: Final = (("rail_m", "gimbal_rad"), ("rail_mps", "gimbal_radps"))
 
 
 def _covariance(position: Any, attitude: Any) -> Any:
-    """Return the covariance (36,) of a pose from those of its parts, (3, 3); those between both are left at zero."""
+    """Return the covariance (36,) of a pose from its parts', (3, 3); the cross-covariances are zero."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3], covariance[3:, 3:] = position, attitude
     return covariance.ravel()
@@ -332,17 +332,17 @@ def in_hill(vector_C: Any, q_CH: Any) -> Any:
 
 
 def definition(kind: str) -> str:
-    """Return the definition of ``kind`` with those of all types that it contains."""
-    pending, found = [kind], []
+    """Return the definition of ``kind`` and of all types that it contains."""
+    pending, names = [kind], []
     while pending:
         name = pending.pop(0)
-        if name in found:
+        if name in names:
             continue
-        found.append(name)
+        names.append(name)
         pending += [inner for inner, _ in _fields(name) if inner in _DEFINITIONS]
     separator = "\n" + "=" * 80 + "\n"
-    parts = [_DEFINITIONS[name] for name in found[:1]]
-    parts += [f"MSG: {name.replace('/msg/', '/')}\n{_DEFINITIONS[name]}" for name in found[1:]]
+    parts = [_DEFINITIONS[name] for name in names[:1]]
+    parts += [f"MSG: {name.replace('/msg/', '/')}\n{_DEFINITIONS[name]}" for name in names[1:]]
     return separator.join(parts)
 
 

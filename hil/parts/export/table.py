@@ -45,8 +45,8 @@ def columns(flat: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
             continue
         inner = values.shape[1:]
         for index in np.ndindex(*inner):
-            place = "".join(f"[{i}]" for i in index)
-            yield f"{name}{place}", values[(slice(None), *index)]
+            suffix = "".join(f"[{i}]" for i in index)
+            yield f"{name}{suffix}", values[(slice(None), *index)]
 
 
 def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple[Path, int]]:
@@ -61,9 +61,9 @@ def export(path: Path, form: Literal["parquet", "csv"], out: Path) -> list[tuple
     if form == "parquet":
         _pyarrow()
     names = TABLES | _tables_of_parts(path)
-    found = contents(path, frozenset(names))
+    recording = contents(path, frozenset(names))
     written = []
-    for name, table, units in _tables(found, names):
+    for name, table, units in _tables(recording, names):
         target = out if name == "cycles" else out.with_name(f"{out.stem}-{name}{out.suffix}")
         _write_file(form, table, units, target)
         written.append((target, len(next(iter(table.values())))))
@@ -78,26 +78,26 @@ def _tables_of_parts(path: Path) -> dict[str, str]:
     return {topic: installed.get(topic, topic.strip("/").replace("/", "-")) for topic in others if topic not in TABLES}
 
 
-def _tables(found: Contents, names: dict[str, str]) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+def _tables(recording: Contents, names: dict[str, str]) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
     """Yield name, columns and units of each table that the recording has; of held axes and sensors one per name.
 
     names: of the tables, by topic.
     """
     for topic, name in names.items():
         if topic == schema.SENSORS:
-            yield from _sensor_tables(found)
+            yield from _sensor_tables(recording)
         elif topic == schema.HELD:
-            yield from _held_tables(found)
-        elif (table := _table(found, topic)) is not None:
-            yield name, table, _units(found, topic)
+            yield from _held_tables(recording)
+        elif (table := _table(recording, topic)) is not None:
+            yield name, table, _units(recording, topic)
 
 
-def _sensor_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+def _sensor_tables(recording: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
     """Yield the table of each further sensor, ``sensor-NAME``, with the columns that its module declares."""
-    if not found.records.get(schema.SENSORS) or schema.SENSORS_FILE not in found.files:
+    if not recording.records.get(schema.SENSORS) or schema.SENSORS_FILE not in recording.files:
         return
-    flat = found.flat(schema.SENSORS)
-    for number, (name, sensor) in enumerate(json.loads(found.files[schema.SENSORS_FILE]).items()):
+    flat = recording.flat(schema.SENSORS)
+    for number, (name, sensor) in enumerate(json.loads(recording.files[schema.SENSORS_FILE]).items()):
         rows = flat[flat["sample.sensor"] == number]
         table = {"t_s": rows["sample.t_s"], "received_s": rows["sample.received_s"], "cycle": rows["cycle"],
                  "result": rows["result"], "nis": rows["nis"]}  # fmt: skip
@@ -111,12 +111,12 @@ def _sensor_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[
         yield f"sensor-{name}", table, units
 
 
-def _held_tables(found: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
+def _held_tables(recording: Contents) -> Iterator[tuple[str, dict[str, Any], dict[str, str]]]:
     """Yield the table of each group of axes that are held, ``axes-NAME``, with the columns of its axes."""
-    if not found.records.get(schema.HELD) or schema.HELD_FILE not in found.files:
+    if not recording.records.get(schema.HELD) or schema.HELD_FILE not in recording.files:
         return
-    flat = found.flat(schema.HELD)
-    for number, (name, group) in enumerate(json.loads(found.files[schema.HELD_FILE]).items()):
+    flat = recording.flat(schema.HELD)
+    for number, (name, group) in enumerate(json.loads(recording.files[schema.HELD_FILE]).items()):
         rows, unit = flat[flat["group"] == number], group["unit"]
         table, units = {"t_s": rows["t_s"], "sampled_s": rows["sampled_s"]}, {"t_s": "s", "sampled_s": "s"}
         for i, axis in enumerate(group["axes"]):
@@ -145,22 +145,22 @@ def _write_file(form: str, table: dict[str, Any], units: dict[str, str], target:
         raise BadInput.single("--out", "", f"{target}: {error.strerror or error}") from error
 
 
-def _table(found: Contents, topic: str) -> dict[str, Any] | None:
-    if (topic in _OPTIONAL or topic not in TABLES) and not found.records.get(topic):
+def _table(recording: Contents, topic: str) -> dict[str, Any] | None:
+    if (topic in _OPTIONAL or topic not in TABLES) and not recording.records.get(topic):
         return None
-    if topic in found.layouts:
-        return dict(columns(found.flat(topic)))
-    if topic == foxglove.LOG_TOPIC and topic in found.lines:
+    if topic in recording.layouts:
+        return dict(columns(recording.flat(topic)))
+    if topic == foxglove.LOG_TOPIC and topic in recording.lines:
         names = ("t_s", "bench_s", "cycle", "kind", "name", "message")
-        return {name: [line.get(name) for line in found.lines[topic]] for name in names}
+        return {name: [line.get(name) for line in recording.lines[topic]] for name in names}
     return None
 
 
-def _units(found: Contents, topic: str) -> dict[str, str]:
+def _units(recording: Contents, topic: str) -> dict[str, str]:
     """Return the unit and frame of each field, by its name, from the recording's schema."""
-    if topic not in found.schemas:
+    if topic not in recording.schemas:
         return {"t_s": "s", "bench_s": "s"}
-    fields = json.loads(found.schemas[topic])["fields"]
+    fields = json.loads(recording.schemas[topic])["fields"]
     return {f["name"]: " in ".join(word for word in (f.get("unit", ""), f.get("frame", "")) if word) for f in fields}
 
 

@@ -65,13 +65,13 @@ class Archive:
         """Write all files into ``folder``. Raises FmuError."""
         written = 0
         for entry in self._entries:
-            place = folder / entry.filename
+            path = folder / entry.filename
             try:
                 if entry.is_dir():
-                    place.mkdir(parents=True, exist_ok=True)
+                    path.mkdir(parents=True, exist_ok=True)
                     continue
-                place.parent.mkdir(parents=True, exist_ok=True)
-                with place.open("xb") as file:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with path.open("xb") as file:
                     for block in self._blocks(entry):
                         written += len(block)
                         if written > _UNPACKED_MAX:
@@ -82,12 +82,12 @@ class Archive:
 
     def _blocks(self, entry: zipfile.ZipInfo):  # type: ignore[no-untyped-def]
         """Yield the content of ``entry``, no more than it states."""
-        left = entry.file_size
+        remaining = entry.file_size
         try:
             with self._zip.open(entry) as file:
                 while block := file.read(_BLOCK):
-                    left -= len(block)
-                    if left < 0:
+                    remaining -= len(block)
+                    if remaining < 0:
                         raise FmuError(f"{entry.filename}: is longer than the archive states")
                     yield block
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:

@@ -190,15 +190,15 @@ class FmuBackend:
             raise FmuError(f"allows steps of {fixed_s:g} s and multiples: step_s is {step_s:g} s")
 
     def _set_parameters(self, component: int, setup: np.record, parameters: Mapping[str, Any]) -> None:
-        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and those of the scenario."""
+        """Set the parameters that are fields of GNC_SETUP, in the FMU's units, and the scenario's parameters."""
         block = np.asarray(setup).tobytes()
         for access, variables in _by_access(self.setup).items():
             places = {variable.name: i for i, variable in enumerate(variables)}
             values = [[0.0] * variable.size for variable in variables]
             for element in self.setup:
-                if (place := places.get(element.variable.name)) is not None:
-                    (number,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
-                    values[place][element.index] = (number - element.shift) / element.factor
+                if (number := places.get(element.variable.name)) is not None:
+                    (value,) = struct.unpack_from(_FORMATS[element.field.code], block, element.offset)
+                    values[number][element.index] = (value - element.shift) / element.factor
             self.fmu.set_values(component, access, variables, [number for row in values for number in row])
         for name, value in parameters.items():
             self.fmu.set_variable(component, name, value)
@@ -319,10 +319,10 @@ class _Tables:
 
 def _by_access(elements: Iterable[MappedElement]) -> dict[str, list[FmiVariable]]:
     """Return the variables of ``elements``, each once, by the functions that set and get them."""
-    found: dict[str, dict[str, FmiVariable]] = {}
+    by_access: dict[str, dict[str, FmiVariable]] = {}
     for element in elements:
-        found.setdefault(element.variable.access, {})[element.variable.name] = element.variable
-    return {access: list(variables.values()) for access, variables in found.items()}
+        by_access.setdefault(element.variable.access, {})[element.variable.name] = element.variable
+    return {access: list(variables.values()) for access, variables in by_access.items()}
 
 
 def _text(text: str) -> np.ndarray:

@@ -76,7 +76,7 @@ def platform_folders(version: int) -> tuple[str, ...]:
 class Fmu:
     """The FMU at ``path``, unpacked, with its binary loaded. Raises FmuError.
 
-    within: folder for the unpacked files, which go into a new one of their own; None for that of temporary files.
+    within: folder for the unpacked files, which go into a new folder inside it; None: the folder of temporary files.
     description: its model description. log: buffer of LOG_BYTES with the last message of the FMU, zero at its end.
     """
 
@@ -105,10 +105,10 @@ class Fmu:
 
     def address(self, name: str) -> int:
         """Return the address of the function ``name``, without prefix. Raises FmuError."""
-        found = getattr(self._loaded, self._prefix + name, None)
-        if found is None:
+        function = getattr(self._loaded, self._prefix + name, None)
+        if function is None:
             raise FmuError(f"has no function {self._prefix}{name}")
-        return ctypes.cast(found, _POINTER).value or 0
+        return ctypes.cast(function, _POINTER).value or 0
 
     def instantiate(self, name: str) -> int:
         """Return the address of a new component. Raises FmuError."""

@@ -121,8 +121,8 @@ def _fixed_step(root: Element, simulation: Element, version: int) -> float | Non
 
 
 def _variables(root: Element, version: int) -> dict[str, FmiVariable]:
-    found = root.find("ModelVariables")
-    elements = list(found) if found is not None else []
+    section = root.find("ModelVariables")
+    elements = list(section) if section is not None else []
     declared = _declared_units(root)
     sizes = {e.get("valueReference"): e.get("start", "") for e in elements}
     variables: dict[str, FmiVariable] = {}

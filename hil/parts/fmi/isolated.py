@@ -29,7 +29,7 @@ _START_S: Final = 60.0
 _OPEN_S: Final = 10.0
 _MODE: Final = offset_of(GNC_INPUT, "mode")
 _TEXT: Final = offset_of(GNC_OUTPUT, "text")
-_CODE_BYTES: Final = 4  # of the datagram with which a failed step answers, before one with its text
+_CODE_BYTES: Final = 4  # datagram with the code of a failed step, followed by one with its text
 _INTERRUPTED, _ENDED, _SILENT = 101, 102, 103  # returned by the step
 
 

@@ -71,8 +71,8 @@ def _record_fields(fields: Fields, prefix: str, base: int, group: int) -> Iterat
             continue
         assert isinstance(field.shape, int)
         for i in range(field.shape):
-            place = base + offset + i * part.base.itemsize
-            yield from _record_fields(field.type, f"{prefix}{field.name}[{i + 1}].", place, i)
+            start = base + offset + i * part.base.itemsize
+            yield from _record_fields(field.type, f"{prefix}{field.name}[{i + 1}].", start, i)
 
 
 def map_record(
@@ -82,13 +82,13 @@ def map_record(
 
     mapped: of the mapping file's ``table``. causalities: of variables that are allowed. Raises FmuError.
     """
-    known = record_fields(fields)
-    names = {field.name for field in known}
+    leaves = record_fields(fields)
+    names = {field.name for field in leaves}
     for name in mapped:
         if name not in names:
             raise FmuError(f"mapping, {table}: no field {name!r}, allowed {_listed(sorted(names))}")
-    found: list[MappedElement] = []
-    for field in known:
+    elements: list[MappedElement] = []
+    for field in leaves:
         entry = mapped.get(field.name)
         explicit = entry is not None
         choice = entry if isinstance(entry, MappedVariables) else MappedVariables(variables=entry or field.name)
@@ -105,8 +105,8 @@ def map_record(
             if variable.code == "S":
                 raise FmuError(f"{variable.name}, for {table} {field.name}{suffix}: is a String, expected a number")
             factor, shift = _conversion(description, variable, field, choice.unit)
-            found.append(MappedElement(field, element, variable, index, factor, shift))
-    return found
+            elements.append(MappedElement(field, element, variable, index, factor, shift))
+    return elements
 
 
 def _elements(field: RecordField, choice: MappedVariables) -> list[tuple[str, int]]:
@@ -124,13 +124,13 @@ def _places(
     description: ModelDescription, field: RecordField, variables: VariableNames, explicit: bool, table: str
 ) -> list[tuple[FmiVariable, int]]:
     """Return (variable, index) of each element; nothing if the FMU has none of them by name."""
-    known, suffixes = description.variables, field.suffixes
+    declared, suffixes = description.variables, field.suffixes
     if not isinstance(variables, str):
         if len(variables) != len(suffixes):
             raise FmuError(f"mapping, {table} {field.name}: has {len(suffixes)} elements, not {len(variables)}")
         names: Iterable[str] = variables
-    elif variables in known:
-        variable = known[variables]
+    elif variables in declared:
+        variable = declared[variables]
         if variable.size != len(suffixes):
             what = f"{table} {field.name}" if variables != field.name else table
             raise FmuError(f"{variables}, for {what}: has {variable.size} elements, expected {len(suffixes)}")
@@ -138,17 +138,17 @@ def _places(
     else:
         names = [f"{variables}{suffix}" for suffix in suffixes]
         from_zero = [f"{variables}{_from_zero(suffix)}" for suffix in suffixes]
-        if field.shape and from_zero[0] in known:
+        if field.shape and from_zero[0] in declared:
             names = from_zero
-        if not explicit and not any(name in known for name in names):
+        if not explicit and not any(name in declared for name in names):
             return []
     places = []
     for name in names:
-        if name not in known:
+        if name not in declared:
             raise FmuError(f"has no variable {name!r}, for {table} {field.name}")
-        if known[name].size != 1:
+        if declared[name].size != 1:
             raise FmuError(f"{name}, for {table} {field.name}: is an array, expected a number")
-        places.append((known[name], 0))
+        places.append((declared[name], 0))
     return places
 
 

@@ -202,7 +202,7 @@ def describe(model: Model, version: int) -> bytes:
 
 def _variables(root: Element, model: Model, version: int) -> None:
     """Append the variables and the structure of ``model``."""
-    found = SubElement(root, "ModelVariables")
+    section = SubElement(root, "ModelVariables")
     outputs = []
     reference = 0
     for variable in model.variables:
@@ -218,7 +218,7 @@ def _variables(root: Element, model: Model, version: int) -> None:
         if version == 3:
             start = {} if is_output else {"start": " ".join(repr(v.item()) for v in values)}
             names = {"name": variable.name, "valueReference": str(reference)}
-            element = SubElement(found, _ELEMENTS_3[variable.code], {**names, **common, **start, **unit})
+            element = SubElement(section, _ELEMENTS_3[variable.code], {**names, **common, **start, **unit})
             for n in variable.shape:
                 SubElement(element, "Dimension", start=str(n))
             outputs += [str(reference)] * is_output
@@ -227,14 +227,14 @@ def _variables(root: Element, model: Model, version: int) -> None:
         indices = itertools.product(*(range(1, n + 1) for n in variable.shape))
         for index, value in zip(indices, values, strict=True):
             name = f"{variable.name}[{','.join(map(str, index))}]" if index else variable.name
-            element = SubElement(found, "ScalarVariable", {"name": name, "valueReference": str(reference), **common})
+            element = SubElement(section, "ScalarVariable", {"name": name, "valueReference": str(reference), **common})
             start = {} if is_output else {"start": repr(value.item())}
             SubElement(element, "Real" if variable.code == "f8" else "Integer", {**start, **unit})
             reference += 1
             outputs += [str(reference)] * is_output
     structure = SubElement(root, "ModelStructure")
     if version == 3:
-        SubElement(found, "Float64", name="time", valueReference=str(reference), causality="independent", unit="s",
+        SubElement(section, "Float64", name="time", valueReference=str(reference), causality="independent", unit="s",
                    variability="continuous")  # fmt: skip
         for name in ("Output", "InitialUnknown"):
             for output in outputs:

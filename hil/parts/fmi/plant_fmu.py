@@ -236,7 +236,7 @@ def _loop_module(arguments: Sequence[Any]) -> llvm.ModuleRef:
 
 
 def _machine() -> Any:
-    """Return a target like that of the compiled loop, for code that a shared library can hold."""
+    """Return a target as in the compiled loop, for code that a shared library can hold."""
     config: Any = numba.config
     target = llvm.Target.from_triple(llvm.get_process_triple())
     return target.create_target_machine(

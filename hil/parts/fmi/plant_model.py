@@ -140,10 +140,10 @@ class _Group:
 
 def _groups(elements: Iterable[MappedElement]) -> list[_Group]:
     """Return the elements, grouped by the functions that set and get them."""
-    found: dict[str, list[MappedElement]] = {}
+    by_access: dict[str, list[MappedElement]] = {}
     for element in elements:
-        found.setdefault(element.variable.access, []).append(element)
-    return [_Group(access, each) for access, each in found.items()]
+        by_access.setdefault(element.variable.access, []).append(element)
+    return [_Group(access, each) for access, each in by_access.items()]
 
 
 class _Call:

@@ -155,60 +155,60 @@ def _do_step_3(_typing, function, component, t_s, step_s):
 @kernel
 def _read(address, code):
     """Return the number of type ``code`` at ``address`` as a float."""
-    place = _pointer(address)
+    memory = _pointer(address)
     if code == 0:
-        return float(carray(place, (1,), np.float64)[0])
+        return float(carray(memory, (1,), np.float64)[0])
     if code == 6:
-        return float(carray(place, (1,), np.int32)[0])
+        return float(carray(memory, (1,), np.int32)[0])
     if code == 8:
-        return float(carray(place, (1,), np.int64)[0])
+        return float(carray(memory, (1,), np.int64)[0])
     if code == 1:
-        return float(carray(place, (1,), np.float32)[0])
+        return float(carray(memory, (1,), np.float32)[0])
     if code == 2:
-        return float(carray(place, (1,), np.int8)[0])
+        return float(carray(memory, (1,), np.int8)[0])
     if code == 3:
-        return float(carray(place, (1,), np.uint8)[0])
+        return float(carray(memory, (1,), np.uint8)[0])
     if code == 4:
-        return float(carray(place, (1,), np.int16)[0])
+        return float(carray(memory, (1,), np.int16)[0])
     if code == 5:
-        return float(carray(place, (1,), np.uint16)[0])
+        return float(carray(memory, (1,), np.uint16)[0])
     if code == 7:
-        return float(carray(place, (1,), np.uint32)[0])
-    return float(carray(place, (1,), np.uint64)[0])
+        return float(carray(memory, (1,), np.uint32)[0])
+    return float(carray(memory, (1,), np.uint64)[0])
 
 
 @kernel
 def _write(address, code, value):
     """Write ``value`` as type ``code`` at ``address``; return False if the type cannot hold it."""
-    place = _pointer(address)
+    memory = _pointer(address)
     if code == 0:
-        carray(place, (1,), np.float64)[0] = value
+        carray(memory, (1,), np.float64)[0] = value
         return True
     if code == 1:
-        carray(place, (1,), np.float32)[0] = value
+        carray(memory, (1,), np.float32)[0] = value
         return True
     if not abs(value) <= _INTEGER_MAX or value != np.floor(value):
         return False
     whole = np.int64(value)
     if code == 6:
-        carray(place, (1,), np.int32)[0] = whole
+        carray(memory, (1,), np.int32)[0] = whole
         return whole == np.int64(np.int32(whole))
     if code == 2:
-        carray(place, (1,), np.int8)[0] = whole
+        carray(memory, (1,), np.int8)[0] = whole
         return whole == np.int64(np.int8(whole))
     if code == 3:
-        carray(place, (1,), np.uint8)[0] = whole
+        carray(memory, (1,), np.uint8)[0] = whole
         return whole == np.int64(np.uint8(whole))
     if code == 4:
-        carray(place, (1,), np.int16)[0] = whole
+        carray(memory, (1,), np.int16)[0] = whole
         return whole == np.int64(np.int16(whole))
     if code == 5:
-        carray(place, (1,), np.uint16)[0] = whole
+        carray(memory, (1,), np.uint16)[0] = whole
         return whole == np.int64(np.uint16(whole))
     if code == 7:
-        carray(place, (1,), np.uint32)[0] = whole
+        carray(memory, (1,), np.uint32)[0] = whole
         return whole == np.int64(np.uint32(whole))
-    carray(place, (1,), np.int64)[0] = whole
+    carray(memory, (1,), np.int64)[0] = whole
     return code == 8 or whole >= 0
 
 

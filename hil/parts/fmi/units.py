@@ -66,14 +66,14 @@ def parse_unit(text: str) -> FmiUnit:
     return unit_of_bases(exponents, factor, 0.0)
 
 
-def to_si(defined: FmiUnit, name: str, wanted: str) -> tuple[float, float]:
-    """Return (factor, offset) from the unit ``name`` to ``wanted``, the SI unit of a record's field.
+def to_si(defined: FmiUnit, name: str, expected: str) -> tuple[float, float]:
+    """Return (factor, offset) from the unit ``name`` to ``expected``, the SI unit of a record's field.
 
     defined: by the FMU; the unit's name decides if that has no base units. Raises FmuError.
     """
     unit = defined if defined.exponents is not None else parse_unit(name)
     if unit.exponents is None:
         raise FmuError(f"has the unit {name!r}, which neither the FMU nor this program defines")
-    if unit.exponents != parse_unit(wanted).exponents:
-        raise FmuError(f"has the unit {name!r}, the bench has {wanted!r}")
+    if unit.exponents != parse_unit(expected).exponents:
+        raise FmuError(f"has the unit {name!r}, the bench has {expected!r}")
     return unit.factor, unit.offset

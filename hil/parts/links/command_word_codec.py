@@ -74,11 +74,11 @@ class CommandWordDecoder:
         self._buffer += data
         words: list[Word] = []
         while True:
-            place = self._buffer.find(SYNC)
-            if place < 0:
+            start = self._buffer.find(SYNC)
+            if start < 0:
                 del self._buffer[: max(0, len(self._buffer) - 1)]
                 return words
-            del self._buffer[:place]
+            del self._buffer[:start]
             if len(self._buffer) < WORD_BYTES:
                 return words
             word = decode_can(bytes(self._buffer[len(SYNC) : WORD_BYTES]))

@@ -142,16 +142,16 @@ class CommandWordReceiver:
             wire.close()
 
     def _read(self, wire: WordWire) -> None:
-        before: int | None = None
+        previous: int | None = None
         try:
             while not self._ending.is_set():
                 for word in wire.receive():
-                    if word.counter == before:
+                    if word.counter == previous:
                         self.repeated += 1  # a sender that hangs repeats its word
                         continue
-                    if before is not None:
-                        self.lost += (word.counter - before - 1) & 0xFF
-                    before = word.counter
+                    if previous is not None:
+                        self.lost += (word.counter - previous - 1) & 0xFF
+                    previous = word.counter
                     self.received += 1
                     received_s = self._now_s()
                     self._newest.put((word, received_s), received_s)

@@ -93,7 +93,7 @@ class GncServerStats:
     """Of each step: from the input to the reply."""
 
     def as_json(self, link: Link) -> dict[str, Any]:
-        """Return the statistics with those of the link."""
+        """Return the statistics, including the link's."""
         us = np.array(self.compute_us)
         percentiles = {
             name: float(np.percentile(us, percent)) if len(us) else None
@@ -297,9 +297,9 @@ class GncServer:
     def _arrivals(self) -> np.ndarray:
         """Return the measurements of further sensors in the input, (n,) of SENSOR_ARRIVAL."""
         n = int(self._input.measured.n_measurements)
-        found = np.zeros(n, SENSOR_ARRIVAL)
-        found["sample"] = self._input.measured.measurements[:n]
-        return found
+        arrivals = np.zeros(n, SENSOR_ARRIVAL)
+        arrivals["sample"] = self._input.measured.measurements[:n]
+        return arrivals
 
     def _actuate(self, cycle: int) -> None:
         """Run control on the present estimate and write the reply to the input ``cycle``."""

@@ -64,7 +64,7 @@ class Link:
     """This side, as ``role``, of a link that sends the mailboxes in ``offers`` and receives those in ``wants``.
 
     bind: address of this host to listen on; None: the one on the route to ``peer``. peer: the only address accepted
-    as the other side; None: the first sender of a hello. key: of the link; None: that of the user (``link_key``).
+    as the other side; None: the first sender of a hello. key: of the link; None: the user's (``link_key``).
     """
 
     def __init__(
@@ -213,27 +213,27 @@ class Link:
 
     def handle(self, datagram: bytes, sender: Address, received_s: float) -> Arrival | None:
         """Process one datagram, valid or not; return its mailbox if it is newer than the last."""
-        found = wire.unpack(datagram)
-        if isinstance(found, Fault):
-            self._refuse_faulty(found, datagram, sender)
+        header = wire.unpack(datagram)
+        if isinstance(header, Fault):
+            self._refuse_faulty(header, datagram, sender)
             return None
         if self._only is not None and sender != self._only:
             self._count("unknown_sender", sender, f"is not {shown(self._only)}, the expected address")
             self._refuse(sender, Refusal.SENDER, "another address is expected")
             return None
-        if found.kind is DatagramKind.REFUSED:
+        if header.kind is DatagramKind.REFUSED:
             self._receive_refusal(datagram, sender)
             return None
-        if not self._is_peer(found, datagram, sender, received_s):
+        if not self._is_peer(header, datagram, sender, received_s):
             return None
         assert self.peer is not None
         self.peer.last_rx_s = received_s
         payload = datagram[wire.HEADER.size :]
-        if found.kind is DatagramKind.CELL:
-            return self._receive_mailbox(found, payload, sender, received_s)
-        if found.kind is DatagramKind.HEARTBEAT:
-            self._receive_heartbeat(found.time_s, payload, received_s)
-        elif found.kind is DatagramKind.GOODBYE:
+        if header.kind is DatagramKind.CELL:
+            return self._receive_mailbox(header, payload, sender, received_s)
+        if header.kind is DatagramKind.HEARTBEAT:
+            self._receive_heartbeat(header.time_s, payload, received_s)
+        elif header.kind is DatagramKind.GOODBYE:
             self.peer.gone = wire.read_text(payload)[1] or "goodbye"
         return None
 
@@ -260,10 +260,10 @@ class Link:
     def _is_peer(self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float) -> bool:
         """Return whether this is from the other side; accept a new one if none is alive."""
         peer = self.peer
-        known = peer is not None and header.writer == peer.writer and sender == peer.address
+        from_peer = peer is not None and header.writer == peer.writer and sender == peer.address
         if header.kind is DatagramKind.HELLO:
-            return self._receive_hello(header, datagram, sender, received_s, known)
-        if known:
+            return self._receive_hello(header, datagram, sender, received_s, from_peer)
+        if from_peer:
             return True
         if self.alive(received_s):
             assert peer is not None
@@ -283,18 +283,18 @@ class Link:
         return cell == "gnc.setup" if self.role is Role.GNC else self._only is not None
 
     def _receive_hello(
-        self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float, known: bool
+        self, header: DatagramHeader, datagram: bytes, sender: Address, received_s: float, from_peer: bool
     ) -> bool:
         hello = wire.read_hello(datagram[wire.HEADER.size :])
         if isinstance(hello, str):
             return self._refuse_hello(Fault.SIZE, sender, hello)
         if hello.role != self.there:
             return self._refuse_hello(Fault.CELL, sender, f"has role {hello.role}, expected {self.there.value}")
-        if not known and self.alive(received_s):
+        if not from_peer and self.alive(received_s):
             assert self.peer is not None
             self._refuse_second(header, sender, self.peer)
             return False
-        if not known:
+        if not from_peer:
             self._join(Peer(sender, header.writer, received_s))
         assert self.peer is not None
         self.peer.hello, self.peer.gone = hello, None

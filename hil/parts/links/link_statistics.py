@@ -66,7 +66,7 @@ class ClockOffset:
         self._kept: deque[tuple[float, float]] = deque(maxlen=_KEPT)
 
     def add(self, sent_s: float, there_received_s: float, there_sent_s: float, received_s: float) -> None:
-        """Add the stamps of an exchange: sent and received by this clock, those of ``there`` by the other one."""
+        """Add the stamps of an exchange: sent and received by this clock, ``there`` by the other one."""
         round_trip_s = (received_s - sent_s) - (there_sent_s - there_received_s)
         offset_s = ((there_received_s - sent_s) + (there_sent_s - received_s)) / 2.0
         if 0.0 <= round_trip_s <= _PLAUSIBLE_S and math.isfinite(offset_s):

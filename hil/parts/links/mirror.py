@@ -13,7 +13,7 @@ from hil.parts.links.link import Link
 
 _OF_THE_CYCLE: Final = ("truth", "imu", "pose", "command", "setpoint", "feedback")
 MIRRORED: Final = (*_OF_THE_CYCLE, "health")
-"""Mailboxes that a side can request besides those of the GNC."""
+"""Mailboxes that a side can request besides the GNC's."""
 
 
 class Mirror:

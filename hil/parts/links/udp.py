@@ -33,10 +33,10 @@ def parse_address(option: str, text: str, default_port: int) -> Address:
     if not port_text.isdecimal() or not 0 <= int(port_text) <= 65535:
         raise BadInput.single(option, "", f"{text}: must be HOST:PORT with a port from 0 to 65535")
     try:
-        found = socket.getaddrinfo(host, int(port_text), socket.AF_INET, socket.SOCK_DGRAM)
+        resolved = socket.getaddrinfo(host, int(port_text), socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
         raise BadInput.single(option, "", f"{text}: unknown host: {error.strerror or error}") from error
-    address: Address = (str(found[0][4][0]), int(found[0][4][1]))
+    address: Address = (str(resolved[0][4][0]), int(resolved[0][4][1]))
     return address
 
 

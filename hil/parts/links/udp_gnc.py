@@ -190,7 +190,7 @@ class UdpGnc(ExternalGnc):
             self.filter_monitor.update(self._replies.used, now.samples, _A_POSE, now.navigation, NO_POSES)
 
     def _read_reply(self, now: Records, t_s: float) -> bool:
-        """Write NAVIGATION and COMMAND; return whether they are those of a GNC server."""
+        """Write NAVIGATION and COMMAND; return whether they come from a GNC server."""
         super().read_output(now, self._replies.used, t_s)
         if not self._buffers.has_flight or self.output.state != GncState.WORKING:
             return False

@@ -203,8 +203,8 @@ class ReplyReceiver:
         now_s = time.monotonic()
         alive = self._link.alive(now_s)
         # a peer at a known address may send no hello
-        wanted = not self.is_set_up if alive else self._link.expects
-        if wanted and now_s - self._setup_sent_s > _SETUP_AGAIN_S:
+        is_due = not self.is_set_up if alive else self._link.expects
+        if is_due and now_s - self._setup_sent_s > _SETUP_AGAIN_S:
             self._setup_sent_s = now_s
             self._link.send_setup(self._setup)
 

@@ -1,4 +1,4 @@
-"""Records between the bench and a GNC server: from those of the cycle to those of the link and back."""
+"""Records between the bench and a GNC server: conversion of cycle records to link records and back."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class EncoderTrack:
     def __init__(self, bench: np.record, mounting: np.record) -> None:
         self._bench = bench
         self._mounting = mounting
-        self._times = (np.empty(0), np.empty(0))  # of rails and turntable
+        self._times = (np.empty(0), np.empty(0))  # sample times of rails and turntable
         self._axes = (np.empty((0, 3)), np.empty((0, 3)))
 
     def add(self, rows: np.ndarray) -> None:

@@ -61,20 +61,20 @@ class TargetDetector:
         ``prepared``: the region of an image whose row r is line ``first_line + line_step r`` of the full image.
         """
         left, top = float(region.left), first_line + line_step * region.top
-        found: list[Hypothesis] = []
+        guesses: list[Hypothesis] = []
         if self._corners is not None:
             for shape in find_polygons(prepared, left, top, line_step, self._corners):
                 guess = self._as_polygon(shape, prepared, left, top, line_step)
                 if guess is not None:
-                    found.append(guess)
+                    guesses.append(guess)
         for circle in find_circles(prepared, left, top, line_step)[:_CIRCLES]:
             for one in (self._as_disc, self._as_ship):
                 guess = one(circle, prepared, left, top, line_step)
                 if guess is not None:
-                    found.append(guess)
-            if sum(one.score > _GOOD for one in found) >= _ENOUGH:
+                    guesses.append(guess)
+            if sum(one.score > _GOOD for one in guesses) >= _ENOUGH:
                 break
-        return sorted(found, key=lambda one: one.score, reverse=True)
+        return sorted(guesses, key=lambda one: one.score, reverse=True)
 
     def _as_disc(
         self, circle: CircleCandidate, prepared: Prepared, left: float, top: float, line_step: float
@@ -95,10 +95,10 @@ class TargetDetector:
         half_width = max(0.5 * scale * target.cross.arm_width_m, 1.0)
         steps = int(min(np.ceil(reach / half_width), 8))
         out = np.zeros(3)
-        place = np.array([circle.u, circle.v])
+        centre = np.array([circle.u, circle.v])
         score = best_pattern(
-            prepared.image, left, top, line_step, self._cross.points_m, self._cross.classes, place, scale, reach, steps,
-            12, LARGEST_ROLL, out,
+            prepared.image, left, top, line_step, self._cross.points_m, self._cross.classes, centre, scale, reach,
+            steps, 12, LARGEST_ROLL, out,
         )  # fmt: skip
         if abs(score) < _LEAST_SCORE:
             return None
@@ -124,13 +124,13 @@ class TargetDetector:
             if nearer < 0.1 * depth:
                 return None
             out = np.zeros(3)
-            found = best_pattern(
+            best_score = best_pattern(
                 prepared.image, left, top, line_step, self._boxes.points_m, self._boxes.classes,
                 np.array([circle.u, circle.v]), f / nearer, 0.06 * circle.radius, 2, 16, LARGEST_ROLL, out,
             )  # fmt: skip
-            if abs(found) < _LEAST_SCORE:
+            if abs(best_score) < _LEAST_SCORE:
                 return None
-            roll, score = float(out[2]), abs(found)
+            roll, score = float(out[2]), abs(best_score)
         d3 = depth + target.outline.offset_m
         if d3 < 0.2:
             return None
@@ -152,13 +152,13 @@ class TargetDetector:
                 return None
             c, s, out = math.cos(roll), math.sin(roll), np.zeros(3)
             points = self._boxes.points_m @ np.array([[c, s], [-s, c]])
-            found = best_pattern(
+            best_score = best_pattern(
                 prepared.image, left, top, line_step, points, self._boxes.classes, np.array([shape.u, shape.v]),
                 f / nearer, 0.06 * shape.radius, 2, 1, _LARGEST_TURN, out,
             )  # fmt: skip
-            if abs(found) < _LEAST_SCORE:
+            if abs(best_score) < _LEAST_SCORE:
                 return None
-            roll, score = roll + float(out[2]), score * abs(found)
+            roll, score = roll + float(out[2]), score * abs(best_score)
         d3 = depth + outline.offset_m
         if d3 < 0.2:
             return None

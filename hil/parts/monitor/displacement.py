@@ -32,11 +32,11 @@ def displaced(frames: Sequence[FrameResult], focal_px: float) -> _Chosen:
     t = np.array([frame.detection.t_s for frame in frames])
     origin = np.zeros(3)
     seen = [docking_view.to_camera(docking_view.attitude(f.pose[3:6]), f.pose[:3], origin) for f in frames]
-    place = focal_px * np.array([x[:2] / x[2] for x in seen])
+    pixels = focal_px * np.array([x[:2] / x[2] for x in seen])
     one, two = np.triu_indices(n, 1)
-    rates = (place[two] - place[one]) / (t[two] - t[one])[:, None]
-    expected = place[one, None] + rates[:, None] * (t[None, :] - t[one, None])[..., None]
-    agreeing = np.abs(place[None] - expected).max(axis=2) < _REACH_PX
+    rates = (pixels[two] - pixels[one]) / (t[two] - t[one])[:, None]
+    expected = pixels[one, None] + rates[:, None] * (t[None, :] - t[one, None])[..., None]
+    agreeing = np.abs(pixels[None] - expected).max(axis=2) < _REACH_PX
     best = agreeing[np.argmax(agreeing.sum(axis=1))]
     return np.asarray(~best if 2 * best.sum() > n else np.ones(n, bool))
 
@@ -57,7 +57,7 @@ def off_the_line(t: NDArray[np.float64], poses: NDArray[np.float64], information
 
 
 def repeated(poses: NDArray[np.float64], information: NDArray[np.float64]) -> _Chosen:
-    """Return which poses (n, 6) are those before them, within their noise (n,), as of a video that stands still."""
+    """Return which poses (n, 6) are those before them, within their noise (n,), as in a video that stands still."""
     gaps = np.diff(poses, axis=0)
     both = np.linalg.inv(np.linalg.inv(information[1:]) + np.linalg.inv(information[:-1]))
     return np.append(False, np.einsum("ki,kij,kj->k", gaps, both, gaps) < _ALIKE)

@@ -65,8 +65,8 @@ class FieldCheck:
         shift = self._half_s * motion.w[1::2]
         for one in self._waiting:
             for k, expected in enumerate((0.0 * shift, shift, -shift)):
-                left = one.apart - expected
-                self._squares[k] += left @ one.information @ left
+                residual = one.apart - expected
+                self._squares[k] += residual @ one.information @ residual
         self._count += len(self._waiting)
         self._waiting.clear()
         if self._count < _FEWEST:

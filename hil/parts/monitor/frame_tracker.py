@@ -67,7 +67,7 @@ class FrameTracker:
                 self._rolled.append(target_features(scene.camera, rolled))
 
     def expect(self, motion: Motion | None) -> None:
-        """Predict the pose of the next frames by ``motion``, None: as that of the last one."""
+        """Predict the pose of the next frames by ``motion``; None: it stays as in the last frame."""
         self._motion = motion
 
     def search_in(self, region: Region | None) -> bool:
@@ -87,16 +87,16 @@ class FrameTracker:
         patch = image[:: max(image.shape[0] // 64, 1), :: max(image.shape[1] // 64, 1)]
         if int(patch.max()) - int(patch.min()) < LEAST_CONTRAST:
             return self._no_result(frame, NO_TARGET, "black")
-        before, self._shown[frame.field] = self._shown[frame.field], image
-        if before is not None and np.array_equal(before[::16], image[::16]) and np.array_equal(before, image):
+        previous, self._shown[frame.field] = self._shown[frame.field], image
+        if previous is not None and np.array_equal(previous[::16], image[::16]) and np.array_equal(previous, image):
             return self._no_result(frame, "rejected_frozen", "equal to the image before")
         followed = self._follow(frame)
         if followed is not None and followed.used:
             return followed
-        found = self._find(frame)
-        if found is not None and found.used:
-            return found
-        for candidate in (followed, found):
+        detected = self._find(frame)
+        if detected is not None and detected.used:
+            return detected
+        for candidate in (followed, detected):
             if candidate is not None:
                 return candidate
         return self._no_result(frame, NO_TARGET, "not found")
@@ -148,7 +148,7 @@ class FrameTracker:
     def _align(self, frame: VideoFrame, x: Floats, reaches: tuple[float, ...]) -> bool:
         """Align x (15,) with the edges, using the first of ``reaches``, px, for which most agree, else the best."""
         noise = math.sqrt(self._state["noise_0"] + 100.0 * self._state["noise_1"])
-        model, start, best, found = self._features, x.copy(), 0, x.copy()
+        model, start, best, aligned = self._features, x.copy(), 0, x.copy()
         for reach in reaches:
             trial = start.copy()
             agreeing, share = measure.align_pose(
@@ -156,10 +156,10 @@ class FrameTracker:
                 model.borders, trial, self._state, self._tuning, reach, max(3.0 * noise, 4.0), self._samples,
             )  # fmt: skip
             if agreeing > best:
-                best, found = agreeing, trial
+                best, aligned = agreeing, trial
             if agreeing >= _FEWEST_AGREEING and share > _MOST_AGREE:
                 break
-        x[:] = found
+        x[:] = aligned
         return best >= _FEWEST_AGREEING
 
     def _bar_px(self, x: Floats) -> float:
@@ -186,7 +186,7 @@ class FrameTracker:
     def _measure_with(
         self, frame: VideoFrame, x: Floats, mode: str, tracked: bool, rolled: TargetFeatures | None = None
     ) -> FrameResult:
-        """Measure with the features of a mode. rolled: with those of the target rolled by 90, 180 or 270 deg.
+        """Measure with the features of a mode. rolled: features of the target rolled by 90, 180 or 270 deg.
 
         The roll is open then: a ship may be rolled beyond the limits of the pose, or beyond what the scene states.
         """
@@ -219,11 +219,11 @@ class FrameTracker:
             self._excluded[:] = False
         if rolled is None and self._is_roll_open(x):
             self._excluded |= validation.excluded_turns(model, verdict, labels, noise, float(x[2] / model.lens[0]))
-        found = self._measured(frame, x, mode, tracked, samples, noise)
-        return found if rolled is None else replace(found, roll_open=True)
+        measured = self._measured(frame, x, mode, tracked, samples, noise)
+        return measured if rolled is None else replace(measured, roll_open=True)
 
     def _is_roll_open(self, x: Floats) -> bool:
-        """Return whether another roll within that of the scene shows the same cross, and no part excludes it."""
+        """Return whether another roll within the scene's range shows the same cross, and no part excludes it."""
         if self._roll_max + abs(float(x[5])) < 0.5 * math.pi:
             return False
         others = np.abs(np.remainder(x[5] + _TURNS + math.pi, 2.0 * math.pi) - math.pi)
@@ -235,14 +235,14 @@ class FrameTracker:
         None if one of the two cannot be measured.
         """
         model, poses, covariances = self._features, [], []
-        samples, left = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE), np.zeros(_MOST_SAMPLES)
+        samples, residuals = np.zeros(_MOST_SAMPLES, EDGE_SAMPLE), np.zeros(_MOST_SAMPLES)
         normal, sums = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(4)
         for field in (UPPER, LOWER):
             x, state = result.pose.copy(), self._state.copy()
             status, _ = measure.measure(
                 np.ascontiguousarray(frame.image[lines_of(field)]), float(field == LOWER), 2.0, model.lens,
                 model.circles, model.lines, model.borders, x, state, self._tuning,
-                self._near if result.status == NEAR else self._far, samples, left, normal, sums,
+                self._near if result.status == NEAR else self._far, samples, residuals, normal, sums,
             )  # fmt: skip
             if status != measure.MEASURED:
                 return None

@@ -200,13 +200,13 @@ def process_frames(
     monitor: DockingMonitor, frames: Iterable[VideoFrame]
 ) -> Iterator[tuple[VideoFrame, FrameResult, list[Result]]]:
     """Yield each frame with its result and the portions it completes; the truncated last one with the last frame."""
-    before: tuple[VideoFrame, FrameResult, list[Result]] | None = None
+    previous: tuple[VideoFrame, FrameResult, list[Result]] | None = None
     for frame in frames:
-        if before is not None:
-            yield before
+        if previous is not None:
+            yield previous
         done = monitor.feed(frame)
         assert monitor.last is not None
-        before = (frame, monitor.last, done)
-    if before is not None:
-        frame, result, done = before
+        previous = (frame, monitor.last, done)
+    if previous is not None:
+        frame, result, done = previous
         yield frame, result, [*done, *monitor.finish()]

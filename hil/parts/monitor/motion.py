@@ -47,7 +47,7 @@ _CONTRADICTION: Final = 30.0  # scatter that nothing explains, thrusters include
 _SIGNIFICANT: Final = 3.0
 _MODEL_ERROR: Final = 0.25  # relative error of sigma^2 from the blur model and the noise estimate
 _JITTERS_PX: Final = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
-_BETTER: Final = 12.0  # of twice the log-likelihood: about the number of explanations that are tried
+_BETTER: Final = 12.0  # gain in twice the log-likelihood: about the number of explanations tried
 _TIMING: Final = 24.0  # the same, of images lost at up to two places
 _LARGE_SCATTER: Final = 3.0  # of the frames, relative to their noise: images may have been lost
 _DROPPED: Final = 30.0  # the same, of a frame left out
@@ -187,28 +187,28 @@ class MotionFit:
     def fit(self, frames: Sequence[FrameResult], t_s: float) -> MotionSolution | None:
         """Return the motion at ``t_s`` from the used frames; None if it is not determined, or if they contradict it."""
         chosen = _Hypothesis(tuple(frames), tuple(frame.detection.t_s - t_s for frame in frames))
-        found = self._solve(chosen, t_s)
+        solved = self._solve(chosen, t_s)
         for _ in range(_CHANGES):
-            if found is None or not found.scattered:
+            if solved is None or not solved.scattered:
                 break
-            others = [(self._solve(one, t_s), one, charge) for one, charge in self._others(chosen, found, t_s)]
+            others = [(self._solve(one, t_s), one, charge) for one, charge in self._others(chosen, solved, t_s)]
             rated = [
                 (fit.cost + charge * max(fit.scatter, 1.0), k)
                 for k, (fit, one, charge) in enumerate(others)
                 if fit is not None and not (fit.scattered and fit.scatter > _SLIGHT and one.timing != chosen.timing)
             ]
-            if not rated or not min(rated)[0] < found.cost:
+            if not rated or not min(rated)[0] < solved.cost:
                 break
-            found, chosen, _ = others[min(rated)[1]]
-        if found is None:
+            solved, chosen, _ = others[min(rated)[1]]
+        if solved is None:
             return None
-        if chosen.ends or (found.scattered and found.scatter > _CONTRADICTION):
+        if chosen.ends or (solved.scattered and solved.scatter > _CONTRADICTION):
             self.reset()
             return None
-        self._carried = found.carried
-        return found.solution
+        self._carried = solved.carried
+        return solved.solution
 
-    def _others(self, chosen: _Hypothesis, found: _Fit, t_s: float) -> Iterator[tuple[_Hypothesis, float]]:
+    def _others(self, chosen: _Hypothesis, fit: _Fit, t_s: float) -> Iterator[tuple[_Hypothesis, float]]:
         """Yield other explanations of the frames, each with the gain of -2 ln of the likelihood that it needs."""
         if chosen.jitter_px == 0.0:
             yield from ((replace(chosen, jitter_px=jitter), _BETTER) for jitter in _JITTERS_PX)
@@ -217,7 +217,7 @@ class MotionFit:
             numbers = [frame.detection.number for frame in chosen.frames]
             times = (t + (half if number % 2 == 0 else -half) for t, number in zip(chosen.times, numbers, strict=True))
             yield replace(chosen, times=tuple(times), exchanged=True), _TIMING
-        if not chosen.lost and found.scatter > _LARGE_SCATTER:
+        if not chosen.lost and fit.scatter > _LARGE_SCATTER:
             gaps = [
                 k
                 for k, frame in enumerate(chosen.frames)
@@ -227,7 +227,7 @@ class MotionFit:
                 yield self._with_gaps(chosen, lost), _TIMING
             if chosen.jitter_px == 0.0:
                 yield from ((one, _TIMING + one.lost) for one in self._many_lost(chosen, gaps))
-        if len(chosen.frames) >= _FEWEST and found.squares.max() > _WILD_FRAME:
+        if len(chosen.frames) >= _FEWEST and fit.squares.max() > _WILD_FRAME:
             poses, information = _six_of(chosen.frames)
             wild = off_the_line(np.array(chosen.times), poses, information)
             still = repeated(poses, information)
@@ -272,8 +272,8 @@ class MotionFit:
             information += rows.T @ normal @ rows
             right += rows.T @ (edges - share @ edges)
         held = self._held(frames)
-        known = _inverse(assumed)
-        total = (known + held + information)[np.ix_(_FREE, _FREE)]
+        prior = _inverse(assumed)
+        total = (prior + held + information)[np.ix_(_FREE, _FREE)]
         inverse = np.zeros((_STATES, _STATES))
         try:
             inverse[np.ix_(_FREE, _FREE)] = _inverse(total)
@@ -281,7 +281,7 @@ class MotionFit:
             return None
         if not np.all(np.isfinite(inverse)):
             return None
-        theta = inverse @ (known @ mean + right)
+        theta = inverse @ (prior @ mean + right)
         edges2, common, excess = _edge_squares(frames)
         squares = np.array([
             _square(frame, pose, normal, rows @ theta)
@@ -292,8 +292,8 @@ class MotionFit:
         widened = motion2 / edges2 if scattered else 1.0
         noise = edges2 if excess == 0.0 else 1.0
         factor = noise * widened + len(frames) * excess
-        covariance = inverse @ (known @ true @ known + held + factor * information) @ inverse
-        by_lens = inverse @ (known @ self._carried_by_lens(t_s) + information[:, _LENS])
+        covariance = inverse @ (prior @ true @ prior + held + factor * information) @ inverse
+        by_lens = inverse @ (prior @ self._carried_by_lens(t_s) + information[:, _LENS])
         reported = covariance + by_lens @ self._camera[FOCAL - GROWTH :, FOCAL - GROWTH :] @ by_lens.T
         normal12 = _inverse(inverse[:12, :12])
         consistent = edges2 < 2.0 and excess == 0.0 and not scattered and not chosen.timing
@@ -333,28 +333,28 @@ class MotionFit:
 
     def _prior(self, t_s: float) -> tuple[Floats, Floats, Floats]:
         """Return the covariance (27, 27) assumed by the fit a priori, the true one, and the mean (27,)."""
-        settings, before = self._settings, self._carried
+        settings, previous = self._settings, self._carried
         assumed, mean = np.zeros((_STATES, _STATES)), np.zeros(_STATES)
         assumed[_CARRIED:, _CARRIED:] = self._accelerations
-        if before is None:
+        if previous is None:
             assumed[:12, :12] = np.diag(_FIRST_SIGMA**2)
             assumed[12:_CARRIED, 12:_CARRIED] = self._camera
             return assumed, assumed, mean
         true = assumed.copy()
-        dt = t_s - before.t_s
+        dt = t_s - previous.t_s
         kept = math.exp(-max(dt, 0.0) / settings.camera_s)
         carry, gains = kept * np.eye(_CARRIED), _gains(dt)
         carry[:12, :12] = transition(dt)
-        mean[:_CARRIED] = carry @ before.x
+        mean[:_CARRIED] = carry @ previous.x
         spread = gains @ self._accelerations @ gains.T
         spread[12:, 12:] += (1.0 - kept * kept) * self._camera
         forget = np.ones(_CARRIED)
         forget[:6], forget[6:12] = max(settings.q, 1e-9) ** -0.5, max(settings.q_attitude, 1e-9) ** -0.5
-        for matrix, covariance in ((assumed, before.assumed), (true, before.true)):
-            known = carry @ covariance @ carry.T
+        for matrix, covariance in ((assumed, previous.assumed), (true, previous.true)):
+            predicted = carry @ covariance @ carry.T
             if matrix is assumed:
-                known = _at_most(known * np.outer(forget, forget))
-            matrix[:_CARRIED, :_CARRIED] = known + spread
+                predicted = _at_most(predicted * np.outer(forget, forget))
+            matrix[:_CARRIED, :_CARRIED] = predicted + spread
             matrix[:_CARRIED, _CARRIED:] = gains @ self._accelerations
             matrix[_CARRIED:, :_CARRIED] = matrix[:_CARRIED, _CARRIED:].T
         return assumed, true, mean

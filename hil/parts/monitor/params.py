@@ -36,8 +36,8 @@ def monitor_sensor(scenario: Scenario) -> SensorConfig:
     images_hz, camera = scene.fps if scene.fields == "whole" else 2.0 * scene.fps, scene.camera
     places: dict[str, Any] = {
         f"{name}_{axis}_m": value
-        for name, place in (("camera", config.camera_position_m), ("target", config.target_position_m))
-        for axis, value in zip("xyz", place, strict=True)
+        for name, position in (("camera", config.camera_position_m), ("target", config.target_position_m))
+        for axis, value in zip("xyz", position, strict=True)
     }
     return SensorConfig(
         kind="docking_monitor",

@@ -50,7 +50,7 @@ def find_polygons(
     left, top: px, the region's first pixel in the image; line_step: px from one line of the region to the next.
     corners: (n, 2), relative to the polygon's centroid and to the radius of the circle of its area.
     """
-    found: list[PolygonCandidate] = []
+    candidates: list[PolygonCandidate] = []
     for points in _borders(prepared):
         places = points * [1.0, line_step] + [left, top]
         area, centroid = _area_and_centroid(places)
@@ -59,13 +59,13 @@ def find_polygons(
             continue
         step = -(-len(places) // _COMPARED)
         misfits = _misfits((places[::step] - centroid) / radius, corners)
-        found += [
+        candidates += [
             PolygonCandidate(float(centroid[0]), float(centroid[1]), radius, float(_ROLLS[k]), float(misfits[k]))
             for k in _local_minima(misfits)
             if misfits[k] < _LARGEST_MISFIT
         ]
     # of rolls that fit equally well the smallest
-    return sorted(found, key=lambda one: (round(one.misfit, 2), abs(one.roll)))[:_CANDIDATES]
+    return sorted(candidates, key=lambda one: (round(one.misfit, 2), abs(one.roll)))[:_CANDIDATES]
 
 
 def _borders(prepared: Prepared) -> Iterator[Floats]:

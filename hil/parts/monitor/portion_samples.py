@@ -45,7 +45,7 @@ class PortionSamples:
         return np.concatenate(rows)
 
     def close(self) -> None:
-        """Do nothing: the monitor is that of the session."""
+        """Do nothing: the monitor belongs to the session."""
 
 
 def write_sample(portion: Portion, sample: np.void) -> bool:

@@ -77,5 +77,4 @@ def prepare(image: Image) -> Prepared:
         return Prepared(smooth, (), contrast)
     table = np.clip((np.arange(256) - low) * (255.0 / (high - low)) + 0.5, 0.0, 255.0).astype(np.uint8)
     stretched: Any = cv2.LUT(smooth, table)
-    found = sorted(set(thresholds(histogram(stretched), 0, 255)))
-    return Prepared(stretched, tuple(found), contrast)
+    return Prepared(stretched, tuple(sorted(set(thresholds(histogram(stretched), 0, 255)))), contrast)

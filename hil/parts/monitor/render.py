@@ -49,7 +49,7 @@ class Glare:
 class Conditions:
     """Conditions of the imaging of a target.
 
-    blur_px: 1 sigma of the point spread of lens and tube. noise: None for that of the scene's camera. flicker: fraction
+    blur_px: 1 sigma of the point spread of lens and tube. noise: None: the scene camera's. flicker: fraction
     of the brightness, at flicker_hz. slope_right, slope_down: relative increase of the brightness from the image's
     middle to its right and lower edge. extra: parts that hide others (in front) or resemble them (next to the target).
     black_s: intervals (start, end), s, without an image.
@@ -103,29 +103,29 @@ def cross(arm_length_m: float, arm_width_m: float, centre_m: tuple[float, float]
 
 def parts_of(target: Target) -> list[FlatShape]:
     """Return the target's parts, back to front."""
-    found: list[FlatShape] = []
+    parts: list[FlatShape] = []
     if target.outline is not None:
         corners = np.array(target.outline.corners_m)
         if target.outline.radius_m is not None:
             corners = circle(target.outline.radius_m, target.outline.center_m)
-        found.append(FlatShape(corners, target.outline.offset_m, target.outline.level))
-    found += [
+        parts.append(FlatShape(corners, target.outline.offset_m, target.outline.level))
+    parts += [
         FlatShape(rectangle(box.width_m, box.height_m, (box.x_m, box.y_m)), box.offset_m, box.level)
         for box in target.boxes
     ]
     if target.plate is not None:
         plate = target.plate
-        found.append(FlatShape(rectangle(plate.width_m, plate.height_m), plate.offset_m, plate.level))
+        parts.append(FlatShape(rectangle(plate.width_m, plate.height_m), plate.offset_m, plate.level))
     if target.disc is not None:
-        found.append(FlatShape(circle(target.disc.radius_m, (0.0, 0.0)), 0.0, target.disc.level))
+        parts.append(FlatShape(circle(target.disc.radius_m, (0.0, 0.0)), 0.0, target.disc.level))
     if target.labels is not None:
         for centre in target.labels.centers_m:
             corners = circle(target.labels.radius_m, centre, _SMALL_CIRCLE)
-            found.append(FlatShape(corners, 0.0, target.labels.level))
+            parts.append(FlatShape(corners, 0.0, target.labels.level))
     if target.cross is not None:
         corners = cross(target.cross.arm_length_m, target.cross.arm_width_m)
-        found.append(FlatShape(corners, target.cross.offset_m, target.cross.level))
-    return found
+        parts.append(FlatShape(corners, target.cross.offset_m, target.cross.level))
+    return parts
 
 
 class TargetRenderer:

@@ -32,7 +32,7 @@ _PORTIONS = 64  # in the ring that the loop reads
 
 
 class MonitorResults(NamedTuple):
-    """Results of the monitor: of_run returns those of the run that has ended, source those that arrive during it."""
+    """Results of the monitor: of_run returns them after the run, source as they arrive."""
 
     of_run: Callable[[Outcome], MonitorOutcome]
     source: PortionSource | None = None

@@ -152,9 +152,9 @@ def _video(path: Path, scene: Loaded[Scene]) -> Source:
     if not capture.isOpened():
         raise BadInput.single(str(path), "", "not a readable video, or truncated")
     stated = capture.get(cv2.CAP_PROP_FPS)
-    wanted = scene.value.fps
-    if np.isfinite(stated) and stated > 0.0 and abs(stated - wanted) > _RATE_TOLERANCE * wanted:
-        text = f"{stated:g} images per second: must be {wanted:g}, fps of {scene.source}"
+    expected = scene.value.fps
+    if np.isfinite(stated) and stated > 0.0 and abs(stated - expected) > _RATE_TOLERANCE * expected:
+        text = f"{stated:g} images per second: must be {expected:g}, fps of {scene.source}"
         raise BadInput.single(str(path), "image rate", text)
     stated = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     count = int(stated) if 0.0 < stated < _LONGEST_COUNT else None
@@ -198,8 +198,7 @@ def _slots(files: list[Path]) -> list[int]:
     This is the number at the end of its name, so that a lost image leaves a gap; names without numbers, or
     with numbers that are never consecutive, are counted.
     """
-    found = [_NUMBER.search(file.stem) for file in files]
-    numbers = [int(match.group(1)) for match in found if match is not None]
+    numbers = [int(match[1]) for file in files if (match := _NUMBER.search(file.stem)) is not None]
     ordered = sorted(numbers)
     steps = [after - before for before, after in pairwise(ordered)]
     if len(numbers) < len(files) or (steps and min(steps) != 1):

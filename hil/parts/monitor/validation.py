@@ -33,11 +33,11 @@ _VISIBLE: Final = 6  # samples of a part that has to be found
 class Validation:
     """Statistics of one measured frame, per feature."""
 
-    def __init__(self, features: TargetFeatures, samples: NDArray[np.void], left: Floats, noise: float) -> None:
+    def __init__(self, features: TargetFeatures, samples: NDArray[np.void], residuals: Floats, noise: float) -> None:
         n = features.feature_count
         feature = samples["feature"]
         used = samples["good"] == 1
-        self.samples, self.used, self._left = samples, used, left
+        self.samples, self.used, self._residuals = samples, used, residuals
         self.placed = np.bincount(feature, minlength=n)
         self.good = np.bincount(feature[used], minlength=n)
         step = samples["high"] - samples["low"]
@@ -65,7 +65,7 @@ class Validation:
     def scatter_px(self) -> float:
         """Return the RMS of the used points' residuals, px, in excess of their own noise."""
         samples, used = self.samples, self.used
-        square = np.mean(self._left[used] ** 2) - np.mean(samples["variance"][used])
+        square = np.mean(self._residuals[used] ** 2) - np.mean(samples["variance"][used])
         return float(np.sqrt(max(square, 0.0)))
 
 

@@ -56,7 +56,7 @@ class DrivePlan:
 def plan_drive(job: Job, setup: Setup, held: Prior, request: PlanRequest) -> DrivePlan:
     """Return a plan of views on the rig of ``job``, outside the guard volume. Raises BadInput if there is none.
 
-    setup, held: as of ``plan_views``.
+    setup, held: see ``plan_views``.
     """
     scenario = job.scenario.value
     bench = bench_params.bench(job.rig.value, scenario.step_s, scenario.bench)
@@ -114,7 +114,7 @@ class CalibrationDrive:
         return np.concatenate([feedback.rail_m, feedback.gimbal_rad])
 
     def skip_images(self) -> None:
-        """Skip the images so far: those of the move, which have no use."""
+        """Skip the images taken during the move."""
         self._cameras.skip()
 
     def new_pairs(self, now_s: float) -> list[tuple[float, np.ndarray, np.ndarray]]:
@@ -236,10 +236,10 @@ class CameraDriftCheck:
         except BadInput as error:
             raise DeviceError(NAME, f"{WHAT}: {'; '.join(problem.message for problem in error.problems)}") from error
         self.result = drift_as_json(checked, limits)
-        since = f"calibration {checked.known.label.id} of {checked.known.label.date}"
-        found, limit = checked.refusal(limits)
-        if found:
-            raise SafetyTrip(NAME, f"{WHAT} against {since}:", found, limit)
+        since = f"calibration {checked.stored.label.id} of {checked.stored.label.date}"
+        exceeded, limit = checked.refusal(limits)
+        if exceeded:
+            raise SafetyTrip(NAME, f"{WHAT} against {since}:", exceeded, limit)
         text = f"{WHAT}: {checked.drift.views} views agree with {since}, residuals {checked.drift.rms_px:.3f} px RMS"
         self._events.append(Event(0.0, NAME, text))
 
@@ -247,14 +247,14 @@ class CameraDriftCheck:
         rig, chosen = self._bench.rig, self._bench.rig.vmu.drift_check
         assert rig.vmu.geometry_file is not None
         geometry = load_geometry(rig.vmu.geometry_file).value
-        known = read_back(geometry, rig.vmu.geometry_file)
+        stored = read_back(geometry, rig.vmu.geometry_file)
         setup = Setup.of(geometry, rig.bench)
-        held = weak_prior(setup, (), known.axis_sigma, _LED_SIGMA_M, 0.0)
+        held = weak_prior(setup, (), stored.axis_sigma, _LED_SIGMA_M, 0.0)
         request = PlanRequest(chosen.views, chosen.near_m, chosen.far_m, float(np.radians(chosen.turn_deg)))
         plan = plan_drive(self._bench.job, setup, held, request)
         taken = take_views(self._bench, plan, chosen.settle_s, lambda *_: None)
         with temporary_folder("views") as folder:
             write_views(Path(folder), taken)
             views = read_views(Path(folder))
-            checked = calibration.check(views, known, None, False, _RANGE_M, lambda *_: None)
+            checked = calibration.check(views, stored, None, False, _RANGE_M, lambda *_: None)
         return checked, calibration.DriftLimits(chosen.max_rms_px, chosen.max_drift_px, chosen.alarm_probability)

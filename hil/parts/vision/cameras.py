@@ -84,7 +84,7 @@ class CamerasVmu:
         return [PoseFrame.from_record(record) for record in self._frames.read()]
 
     def counters(self) -> dict[str, int]:
-        """Return the counters since ``open``: those of every vision unit, and those of ``LiveVision``."""
+        """Return the counters since ``open``: the common ones of vision units, and ``LiveVision``'s."""
         if self._child is not None:
             self._block["counters"].read(self._counters)
         return dict.fromkeys(COUNTERS, 0) | io_layout.counters_of(self._counters)

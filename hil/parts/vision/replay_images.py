@@ -68,7 +68,7 @@ class ImagesReplayed:
     @property
     def identical(self) -> bool:
         """Whether every status and every number is the same, bit by bit."""
-        same = all(before == now for before, now in self.statuses)
+        same = all(original == now for original, now in self.statuses)
         return same and not (self.differences or self.missing or self.new)
 
 
@@ -96,8 +96,7 @@ class _Compared:
             if not len(where):
                 continue
             sizes = np.abs(apart[where, i])
-            known = np.isfinite(sizes)
-            worst = int(np.argmax(np.where(known, sizes, -1.0)))
+            worst = int(np.argmax(np.where(np.isfinite(sizes), sizes, -1.0)))
             ratios = sizes / sigmas[where, i]
             yield ImageComponent(
                 name,
@@ -126,17 +125,17 @@ class _ImageCounter:
         self._last = recorded_image.number
 
     def remarks(self) -> list[str]:
-        found = []
+        remarks = []
         if "jpeg" in self._encodings:
-            found.append("the images are JPEG, not the original ones: differences are expected")
+            remarks.append("the images are JPEG, not the original ones: differences are expected")
         if self._missing:
             of = self.count + self._missing
-            found.append(f"{self._missing} of {of} exposures are not recorded: differences are expected")
-        return found
+            remarks.append(f"{self._missing} of {of} exposures are not recorded: differences are expected")
+        return remarks
 
 
 def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesReplayed:
-    """Return the comparison of the recorded frames with those of a vision unit with ``geometry`` on the recorded pairs.
+    """Return the comparison of the recorded frames with a vision unit's with ``geometry`` on the recorded pairs.
 
     Frames of a rig with wires are compared with the resolution of the wire. Of a lost frame only the status is
     compared. Raises BadInput.
@@ -144,25 +143,25 @@ def replay_vision_unit(recorded: Recorded, geometry: VmuGeometry) -> ImagesRepla
     vmu = recorded.rig.vmu
     estimator, counter = make_estimator(vmu.estimator, geometry, vmu.estimator_settings), _ImageCounter()
     frames = _Frames(recorded)
-    found = ImagesReplayed(VMU)
+    replayed = ImagesReplayed(VMU)
     compared = _Compared([*((name, "m") for name in POSE[:3]), *((name, "rad") for name in POSE[3:]), *_REST])
     on_wires = recorded.run["rig_kind"] != "mock"
     only_noise = vmu.covariance == "noise"
     for left, right in images.pairs(recorded.path):
         counter.add(left)
         solution = estimator.solve(left.image(recorded.path), right.image(recorded.path), left.bench_s)
-        found.statuses[left.status, solution.status] += 1
-        before, now = frames.at(left.bench_s), solution.frame(0, left.bench_s, only_noise)
-        if before is None or now is None:
-            found.missing += before is not None
-            found.new += now is not None and left.status != solution.status
+        replayed.statuses[left.status, solution.status] += 1
+        original, now = frames.at(left.bench_s), solution.frame(0, left.bench_s, only_noise)
+        if original is None or now is None:
+            replayed.missing += original is not None
+            replayed.new += now is not None and left.status != solution.status
             continue
-        compared.add(left.t_s, *_compare_frames(before, _as_sent(now) if on_wires else now))
+        compared.add(left.t_s, *_compare_frames(original, _as_sent(now) if on_wires else now))
     if not counter.count:
         raise images.no_images(recorded.path, VMU)
-    found.images, found.compared, found.remarks = counter.count, len(compared), counter.remarks()
-    found.differences = list(compared.components())
-    return found
+    replayed.images, replayed.compared, replayed.remarks = counter.count, len(compared), counter.remarks()
+    replayed.differences = list(compared.components())
+    return replayed
 
 
 _REST: Final = (("covariance", ""), ("LEDs used", ""))
@@ -184,21 +183,21 @@ class _Frames:
         return PoseFrame.from_record(self._frames[i]) if abs(self._t_s[i] - bench_s) < self._reach_s else None
 
 
-def _compare_frames(before: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _compare_frames(original: PoseFrame, now: PoseFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return differences, whether the bits differ, and sigmas, (8,): pose, covariance, LEDs."""
-    rotation = -quat.to_rotation_vector(quat.multiply(now.q_vt, quat.conjugate(before.q_vt)))
-    leds = float((now.leds_left, now.leds_right) != (before.leds_left, before.leds_right))
-    covariance = float(np.abs(now.covariance - before.covariance).max())
-    apart = np.concatenate((now.t_v - before.t_v, rotation, [covariance, leds]))
-    turned = _bits(now.q_vt) != _bits(before.q_vt)
+    rotation = -quat.to_rotation_vector(quat.multiply(now.q_vt, quat.conjugate(original.q_vt)))
+    leds = float((now.leds_left, now.leds_right) != (original.leds_left, original.leds_right))
+    covariance = float(np.abs(now.covariance - original.covariance).max())
+    apart = np.concatenate((now.t_v - original.t_v, rotation, [covariance, leds]))
+    turned = _bits(now.q_vt) != _bits(original.q_vt)
     differs = np.concatenate(
         (
-            _bits(now.t_v) != _bits(before.t_v),
+            _bits(now.t_v) != _bits(original.t_v),
             np.full(3, turned.any()),
-            [(_bits(now.covariance) != _bits(before.covariance)).any(), leds > 0.0],
+            [(_bits(now.covariance) != _bits(original.covariance)).any(), leds > 0.0],
         )
     )
-    sigmas = np.concatenate((np.sqrt(np.diag(before.covariance)), np.full(2, math.nan)))
+    sigmas = np.concatenate((np.sqrt(np.diag(original.covariance)), np.full(2, math.nan)))
     return apart, differs, sigmas
 
 
@@ -210,21 +209,21 @@ def _as_sent(frame: PoseFrame) -> PoseFrame:
 
 
 def replay_monitor(recorded: Recorded, scene: Scene) -> ImagesReplayed:
-    """Return the comparison of recorded portions with those of the docking monitor of ``scene``. Raises BadInput."""
+    """Return the comparison of recorded portions with the docking monitor's for ``scene``. Raises BadInput."""
     monitor, counter = DockingMonitor(scene, settings_of(recorded.scenario)), _ImageCounter()
     portions: list[Portion] = []
-    found = ImagesReplayed(DOCKING_MONITOR)
+    replayed = ImagesReplayed(DOCKING_MONITOR)
     for recorded_image in images.recorded_images(recorded.path, MONITOR):
         counter.add(recorded_image)
         portions += monitor.feed(_frame(recorded, scene, recorded_image))
         assert monitor.last is not None
-        found.statuses[recorded_image.status, monitor.last.status] += 1
+        replayed.statuses[recorded_image.status, monitor.last.status] += 1
     if not counter.count:
         raise images.no_images(recorded.path, DOCKING_MONITOR)
     portions += monitor.finish()
-    found.images, found.remarks = counter.count, counter.remarks()
-    _compare_portions(found, recorded.of_parts["portions"], portions, recorded.intact)
-    return found
+    replayed.images, replayed.remarks = counter.count, counter.remarks()
+    _compare_portions(replayed, recorded.of_parts["portions"], portions, recorded.intact)
+    return replayed
 
 
 def _frame(recorded: Recorded, scene: Scene, recorded_image: images.RecordedImage) -> VideoFrame:
@@ -239,19 +238,19 @@ def _frame(recorded: Recorded, scene: Scene, recorded_image: images.RecordedImag
     return VideoFrame(recorded_image.number, recorded_image.t_s, image, half)
 
 
-def _compare_portions(found: ImagesReplayed, before: np.ndarray, now: Sequence[Portion], whole: bool) -> None:
+def _compare_portions(replayed: ImagesReplayed, original: np.ndarray, now: Sequence[Portion], whole: bool) -> None:
     """Compare portions that end with the same frame.
 
     whole: the recording has its end; if it broke off, portions after its last one do not count as new.
     """
-    last_s = math.inf if whole else float(before["t_s"].max(initial=-math.inf))
+    last_s = math.inf if whole else float(original["t_s"].max(initial=-math.inf))
     units = [name.rpartition("_")[2].replace("mps", "m/s") for name in QUANTITIES]
     compared = _Compared([*zip(QUANTITIES, units, strict=True), ("status, frames, sigmas", "")])
-    known = {float(row["t_s"]): row for row in before}
+    rows = {float(row["t_s"]): row for row in original}
     for portion in now:
-        row = known.pop(portion.t_s, None)
+        row = rows.pop(portion.t_s, None)
         if row is None:
-            found.new += portion.t_s <= last_s
+            replayed.new += portion.t_s <= last_s
             continue
         old, new = portion_of(row), np.frombuffer(portion_row(portion).tobytes(), PORTION)[0]
         both_nan = np.isnan(old.values) & np.isnan(portion.values)
@@ -263,8 +262,8 @@ def _compare_portions(found: ImagesReplayed, before: np.ndarray, now: Sequence[P
             np.append((_bits(old.values) != _bits(portion.values)) & ~both_nan, rest),
             np.append(old.sigmas, math.nan),
         )
-    found.missing, found.compared = len(known), len(compared)
-    found.differences = list(compared.components())
+    replayed.missing, replayed.compared = len(rows), len(compared)
+    replayed.differences = list(compared.components())
 
 
 def _bits(values: np.ndarray) -> np.ndarray:

@@ -19,11 +19,11 @@ from hil.vmu.kernels.chain import CAMERA_POSITION, TARGET_POSITION
 
 _CANDIDATES: Final = 200
 _TRIES: Final = 60  # per candidate
-_MARGIN_PX: Final = 12.0  # of an LED from the image's edge
+_MARGIN_PX: Final = 12.0  # distance of an LED from the image's edge
 _LEAST_LEDS: Final = 3  # in each image
-_TRAVEL_MARGIN: Final = 0.02  # of the travel
+_TRAVEL_MARGIN: Final = 0.02  # fraction of the travel
 _SIGMA_PX: Final = 0.05
-_SAMPLES: Final = 64  # of a move
+_SAMPLES: Final = 64  # samples of a move
 
 IsClear = Callable[[Array, Array], bool]
 """Whether a move between two positions of the axes, (6,), stays clear of the target."""
@@ -102,7 +102,7 @@ def _candidates(
     spread = 0.5 * setup.sizes[0] / setup.theta[:2]  # tangent of the angle to the image's edge
     arm = turntable.lever_arm + setup.theta[CAMERA_POSITION : CAMERA_POSITION + 3]
     target = setup.theta[TARGET_POSITION : TARGET_POSITION + 3]
-    found: list[Array] = []
+    candidates: list[Array] = []
     for _ in range(_TRIES * _CANDIDATES):
         axes = np.empty(6)
         axes[3:] = rng.uniform(-request.turn_rad, request.turn_rad, 3)
@@ -112,10 +112,10 @@ def _candidates(
         axes[:3] = target - a_ch.T @ (setup.camera_axes.T @ p_v + arm)
         within = (axes >= low + margin).all() and (axes <= high - margin).all()
         if within and _is_seen(setup, turntable, axes) and is_clear(axes, axes):
-            found.append(axes)
-            if len(found) == _CANDIDATES:
+            candidates.append(axes)
+            if len(candidates) == _CANDIDATES:
                 break
-    return np.array(found).reshape(-1, 6)
+    return np.array(candidates).reshape(-1, 6)
 
 
 def _is_seen(setup: Setup, turntable: TurntableModel, axes: Array) -> bool:
@@ -141,17 +141,17 @@ def _information(setup: Setup, turntable: TurntableModel, held: Prior, axes: Arr
     )[rows]
     by_axes = (seen.by_axes * held.axis_sigma).reshape(4 * m, 6)[rows]
     covariance = _SIGMA_PX**2 * np.eye(len(slopes)) + by_axes @ by_axes.T
-    found: Array = slopes.T @ np.linalg.solve(covariance, slopes)
-    return found
+    information: Array = slopes.T @ np.linalg.solve(covariance, slopes)
+    return information
 
 
 def _most_informative(matrices: list[Array], count: int) -> list[int]:
     total = np.eye(len(matrices[0]))
-    left = list(range(len(matrices)))
+    remaining = list(range(len(matrices)))
     chosen: list[int] = []
     for _ in range(count):
-        gains = [float(np.linalg.slogdet(total + matrices[k])[1]) for k in left]
-        best = left.pop(int(np.argmax(gains)))
+        gains = [float(np.linalg.slogdet(total + matrices[k])[1]) for k in remaining]
+        best = remaining.pop(int(np.argmax(gains)))
         total = total + matrices[best]
         chosen.append(best)
     return chosen
@@ -163,19 +163,19 @@ def _short_way(views: Array, bench: np.record, is_clear: IsClear) -> Array:
     One that has no clear way from the last is put between two others; if there are none such, it is left out.
     """
     rates = np.asarray(bench.rate_max)
-    left = list(range(len(views)))
-    way = [left.pop(int(np.argmax(views[:, 0])))]
-    while left:
+    remaining = list(range(len(views)))
+    way = [remaining.pop(int(np.argmax(views[:, 0])))]
+    while remaining:
         here = views[way[-1]]
-        near_first = sorted(left, key=lambda k: float((np.abs(views[k] - here) / rates).max()))
+        near_first = sorted(remaining, key=lambda k: float((np.abs(views[k] - here) / rates).max()))
         following = next((k for k in near_first if is_clear(here, views[k])), None)
         if following is None:
             break
-        left.remove(following)
+        remaining.remove(following)
         way.append(following)
-    for k in left:
-        for place in range(len(way) - 1, 0, -1):
-            if is_clear(views[way[place - 1]], views[k]) and is_clear(views[k], views[way[place]]):
-                way.insert(place, k)
+    for k in remaining:
+        for position in range(len(way) - 1, 0, -1):
+            if is_clear(views[way[position - 1]], views[k]) and is_clear(views[k], views[way[position]]):
+                way.insert(position, k)
                 break
     return views[way]

@@ -1,4 +1,4 @@
-"""Check of a rig's clock: that of the computer against its PTP master."""
+"""Check of a rig's clock: the computer's clock against its PTP master."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def check_clock(_: Loaded[Scenario], rig: Loaded[Rig]) -> list[Problem]:
 
     A mock rig has no clock that could be synchronised.
     """
-    found = "" if rig.value.kind == "mock" else ptp_problem(rig.value.clock)
+    fault = "" if rig.value.kind == "mock" else ptp_problem(rig.value.clock)
     key = "clock.ptp_max_offset_us"
-    return [Problem(rig.where(key), f"rig.{key}", f"{rig.value.clock.ptp_max_offset_us:g}: {found}")] if found else []
+    return [Problem(rig.where(key), f"rig.{key}", f"{rig.value.clock.ptp_max_offset_us:g}: {fault}")] if fault else []
 
 
 def ptp_problem(clock: ClockConfig) -> str:

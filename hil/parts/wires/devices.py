@@ -179,8 +179,7 @@ def _tcp(key: str, address: str) -> PreflightCheck:
     except OSError as error:
         advice = "correct the key, or add the host to /etc/hosts"
         return PreflightCheck(name, False, f"{address}: {error.strerror or error}", advice)
-    found = address if resolved == host else f"{address} is {resolved}"
-    return PreflightCheck(name, True, found)
+    return PreflightCheck(name, True, address if resolved == host else f"{address} is {resolved}")
 
 
 def _can(key: str, address: str) -> PreflightCheck:

@@ -14,7 +14,7 @@ from hil.session.sample_sources import wired_sensors
 
 def line_sensors(scenario: Scenario, rig: Rig, clock: BenchClock) -> list[LineSensor]:
     """Return the open ports of the scenario's sensors on ``rig``. clock: bench time. Raises LinkLost."""
-    found: list[LineSensor] = []
+    sensors: list[LineSensor] = []
     wired = wired_sensors(scenario, rig)
     try:
         for number, (name, (kind, config, _)) in enumerate(sensors_of(scenario).items()):
@@ -22,9 +22,9 @@ def line_sensors(scenario: Scenario, rig: Rig, clock: BenchClock) -> list[LineSe
                 line = rig.sensors[name]
                 settings = LineSettings(line.port or "", line.baud, config.latency_s)
                 device = device_of(name)
-                found.append(LineSensor(device, number, len(kind.components), kind.module.wire, settings, clock))
+                sensors.append(LineSensor(device, number, len(kind.components), kind.module.wire, settings, clock))
     except LinkLost:
-        for source in found:
+        for source in sensors:
             source.close()
         raise
-    return found
+    return sensors

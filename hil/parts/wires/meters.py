@@ -40,9 +40,9 @@ class ClockWatch:
 
 def _system_ns() -> int:
     """Return the system's time less the monotonic clock, ns."""
-    before = time.monotonic_ns()
+    start_ns = time.monotonic_ns()
     system = time.time_ns()
-    return system - (before + time.monotonic_ns()) // 2
+    return system - (start_ns + time.monotonic_ns()) // 2
 
 
 class ExchangeRates:

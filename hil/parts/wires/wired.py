@@ -182,7 +182,7 @@ def _require_realtime(rig: Loaded[Rig], realtime: RealTime) -> None:
 
 @contextmanager
 def telemetry_ring(sinks: RecordingSinks | None) -> Iterator[Telemetry]:
-    """Give the sink of CYCLE: that of a recording, or a ring that other processes read."""
+    """Give the sink of CYCLE: a recording's, or a ring that other processes read."""
     if sinks:
         yield sinks["cycles"]
         return

@@ -22,7 +22,7 @@ VISION_ERRORS = np.dtype(
         ("seed", "i8"),
         ("bias", "f8", 3),  # m, in v, of t_v
         ("q_misaligned", "f8", 4),  # from the camera's axes to those that the unit assumes
-        ("scale_error", "f8"),  # of the distance, relative
+        ("scale_error", "f8"),  # relative error of the distance
         ("correlated_fraction", "f8"),  # of the variance of the noise
         ("correlation_s", "f8"),
         ("outlier_probability", "f8"),
@@ -40,19 +40,19 @@ least distance of an LED from an edge of an image there, px."""
 
 LEAST_LEDS = 3
 """LEDs that both images must show; with fewer the pose of a ring is not determined."""
-PLACES = 6  # of the LEDs on the ring
+PLACES = 6  # positions of the LEDs on the ring
 _CORRELATED_LANE, _OUTLIER_LANE, _MISIDENTIFIED_LANE = 2048, 8192, 8196  # beyond those of the faults
 
 
 @kernel
 def misidentify(places, q_vt):
     """Take each LED for the one ``places`` further round the ring, whose axis is z of t."""
-    turn, before = stack.vector(4), stack.vector(4)
-    copy_into(before, q_vt)
+    turn, attitude = stack.vector(4), stack.vector(4)
+    copy_into(attitude, q_vt)
     angle = places * math.pi / 3.0
     turn[0] = turn[1] = 0.0
     turn[2], turn[3] = elementary.sin(0.5 * angle), elementary.cos(0.5 * angle)
-    quat.multiply_into(before, turn, q_vt)
+    quat.multiply_into(attitude, turn, q_vt)
 
 
 @kernel
@@ -73,10 +73,10 @@ def correlate(errors, memory, t_s, noise, out):
 @kernel
 def distort(errors, number, t_v, q_vt):
     """Apply the systematic errors and the blunders of exposure ``number`` to a pose t -> v, in place."""
-    before = stack.vector(4)
+    attitude = stack.vector(4)
     quat.transform_into(errors.q_misaligned, t_v, t_v)
-    copy_into(before, q_vt)
-    quat.multiply_into(errors.q_misaligned, before, q_vt)
+    copy_into(attitude, q_vt)
+    quat.multiply_into(errors.q_misaligned, attitude, q_vt)
     for i in range(3):
         t_v[i] += errors.scale_error * t_v[i] + errors.bias[i]
     displace_at_random(errors.outlier_probability, errors.outlier_size, errors.seed, number, _OUTLIER_LANE, t_v)

@@ -39,12 +39,12 @@ def _displace(mounting, displacement, frame):
 @kernel
 def _turn(rotation, frame):
     """Turn the ring of ``frame`` by the rotation vector (3,), rad, whose sense is that of a vector's, in v."""
-    turn, before = stack.vector(4), stack.vector(4)
+    turn, attitude = stack.vector(4), stack.vector(4)
     for i in range(3):
         rotation[i] = -rotation[i]  # from_rotation_vector turns the frame
-    copy_into(before, frame.q_vt)
+    copy_into(attitude, frame.q_vt)
     quat.from_rotation_vector_into(rotation, turn)
-    quat.multiply_into(turn, before, frame.q_vt)
+    quat.multiply_into(turn, attitude, frame.q_vt)
 
 
 @kernel
@@ -73,11 +73,11 @@ def dim(lost, least_light, seed, lane, frame):
     measures the light, reports it. least_light: 1/m^2, least light over the square of the distance, m, in terms of that
     of an LED which is not dimmed. lane: see ``_add_noise``.
     """
-    left = 1.0 - lost
-    if left < least_light * (frame.t_v[0] ** 2 + frame.t_v[1] ** 2 + frame.t_v[2] ** 2):
+    light = 1.0 - lost
+    if light < least_light * (frame.t_v[0] ** 2 + frame.t_v[1] ** 2 + frame.t_v[2] ** 2):
         return False
-    _add_noise(math.sqrt(lost / left), seed, lane, frame)
-    _scale_covariance(1.0 / left, frame)
+    _add_noise(math.sqrt(lost / light), seed, lane, frame)
+    _scale_covariance(1.0 / light, frame)
     return True
 
 

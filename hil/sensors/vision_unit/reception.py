@@ -77,13 +77,13 @@ def _record_newest(state, poses, arrived):
 @kernel
 def _log_poses(state, poses, arrived, logged, arrivals):
     """Add the poses to the rows of their frames, from ``logged`` on; a frame that was dropped was used by no cycle."""
-    left = arrived
+    newest = arrived
     for row in range(state.vmu.logged - 1, logged - 1, -1):
         if arrivals[row].cycle < 0:
             continue
-        left -= 1
-        if left >= 0:
-            copy_record(poses[left], arrivals[row].pose)
+        newest -= 1
+        if newest >= 0:
+            copy_record(poses[newest], arrivals[row].pose)
         else:
             arrivals[row].cycle = -1
 

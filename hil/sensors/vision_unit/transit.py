@@ -30,15 +30,15 @@ _COUNTER_MASK = 0xFFFF_FFFF
 def next_arrival(frames, first, n):
     """Return the index of the frame of ``first`` to ``n`` - 1 that arrives first, of equals the one exposed first; -1
     if there are none."""
-    found = -1
+    earliest = -1
     for i in range(first, n):
         if (
-            found < 0
-            or frames[i].received_s < frames[found].received_s
-            or (frames[i].received_s == frames[found].received_s and frames[i].counter < frames[found].counter)
+            earliest < 0
+            or frames[i].received_s < frames[earliest].received_s
+            or (frames[i].received_s == frames[earliest].received_s and frames[i].counter < frames[earliest].counter)
         ):
-            found = i
-    return found
+            earliest = i
+    return earliest
 
 
 @kernel

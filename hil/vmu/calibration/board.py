@@ -51,17 +51,17 @@ class Board:
 def find_corners(image: np.ndarray, board: Board) -> Array | None:
     """Return the corners, (columns rows, 2), px, or None. The end of the board at which they start is arbitrary."""
     flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
-    if not found:
+    complete, corners = cv2.findChessboardCornersSB(image, (board.columns, board.rows), flags=flags)
+    if not complete:
         return None
     # these corners have a common error of up to 0.1 px per view, unlike the saddle points themselves
     grid = np.asarray(corners).reshape(board.rows, board.columns, 2)
     apart = min(float(np.linalg.norm(np.diff(grid, axis=k), axis=2).min()) for k in range(2))
     half = int(np.clip(_WINDOW * apart, 2, 11))
     refined = cv2.cornerSubPix(image, np.asarray(corners, dtype=np.float32), (half, half), (-1, -1), _UNTIL)
-    positions, before = (np.asarray(found, dtype=float).reshape(-1, 2) for found in (refined, corners))
+    positions, unrefined = (np.asarray(points, dtype=float).reshape(-1, 2) for points in (refined, corners))
     # a corner that moves far has met the board's edge or a speck
-    return np.where(np.linalg.norm(positions - before, axis=1, keepdims=True) < _FARTHEST_PX, positions, before)
+    return np.where(np.linalg.norm(positions - unrefined, axis=1, keepdims=True) < _FARTHEST_PX, positions, unrefined)
 
 
 def observations(views: Views, board: Board, progress: Callable[[str, float], None]) -> tuple[Observations, Array]:
@@ -159,9 +159,9 @@ def _stereo(
     shape = (int(size[0]), int(size[1]))
     cameras = (_matrix(left), left[4:], _matrix(right), right[4:])
     fixed = cv2.CALIB_FIX_INTRINSIC
-    found = cv2.stereoCalibrate(objects, lefts, rights, *cameras, shape, eye, zero, flags=fixed)
+    stereo = cv2.stereoCalibrate(objects, lefts, rights, *cameras, shape, eye, zero, flags=fixed)
     # OpenCV: p_r = R p_v + T
-    rotation, position = np.asarray(found[5], dtype=float), np.asarray(found[6], dtype=float).ravel()
+    rotation, position = np.asarray(stereo[5], dtype=float), np.asarray(stereo[6], dtype=float).ravel()
     return (
         Rotation.from_matrix(rotation.T).as_rotvec(),
         np.asarray(-rotation.T @ position, dtype=float),
@@ -212,15 +212,15 @@ def start(
         pixels[k] = pixels[k, :, ::-1]
     positions = np.array([pose[1] for pose in poses])
     arm = turntable.lever_arm + theta[CAMERA_POSITION:TARGET_ROTATION]
-    found = hand_eye(rotations, positions, gimbals, observed.axes[agree, :3], nominal.camera_axes, arm)
-    camera_axes = found.camera_axes
+    fit = hand_eye(rotations, positions, gimbals, observed.axes[agree, :3], nominal.camera_axes, arm)
+    camera_axes = fit.camera_axes
     if "mounting" in keep:
         camera_axes = nominal.camera_axes
     else:
-        theta[CAMERA_POSITION:TARGET_ROTATION] = found.arm - turntable.lever_arm
-    theta[TARGET_POSITION:SCALE] = found.position
-    begun = replace(nominal, theta=theta, camera_axes=camera_axes, target_axes=np.ascontiguousarray(found.target_axes))
-    good = set(agree[found.good])
+        theta[CAMERA_POSITION:TARGET_ROTATION] = fit.arm - turntable.lever_arm
+    theta[TARGET_POSITION:SCALE] = fit.position
+    begun = replace(nominal, theta=theta, camera_axes=camera_axes, target_axes=np.ascontiguousarray(fit.target_axes))
+    good = set(agree[fit.good])
     bad = tuple(name for k, name in enumerate(observed.names) if k not in good)
     return begun, replace(observed, pixels=pixels), bad
 
@@ -237,5 +237,5 @@ def _resolve_ends(rotations: Array, gimbals: Array) -> tuple[Array, Array]:
         as_read = np.abs(Rotation.from_matrix(rotations @ rotation.T).magnitude() - made)
         turned = np.abs(Rotation.from_matrix(rotations @ half @ rotation.T).magnitude() - made)
         tries.append((float(np.sum(np.minimum(as_read, turned))), turned < as_read))
-    flipped = min(tries, key=lambda found: found[0])[1]
+    flipped = min(tries, key=lambda attempt: attempt[0])[1]
     return np.where(flipped[:, None, None], rotations @ half, rotations), flipped

@@ -86,18 +86,18 @@ class _Score:
         return _Score(self.gradient - self.matrix @ change, self.matrix - moved @ self.matrix, self.square - gain)
 
 
-def check(known: StoredCalibration, observed: Observations, setup: Setup, target_moved: bool) -> Drift:
-    """Return the deviation of ``observed`` from the prediction of ``known``.
+def check(stored: StoredCalibration, observed: Observations, setup: Setup, target_moved: bool) -> Drift:
+    """Return the deviation of ``observed`` from the prediction of ``stored``.
 
-    setup: that of ``known``, with the points of today's target; if ``target_moved`` the target's pose is only
+    setup: that of ``stored``, with the points of today's target; if ``target_moved`` the target's pose is only
     approximate, and unconstrained.
     """
     on_leds = len(setup.points) <= MOST_LEDS
-    found = information(observed, setup, known.turntable, known.axis_sigma, known.noise, on_leds)
-    size = len(found.score)
-    score = _with_prior(found.matrix, found.score, found.square, known.covariance, size)
+    info = information(observed, setup, stored.turntable, stored.axis_sigma, stored.noise, on_leds)
+    size = len(info.score)
+    score = _with_prior(info.matrix, info.score, info.square, stored.covariance, size)
     parts = _directions(setup, size)
-    rows = found.rows
+    rows = info.rows
     target = parts.pop("target")
     if target_moved:
         rows -= score.best(target)[1]
@@ -105,23 +105,23 @@ def check(known: StoredCalibration, observed: Observations, setup: Setup, target
     else:
         parts["target"] = target
     square, freedom, _, _ = score.best(np.hstack(list(parts.values())))
-    left = max(rows - freedom, 1)
-    noise2 = max(score.square - square, 1e-12) / left
+    residual_freedom = max(rows - freedom, 1)
+    noise2 = max(score.square - square, 1e-12) / residual_freedom
     explanations = []
     for name, directions in parts.items():
         gain, rank, change, covariance = score.best(directions)
         sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        shift = _shift_px(observed, setup, known.turntable, change)
-        chance = float(f.sf(gain / rank / noise2, rank, left))
+        shift = _shift_px(observed, setup, stored.turntable, change)
+        chance = float(f.sf(gain / rank / noise2, rank, residual_freedom))
         explanations.append(Explanation(name, gain / noise2, rank, chance, change, sigma, shift))
     worth = {e.part: e.square - e.freedom * math.log(max(rows, 3)) for e in explanations}
     explanations.sort(key=lambda e: -worth[e.part])
     alike = tuple(e.part for e in explanations if worth[e.part] > worth[explanations[0].part] - _AS_GOOD)
-    together = float(f.sf(square / freedom / noise2, freedom, left))
+    together = float(f.sf(square / freedom / noise2, freedom, residual_freedom))
     # correction for testing all parts at once and each alone (Bonferroni)
     chance = min(1.0, (1 + len(explanations)) * min(together, *(e.chance for e in explanations)))
     counts = (len(observed.names), int(observed.visible.sum()))
-    return Drift(*counts, found.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
+    return Drift(*counts, info.rms_px, math.sqrt(noise2), square / noise2, freedom, chance, tuple(explanations), alike)
 
 
 def _with_prior(matrix: Array, score: Array, square: float, covariance: Array, size: int) -> _Score:
@@ -141,11 +141,11 @@ def _with_prior(matrix: Array, score: Array, square: float, covariance: Array, s
 
 def _directions(setup: Setup, size: int) -> dict[str, Array]:
     """Return the directions in which each part may move, (size, k)."""
-    found = {name: np.eye(size)[:, place] for name, place in PARTS.items() if name != "scale"}
+    directions = {name: np.eye(size)[:, columns] for name, columns in PARTS.items() if name != "scale"}
     if size > COMMON:
         basis = layout_basis(setup.points)
-        found["leds"] = np.vstack([np.zeros((COMMON, basis.shape[1])), basis])
-    return found
+        directions["leds"] = np.vstack([np.zeros((COMMON, basis.shape[1])), basis])
+    return directions
 
 
 def _shift_px(observed: Observations, setup: Setup, turntable: TurntableModel, change: Array) -> float:

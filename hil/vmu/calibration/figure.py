@@ -87,14 +87,14 @@ def _ring(nominal: Array, off_mm: Array, sigma_mm: Array, plot: Any) -> None:
 def _ranges(outcome: CalibrationOutcome, plot: Any) -> None:
     setup, covariance = outcome.solved.fit.setup, outcome.solved.fit.covariance
     reach = np.geomspace(0.4, 12.0, 25)
-    found = [f for r in reach if (f := quality.at_range(setup, covariance, outcome.sigma_px, float(r))) is not None]
+    ranges = [f for r in reach if (f := quality.at_range(setup, covariance, outcome.sigma_px, float(r))) is not None]
     for name, label, colour, style in (
         ("noise_across_mm", "one measurement, across", _GREY, "--"),
         ("noise_depth_mm", "one measurement, depth", _GREY, "-"),
         ("calibration_across_mm", "calibration, across", _GREEN, "--"),
         ("calibration_depth_mm", "calibration, depth", _GREEN, "-"),
     ):
-        plot.loglog([f.range_m for f in found], [getattr(f, name) for f in found], style, color=colour, label=label)
+        plot.loglog([f.range_m for f in ranges], [getattr(f, name) for f in ranges], style, color=colour, label=label)
     plot.set_title("position of one point visible to both cameras, 1 sigma", loc="left", fontsize=10)
     plot.set_xlabel("range, m")
     plot.set_ylabel("mm")

@@ -64,7 +64,6 @@ def geometry_table(
         table["sensor"] = nominal.sensor.model_dump()
     if nominal.tolerances != EXACT:
         table["tolerances"] = nominal.tolerances.model_dump()
-    found = parameters((len(fit.covariance) - COMMON) // 3)
     table["calibration"] = {
         "id": label.id,
         "date": label.date,
@@ -81,7 +80,7 @@ def geometry_table(
         "target_axes": setup.target_axes.T.tolist(),
         "sigma": {
             f"{p.name}_{p.unit}" if p.unit else p.name: float(s * p.shown)
-            for p, s in zip(found, fit.sigma, strict=True)
+            for p, s in zip(parameters((len(fit.covariance) - COMMON) // 3), fit.sigma, strict=True)
             if s > 0.0
         },
         "covariance": [row[: k + 1].tolist() for k, row in enumerate(fit.covariance)],
@@ -157,31 +156,31 @@ class StoredCalibration:
 
 def read_back(geometry: VmuGeometry, source: str) -> StoredCalibration:
     """Return the calibration in a geometry file; raise BadInput if it has none."""
-    found = geometry.calibration
-    if found is None:
+    calibration = geometry.calibration
+    if calibration is None:
         raise BadInput.single(source, "calibration", "is missing: a file written by hil calibrate is required")
-    if found.target.startswith(HAND_HELD):
-        text = f'"{found.target}": has no positions of a bench to compare with; calibrate with views at known positions'
+    if calibration.target.startswith(HAND_HELD):
+        text = f'"{calibration.target}": has no bench positions to compare with; calibrate with views at given ones'
         raise BadInput.single(source, "calibration.target", text)
-    n = len(found.covariance)
+    n = len(calibration.covariance)
     if n not in (COMMON, COMMON + 3 * len(geometry.leds_m)):
         allowed = f"{COMMON} rows, or {COMMON + 3 * len(geometry.leds_m)} with the layout of the LEDs"
         raise BadInput.single(source, "calibration.covariance", f"{n} rows, allowed {allowed}")
     covariance = np.zeros((n, n))
-    for k, row in enumerate(found.covariance):
+    for k, row in enumerate(calibration.covariance):
         covariance[k, : k + 1] = row
         covariance[: k + 1, k] = row
     theta = np.zeros(COMMON)
     theta[0:9], theta[9:18] = lens_numbers(geometry.left), lens_numbers(geometry.right)
     theta[ROTATION:BASELINE], theta[BASELINE:CAMERA_ROTATION] = geometry.right_rotation_rad, geometry.baseline_m
-    theta[CAMERA_POSITION:TARGET_ROTATION] = found.camera_position_m
-    theta[TARGET_POSITION:SCALE] = found.target_position_m
+    theta[CAMERA_POSITION:TARGET_ROTATION] = calibration.camera_position_m
+    theta[TARGET_POSITION:SCALE] = calibration.target_position_m
     theta[SCALE] = 1.0
     sizes = np.array([[c.width, c.height] for c in (geometry.left, geometry.right)], dtype=float)
-    target_axes = np.ascontiguousarray(np.array(found.target_axes).T)
-    setup = Setup(theta, np.array(found.camera_axes), target_axes, np.array(geometry.leds_m), sizes)
-    order = np.array([_ORDER.index(axis) for axis in found.gimbal_order])
-    sigma = np.array([found.rail_sigma_m] * 3 + [math.radians(found.gimbal_sigma_deg)] * 3)
-    turntable = TurntableModel(np.array(found.lever_arm_m, dtype=float), order)
-    label = Label(found.id, found.date, found.target)
-    return StoredCalibration(label, setup, turntable, covariance, found.noise, sigma, geometry.sensor)
+    target_axes = np.ascontiguousarray(np.array(calibration.target_axes).T)
+    setup = Setup(theta, np.array(calibration.camera_axes), target_axes, np.array(geometry.leds_m), sizes)
+    order = np.array([_ORDER.index(axis) for axis in calibration.gimbal_order])
+    sigma = np.array([calibration.rail_sigma_m] * 3 + [math.radians(calibration.gimbal_sigma_deg)] * 3)
+    turntable = TurntableModel(np.array(calibration.lever_arm_m, dtype=float), order)
+    label = Label(calibration.id, calibration.date, calibration.target)
+    return StoredCalibration(label, setup, turntable, covariance, calibration.noise, sigma, geometry.sensor)

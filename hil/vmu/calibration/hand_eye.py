@@ -45,15 +45,15 @@ def hand_eye(
     good = np.ones(len(rotations), dtype=bool)
     while True:
         chosen = np.flatnonzero(good)
-        found = _closed_form(rotations[chosen], positions[chosen], gimbals[chosen], rails[chosen], camera_axes, arm)
-        expected = found[0] @ gimbals @ found[1]
+        solution = _closed_form(rotations[chosen], positions[chosen], gimbals[chosen], rails[chosen], camera_axes, arm)
+        expected = solution[0] @ gimbals @ solution[1]
         angle = Rotation.from_matrix(rotations @ expected.transpose(0, 2, 1)).magnitude()
-        at = (found[3] - rails)[:, None, :] @ gimbals.transpose(0, 2, 1)
-        distance = np.linalg.norm((at[:, 0] - found[2]) @ found[0].T - positions, axis=1)
+        at = (solution[3] - rails)[:, None, :] @ gimbals.transpose(0, 2, 1)
+        distance = np.linalg.norm((at[:, 0] - solution[2]) @ solution[0].T - positions, axis=1)
         off = np.maximum(angle / _usual(angle[good], 5e-4), distance / _usual(distance[good], 5e-4))
         worst = int(np.argmax(np.where(good, off, 0.0)))
         if off[worst] < _FAR or good.sum() <= max(3, 2 * len(rotations) // 3):
-            return HandEye(*found, good)
+            return HandEye(*solution, good)
         good[worst] = False
 
 

@@ -95,11 +95,11 @@ def consistent_fit(observed: Observations, begun: Setup, held: Prior, left_out: 
     return CalibrationSolution(fit, observed, left_out, 0)
 
 
-def bench_at(turn: Array, place: Array) -> Array:
+def bench_at(turn: Array, position: Array) -> Array:
     """Return the axes (6,) of a bench at the origin with a target at ``p_v = turn p_t + place``."""
     angles = np.empty(3)
     euler.from_quaternion_into(quat.from_matrix(np.ascontiguousarray(turn)), TURNTABLE.order, angles)
-    return np.array([*(-turn.T @ place), *angles])
+    return np.array([*(-turn.T @ position), *angles])
 
 
 def _start(
@@ -112,8 +112,8 @@ def _start(
     theta[:CAMERA_ROTATION] = cameras
     axes = np.zeros((len(observed.names), 6))
     for k in agree:
-        turn, place = boards.board_pose(board.points(), observed.pixels[k, 0], theta[PARTS["left"]])
-        axes[k] = bench_at(turn, place)
+        turn, position = boards.board_pose(board.points(), observed.pixels[k, 0], theta[PARTS["left"]])
+        axes[k] = bench_at(turn, position)
     return begun, axes, agree
 
 
@@ -150,20 +150,20 @@ def _without_scale(covariance: Array) -> Array:
     if covariance[SCALE, SCALE] <= 0.0:
         return covariance
     column = covariance[:, SCALE]
-    found: Array = covariance - np.outer(column, column) / covariance[SCALE, SCALE]
-    return found
+    reduced: Array = covariance - np.outer(column, column) / covariance[SCALE, SCALE]
+    return reduced
 
 
 def warnings_of(solution: CalibrationSolution, shares: list[float]) -> list[str]:
     """Return the deficiencies of the views, one sentence each."""
     observed = solution.observations
-    found = quality.coverage_warnings(shares)
+    warnings = quality.coverage_warnings(shares)
     if len(observed.names) < _FEW:
-        found.append(f"few views: {len(observed.names)}, {_FEW} or more are recommended")
+        warnings.append(f"few views: {len(observed.names)}, {_FEW} or more are recommended")
     tilt = observed.axes[:, 3:5]
     if min(float(np.ptp(tilt[:, k])) for k in range(2)) < 2.0 * _TILTED_RAD:
-        found.append("little tilt: hold the target tilted by 20 to 35 deg about both of its axes, both ways")
+        warnings.append("little tilt: hold the target tilted by 20 to 35 deg about both of its axes, both ways")
     range_m = np.linalg.norm(observed.axes[:, :3], axis=1)
     if float(range_m.max()) < 1.3 * float(range_m.min()):
-        found.append(f"little change of range: {range_m.min():.2f} to {range_m.max():.2f} m")
-    return found
+        warnings.append(f"little change of range: {range_m.min():.2f} to {range_m.max():.2f} m")
+    return warnings

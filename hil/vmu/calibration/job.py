@@ -97,8 +97,8 @@ class CalibrationOutcome:
         """Raise BadInput if the vision unit cannot use the calibration of ``views``."""
         failed = [check for check in self.checks if check.needed and not check.passed]
         if failed:
-            found = ", ".join(f"{c.name} {c.value:.3g} {c.unit}, allowed {c.limit:g} {c.unit}" for c in failed)
-            text = f"{found}: the vision unit cannot use this calibration, no geometry file is written"
+            exceeded = ", ".join(f"{c.name} {c.value:.3g} {c.unit}, allowed {c.limit:g} {c.unit}" for c in failed)
+            text = f"{exceeded}: the vision unit cannot use this calibration, no geometry file is written"
             raise BadInput.single(views, "", text)
 
 
@@ -152,7 +152,7 @@ def calibrate_hand_held(
     guess: bool,
     progress: Progress,
 ) -> CalibrationOutcome:
-    """Return the calibration of both cameras by pairs of a board that is held by hand; arguments as of ``calibrate``.
+    """Return the calibration of both cameras by pairs of a board that is held by hand; arguments: see ``calibrate``.
 
     Without ``guess`` the images may have another size than those of ``geometry``. Without a board the target is the
     ring, and its layout is measured by the cameras of ``geometry``.
@@ -160,8 +160,8 @@ def calibrate_hand_held(
     if given.board is None:
         ring = hand_held.at_origin(Setup.of(geometry, rig.bench), np.array(geometry.leds_m))
         solved, held = led_layout.solve(hand_held.read_pairs(folder), geometry, ring, given.led_sigma, progress)
-        found = _outcome(label, solved, hand_held.TURNTABLE, held, ring, limits, False)
-        return replace(found, warnings=hand_held.warnings_of(solved, [1.0, 1.0]), checks=found.checks[:1])
+        outcome = _outcome(label, solved, hand_held.TURNTABLE, held, ring, limits, False)
+        return replace(outcome, warnings=hand_held.warnings_of(solved, [1.0, 1.0]), checks=outcome.checks[:1])
     observed, sizes = boards.observations(hand_held.read_pairs(folder), given.board, progress)
     nominal = Setup.of(geometry, rig.bench, given.board.points())
     if guess and (sizes != nominal.sizes).any():
@@ -169,20 +169,20 @@ def calibrate_hand_held(
     nominal = replace(nominal, sizes=sizes)
     progress("fitting", 0.9)
     solved, held = hand_held.solve(observed, given.board, nominal, given.keep, given.square_sigma, guess)
-    found = _outcome(label, solved, hand_held.TURNTABLE, held, nominal, limits, False)
+    outcome = _outcome(label, solved, hand_held.TURNTABLE, held, nominal, limits, False)
     halves = hand_held.halves(solved, held, limits.range_m)
-    checks = list(found.checks)
+    checks = list(outcome.checks)
     if halves is not None:
         checks.append(
             CalibrationCheck("difference of two halves of the views", halves.in_sigmas, _HALVES_SIGMAS, "sigma")
         )
-    return replace(found, warnings=hand_held.warnings_of(solved, found.shares), halves=halves, checks=checks)
+    return replace(outcome, warnings=hand_held.warnings_of(solved, outcome.shares), halves=halves, checks=checks)
 
 
-def _sizes_differ(found: Array, expected: Array) -> str:
+def _sizes_differ(actual: Array, expected: Array) -> str:
     sides = [
         f"the {side} images are {a[0]:g} x {a[1]:g} px, {b[0]:g} x {b[1]:g} px in geometry or rig file"
-        for side, a, b in zip(SIDES, found, expected, strict=True)
+        for side, a, b in zip(SIDES, actual, expected, strict=True)
         if (a != b).any()
     ]
     return sides[0]
@@ -200,11 +200,11 @@ def _outcome(
     fit, observed = solved.fit, solved.observations
     sigma = quality.sigma_px(fit, observed)
     at_ranges = [
-        found
+        accuracy
         for range_m in sorted({*quality.RANGES_M, limits.range_m})
-        if (found := quality.at_range(fit.setup, fit.covariance, sigma, range_m)) is not None
+        if (accuracy := quality.at_range(fit.setup, fit.covariance, sigma, range_m)) is not None
     ]
-    here = next((found for found in at_ranges if found.range_m == limits.range_m), None)
+    here = next((accuracy for accuracy in at_ranges if accuracy.range_m == limits.range_m), None)
     error = float("inf") if here is None else float(np.hypot(here.calibration_across_mm, here.calibration_depth_mm))
     checks = [
         CalibrationCheck("reprojection, RMS", fit.rms_px, limits.rms_px, "px", needed=True),
@@ -246,7 +246,7 @@ class DriftLimits:
 class DriftCheck:
     """A drift check. across_mm, depth_mm: displacement of a point at ``range_m`` by the best explanation."""
 
-    known: StoredCalibration
+    stored: StoredCalibration
     setup: Setup
     drift: drift.Drift
     across_mm: float
@@ -256,62 +256,62 @@ class DriftCheck:
 
     def refusal(self, limits: DriftLimits) -> tuple[str, str]:
         """Return what exceeds ``limits``, and the limit, as texts; "" if nothing does."""
-        found = self.drift
-        best = found.explanations[0]
-        if found.chance < limits.alarm and best.shift_px > limits.drift_px:
-            moved = f"{' or '.join(found.alike)} moved, {best.shift_px:.3f} px RMS (by chance: {found.chance:.1e})"
+        change = self.drift
+        best = change.explanations[0]
+        if change.chance < limits.alarm and best.shift_px > limits.drift_px:
+            moved = f"{' or '.join(change.alike)} moved, {best.shift_px:.3f} px RMS (by chance: {change.chance:.1e})"
             return moved, f"{limits.drift_px:g} px"
-        if found.rms_px > limits.rms_px:
-            return f"residuals {found.rms_px:.3f} px RMS", f"{limits.rms_px:g} px"
+        if change.rms_px > limits.rms_px:
+            return f"residuals {change.rms_px:.3f} px RMS", f"{limits.rms_px:g} px"
         return "", ""
 
 
 def check(
-    views: Views, known: StoredCalibration, board: Board | None, moved: bool, range_m: float, progress: Progress
+    views: Views, stored: StoredCalibration, board: Board | None, moved: bool, range_m: float, progress: Progress
 ) -> DriftCheck:
-    """Return the deviation of today's views from the calibration ``known``; raise BadInput if they are insufficient.
+    """Return the deviation of today's views from the calibration ``stored``; raise BadInput if they are insufficient.
 
     moved: the target may have moved since the calibration; a board always may.
     """
     if board is None:
-        spots = spot_views(views, known.setup.sizes, known.sensor, progress)
-        elsewhere = moved or known.label.target != "leds"
-        observed, setup = _identify_leds(spots, known, elsewhere)
+        spots = spot_views(views, stored.setup.sizes, stored.sensor, progress)
+        elsewhere = moved or stored.label.target != "leds"
+        observed, setup = _identify_leds(spots, stored, elsewhere)
     else:
         observed, sizes = boards.observations(views, board, progress)
-        if (sizes != known.setup.sizes).any():
-            raise BadInput.single("VIEWS", "", _sizes_differ(sizes, known.setup.sizes))
+        if (sizes != stored.setup.sizes).any():
+            raise BadInput.single("VIEWS", "", _sizes_differ(sizes, stored.setup.sizes))
         keep = ("left", "right", "stereo", "mounting")
         with_board = Setup(
-            known.setup.theta, known.setup.camera_axes, known.setup.target_axes, board.points(), known.setup.sizes
+            stored.setup.theta, stored.setup.camera_axes, stored.setup.target_axes, board.points(), stored.setup.sizes
         )
-        begun, observed, _ = boards.start(observed, board, with_board, known.turntable, keep, True)
-        setup, elsewhere = _locate_target(observed, begun, known), True
-    found = drift.check(known, observed, setup, elsewhere)
-    across, depth = quality.displacement(setup, found.explanations[0].change[:COMMON], range_m)
+        begun, observed, _ = boards.start(observed, board, with_board, stored.turntable, keep, True)
+        setup, elsewhere = _locate_target(observed, begun, stored), True
+    analysis = drift.check(stored, observed, setup, elsewhere)
+    across, depth = quality.displacement(setup, analysis.explanations[0].change[:COMMON], range_m)
     lost = tuple(name for name in views.names if name not in observed.names)
-    return DriftCheck(known, setup, found, across, depth, range_m, lost)
+    return DriftCheck(stored, setup, analysis, across, depth, range_m, lost)
 
 
-def _identify_leds(spots: SpotViews, known: StoredCalibration, moved: bool) -> tuple[Observations, Setup]:
+def _identify_leds(spots: SpotViews, stored: StoredCalibration, moved: bool) -> tuple[Observations, Setup]:
     """Return today's LEDs, searched first near the positions predicted by the calibration."""
-    setup = known.setup
-    observed = identify(spots, setup, known.turntable, None if moved else _WIDE_GATE_PX)
+    setup = stored.setup
+    observed = identify(spots, setup, stored.turntable, None if moved else _WIDE_GATE_PX)
     if not moved and not _enough(observed):
-        observed = identify(spots, setup, known.turntable)
+        observed = identify(spots, setup, stored.turntable)
     good = np.flatnonzero(observed.visible.sum(axis=2).max(axis=1) >= 3)
     if len(good) < 2:
         text = f"{len(good)} of {len(spots.names)} views show 3 LEDs near their positions, 2 are required"
         raise BadInput.single("VIEWS", "", text)
     observed = observed.only(good)
-    return observed, _locate_target(observed, setup, known) if moved else setup
+    return observed, _locate_target(observed, setup, stored) if moved else setup
 
 
 def _enough(observed: Observations) -> bool:
     return bool((observed.visible.sum(axis=2).max(axis=1) >= 3).mean() > 0.5)
 
 
-def _locate_target(observed: Observations, setup: Setup, known: StoredCalibration) -> Setup:
+def _locate_target(observed: Observations, setup: Setup, stored: StoredCalibration) -> Setup:
     """Return ``setup`` with the target's pose fitted to today's views, all else as calibrated."""
-    held = weak_prior(setup, ("left", "right", "stereo", "mounting"), known.axis_sigma, 0.0, 0.0)
-    return robust_fit(observed, setup, known.turntable, held)
+    held = weak_prior(setup, ("left", "right", "stereo", "mounting"), stored.axis_sigma, 0.0, 0.0)
+    return robust_fit(observed, setup, stored.turntable, held)

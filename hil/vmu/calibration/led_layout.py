@@ -55,10 +55,10 @@ def solve(
 
 def _with_uncertain_leds(geometry: VmuGeometry, led_sigma: float) -> VmuGeometry:
     """Return ``geometry`` with LEDs that are known to ``led_sigma`` only, even if it has a calibrated layout."""
-    known = geometry.calibration
+    calibration = geometry.calibration
     update: dict[str, object] = {"tolerances": geometry.tolerances.model_copy(update={"led_m": led_sigma})}
-    if known is not None:
-        update["calibration"] = known.model_copy(update={"covariance": known.covariance[:COMMON]})
+    if calibration is not None:
+        update["calibration"] = calibration.model_copy(update={"covariance": calibration.covariance[:COMMON]})
     return geometry.model_copy(update=update)
 
 
@@ -81,10 +81,10 @@ def _observations(
             left_out[name] = f"no pose: {solution.status}"
             continue
         for side, (spots, leds) in enumerate(zip(solution.spots, solution.leds, strict=True)):
-            found, usable = measured(spots)
+            points, usable = measured(spots)
             for led, spot in enumerate(leds):
                 if spot >= 0 and usable[spot]:
-                    pixels[k, side, led], covariance[k, side, led] = found.positions[spot], found.covariance[spot]
+                    pixels[k, side, led], covariance[k, side, led] = points.positions[spot], points.covariance[spot]
         if np.isfinite(pixels[k]).all(axis=-1).any(axis=0).sum() < _FEWEST_LEDS:
             left_out[name] = f"fewer than {_FEWEST_LEDS} LEDs"
             continue
@@ -99,9 +99,9 @@ def _with_cameras(solved: CalibrationSolution, held: Prior, nominal: Setup, came
     matrix = information(solved.observations, fit.setup, TURNTABLE, AXIS_SIGMA, fit.noise, True).matrix
     normal = basis.T @ matrix[COMMON:, COMMON:] @ basis + np.eye(basis.shape[1]) / held.layout_sigma**2
     gain = basis @ np.linalg.solve(normal, basis.T @ matrix[COMMON:, :SHARED])
-    found: Array = fit.covariance.copy()
-    found[:SHARED, :SHARED] = cameras
-    found[COMMON:, :SHARED] = -gain @ cameras
-    found[:SHARED, COMMON:] = found[COMMON:, :SHARED].T
-    found[COMMON:, COMMON:] += gain @ cameras @ gain.T
-    return found
+    covariance: Array = fit.covariance.copy()
+    covariance[:SHARED, :SHARED] = cameras
+    covariance[COMMON:, :SHARED] = -gain @ cameras
+    covariance[:SHARED, COMMON:] = covariance[COMMON:, :SHARED].T
+    covariance[COMMON:, COMMON:] += gain @ cameras @ gain.T
+    return covariance

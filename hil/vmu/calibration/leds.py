@@ -46,17 +46,17 @@ def spot_views(views: Views, sizes: Array, sensor: Sensor | None, progress: Call
     sizes: (2, 2), width and height, px. Raises BadInput for images of another size.
     """
     detectors = [SpotDetector((int(height), int(width)), sensor=sensor) for width, height in sizes]
-    found = []
+    pairs = []
     for k, name in enumerate(views.names):
         progress(f"spots of view {name}", k / len(views.names))
         pair = read_pair(views, k, sizes)
-        found.append(tuple(_spots(detector, image) for detector, image in zip(detectors, pair, strict=True)))
-    return SpotViews(views.names, views.axes, tuple((left, right) for left, right in found))
+        pairs.append(tuple(_spots(detector, image) for detector, image in zip(detectors, pair, strict=True)))
+    return SpotViews(views.names, views.axes, tuple((left, right) for left, right in pairs))
 
 
 def _spots(detector: SpotDetector, image: np.ndarray) -> Spots:
-    found, usable = measured(detector.spots(image, None))
-    return Spots(found.positions[usable], found.covariance[usable])
+    points, usable = measured(detector.spots(image, None))
+    return Spots(points.positions[usable], points.covariance[usable])
 
 
 def measured(spots: np.ndarray) -> tuple[Spots, np.ndarray]:

@@ -50,18 +50,18 @@ class Parameter:
 
 
 def parameters(points: int = 0) -> list[Parameter]:
-    """Return all shared unknowns in order, followed by those of the layout of ``points`` LEDs."""
-    found = [
+    """Return all shared unknowns in order, followed by the layout of ``points`` LEDs."""
+    entries = [
         Parameter(f"{side}.{name}", unit, 1.0)
         for side in SIDES
         for name, unit in zip(_LENS_NAMES, _LENS_UNITS, strict=True)
     ]
     for part in ("stereo", "mounting", "target"):
-        found += [Parameter(f"{part}.turn_{axis}", "deg", math.degrees(1.0)) for axis in "xyz"]
-        found += [Parameter(f"{part}.{axis}", "mm", 1e3) for axis in "xyz"]
-    found.append(Parameter("scale", "", 1.0))
-    found += [Parameter(f"led_{led}.{axis}", "mm", 1e3) for led in range(points) for axis in "xyz"]
-    return found
+        entries += [Parameter(f"{part}.turn_{axis}", "deg", math.degrees(1.0)) for axis in "xyz"]
+        entries += [Parameter(f"{part}.{axis}", "mm", 1e3) for axis in "xyz"]
+    entries.append(Parameter("scale", "", 1.0))
+    entries += [Parameter(f"led_{led}.{axis}", "mm", 1e3) for led in range(points) for axis in "xyz"]
+    return entries
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class TurntableModel:
 
     @classmethod
     def of(cls, bench: BenchGeometry) -> TurntableModel:
-        """Return that of a rig file."""
+        """Return the turntable model of a rig file."""
         return cls(
             np.array(bench.lever_arm_m, dtype=float), np.array(["xyz".index(axis) for axis in bench.gimbal_order])
         )

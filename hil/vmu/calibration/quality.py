@@ -49,13 +49,13 @@ def field(setup: Setup, range_m: float) -> list[tuple[Array, Array]]:
 
     Each (3, 4), m/px, and (3, COMMON): the position that is triangulated from the same pixels with other parameters.
     """
-    found: list[tuple[Array, Array]] = []
+    sensitivities: list[tuple[Array, Array]] = []
     for p_v in _field_points(setup, range_m):
         pixels, by_numbers, by_place = _both_cameras(setup, p_v)
         if _in_both(pixels, setup):
             inverse: Array = np.linalg.pinv(by_place).astype(float)
-            found.append((inverse, -inverse @ by_numbers))
-    return found
+            sensitivities.append((inverse, -inverse @ by_numbers))
+    return sensitivities
 
 
 def _field_points(setup: Setup, range_m: float) -> Iterator[Array]:
@@ -141,29 +141,29 @@ def sigma_px(fit: RefinementFit, observed: Observations) -> float:
 
 def warnings_of(fit: RefinementFit, observed: Observations, held: Prior, shares: list[float], rigid: bool) -> list[str]:
     """Return the deficiencies of the views, one sentence each. rigid: the target is a board of known size."""
-    found = []
+    warnings = []
     if len(observed.names) < 10:
-        found.append(f"few views: {len(observed.names)}, 15 or more are recommended")
-    found += coverage_warnings(
+        warnings.append(f"few views: {len(observed.names)}, 15 or more are recommended")
+    warnings += coverage_warnings(
         [s if held.free[PARTS[side]].any() else 1.0 for side, s in zip(SIDES, shares, strict=True)]
     )
     rails, gimbals = np.ptp(observed.axes[:, :3], axis=0), np.degrees(np.ptp(observed.axes[:, 3:], axis=0))
     turned = int((gimbals >= 8.0).sum())
     if held.free[PARTS["mounting"]].any() and turned < 2:
-        found.append("no tilt: fewer than two gimbals were moved by 8 deg: the camera's mounting is not determined")
+        warnings.append("no tilt: fewer than two gimbals were moved by 8 deg: the camera's mounting is not determined")
     if rails.max() < 0.1:
         rest = "scale rests on the board's size alone" if rigid else "nothing fixes the scale"
-        found.append(f"the rails moved by {1e3 * rails.max():.0f} mm only: {rest}")
+        warnings.append(f"the rails moved by {1e3 * rails.max():.0f} mm only: {rest}")
     elif rails[0] < 0.3:
-        found.append(f"little change of range: x moved by {1e3 * rails[0]:.0f} mm")
+        warnings.append(f"little change of range: x moved by {1e3 * rails[0]:.0f} mm")
     prior_sigma = np.where(held.free, held.sigma, np.inf)
     names = parameters()[:SCALE]
     open_ = [p.name for p, s, b in zip(names, fit.sigma, prior_sigma, strict=False) if np.isfinite(b) and s > 0.3 * b]
     if open_:
-        found.append(f"not determined by these views: {', '.join(open_)}")
+        warnings.append(f"not determined by these views: {', '.join(open_)}")
     if len(fit.sigma) > COMMON and fit.sigma[COMMON:].max() > 0.5 * held.layout_sigma:
-        found.append("the layout of the LEDs is hardly more accurate than before")
+        warnings.append("the layout of the LEDs is hardly more accurate than before")
     for name, ratio, redundancy in zip(("rails", "gimbals"), fit.axis_ratio, fit.axis_redundancy, strict=True):
         if ratio > 1.0 + 3.0 / np.sqrt(2.0 * max(redundancy, 1.0)):
-            found.append(f"errors of the {name}' encoders are {ratio:.1f} times the assumed sigma")
-    return found
+            warnings.append(f"errors of the {name}' encoders are {ratio:.1f} times the assumed sigma")
+    return warnings

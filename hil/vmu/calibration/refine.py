@@ -175,7 +175,7 @@ class _System:
         return change, np.array(own)
 
     def covariance(self) -> Array:
-        """Return that of the shared unknowns."""
+        """Return the covariance of the shared unknowns."""
         scale = 1.0 / np.sqrt(np.diagonal(self.reduced))
         inverse = np.linalg.inv(self.reduced * scale[:, None] * scale)
         out: Array = inverse * scale[:, None] * scale
@@ -256,7 +256,7 @@ class RefinementProblem:
         in_sigmas = offsets**2 * system.axis_weight
         axis_redundancy = np.array([axis_freedom[:, :3].sum(), axis_freedom[:, 3:].sum()])
         axis_square = np.array([in_sigmas[:, :3].sum(), in_sigmas[:, 3:].sum()])
-        found = noise * float(np.sqrt(squares / freedom)) if freedom > 1.0 else noise
+        noise_estimate = noise * float(np.sqrt(squares / freedom)) if freedom > 1.0 else noise
         spread = np.zeros((COMMON + (0 if self.basis is None else setup.points.size), self.shared))
         spread[self.columns, : len(self.columns)] = np.eye(len(self.columns))
         if self.basis is not None:
@@ -266,7 +266,7 @@ class RefinementProblem:
             spread @ shared @ spread.T,
             offsets,
             system.residuals,
-            found,
+            noise_estimate,
             float(freedom),
             view_square,
             view_freedom,

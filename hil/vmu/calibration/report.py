@@ -16,7 +16,7 @@ from hil.vmu.kernels.chain import COMMON, SCALE
 
 
 def values(setup: Setup, paper: Setup, leds: bool) -> Array:
-    """Return all parameters of ``setup`` in the order of ``parameters``; rotations relative to those of ``paper``."""
+    """Return all parameters of ``setup`` in the order of ``parameters``; rotations relative to ``paper``."""
     theta = setup.theta.copy()
     for part, mine, other in (
         ("mounting", setup.camera_axes, paper.camera_axes),
@@ -32,8 +32,8 @@ def found_numbers(outcome: CalibrationOutcome) -> list[tuple[Parameter, float, f
     fit = outcome.solved.fit
     leds = len(fit.covariance) > COMMON
     described = parameters(len(fit.setup.points) if leds else 0)
-    now, before = (values(setup, outcome.nominal, leds) for setup in (fit.setup, outcome.nominal))
-    rows = zip(described, now, fit.sigma, before, strict=True)
+    now, nominal = (values(setup, outcome.nominal, leds) for setup in (fit.setup, outcome.nominal))
+    rows = zip(described, now, fit.sigma, nominal, strict=True)
     return [(p, float(v * p.shown), float(s * p.shown), float(b * p.shown)) for p, v, s, b in rows if s > 0.0]
 
 
@@ -85,7 +85,7 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
             p.name: {"value": value, "sigma": sigma, "on_paper": paper, "unit": p.unit}
             for p, value, sigma, paper in found_numbers(outcome)
         },
-        "at_ranges": [_range_as_json(found) for found in outcome.at_ranges],
+        "at_ranges": [_range_as_json(accuracy) for accuracy in outcome.at_ranges],
         "coverage": dict(zip(("left", "right"), outcome.shares, strict=True)),
         "halves": None if outcome.halves is None else asdict(outcome.halves),
         "board_scale": float(fit.setup.theta[SCALE]),
@@ -93,8 +93,8 @@ def as_json(outcome: CalibrationOutcome) -> dict[str, Any]:
     }
 
 
-def _range_as_json(found: RangeAccuracy) -> dict[str, float]:
-    return {name: getattr(found, name) for name in RangeAccuracy.__slots__}
+def _range_as_json(accuracy: RangeAccuracy) -> dict[str, float]:
+    return {name: getattr(accuracy, name) for name in RangeAccuracy.__slots__}
 
 
 def _finite(value: float) -> float | None:
@@ -103,23 +103,23 @@ def _finite(value: float) -> float | None:
 
 def drift_as_json(checked: DriftCheck, limits: DriftLimits) -> dict[str, Any]:
     """Return the content of ``hil calibrate --check --json``, and ``drift_check`` of a run."""
-    found, known = checked.drift, checked.known
-    described = parameters(len(known.setup.points) if len(found.explanations[0].change) > COMMON else 0)
+    drift, stored = checked.drift, checked.stored
+    described = parameters(len(stored.setup.points) if len(drift.explanations[0].change) > COMMON else 0)
     return {
-        "calibration": known.label.id,
-        "date": known.label.date,
+        "calibration": stored.label.id,
+        "date": stored.label.date,
         "passed": not checked.refusal(limits)[0],
         "limits": asdict(limits),
-        "views": found.views,
+        "views": drift.views,
         "lost": list(checked.lost),
-        "points": found.points,
-        "rms_px": found.rms_px,
-        "noise": found.noise,
-        "chi_square": found.square,
-        "freedom": found.freedom,
-        "chance": found.chance,
-        "moved": list(found.alike) if found.chance < limits.alarm else [],
-        "shift_px": found.explanations[0].shift_px,
+        "points": drift.points,
+        "rms_px": drift.rms_px,
+        "noise": drift.noise,
+        "chi_square": drift.square,
+        "freedom": drift.freedom,
+        "chance": drift.chance,
+        "moved": list(drift.alike) if drift.chance < limits.alarm else [],
+        "shift_px": drift.explanations[0].shift_px,
         "shift_across_mm": checked.across_mm,
         "shift_depth_mm": checked.depth_mm,
         "range_m": checked.range_m,
@@ -136,6 +136,6 @@ def drift_as_json(checked: DriftCheck, limits: DriftLimits) -> dict[str, Any]:
                     if s > 0.0
                 },
             }
-            for e in found.explanations
+            for e in drift.explanations
         ],
     }

@@ -102,7 +102,7 @@ def board_images(
     if not folder.is_dir():
         raise BadInput.single(str(folder), "", "no such folder: give one with images of the board")
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
-    found: dict[str, Array] = {}
+    boards: dict[str, Array] = {}
     for k, path in enumerate(paths):
         progress(f"corners of {path.name}", k / len(paths))
         image = read_image(path)
@@ -111,34 +111,34 @@ def board_images(
             raise BadInput.single(str(path), "", text)
         corners = find_corners(image, board)
         if corners is not None:
-            found[path.name] = corners
-    if len(found) < LEAST_IMAGES:
-        text = f"{len(found)} of {len(paths)} images show a board of {board.columns}x{board.rows} inner corners"
+            boards[path.name] = corners
+    if len(boards) < LEAST_IMAGES:
+        text = f"{len(boards)} of {len(paths)} images show a board of {board.columns}x{board.rows} inner corners"
         raise BadInput.single(str(folder), "", f"{text}, {LEAST_IMAGES} are needed")
-    return found
+    return boards
 
 
 def fit_camera(corners: dict[str, Array], size: tuple[int, int], board: Board) -> CameraFit:
     """Return the camera that fits ``corners`` best; images that contradict the rest are left out. Raises BadInput."""
     names = tuple(corners)
-    found = _fit([corners[name] for name in names], size, board)
-    good = found.residual_px < _OUTLIER * np.median(found.residual_px)
+    lens_fit = _fit([corners[name] for name in names], size, board)
+    good = lens_fit.residual_px < _OUTLIER * np.median(lens_fit.residual_px)
     used = tuple(name for name, is_good in zip(names, good, strict=True) if is_good)
     if not good.all() and len(used) >= LEAST_IMAGES:
-        found = _fit([corners[name] for name in used], size, board)
+        lens_fit = _fit([corners[name] for name in used], size, board)
     else:
         used = names
-    matrix, lens = found.matrix, found.lens
+    matrix, lens = lens_fit.matrix, lens_fit.lens
     corner = np.array([(u, v) for u in (0.0, size[0] - 1.0) for v in (0.0, size[1] - 1.0)])
     ideal = cv2.undistortPoints(corner[:, None], matrix, lens, P=matrix)[:, 0]
     return CameraFit(
         size,
         np.array([matrix[0, 0], matrix[1, 1]]),
         np.array([matrix[0, 2], matrix[1, 2]]),
-        found.sigma_px,
+        lens_fit.sigma_px,
         lens,
         float(np.linalg.norm(ideal - corner, axis=1).max()),
-        float(np.sqrt(np.mean(found.residual_px**2))),
+        float(np.sqrt(np.mean(lens_fit.residual_px**2))),
         used,
         tuple(name for name in names if name not in used),
     )
@@ -156,7 +156,7 @@ class _LensFit:
 
 def _fit(corners: Sequence[Array], size: tuple[int, int], board: Board) -> _LensFit:
     objects = [board.points().astype(np.float32)] * len(corners)
-    images = [found.astype(np.float32) for found in corners]
+    images = [image_corners.astype(np.float32) for image_corners in corners]
     try:
         _, matrix, lens, _, _, sigmas, _, residuals = cv2.calibrateCameraExtended(
             objects, images, size, np.eye(3), np.zeros(5), flags=_FLAGS

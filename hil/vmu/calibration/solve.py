@@ -173,6 +173,5 @@ def robust_fit(observed: Observations, setup: Setup, turntable: TurntableModel, 
     x = np.concatenate([setup.theta[columns], np.zeros(0 if basis is None else basis.shape[1])])
     for loss in ("soft_l1", "cauchy"):
         scale = max(1.0, float(np.median(np.abs(residual(x)[: 2 * int(mask.sum())]))) * 1.5)
-        found = least_squares(residual, x, slopes, loss=loss, f_scale=scale, x_scale="jac", max_nfev=60)
-        x = found.x
+        x = least_squares(residual, x, slopes, loss=loss, f_scale=scale, x_scale="jac", max_nfev=60).x
     return place(x).folded()

@@ -31,12 +31,12 @@ class Views:
     images: tuple[tuple[Path, Path], ...]
 
 
-def read_views(place: Path) -> Views:
-    """Return the views of the folder ``place``, or of the CSV file at ``place``; raise BadInput.
+def read_views(source: Path) -> Views:
+    """Return the views of the folder ``source``, or of the CSV file ``source``; raise BadInput.
 
     Columns: COLUMNS, and ``left`` and ``right`` if the images are not ``left/VIEW.png`` and ``right/VIEW.png``.
     """
-    table = place / "views.csv" if place.is_dir() else place
+    table = source / "views.csv" if source.is_dir() else source
     try:
         reader = csv.DictReader(io.StringIO(read_text(table, _TABLE_BYTES)), skipinitialspace=True)
         rows = list(reader)
@@ -99,6 +99,6 @@ def read_pair(views: Views, index: int, sizes: Array | None = None) -> tuple[np.
     left, right = (read_image(path) for path in views.images[index])
     for image, path, size in zip((left, right), views.images[index], sizes if sizes is not None else (), strict=False):
         if image.shape[::-1] != tuple(int(x) for x in size):
-            found, wanted = f"{image.shape[1]} x {image.shape[0]}", f"{int(size[0])} x {int(size[1])}"
-            raise BadInput.single(str(path), "", f"is {found} px, the others are {wanted} px")
+            actual, expected = f"{image.shape[1]} x {image.shape[0]}", f"{int(size[0])} x {int(size[1])}"
+            raise BadInput.single(str(path), "", f"is {actual} px, the others are {expected} px")
     return left, right

@@ -218,7 +218,7 @@ def fill_shared(scene, r, t, eq):
 def fill_weights(view, spot, shared, floor, eq):
     """Write the Cholesky factor of S; return the logarithm of its determinant, NaN if there is none.
 
-    shared: (2 m, 2 m), in place of that of ``eq``.
+    shared: (2 m, 2 m), in place of the covariance in ``eq``.
     """
     low, n = eq.low, eq.residual.shape[0]
     for k in range(n):
@@ -368,11 +368,11 @@ def weigh(scene, view, density, clean, fit):
         log_det = fill_weights(view, fit.spot, eq.shared, fit.floor, eq)
         if not math.isfinite(log_det):
             return
-        before = distance_of(fit.t)
+        distance = distance_of(fit.t)
         cost = minimise(scene, view, fit, eq)
         if not math.isfinite(cost):
             return
-        away = abs(distance_of(fit.t) / before - 1.0)
+        away = abs(distance_of(fit.t) / distance - 1.0)
         if scene.lens[0].row_s != 0.0 or scene.lens[1].row_s != 0.0:
             away = _NEAR  # a large part of the residuals is shared, by the tilt too
         if turn < 2:
@@ -576,7 +576,7 @@ def settle(scene, view, density, reach_px, clean, fit, rival):
     clean: as in ``weigh``. rival: FIT, the best hypothesis that lacks more of the spots, with its own score; valid 0 if
     the spots agree.
     """
-    before = np.empty((2, MAX_LEDS), np.int64)
+    previous = np.empty((2, MAX_LEDS), np.int64)
     trial = np.empty_like(rival)
     n_leds = scene.leds.shape[0]
     fit.removed = 0
@@ -585,9 +585,9 @@ def settle(scene, view, density, reach_px, clean, fit, rival):
         weigh(scene, view, density, clean, fit)
         if fit.valid == 0:
             return
-        copy_matrix(before, fit.spot)
+        copy_matrix(previous, fit.spot)
         assign(scene, view, fit.r, fit.t, fit.covariance, reach_px, fit.spot)
-        if not keep_assigned(before, n_leds, fit.spot):
+        if not keep_assigned(previous, n_leds, fit.spot):
             break
         count(fit, n_leds)
         if fit.points < 3:

@@ -21,7 +21,7 @@ _DEPENDENT = 1e-9  # of a column's square
 
 @kernel
 def add_information(scene, view, fit, floor_square, information, product):
-    """Add those of the pose ``fit`` (FIT) to information (p, p) and product (p,); return the number of residuals.
+    """Add pose ``fit`` (FIT) to information (p, p) and product (p,); return the number of residuals.
 
     floor_square: px^2, variance of each coordinate of a spot beyond its noise.
     """
@@ -54,9 +54,9 @@ def add_information(scene, view, fit, floor_square, information, product):
             jac[2 * k, a] /= first
             jac[2 * k + 1, a] = (jac[2 * k + 1, a] - below * jac[2 * k, a]) / second
     for a in range(nuisance):  # the columns of J, orthonormal, are taken out of all others
-        before = 0.0
+        diagonal = 0.0
         for k in range(2 * m):
-            before += jac[k, a] * jac[k, a]
+            diagonal += jac[k, a] * jac[k, a]
         for b in range(a):
             along = 0.0
             for k in range(2 * m):
@@ -66,7 +66,7 @@ def add_information(scene, view, fit, floor_square, information, product):
         size = 0.0
         for k in range(2 * m):
             size += jac[k, a] * jac[k, a]
-        scale = 1.0 / math.sqrt(size) if size > _DEPENDENT * before else 0.0
+        scale = 1.0 / math.sqrt(size) if size > _DEPENDENT * diagonal else 0.0
         for k in range(2 * m):
             jac[k, a] *= scale
         along = 0.0

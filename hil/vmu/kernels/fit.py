@@ -20,13 +20,13 @@ from hil.maths.arrays import copy_into
 from hil.vmu.kernels.disc import node, point_sums, strip_sums, strips
 
 PLANE = 3  # parameters of the background
-POINT = 4  # of a point of light
+POINT = 4  # parameters of a point of light
 DISC = 7
 FLUX, U, V, SIGMA, WIDTH, SHEAR, HEIGHT = 0, 1, 2, 3, 4, 5, 6
 FULL_SCALE = 255.0
 _LEAST_SIGMA = 0.25  # px
 _LEAST_RESIDUE = 1e-12  # of ``cholesky.factor``
-_DARK = 1e-10  # of a light's flux: pixels with less have none
+_DARK = 1e-10  # fraction of a light's flux: pixels with less have none
 
 
 class LightFit(NamedTuple):
@@ -263,11 +263,11 @@ def fit(f, most):
             tried[i] = f.p[i] + step[i]
         _restrain(f.is_disc, tried)
         _fill(f, tried)
-        found = gather(f, normal, right)
+        squares = gather(f, normal, right)
         # the variances move with the light, so near the end the sum may rise a little
-        if found <= total * 1.02 + 0.1:
+        if squares <= total * 1.02 + 0.1:
             copy_into(f.p, tried)
-            total = found
+            total = squares
             damping = max(0.1 * damping, 1e-9)
             if gain < (0.3 if f.is_disc else 0.01):  # of a chi-square: the next step would be far smaller
                 break

@@ -116,18 +116,18 @@ def count(fit, n_leds):
 
 
 @kernel
-def keep_assigned(before, n_leds, spot):
-    """Give the LEDs of ``spot`` (2, MAX_LEDS) that lost their spot that of ``before``; return whether any changed."""
+def keep_assigned(previous, n_leds, spot):
+    """Give LEDs of ``spot`` (2, MAX_LEDS) that lost their spot the one in ``previous``; return whether any changed."""
     changed = False
     for c in range(2):
         for n in range(n_leds):
-            if before[c, n] >= 0 and spot[c, n] < 0:
-                spot[c, n] = before[c, n]
+            if previous[c, n] >= 0 and spot[c, n] < 0:
+                spot[c, n] = previous[c, n]
                 for m in range(n_leds):
                     if m != n and spot[c, m] == spot[c, n]:
                         spot[c, n] = -1
                         break
-            changed = changed or spot[c, n] != before[c, n]
+            changed = changed or spot[c, n] != previous[c, n]
     return changed
 
 
@@ -137,15 +137,15 @@ def converge(scene, view, reach_px, fit):
 
     Alternates between refinement and assignment within the gates of the refined pose.
     """
-    before = np.empty((2, MAX_LEDS), np.int64)
+    previous = np.empty((2, MAX_LEDS), np.int64)
     fit.removed = 0
     for _ in range(_ROUNDS):
         refine(scene, view, fit)
         if fit.valid == 0:
             return
-        copy_matrix(before, fit.spot)
+        copy_matrix(previous, fit.spot)
         assign(scene, view, fit.r, fit.t, fit.covariance, reach_px, fit.spot)
-        changed = keep_assigned(before, scene.leds.shape[0], fit.spot)
+        changed = keep_assigned(previous, scene.leds.shape[0], fit.spot)
         count(fit, scene.leds.shape[0])
         if fit.points < 3:
             fit.valid = 0

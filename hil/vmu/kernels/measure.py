@@ -16,7 +16,7 @@ from hil.vmu.kernels.residuals import drop_outliers, light_noise, misfit, shape_
 LIMITS = np.dtype(
     [
         ("sigmas", "f8"),  # threshold of the sums of 3 x 3, in sigma
-        ("least_snr", "f8"),  # of a spot's flux
+        ("least_snr", "f8"),  # least signal-to-noise ratio of a spot's flux
         ("narrowest", "f8"),  # px, sigma below which a light is a defective pixel
         ("largest", "f8"),  # px, diameter of the largest spot
     ],
@@ -28,7 +28,7 @@ _MOST_STEPS = 12
 _NOT_GAUSSIAN = 20.0  # chi-square (three degrees of freedom) above which a light is no round Gaussian
 _STRONG = 30.0  # SNR above which a light's shape and noise are evaluated
 _PERSPECTIVE = 2.8e-4  # 1/px
-_APART_PX = 1.5  # of a second light from the first
+_APART_PX = 1.5  # distance of a second light from the first
 _BLURS = 3.6  # sigmas of the blur beyond the edge of a disc, from which on there is no light
 _LEFT_OVER = 6.0  # sigmas of the light that the first one leaves, in 3 x 3 pixels
 
@@ -177,7 +177,7 @@ def size_variance(f, a):
 
 @kernel
 def write_elongation(disc):
-    """Write the elongation of a disc, as ``shape_chi_square`` does that of a point of light."""
+    """Write the elongation of a disc, as ``shape_chi_square`` does for a point of light."""
     width, shear, height = disc.p[PLANE + WIDTH], disc.p[PLANE + SHEAR], disc.p[PLANE + HEIGHT]
     disc.elongation[0] = 0.125 * (width * width + shear * shear - height * height)
     disc.elongation[1] = 0.25 * shear * height
@@ -268,13 +268,13 @@ def measure(frame, component, spots, count, noise):
     if hot > 0 and patch.max() < 3.0 * limits.sigmas * math.sqrt(component.dark):
         return count
     peaks = np.empty((MOST_PEAKS, 2), dtype=np.int64)
-    found = find_peaks(patch, frame, component, peaks)
-    if found == 0:
+    n_peaks = find_peaks(patch, frame, component, peaks)
+    if n_peaks == 0:
         return count
-    p = np.empty(PLANE + POINT * found)
-    if not start_points(frame, component, peaks, found, p):
+    p = np.empty(PLANE + POINT * n_peaks)
+    if not start_points(frame, component, peaks, n_peaks, p):
         return count
-    if found == 1 and frame.last.shape[0] > 0 and count < spots.shape[0]:
+    if n_peaks == 1 and frame.last.shape[0] > 0 and count < spots.shape[0]:
         disc = np.empty(PLANE + DISC)
         if disc_of_last(frame.last, p, disc) and _follow_disc(frame, component, disc, spots[count], noise):
             return count + 1
@@ -311,7 +311,7 @@ def _follow_disc(frame, component, p, spot, noise):
 @kernel
 def _fit_and_write(frame, component, p, spots, count, noise):
     n = p.shape[0]
-    found = (n - PLANE) // POINT
+    n_points = (n - PLANE) // POINT
     for _ in range(2):
         box = window_box(frame, component, p, 4.3 if p[PLANE + SIGMA] < 2.0 else 3.6)
         if _is_large(frame, box):
@@ -326,7 +326,7 @@ def _fit_and_write(frame, component, p, spots, count, noise):
     if not math.isfinite(total):
         return count
     snr = signal_to_noise(best)
-    strong = found == 1 and snr > _STRONG
+    strong = n_points == 1 and snr > _STRONG
     wide, shape_chi2 = widened(best), 0.0
     if strong:
         shape_chi2 = shape_chi_square(best, wide)
@@ -336,7 +336,7 @@ def _fit_and_write(frame, component, p, spots, count, noise):
         chi2, allowed = clean(best, total)
         if strong and best.weighed.sum() < kept:
             shape_chi_square(best, wide)
-    if found == 1 and (chi2 > allowed or shape_chi2 > _NOT_GAUSSIAN):
+    if n_points == 1 and (chi2 > allowed or shape_chi2 > _NOT_GAUSSIAN):
         disc_p = np.empty(PLANE + DISC)
         disc_start(p, disc_p)
         disc = start(frame, component, True, disc_p, box)
@@ -354,20 +354,20 @@ def _fit_and_write(frame, component, p, spots, count, noise):
             pair_chi2, pair_allowed = clean(pair, fit(pair, 2 * _MOST_STEPS))
             if pair_chi2 <= pair_allowed and are_two_lights(pair_p):
                 pair.elongation[2] = best.elongation[2]
-                best, chi2, allowed, found = pair, pair_chi2, pair_allowed, 2
+                best, chi2, allowed, n_points = pair, pair_chi2, pair_allowed, 2
     if not math.isfinite(chi2):
         return count
     stretch = chi2 if chi2 > allowed else 1.0
-    split = found > 1 or chi2 > 2.0 * allowed
-    snr /= math.sqrt(stretch * found)
-    before = count
-    for k in range(found):
+    split = n_points > 1 or chi2 > 2.0 * allowed
+    snr /= math.sqrt(stretch * n_points)
+    first = count
+    for k in range(n_points):
         a = PLANE + POINT * k
         if count < spots.shape[0] and write_spot(frame, component, best, a, stretch, snr, split, spots[count]):
             count += 1
-    if count > before and chi2 < 4.0 * allowed:
+    if count > first and chi2 < 4.0 * allowed:
         if best.is_disc:
             noise[0], noise[1] = light_noise(best)
-        elif strong and found == 1:
+        elif strong and n_points == 1:
             noise[0], noise[1] = light_noise(wide)
     return count

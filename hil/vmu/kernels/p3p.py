@@ -143,7 +143,7 @@ def ray_lengths(y1, y2, y3, a12, a13, a23, a, vectors, values, out):
     a[2, 2] = g * (a13 - a23) - a12
     null_eigen(a, vectors, values)
     ratio = math.sqrt(max(-values[1] / values[0], 0.0)) if values[0] != 0.0 else 0.0
-    found = 0
+    count = 0
     for sign in range(2):
         s = ratio if sign == 0 else -ratio
         below = s * vectors[0, 1] - vectors[0, 0]
@@ -173,10 +173,10 @@ def ray_lengths(y1, y2, y3, a12, a13, a23, a, vectors, values, out):
             l3 = tau * l2
             l1 = w0 * l2 + w1 * l3
             if l1 > 0.0:
-                out[found, 0], out[found, 1], out[found, 2] = l1, l2, l3
-                polish(b12, b13, b23, a12, a13, a23, out[found])
-                found += 1
-    return found
+                out[count, 0], out[count, 1], out[count, 2] = l1, l2, l3
+                polish(b12, b13, b23, a12, a13, a23, out[count])
+                count += 1
+    return count
 
 
 @kernel

@@ -94,17 +94,17 @@ def find_peaks(patch, frame, component, peaks):
     five sigma, or the pixels of the image, which the sums blur, by a third.
     """
     count, v0, u0 = 0, component.row[V0], component.row[U0]
-    before = np.inf
+    previous = np.inf
     while count < peaks.shape[0]:
         best, at_i, at_j = -np.inf, -1, -1
         for i in range(patch.shape[0]):
             for j in range(patch.shape[1]):
                 own = frame.label[v0 + i, u0 + j] == component.name
-                if own and best < patch[i, j] < before and _is_peak(patch, i, j):
+                if own and best < patch[i, j] < previous and _is_peak(patch, i, j):
                     best, at_i, at_j = patch[i, j], i, j
         if at_i < 0 or not best > 0.05 * patch.max():
             break
-        before = best
+        previous = best
         sigma = math.sqrt(9.0 * component.dark + frame.per_level * best)
         apart = True
         for k in range(count):

@@ -30,7 +30,7 @@ SEARCH = np.dtype(
         ("least_facing", "f8"),  # cosine of the largest angle between -z_t and the line of sight
         ("reach_px", "f8"),  # largest distance of a spot from the projection of a start pose, plus its noise
         ("gate_px", "f8"),  # and from that of a refined pose
-        ("normal", "f8", 3),  # of the LEDs' best-fit plane, in t
+        ("normal", "f8", 3),  # normal of the LEDs' best-fit plane, in t
         ("centre", "f8", 3),  # m, of the LEDs, in t
         ("level", "i8"),  # above 0: only hypotheses that explain this number of spots of one camera, or more
         ("predicted", "i8"),  # 1: three spots of a single camera are valid near the following pose
@@ -48,7 +48,7 @@ of one that passes its test without a floor."""
 STATE_WIDTH: Final = 6
 
 _MOST_STARTS = 400
-_MOST_TRIPLES = 20_000  # of three spots and three LEDs: the time budget of an image pair
+_MOST_TRIPLES = 20_000  # pairings of three spots with three LEDs: the time budget of an image pair
 _CLOSE_SCORE = 15.0  # within which a hypothesis without some of the spots is one of its own
 _SLACK = 2  # fits with up to this many spots fewer than the best are kept
 
@@ -163,13 +163,13 @@ def search_triple(scene, view, settings, c, trio, least, allowed, some, starts, 
                     state[STATE_FULL] = 1
                     return
                 state[STATE_TRIPLES] += 1
-                found = ray_lengths(
+                n_solutions = ray_lengths(
                     y1, y2, y3, squares[p, q], squares[p, s], squares[q, s], here, vectors, values, lengths
                 )
-                if found == 0:
+                if n_solutions == 0:
                     continue
                 axes_of_three(leds[p], leds[q], leds[s], there)
-                for m in range(found):
+                for m in range(n_solutions):
                     for e in range(3):
                         ends[0, e] = lengths[m, 0] * y1[e]
                         ends[1, e] = lengths[m, 1] * y2[e]

@@ -65,9 +65,9 @@ FIT = np.dtype(
     [
         ("r", "f8", (3, 3)),  # p_v = r p_t + t
         ("t", "f8", 3),  # m
-        ("covariance", "f8", (6, 6)),  # of t and of the small rotation e about v's axes
+        ("covariance", "f8", (6, 6)),  # covariance of t and of the small rotation e about v's axes
         ("noise", "f8", (6, 6)),  # the part of it that is independent between images
-        ("spot", "i2", (2, MAX_LEDS)),  # of each camera and LED, -1: none
+        ("spot", "i2", (2, MAX_LEDS)),  # spot of each camera and LED, -1: none
         ("chi2", "f8"),
         ("misfit", "f8"),  # chi2 with the least floor
         ("floor", "f8"),  # px, estimated error of a spot beyond noise and tolerances

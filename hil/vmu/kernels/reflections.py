@@ -89,7 +89,7 @@ def doubled_lights(scene, view, fit, shift):
         for i in range(3):
             power += weight[k, i] * e[k, i] ** 2
     count = len(_PLATES_M) * _LEANS * _LEANS
-    parts, left, moved = np.empty(count), np.empty(count), np.empty(count)
+    parts, remaining, moved = np.empty(count), np.empty(count), np.empty(count)
     added, best = np.empty((m, 3)), np.inf
     for h in range(count):
         behind, lean_u, lean_v = _plate(h)
@@ -107,18 +107,18 @@ def doubled_lights(scene, view, fit, shift):
                 square += weight[k, i] * added[k, i] ** 2
                 product += weight[k, i] * added[k, i] * e[k, i]
         part = product / square
-        parts[h], left[h], moved[h] = 0.0, np.inf, 0.0
+        parts[h], remaining[h], moved[h] = 0.0, np.inf, 0.0
         if 0.0 < part < _MOST:
             parts[h] = 0.5 - math.sqrt(max(0.25 - part, 0.0))
-            left[h] = power - part * product
+            remaining[h] = power - part * product
             moved[h] = parts[h] ** 2 * (all_u + all_v - at_u * at_u - at_v * at_v)
-            best = min(best, left[h])
+            best = min(best, remaining[h])
     if not math.isfinite(best):
         return 0.0, 0.0
     scale = max(best / (3 * m - 5), _LEAST_SCALE)
     worst = -1
     for h in range(count):
-        if left[h] <= best + _AS_GOOD * scale and (worst < 0 or moved[h] > moved[worst]):
+        if remaining[h] <= best + _AS_GOOD * scale and (worst < 0 or moved[h] > moved[worst]):
             worst = h
     behind, lean_u, lean_v = _plate(worst)
     m, depth = 0, 0.0
@@ -145,11 +145,11 @@ def _plate(h):
 @kernel
 def nearest(view, c, u, v, in_use, most):
     """Return the distance, px, of the nearest spot of camera ``c`` with ``in_use`` of at most ``most``."""
-    found = np.inf
+    distance = np.inf
     for k in range(view.counts[c]):
         if in_use[c, k] <= most:
-            found = min(found, math.hypot(view.spots[c, k].u - u, view.spots[c, k].v - v))
-    return found
+            distance = min(distance, math.hypot(view.spots[c, k].u - u, view.spots[c, k].v - v))
+    return distance
 
 
 @kernel
@@ -224,7 +224,7 @@ def moved_pose(scene, view, fit, shift):
 
 @kernel
 def odd_light(scene, view, fit):
-    """Return the LED whose spots are elongated least like those of the others, and by how many sigmas.
+    """Return the LED whose spots are elongated least like the others', and by how many sigmas.
 
     A disc of radius r that is cut to a half is displaced by 0.42 r and has 0.09 r^2 less of half the difference of its
     variances; motion, tilt and the lens elongate all spots alike, but for the angles at which the LEDs are seen.

@@ -19,7 +19,7 @@ _MOST_OUTLIERS = 3
 @kernel
 def drop_outliers(f):
     """Exclude the pixels that are far off the model, only the worst if there are many. Return how many."""
-    found = np.empty(_MOST_OUTLIERS, dtype=np.int64)
+    outliers = np.empty(_MOST_OUTLIERS, dtype=np.int64)
     count, worst, most = 0, 0, 0.0
     for at in range(f.pixels.shape[0]):
         if f.weighed[at] == 0.0 or (f.pixels[at] >= FULL_SCALE and f.model[at] >= FULL_SCALE):
@@ -28,7 +28,7 @@ def drop_outliers(f):
         square = gap * gap / (f.dark + f.per_level * max(f.light[at], 0.0))
         if square > _OUTLIER * _OUTLIER:
             if count < _MOST_OUTLIERS:
-                found[count] = at
+                outliers[count] = at
             count += 1
             if square > most:
                 worst, most = at, square
@@ -36,7 +36,7 @@ def drop_outliers(f):
         f.weighed[worst] = 0.0
         return 1
     for k in range(count):
-        f.weighed[found[k]] = 0.0
+        f.weighed[outliers[k]] = 0.0
     return count
 
 

@@ -30,7 +30,7 @@ from hil.vmu.kernels.measure import measure
 
 TOO_MANY = -1  # more lights than the capacity
 _TILE = 64  # px
-_SAMPLES = 36  # of a tile
+_SAMPLES = 36  # samples of a tile
 _WINDOW_SAMPLES = 100
 _ROWS = 4  # rows per threshold
 _FRINGE, _LARGE = 12, 300  # pixels above the threshold
@@ -46,24 +46,24 @@ class Background(NamedTuple):
 
 
 @kernel
-def _flood_row(frame, hits, background, components, lights, known):
+def _flood_row(frame, hits, background, components, lights, count):
     """Flood from each of ``hits`` without a component; return the number of components, or TOO_MANY."""
     rows, columns = frame.image.shape
-    end = components[known - 1, END] if known > 0 else 0
+    end = components[count - 1, END] if count > 0 else 0
     for hit in hits:
         v, u = hit // columns, hit % columns
         if frame.label[v, u] != 0:
             continue
-        if known == components.shape[0]:
+        if count == components.shape[0]:
             return TOO_MANY
         here = interpolate(background.level, u, v, columns, rows)
         variance = max(interpolate(background.dark, u, v, columns, rows), 1.0 / 12.0)
-        lights[known, 0], lights[known, 1] = here, variance
+        lights[count, 0], lights[count, 1] = here, variance
         wide = max(interpolate(background.spread, u, v, columns, rows), 9.0 * variance)
         threshold = here + frame.limits.sigmas * math.sqrt(wide)
-        end = flood(frame.image, frame.label, known + 1, hit, threshold, frame.queue, end, components[known])
-        known += 1
-    return known
+        end = flood(frame.image, frame.label, count + 1, hit, threshold, frame.queue, end, components[count])
+        count += 1
+    return count
 
 
 @kernel
@@ -81,16 +81,16 @@ def components_of_image(frame, components, lights):
         for j in range(shape[1]):
             deviation[i, j] = math.sqrt(background.spread[i, j])
     scan = row_scan(columns)
-    known = 0
+    n_components = 0
     for v in range(1, rows - 1):
         if (v - 1) % _ROWS == 0:
             fill_threshold(background.level, deviation, frame.limits.sigmas, v, rows, scan.threshold)
         count = collect_hits(frame.image, v, 0, columns, scan)
         if count > 0:
-            known = _flood_row(frame, scan.hits[:count], background, components, lights, known)
-            if known == TOO_MANY:
+            n_components = _flood_row(frame, scan.hits[:count], background, components, lights, n_components)
+            if n_components == TOO_MANY:
                 return TOO_MANY
-    return known
+    return n_components
 
 
 @kernel
@@ -106,7 +106,7 @@ def components_of_windows(frame, windows, components, lights):
         level[k], dark[k], wide[k] = level_and_variance(
             frame.image, box[k, 0], box[k, 1], box[k, 2], box[k, 3], samples
         )
-    known = 0
+    n_components = 0
     here, noise, spread = np.empty((1, 1)), np.empty((1, 1)), np.empty((1, 1))
     background = Background(here, noise, spread)
     for k in range(windows.shape[0]):
@@ -119,10 +119,10 @@ def components_of_windows(frame, windows, components, lights):
         for v in range(max(box[k, 1], 1), min(box[k, 3], rows - 1)):
             count = collect_hits(frame.image, v, box[k, 0], box[k, 2], scan)
             if count > 0:
-                known = _flood_row(frame, scan.hits[:count], background, components, lights, known)
-                if known == TOO_MANY:
+                n_components = _flood_row(frame, scan.hits[:count], background, components, lights, n_components)
+                if n_components == TOO_MANY:
                     return TOO_MANY
-    return known
+    return n_components
 
 
 @kernel
@@ -162,11 +162,11 @@ def detect(frame, windows, spots, noise):
     components = np.zeros((most, COMPONENT_WIDTH), dtype=np.int64)
     lights = np.empty((most, 2))
     if windows.shape[0] == 0:
-        known = components_of_image(frame, components, lights)
+        n_components = components_of_image(frame, components, lights)
     else:
-        known = components_of_windows(frame, windows, components, lights)
+        n_components = components_of_windows(frame, windows, components, lights)
     count = 0
-    for k in range(max(known, 0)):
+    for k in range(max(n_components, 0)):
         if is_fringe(frame.label, components, k):
             continue
         component = LightComponent(k + 1, components[k], lights[k, 0] / 9.0, lights[k, 1])
@@ -174,4 +174,4 @@ def detect(frame, windows, spots, noise):
     for k in range(most):
         for at in range(components[k, FIRST], components[k, END]):
             frame.label[frame.queue[at] // columns, frame.queue[at] % columns] = 0
-    return count if known != TOO_MANY else TOO_MANY
+    return count if n_components != TOO_MANY else TOO_MANY

@@ -105,14 +105,14 @@ def take_spots(scene, view, c, least, reach, fit, arm, point):
     camera if that has two, or else _ALONE of camera c.
     """
     have = 3
-    left = scene.leds.shape[0] - 3
+    remaining = scene.leds.shape[0] - 3
     for n in range(scene.leds.shape[0]):
         if fit.spot[c, n] >= 0:
             continue
         if take_nearest(scene, view, c, n, reach, fit, arm, point):
             have += 1
-        left -= 1
-        if have + left < least:
+        remaining -= 1
+        if have + remaining < least:
             return False
     other = 1 - c
     if view.counts[other] < 2:

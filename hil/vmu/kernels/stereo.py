@@ -63,8 +63,8 @@ def depth(scene, view, c, i, j, out):
 
 
 @kernel
-def depths(scene, view, c, near, far, found, counts):
-    """Write the possible depths of spots of camera c, found (MAX_SPOTS, 4, 2), and their number, counts (MAX_SPOTS,).
+def depths(scene, view, c, near, far, ranges, counts):
+    """Write the possible depths of spots of camera c, ranges (MAX_SPOTS, 4, 2), and their number, counts (MAX_SPOTS,).
 
     The number is 0 (unknown) for a spot without a partner, or with too many.
     """
@@ -76,7 +76,7 @@ def depths(scene, view, c, near, far, found, counts):
                 if counts[i] == _PARTNERS:
                     counts[i] = 0
                     break
-                found[i, counts[i], 0], found[i, counts[i], 1] = out[0], out[1]
+                ranges[i, counts[i], 0], ranges[i, counts[i], 1] = out[0], out[1]
                 counts[i] += 1
 
 
@@ -102,8 +102,8 @@ def allow_pairs(scene, view, c, near, far, allowed, some, index):
     that have a possible partner in the other image. Return how many have one.
     """
     n = scene.leds.shape[0]
-    found, counts = np.empty((MAX_SPOTS, _PARTNERS, 2)), np.zeros(MAX_SPOTS, np.int64)
-    depths(scene, view, c, near, far, found, counts)
+    ranges, counts = np.empty((MAX_SPOTS, _PARTNERS, 2)), np.zeros(MAX_SPOTS, np.int64)
+    depths(scene, view, c, near, far, ranges, counts)
     paired = 0
     for i in range(view.counts[c]):
         if counts[i] != 0:
@@ -125,7 +125,7 @@ def allow_pairs(scene, view, c, near, far, allowed, some, index):
                     for a in range(counts[i]):
                         for b in range(counts[j]):
                             if not fits:
-                                fits = may_be_apart(found[i, a], found[j, b], between, math.sqrt(scene.squares[p, q]))
+                                fits = may_be_apart(ranges[i, a], ranges[j, b], between, math.sqrt(scene.squares[p, q]))
                     allowed[i, j, p, q] = 1 if fits else 0
                     if fits and p != q:
                         some[i, j] = 1

@@ -21,7 +21,7 @@ SCENARIO = hil.load_scenario("scheme-1")
 
 
 def run_with(values: Any, ready_time_s: float | None = None) -> Run:
-    """Return a run whose truth is ``values`` beside the axis, (n,)."""
+    """Return a run whose truth is ``values`` off the axis, (n,)."""
     history = np.zeros(len(values), CYCLE)
     history["t_s"] = STEP_S * np.arange(len(values))
     history["truth"]["r_CT_H"][:, 1] = values

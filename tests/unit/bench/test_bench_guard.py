@@ -141,7 +141,7 @@ def test_scenario_that_docks_has_no_keep_out() -> None:
         motion.run(100)
 
 
-def test_scenario_that_docks_has_a_keep_out_beside_its_corridor() -> None:
+def test_scenario_that_docks_has_a_keep_out_outside_its_corridor() -> None:
     motion = Motion((0.2, 0.09, 0.0), (0.0, 0.0, 0.0), "keep_out.bodies=[]", "keep_out.docks=true")
     assert motion.check() == NOTHING
     motion.truth.v_CT_H = [0.0, 0.1, 0.0]  # which takes 18 mm until rest
@@ -152,7 +152,7 @@ def test_scenario_that_docks_has_a_keep_out_beside_its_corridor() -> None:
 
 @pytest.mark.parametrize("beside_m", [0.46, 1.2])
 @pytest.mark.parametrize("closing", [0.0, 0.3])
-def test_chaser_does_not_pass_beside_the_target(beside_m: float, closing: float) -> None:
+def test_chaser_does_not_pass_the_target(beside_m: float, closing: float) -> None:
     least = 0.25 + closing * 0.1 + closing**2 / (2.0 * 0.6)
     motion = Motion((least + 1e-6, beside_m, 0.0), (-closing, 0.0, 0.0), "keep_out.bodies=[]")
     assert motion.check() == NOTHING
@@ -236,7 +236,7 @@ def test_axis_that_lags_by_its_feedbacks_age_is_not_found() -> None:
         motion.move()
 
 
-def test_bench_that_is_beside_the_truth_is_found_after_five_cycles() -> None:
+def test_bench_off_the_truth_is_detected_after_five_cycles() -> None:
     motion = Motion(
         (3.0, 0.0, 0.0), (0.0, 0.0, 0.0), "rig.guard.axis_error_max_m=1.0", "rig.guard.axis_error_max_deg=9"
     )
@@ -259,7 +259,7 @@ def test_bench_that_is_beside_the_truth_is_found_after_five_cycles() -> None:
     assert turned.cycles_until_found(turn) == (bench_guard.ATTITUDE, 4)
 
 
-def test_a_moment_beside_the_truth_is_forgotten() -> None:
+def test_short_deviation_from_the_truth_is_forgotten() -> None:
     motion = Motion((3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     motion.run(20)
     for _ in range(30):
@@ -296,7 +296,7 @@ def test_axes_may_catch_up_at_the_start_for_two_seconds() -> None:
     ("displaced_m", "turned_deg", "expected"),
     [(0.029, 0.0, bench_guard.VISION_POSITION), (0.0, 0.27, bench_guard.VISION_ATTITUDE)],
 )
-def test_five_poses_beside_the_encoders_are_found(displaced_m: float, turned_deg: float, expected: int) -> None:
+def test_five_poses_off_the_encoders_are_detected(displaced_m: float, turned_deg: float, expected: int) -> None:
     motion = Motion((3.0, 0.0, 0.0), (-0.03, 0.0, 0.0))
     motion.run(50)
     for k in range(9):
@@ -393,7 +393,7 @@ def test_estimate_that_is_not_finite_is_found() -> None:
     assert approach().disagrees(5, math.nan, 0.002)[-1]
 
 
-def test_estimate_that_is_invalid_is_compared_anew() -> None:
+def test_invalid_estimate_restarts_the_comparison() -> None:
     motion = approach()
     estimate = new(NAVIGATION)
     assert not compare_estimate(motion.params, motion.bench, motion.memory, motion.cycle * STEP_S, estimate, True)

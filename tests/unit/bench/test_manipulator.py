@@ -76,7 +76,7 @@ def test_wanted_angles_leave_no_rotation_to_the_turntable(
     assert np.isfinite(rates).all()
 
 
-def test_target_that_tumbles_beside_a_chaser_that_coasts_is_rotated_before_a_bench_that_stands() -> None:
+def test_tumbling_target_and_coasting_chaser_are_shown_by_a_bench_at_rest() -> None:
     params = params_of((2, 1, 0), REST)
     w, r_0 = np.radians([1.0, -2.0, 5.0]), np.array([3.0, -0.1, 0.1])  # of the target, and where the chaser is
     for t_s in np.linspace(0.0, 5.0, 6):

@@ -1,4 +1,4 @@
-"""The least level of a go: below that of a flight, and said before a run whose requirement is tighter."""
+"""The least level of a go: below that of a flight, and reported before a run whose requirement is tighter."""
 
 from __future__ import annotations
 
@@ -37,5 +37,5 @@ def test_a_requirement_that_is_tighter_is_named_with_both_numbers() -> None:
 
 
 @pytest.mark.parametrize("settings", [(), RANGE_FINDER, ("gnc.navigation.backend=vision_alone",)])
-def test_nothing_is_said_of_what_can_be_or_is_not_known(settings: tuple[str, ...]) -> None:
+def test_no_warning_for_a_reachable_or_unknown_level(settings: tuple[str, ...]) -> None:
     assert go_warnings(load_scenario("scheme-1", settings).value, RIG) == []

@@ -110,7 +110,7 @@ def test_every_moment_of_the_approach_has_an_abort() -> None:
     assert begun == {moment.t_s for moment in _approach(plan)}
 
 
-def test_band_is_table_iii_at_the_ready_point_and_a_share_of_the_corridor_farther_out(
+def test_band_is_table_iii_at_the_ready_point_and_a_fraction_of_the_corridor_farther_out(
     scheme_1: Scenario, mock_rig: Rig
 ) -> None:
     asked = axis_demands(scheme_1, mock_rig)
@@ -131,12 +131,12 @@ def test_lever_arm_moves_the_rails_with_the_attitudes_band(mock_rig: Rig) -> Non
     swing = 0.35 * math.sin(band)
     np.testing.assert_allclose(level.corners[:, :2].max(axis=0), [swing, swing], rtol=0.03)
     np.testing.assert_allclose(np.degrees(level.corners[:, 3:].max(axis=0)), 2.0, rtol=0.05)
-    # a turn about y at 1 rad/s carries the rotation centre along x at the arm's length
+    # a rotation about y at 1 rad/s carries the rotation centre along x at the arm's length
     assert abs(level.turned[0, 1]) == pytest.approx(0.35)
     np.testing.assert_allclose(level.turned[3:], np.eye(3), atol=1e-12)
 
 
-def test_travel_includes_the_room_to_brake(mock_rig: Rig) -> None:
+def test_travel_includes_the_braking_distance(mock_rig: Rig) -> None:
     params = bench_params.bench(mock_rig, 0.02)
     level = reachability.attitude(params, np.zeros(3), 0.0)
     at, fast = np.array([[1.0, 0.0, 0.35]]), np.array([[0.3, 0.0, 0.0]])
@@ -148,7 +148,7 @@ def test_travel_includes_the_room_to_brake(mock_rig: Rig) -> None:
     np.testing.assert_allclose(asked.low[0, :3], [1.0 - 0.1 - room, 0.0, 0.0], atol=1e-12)
 
 
-def test_liberty_bounds_what_the_control_can_do(scheme_1: Scenario) -> None:
+def test_control_bounds_cover_what_the_control_can_do(scheme_1: Scenario) -> None:
     free = control_bounds(scheme_1)
     # 0.006 m/s of correction and one burn of 0.14 s with 10 N on 1000 kg; four thrusters of 5 N push along x
     np.testing.assert_allclose(free.speed, 0.006 + 0.14 * 0.01)

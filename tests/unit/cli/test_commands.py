@@ -51,7 +51,7 @@ def test_list_of_commands_has_each_one(capsys: pytest.CaptureFixture[str]) -> No
 
 
 @pytest.mark.parametrize("given", [None, "3"])
-def test_commands_have_one_blas_thread_unless_told(monkeypatch: pytest.MonkeyPatch, given: str | None) -> None:
+def test_commands_have_one_blas_thread_by_default(monkeypatch: pytest.MonkeyPatch, given: str | None) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS")
     if given is not None:
         monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
@@ -61,7 +61,7 @@ def test_commands_have_one_blas_thread_unless_told(monkeypatch: pytest.MonkeyPat
     assert found.stdout.splitlines()[-1] == (given or "1")
 
 
-def test_gnc_of_a_scenario_is_beside_the_commands_of_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_gnc_of_a_scenario_is_accepted_like_the_commands_of_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["gnc", "scheme-9"]) == 2
     assert "scheme-9: unknown scenario" in capsys.readouterr().err
 

@@ -73,7 +73,7 @@ def test_step_finds_dead_time_and_lag(delay_s: float, lag_s: float) -> None:
     assert fit.residual < 1e-4
 
 
-def test_step_tells_how_sure_it_is() -> None:
+def test_step_reports_its_uncertainty() -> None:
     t, position = steps()
     clean = answer_of_first_order(t, position, t, 0.013, 0.04)
     rng = np.random.default_rng(3)
@@ -136,7 +136,7 @@ def test_bandwidth_is_where_the_gain_falls_or_the_phase_lags_a_quarter_turn() ->
     assert sweep(lambda t, told, w: 1e-3 * np.sin(w * (t - 0.06))).bandwidth_hz == pytest.approx(0.25 / 0.06, rel=0.01)
 
 
-def test_sweep_tells_how_sure_it_is() -> None:
+def test_sweep_reports_its_uncertainty() -> None:
     fits = [sweep(lambda t, told, w: 1e-3 * np.sin(w * (t - 0.02)), noise=n) for n in (1e-5, 1e-4)]
     for fit in fits:
         assert abs(fit.delay_s - 0.02) < 4.0 * fit.delay_sigma_s
@@ -159,7 +159,7 @@ def test_sampled_servo_with_feed_forward_runs_half_a_period_ahead_of_its_time() 
     assert fit_sweep(points).delay_s == pytest.approx(-lead_s, abs=1.5e-4)
 
 
-def test_sine_that_was_not_told_is_refused() -> None:
+def test_undeclared_sine_is_refused() -> None:
     t = DT * np.arange(200)
     with pytest.raises(ValueError, match="no sine of 3 Hz"):
         fit_sine(Series(t, np.zeros(200), np.zeros(200), t, np.zeros(200)), 3.0)

@@ -46,14 +46,14 @@ def signed(
     base: str = "lab.toml",
     by: OperatorKey | str = 'A. "Tech" Nician',
 ) -> Path:
-    """Write the sign-off of ``lab`` beside it; return its path."""
+    """Write the sign-off of ``lab`` next to it; return its path."""
     text = as_toml(found(axes, whole), load_rig(str(lab)).value, base, by, "2026-03-01")
     path = lab.with_name(f"signed-{len(list(lab.parent.iterdir()))}.toml")
     path.write_text(text)
     return path
 
 
-def test_file_says_who_signed_when_and_what_was_found(lab: Path) -> None:
+def test_file_names_signer_date_and_findings(lab: Path) -> None:
     sign_off = load_rig(str(signed(lab))).value.sign_off
     assert sign_off is not None
     assert (sign_off.by, sign_off.date) == ('A. "Tech" Nician', "2026-03-01")
@@ -88,7 +88,7 @@ def test_run_refuses_hardware_before_anything_is_opened(lab: Path, capsys: pytes
     assert "the rig was changed after its sign-off" in line
 
 
-def test_report_of_hardware_says_who_signed_or_that_it_was_waived(lab: Path, mock_rig: Rig) -> None:
+def test_report_of_hardware_names_the_signer_or_the_waiver(lab: Path, mock_rig: Rig) -> None:
     told = io.StringIO()
     console = Console(file=told, width=200)
     for rig in (load_rig(str(signed(lab))).value, load_rig(str(lab), ["rig.sign_off.waived=true"]).value, mock_rig):
@@ -168,7 +168,7 @@ def test_axes_signed_before_a_change_do_not_count(lab: Path) -> None:
     assert "missing: rails.x, rails.y" in sign_off_gap(first)
 
 
-def test_digest_covers_what_stands_in_the_protocol_file_and_not_where_it_lies(tmp_path: Path) -> None:
+def test_digest_covers_the_content_of_the_protocol_file_and_not_its_path(tmp_path: Path) -> None:
     digests = []
     for folder, delay in (("a", ""), ("b", ""), ("c", "# another word\n")):
         (tmp_path / folder).mkdir()
@@ -210,7 +210,7 @@ def test_bad_option_is_refused_in_a_line(
     assert all(word in line for word in words), line
 
 
-def test_nobody_answers_for_a_technician_on_hardware(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hardware_needs_the_answers_of_a_technician(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert execute(["commission", str(lab), "--yes"]) == 2
     assert "--yes: lab is hardware: an operator must watch the bench and answer" in capsys.readouterr().err
 
@@ -218,7 +218,7 @@ def test_nobody_answers_for_a_technician_on_hardware(lab: Path, capsys: pytest.C
 @pytest.mark.parametrize(
     ("typed", "answer", "times"), [("y\n", True, 1), ("No\n", False, 1), ("what\n\nyes\n", True, 3), ("", False, 1)]
 )
-def test_question_is_asked_until_it_is_answered_and_nobody_there_is_a_no(
+def test_question_is_repeated_until_answered_and_no_terminal_counts_as_no(
     monkeypatch: pytest.MonkeyPatch, typed: str, answer: bool, times: int
 ) -> None:
     shown = io.StringIO()

@@ -49,7 +49,7 @@ def test_every_shipped_file_loads() -> None:
         assert load_rig(name).value.name == name
 
 
-def test_schemes_start_and_see_as_table_iv_says() -> None:
+def test_schemes_start_and_see_as_in_table_iv() -> None:
     found = {name: load_scenario(name).value for name in ("scheme-1", "scheme-2", "scheme-3")}
     starts = {name: (s.initial.position_m, s.initial.attitude_deg) for name, s in found.items()}
     assert starts["scheme-1"] == ((5.0, -0.3, 0.3), (3.0, 3.0, -3.0))
@@ -288,7 +288,7 @@ def test_rig_of_hardware_without_wires_names_each_missing_wire(write: Write) -> 
     }
 
 
-def test_hardware_says_outright_that_it_has_no_digital_lines() -> None:
+def test_hardware_states_explicitly_that_it_has_no_digital_lines() -> None:
     table = load_rig("emulated").value.model_dump(mode="json") | {"kind": "hardware", "io": None}
     with pytest.raises(ValidationError, match=r"\[io\] is missing: hardware needs"):
         Rig.model_validate(table, strict=False)

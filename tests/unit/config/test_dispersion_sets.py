@@ -84,7 +84,7 @@ def test_distribution_without_a_kind_of_its_own_is_refused(tmp_path: Path) -> No
         Design(load_scenario("scheme-1", (f"dispersions={path}",)), 0)
 
 
-def test_scenario_names_a_set_beside_it_and_another_extends_that(tmp_path: Path) -> None:
+def test_scenario_names_a_set_in_its_folder_and_another_extends_that(tmp_path: Path) -> None:
     (tmp_path / "own-set.toml").write_text(
         'name = "own"\nsampling = "sobol"\n[chaser]\nmass_kg = { kind = "normal", sigma = 5.0 }\n'
     )

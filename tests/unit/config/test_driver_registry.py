@@ -101,7 +101,7 @@ def test_settings_are_validated_by_the_model_of_their_driver(install: Install, s
     assert refusal("rig.rails.driver=acme", setting) == line
 
 
-def test_unknown_key_of_a_device_is_reported_beside_its_other_faults() -> None:
+def test_unknown_key_of_a_device_is_reported_with_its_other_faults() -> None:
     with pytest.raises(BadInput) as caught:
         load_rig("emulated", ["rig.rails.timeout=1", "rig.rails.timeout_s=-1"])
     assert sorted(str(problem) for problem in caught.value.problems) == [

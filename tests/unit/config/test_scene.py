@@ -77,7 +77,7 @@ def test_near_parts_alone_and_far_parts_alone_are_scenes(write: Callable[[Change
     assert (far.near, far.far) == (False, True)
 
 
-def test_a_scene_without_reserve_says_so(write: Callable[[Change], str]) -> None:
+def test_scene_without_reserve_is_reported(write: Callable[[Change], str]) -> None:
     scene = load_scene(write(lambda table: None)).value
     with pytest.raises(ValueError, match="no backup target"):
         scene.chosen("backup")
@@ -188,7 +188,7 @@ def test_an_impossible_scene_is_one_line_with_key_value_and_what_is_allowed(
         ("scene.toml", "camera = ", "not TOML"),
     ],
 )
-def test_a_file_that_is_no_scene_is_told(tmp_path: Path, name: str, text: str, said: str) -> None:
+def test_file_that_is_no_scene_is_reported(tmp_path: Path, name: str, text: str, said: str) -> None:
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match=said):

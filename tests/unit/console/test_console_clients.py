@@ -135,7 +135,7 @@ def test_log_of_the_console_is_one_printable_line_each(service: ConsoleService) 
     line.encode()
 
 
-def test_deep_long_and_foreign_messages_are_no_requests() -> None:
+def test_deep_long_and_unknown_messages_are_no_requests() -> None:
     for text in (
         "[" * 4000,
         '{"a":' * 800 + "1" + "}" * 800,
@@ -187,7 +187,7 @@ REQUESTS = (
 
 
 def mutated_messages(count: int) -> list[str]:
-    """Return requests with damaged bytes, foreign values, missing and additional keys."""
+    """Return requests with damaged bytes, unexpected values, missing and additional keys."""
     dice = random.Random(7)
     values: tuple[Any, ...] = (None, True, -1, 1e308, 2**70, "", "\ud800", "\x1b[2J", [], {}, [[]], "x" * 3000)
     found = []
@@ -203,9 +203,7 @@ def mutated_messages(count: int) -> list[str]:
 
 
 @pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_mutated_messages_are_answered_and_change_nothing_but_what_they_may(
-    service: ConsoleService, count: int
-) -> None:
+def test_mutated_messages_are_answered_and_change_only_what_they_may(service: ConsoleService, count: int) -> None:
     async def talk() -> None:
         for text in mutated_messages(count):
             message = app._table(text)

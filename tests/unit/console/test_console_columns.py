@@ -28,7 +28,7 @@ def triple(rows: np.ndarray, name: str) -> np.ndarray:
 
 
 def rotation(q: np.ndarray) -> Rotation:
-    """Return the turn whose matrix is A(q)."""
+    """Return the rotation whose matrix is A(q)."""
     return Rotation.from_quat(q).inv()
 
 
@@ -47,7 +47,7 @@ def test_position_error_is_estimate_minus_truth_in_mm(flown: tuple[np.ndarray, n
     np.testing.assert_allclose(triple(rows, "position_band_mm")[k], band, rtol=1e-6)
 
 
-def test_angle_error_is_the_turn_from_estimate_to_truth(flown: tuple[np.ndarray, np.ndarray]) -> None:
+def test_angle_error_is_the_rotation_from_estimate_to_truth(flown: tuple[np.ndarray, np.ndarray]) -> None:
     history, rows = flown
     k = known(history)
     turn = rotation(history["truth"]["q_CH"][k]) * rotation(history["navigation"]["q_CH"][k]).inv()

@@ -79,7 +79,7 @@ def test_copied_key_on_another_machine_is_refused_and_logged_while_the_key_is_in
     assert lab.page(EVE).take() == {"refused": "the key of eve is not accepted from 127.0.0.1, only from 10.0.0.1"}
 
 
-def test_duplicated_tab_watches_and_a_reloaded_one_goes_on(lab: Lab) -> None:
+def test_duplicated_tab_watches_and_a_reloaded_one_continues(lab: Lab) -> None:
     first, duplicate = lab.page(ANN), lab.page(ANN)
     assert first.ask("take")["ok"]
     assert duplicate.ask("take")["text"] == "ann has the command at another page: watch, or take it over"

@@ -16,7 +16,7 @@ def held_by_ann() -> Lease:
     return lease
 
 
-def test_nobody_commands_before_taking_the_lease() -> None:
+def test_no_command_without_the_lease() -> None:
     with pytest.raises(RequestRejected, match="no operator has the command: take it before sending orders"):
         Lease(2.0).require(ANN)
 
@@ -30,7 +30,7 @@ def test_second_commander_is_refused_by_the_name_of_the_first() -> None:
     lease.require(ANN)
 
 
-def test_takeover_says_from_whom_and_leaves_the_first_one_watching() -> None:
+def test_takeover_names_the_previous_holder_who_keeps_watching() -> None:
     lease = held_by_ann()
     assert lease.take_over(BOB, 10.5) == "ann"
     lease.require(BOB)
@@ -39,7 +39,7 @@ def test_takeover_says_from_whom_and_leaves_the_first_one_watching() -> None:
     assert lease.take_over(BOB, 10.6) == ""
 
 
-def test_lease_runs_out_in_silence_and_not_while_its_holder_is_heard() -> None:
+def test_lease_expires_in_silence_and_not_while_its_holder_sends() -> None:
     lease = held_by_ann()
     lease.renew(ANN, 11.5)
     assert lease.expire(13.5) == ""
@@ -49,13 +49,13 @@ def test_lease_runs_out_in_silence_and_not_while_its_holder_is_heard() -> None:
     lease.acquire(BOB, 20.0)
 
 
-def test_watcher_that_is_heard_does_not_keep_the_lease_alive() -> None:
+def test_messages_of_a_watcher_do_not_renew_the_lease() -> None:
     lease = held_by_ann()
     lease.renew(BOB, 12.0)
     assert lease.expire(12.5) == "ann"
 
 
-def test_holder_who_was_lost_does_not_get_the_lease_back_by_being_heard() -> None:
+def test_lost_holder_does_not_get_the_lease_back_by_sending() -> None:
     lease = held_by_ann()
     lease.expire(13.0)
     lease.renew(ANN, 13.1)

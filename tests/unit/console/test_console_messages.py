@@ -21,7 +21,7 @@ def rows(n: int, start: int = 0) -> np.ndarray:
     return out
 
 
-def test_message_carries_state_rows_and_picture_unchanged(rng: np.random.Generator) -> None:
+def test_message_carries_state_rows_and_image_unchanged(rng: np.random.Generator) -> None:
     numbers = rng.standard_normal((5, COLUMNS)).astype("<f4")
     numbers[2, 3] = np.nan
     picture = ImageMessage(
@@ -106,7 +106,7 @@ def test_page_gets_each_row_once_and_one_that_was_slow_gets_few() -> None:
     assert late[-1, 0] == 5004.0
 
 
-def test_new_page_gets_a_backlog_and_a_new_session_begins_anew() -> None:
+def test_new_page_gets_a_backlog_and_a_new_session_starts_empty() -> None:
     store, cursor = RowStore(), Cursor()
     store.begin()
     store.add(rows(4000))

@@ -130,7 +130,7 @@ def test_every_command_that_moves_the_bench_requires_confirmation_and_none_that_
     }
 
 
-def test_picture_comes_once_with_its_overlay_and_the_newest_wins(service: ConsoleService) -> None:
+def test_image_comes_once_with_its_overlay_and_the_newest_wins(service: ConsoleService) -> None:
     client = Client("b" * 16, "bob")
     service.view.show(ImageMessage("left", 1.0, 640, 480, b"old"))
     service.view.show(ImageMessage("left", 2.0, 640, 480, b"new", ({"kind": "cross", "at": [3, 4], "good": True},)))
@@ -149,7 +149,7 @@ def test_page_gets_the_slow_part_of_the_state_when_it_has_changed(service: Conso
     assert page["log"][-1]["text"] == "something"
 
 
-def test_page_that_tells_what_it_has_gets_no_more_than_it_can_read_in_a_second(service: ConsoleService) -> None:
+def test_page_that_acknowledges_gets_no_more_than_it_can_read_in_a_second(service: ConsoleService) -> None:
     client = Client("b" * 16, "bob", sent=1000)
     assert not client.congested
     service.refresh(client, 981)

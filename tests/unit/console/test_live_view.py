@@ -1,4 +1,4 @@
-"""Pictures and the docking monitor's numbers on their way to a page: the newest of the camera that it watches."""
+"""Images and the docking monitor's numbers on their way to a page: the newest of the camera that it watches."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def page(**more: Any) -> Client:
     return Client("k" * 16, "ann", **more)
 
 
-def test_each_page_gets_the_newest_picture_of_its_camera_once(live_view: LiveView) -> None:
+def test_each_page_gets_the_newest_image_of_its_camera_once(live_view: LiveView) -> None:
     pair = [image_row(camera, 1.5, b"l" + camera.encode(), "png", (8, 6)) for camera in ("vmu.left", "vmu.right")]
     take(live_view, pictures=[np.concatenate(pair), image_row("monitor", 1.0, b"tv")])
     anyone, watcher, lost = page(), page(camera="monitor"), page(camera="no such camera")
@@ -100,7 +100,7 @@ def test_each_page_gets_the_newest_picture_of_its_camera_once(live_view: LiveVie
     ("t_s", "bench_s", "age_s"),
     [(1.5, 11.25, 0.75), (1.5, math.nan, 0.5), (math.nan, 11.0, 1.0), (math.nan, math.nan, 0.0), (3.0, math.nan, 0.0)],
 )
-def test_age_of_a_picture_counts_from_its_exposure(t_s: float, bench_s: float, age_s: float) -> None:
+def test_age_of_an_image_counts_from_its_exposure(t_s: float, bench_s: float, age_s: float) -> None:
     (row,) = image_row("vmu.left", t_s, b"x", exposure=Exposure(bench_s))
     picture = picture_of(row, status(12.0, 2.0), 100.0)
     header = unpack(pack({"wall_s": 100.5}, None, np.empty((0, 1)), 0, picture))[0]["picture"]
@@ -108,7 +108,7 @@ def test_age_of_a_picture_counts_from_its_exposure(t_s: float, bench_s: float, a
     assert header["t_s"] == (None if math.isnan(t_s) else t_s)
 
 
-def test_picture_that_nobody_dates_is_new() -> None:
+def test_image_without_a_time_is_new() -> None:
     assert ImageMessage("left", 0.0, 1, 1).header(5.0)["age_s"] == 0.0
 
 

@@ -12,7 +12,7 @@ def state(size_bytes: int = 0, dropped: int = 0, trouble: str = "") -> np.ndarra
     return np.array([(1, dropped, size_bytes, trouble.encode())], STATE)
 
 
-def test_recording_that_grows_says_nothing_and_its_first_loss_once() -> None:
+def test_growing_recording_is_silent_and_its_first_loss_is_reported_once() -> None:
     watch = RecordingStatus("/runs/a.mcap")
     assert watch.update(state(1000), 0.1) == []
     (line,) = watch.update(state(2000, dropped=7), 0.1)
@@ -21,7 +21,7 @@ def test_recording_that_grows_says_nothing_and_its_first_loss_once() -> None:
     assert watch.as_json() == {"file": "a.mcap", "size_bytes": 3000, "lost": 9, "trouble": ""}
 
 
-def test_full_disk_is_said_once_and_what_is_lost_is_counted() -> None:
+def test_full_disk_is_reported_once_and_losses_are_counted() -> None:
     watch = RecordingStatus("/runs/a.mcap")
     (line,) = watch.update(state(1000, 40, "No space left on device"), 0.1)
     assert line.startswith("recording: /runs/a.mcap: No space left on device: recording stopped")

@@ -1,4 +1,4 @@
-"""Pictures as records: what goes in comes out, what has no room is counted, and nobody waits."""
+"""Images as records: they arrive unchanged, the ones beyond the capacity are counted, and no side waits."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_what_is_no_image_is_refused(image: np.ndarray) -> None:
         encode(image, "png")
 
 
-def test_pictures_are_taken_as_often_as_they_are_wanted() -> None:
+def test_images_are_taken_at_the_requested_rate() -> None:
     def taken(each_s: float, times: list[float]) -> list[float]:
         maker = ImageEncoder(Kept(), ImagePolicy("jpeg", each_s))
         return [t for t in times if maker.due(t)]
@@ -110,7 +110,7 @@ def test_pictures_are_taken_as_often_as_they_are_wanted() -> None:
     assert not ImageEncoder(Kept(), ImagePolicy("none")).due(0.0)
 
 
-def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Generator, tmp_path: Path) -> None:
+def test_image_that_is_too_large_is_counted_and_comes_without_data(rng: np.random.Generator, tmp_path: Path) -> None:
     kept = Kept()
     maker = ImageEncoder(kept, PNG)
     maker.put(CameraImage(MONITOR, noise(rng, 1100, 700, 3), shapes=[CROSS]), CameraImage(LEFT, noise(rng, 8, 8)))
@@ -132,7 +132,7 @@ def test_a_picture_too_large_is_counted_and_comes_without_data(rng: np.random.Ge
     assert [line["number"] for line in contents(path).lines["/pictures/monitor"]] == [1]
 
 
-def test_a_picture_has_the_run_s_time_of_when_it_was_taken_though_it_waits() -> None:
+def test_image_has_the_run_s_time_of_its_exposure_although_it_waits() -> None:
     class Clock:
         """A run that begins at 1 s of bench time and is held soon after."""
 
@@ -176,7 +176,7 @@ def test_a_maker_whose_outlet_fails_can_be_closed(monkeypatch: pytest.MonkeyPatc
     beside.close()
 
 
-def test_a_maker_beside_never_waits_and_counts_what_it_leaves_out() -> None:
+def test_threaded_sink_never_waits_and_counts_skipped_images() -> None:
     class Slow(Kept):
         """Takes nothing before it is let."""
 
@@ -194,7 +194,7 @@ def test_a_maker_beside_never_waits_and_counts_what_it_leaves_out() -> None:
     image = np.zeros((4, 4), np.uint8)
     beside.put(CameraImage(LEFT, image), CameraImage(RIGHT, image))
     assert slow.begun.wait(30.0)
-    for number in range(1, ThreadedImageSink.QUEUE_MAX + 4):  # three more than there is room for
+    for number in range(1, ThreadedImageSink.QUEUE_MAX + 4):  # three more than the capacity
         beside.put(CameraImage(LEFT, image, number=number), CameraImage(RIGHT, image, number=number))
     slow.go.set()
     beside.close()
@@ -215,7 +215,7 @@ def test_the_run_s_time_is_known_where_the_cell_is_shared() -> None:
     here.close()
 
 
-def test_the_run_s_time_is_told_when_it_begins_changes_and_stands() -> None:
+def test_time_of_the_run_is_reported_when_it_starts_changes_and_stops() -> None:
     told: list[float] = []
     run_zero = RunZero([told.append])
     for zero_s in (math.nan, 1.0, 1.0, 1.02, math.nan, math.nan, 1.06):  # a period was lost
@@ -255,7 +255,7 @@ def test_images_dropped_by_their_source_are_counted_as_dropped(tmp_path: Path) -
     assert "6 messages" in account.problem
 
 
-def test_a_picture_outside_the_run_s_time_stands_where_the_run_does(tmp_path: Path) -> None:
+def test_image_outside_the_run_s_time_has_the_time_at_which_the_run_stands(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 1_000_000_000))
     file.write_images(image_row(LEFT, math.nan, b"x", exposure=Exposure(3.5)))
@@ -298,7 +298,7 @@ def test_shapes_are_recorded_as_foxglove_draws_them(tmp_path: Path) -> None:
     assert circle["outline_color"] != lines["outline_color"]
 
 
-def test_pictures_without_cycles_reach_the_disk_by_and_by(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_images_without_cycles_reach_the_disk_eventually(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
     file = RunFile(path, RecordingHeader({"schema_version": "1"}, {}, 0))
     row = image_row(MONITOR, 1.0, noise(rng, 1_000_000).tobytes())
@@ -311,7 +311,7 @@ def test_pictures_without_cycles_reach_the_disk_by_and_by(tmp_path: Path, rng: n
     file.finish({})
 
 
-def test_a_ring_that_forgot_pictures_says_so() -> None:
+def test_ring_that_dropped_images_reports_it() -> None:
     ring = Ring.create(IMAGE, 4, "pictures")
     reader = ring.reader()
     for number in range(6):

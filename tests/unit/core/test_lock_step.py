@@ -168,7 +168,7 @@ def test_participant_that_does_not_do_its_part_is_named_and_left_out() -> None:
             clock.close()
 
 
-def test_thread_that_ends_is_waited_for_by_nobody(clock: LockStepConductor) -> None:
+def test_thread_that_ends_delays_no_other(clock: LockStepConductor) -> None:
     thread = clock.start_thread(lambda: clock.sleep(1.0), "short")
     clock.join(thread, 10.0)
     assert clock.now_s() == 1.0

@@ -36,7 +36,7 @@ STOP = {(mode, Mode.SAFE_STOP) for mode in Mode}
 
 
 @pytest.mark.parametrize(("here", "to"), list(product(Mode, Mode)))
-def test_every_pair_of_modes_is_allowed_or_refused_as_the_table_of_moves_says(here: Mode, to: Mode) -> None:
+def test_every_pair_of_modes_is_allowed_or_refused_as_in_the_table_of_moves(here: Mode, to: Mode) -> None:
     machine = ModeMachine()
     machine.mode = here
     machine.held_from = to  # where a hold came from
@@ -72,7 +72,7 @@ def test_running_is_reached_only_from_armed_and_from_its_own_hold() -> None:
     assert [mode for mode in Mode if Mode.RUNNING in ALLOWED[mode]] == [Mode.ARMED, Mode.HOLD]
 
 
-def test_nothing_but_standby_comes_after_the_devices_were_opened() -> None:
+def test_only_standby_comes_after_the_devices_were_opened() -> None:
     assert ALLOWED[Mode.OFF] == {Mode.STANDBY, Mode.SAFE_STOP}
 
 

@@ -1,4 +1,4 @@
-"""Orders of an operator, and in which modes they are obeyed."""
+"""Orders of an operator, and the modes in which they are executed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from hil.core.operator_commands import ALLOWED_IN, JogRequest, Operator, Operato
 
 
 @pytest.mark.parametrize(("order", "mode"), list(product(OperatorCommand, Mode)))
-def test_an_order_is_obeyed_in_its_modes_and_refused_in_words_elsewhere(order: OperatorCommand, mode: Mode) -> None:
+def test_order_is_executed_in_its_modes_and_refused_with_a_message_elsewhere(
+    order: OperatorCommand, mode: Mode
+) -> None:
     operator = Operator((), attended=True)
     operator.submit(order)
     if mode in ALLOWED_IN[order]:

@@ -1,4 +1,4 @@
-"""Parts: ours and those of other packages, and one line for each that cannot be used."""
+"""Parts: built-in ones and other packages', and one line for each that cannot be used."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def point(name: str, value: str) -> EntryPoint:
     return EntryPoint(name, f"{__name__}:{value}", part.GROUP)
 
 
-def test_part_of_another_package_is_no_different_from_ours() -> None:
+def test_part_of_another_package_is_no_different_from_a_built_in_one() -> None:
     found = joined([OURS], [point("robot", "ROBOT")])
     assert [*found.usable] == ["tracker", "robot"]
     assert found.usable["robot"].part is ROBOT

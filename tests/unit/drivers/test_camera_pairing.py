@@ -85,7 +85,7 @@ def test_numbers_of_the_cameras_need_not_be_equal_and_may_wrap() -> None:
     assert pairing.counters["odd_numbers"] == 0
 
 
-def test_numbers_that_contradict_the_times_are_not_believed_at_once() -> None:
+def test_numbers_that_contradict_the_times_are_not_trusted_at_once() -> None:
     """From exposure 3 on the right camera's frames have the time of the next exposure, or it has missed a trigger."""
     pairing = Pairing(0.005, 0.05, 1.0 / PERIOD_S)
     used = []

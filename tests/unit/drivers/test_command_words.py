@@ -1,4 +1,4 @@
-"""Thruster words: their bytes, what spoilt ones do, and the seat of a flight computer that falls silent."""
+"""Thruster words: bytes, effect of damaged ones, and the backend of a flight computer that falls silent."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class Said:
 
 
 class Bench:
-    """A seat with words from ``said`` at a time that the test sets."""
+    """A backend with words from ``said`` at a time that the test sets."""
 
     def __init__(self, scenario: Scenario, **config: object) -> None:
         self.said, self.now_s, self.held = Said(), 0.0, ""

@@ -42,7 +42,7 @@ def make(board: SharedAxisState) -> Make:
 
 
 def travel(axes: EmulatedAxes, axis: int, rate: float, from_s: float, to_s: float) -> float:
-    """Let one axis follow a ramp from where its encoder says it is; return the largest following error."""
+    """Let one axis follow a ramp from the position of its encoder; return the largest following error."""
     start = float(axes.position[axis])
     worst = 0.0
     for k in range(round((to_s - from_s) / PERIOD_S)):
@@ -155,7 +155,7 @@ def test_frozen_values_stay_while_the_axis_moves_on(make: Make, board: SharedAxi
     assert board.read("rails", 1.0)[0][1] > before[1] + 0.04
 
 
-def test_an_axis_without_commands_brakes_and_says_so(make: Make) -> None:
+def test_axis_without_commands_brakes_and_reports_it(make: Make) -> None:
     axes = make()
     travel(axes, 1, 0.05, 0.0, 1.0)
     axes.advance(3.0)

@@ -53,7 +53,9 @@ def test_lines_switch_faults_on_and_off(faults: Faults) -> None:
         ("help", ("allowed: on FAULT", "link_down")),
     ],
 )
-def test_other_lines_are_refused_in_words_and_change_nothing(faults: Faults, line: str, words: tuple[str, ...]) -> None:
+def test_other_lines_are_refused_with_a_message_and_change_nothing(
+    faults: Faults, line: str, words: tuple[str, ...]
+) -> None:
     answer = faults.execute(line)
     assert answer.startswith("error: ")
     for word in words:
@@ -65,7 +67,7 @@ def test_a_wire_without_faults_changes_nothing(faults: Faults) -> None:
     assert wire(faults).passed(PACKET) == [(0.0, PACKET)]
 
 
-def test_dropped_packets_are_as_many_as_was_said(faults: Faults) -> None:
+def test_dropped_packets_have_the_given_rate(faults: Faults) -> None:
     faults.on("drop", value=0.2)
     line = wire(faults)
     arrived = sum(len(line.passed(PACKET)) for _ in range(2000))
@@ -110,7 +112,7 @@ def test_the_control_port_answers_each_line(faults: Faults) -> None:
         FaultControl(port.address)
 
 
-def test_kinds_tell_programs_what_can_be_switched_on() -> None:
+def test_kinds_list_for_programs_what_can_be_switched_on() -> None:
     faults = Faults("rails", ("wire", "drive"), ("x", "y"))
     told = json.loads(faults.execute("kinds"))
     assert told["axes"] == ["x", "y"]

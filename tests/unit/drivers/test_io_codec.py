@@ -69,7 +69,7 @@ def test_any_request_is_answered_and_creates_no_line(request_: bytes) -> None:
     assert (len(memory.coils), memory.inputs) == (10, image().inputs)
 
 
-def test_addresses_are_asked_for_in_runs_that_touch_no_foreign_line() -> None:
+def test_addresses_are_read_in_runs_without_lines_of_others() -> None:
     assert runs([5, 1, 0, 2, 9]) == (range(3), range(5, 6), range(9, 10))
     lines = LineMap(Io.model_validate({"driver": "modbus", "coils": {"charge_pump": 100}, "thruster_lines": 2}))
     assert lines.coils == (100, 1, 2, 3)

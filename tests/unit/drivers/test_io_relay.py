@@ -1,4 +1,4 @@
-"""The safety relay: what opens it, how fast, and that nothing but a new edge of enable closes it again."""
+"""The safety relay: what opens it, how fast, and that only a new edge of enable closes it again."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Desk:
 
 @pytest.fixture
 def desk() -> Desk:
-    """Return a desk whose relay is closed."""
+    """Return inputs and outputs whose relay is closed."""
     desk = Desk()
     desk.run(0.1)
     assert not desk.relay.closed

@@ -25,7 +25,7 @@ WAIT_S = 5.0
 
 
 class Device:
-    """The far end of a wire, which knows nothing of the driver."""
+    """The far end of a wire, independent of the driver."""
 
     def __init__(self) -> None:
         self.fd, self._slave = os.openpty()

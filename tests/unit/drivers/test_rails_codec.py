@@ -1,4 +1,4 @@
-"""Registers of a rail drive, word for word."""
+"""Registers of a rail drive, as literal words."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_identity_is_checked() -> None:
     assert DRIVE_MAP.identity_problem(DriveIdentity(0x48494C52, (2, 5))) == "firmware 2.5, expected 1.x"
 
 
-def test_blocks_lie_where_the_manual_says() -> None:
+def test_blocks_have_the_addresses_of_the_manual() -> None:
     blocks = (DRIVE_MAP.command, DRIVE_MAP.state, DRIVE_MAP.identity)
     assert [(block.address, block.count) for block in blocks] == [(0, 6), (16, 7), (32, 3)]
 

@@ -1,4 +1,4 @@
-"""Register maps of the rails: what a rig file may say, and what is refused with its reason."""
+"""Register maps of the rails: what a rig file may contain, and what is refused with its reason."""
 
 from __future__ import annotations
 
@@ -169,7 +169,7 @@ def test_a_bad_map_is_refused_with_key_value_and_what_is_allowed(tmp_path: Path,
         ("faults = { 2 = 'over-current' }", 7, FaultKind.OTHER),
     ],
 )
-def test_torque_off_is_told_by_its_code_whatever_it_is_called(
+def test_torque_off_is_identified_by_its_code_whatever_it_is_called(
     tmp_path: Path, text: str, code: int, kind: FaultKind
 ) -> None:
     file = tmp_path / "lab.toml"

@@ -1,4 +1,4 @@
-"""The serial protocols on the wire: literal lines of both shipped dialects."""
+"""The serial protocols on the wire: literal lines of both shipped protocols."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_report_gives_flags_positions_and_rates():
     assert HIL.reply(0x3A, line_of(HIL, "status"), DEVICE, told) == REPORT + b"\r\n"
 
 
-def test_identity_is_asked_and_answered_in_words():
+def test_identity_is_requested_and_answered_as_text():
     assert HIL.request(1, line_of(HIL, "identify"), DEVICE, {}) == b">01 IDN*5B53\r\n"
     told = {("model", DEVICE): "X", ("serial", DEVICE): "7"}
     assert read(HIL, "identify", b"<01 IDN X 7 3*1D6C") == (1, told)
@@ -66,7 +66,7 @@ def test_acu_asks_each_axis_in_milli_degrees_with_an_exclusive_or():
     assert found == {key: pytest.approx(value, abs=1e-12) for key, value in values.items()}
 
 
-def test_acu_reply_tells_of_one_axis_and_ends_in_a_prompt():
+def test_acu_reply_reports_one_axis_and_ends_in_a_prompt():
     line = b"PA2=12345.600;VA2=-499.870;SR2=3;EC2=0;^23\r\n>"
     _, told = read(ACU, "status", line[:-3], axis=1)
     assert told["position", 1] == pytest.approx(math.radians(12.3456))

@@ -17,7 +17,7 @@ COUNTS_PER_TURN = 10_000_000
 
 
 class Axis:
-    """An axis that only remembers what it was told."""
+    """An axis that only remembers its commands."""
 
     def __init__(self) -> None:
         self.told: list[tuple[int, int, float]] = []
@@ -82,7 +82,7 @@ def test_feedback_is_position_and_velocity():
     assert codec.decode_feedback(bytes.fromhex("40 e2 01 00 eb fc ff ff")) == (123456, -789)
 
 
-def test_feedback_of_wrong_length_is_told():
+def test_feedback_of_wrong_length_is_reported():
     with pytest.raises(ValueError, match="6 bytes instead of 8: 40 e2 01 00 eb fc"):
         codec.decode_feedback(bytes.fromhex("40 e2 01 00 eb fc"))
 
@@ -132,7 +132,7 @@ def test_fault_without_a_name_keeps_its_number():
         ("a0 00 10 00 00 00 00 00", "80 00 10 00 01 00 04 05"),  # block transfer is not served
     ],
 )
-def test_drive_serves_sdo_as_cia_301_says(request_frame, reply):
+def test_drive_serves_sdo_as_in_cia_301(request_frame, reply):
     drive = EmulatedCia402Drive(1, Axis(), 0.5)
     assert drive.on_frame(0x601, bytes.fromhex(request_frame), 0.0) == [(0x581, bytes.fromhex(reply))]
 
@@ -151,13 +151,13 @@ def test_drive_is_enabled_step_by_step_and_only_then_follows():
         DriveState.SWITCHED_ON,
         DriveState.ENABLED,
         DriveState.QUICK_STOP_ACTIVE,
-        DriveState.QUICK_STOP_ACTIVE,  # nothing but disable voltage leads out of a quick stop
+        DriveState.QUICK_STOP_ACTIVE,  # only disable voltage leads out of a quick stop
         DriveState.SWITCH_ON_DISABLED,
     ]
     assert axis.told == [(0, 0, 0.5)]
 
 
-def test_fault_is_told_at_once_and_reset_on_the_rising_bit_only():
+def test_fault_is_reported_at_once_and_reset_on_the_rising_bit_only():
     drive = EmulatedCia402Drive(2, Axis(), 0.5)
     assert drive.fail(0x7305) == [(0x82, bytes.fromhex("05 73 01 00 00 00 00 00"))]
     drive.on_frame(0x602, bytes.fromhex("2b 40 60 00 80 00 00 00"), 0.0)
@@ -196,7 +196,7 @@ def statusword(drive: EmulatedCia402Drive) -> str:
     return reply.hex(" ")
 
 
-def test_homing_begins_with_bit_4_and_the_statusword_tells_how_it_goes():
+def test_homing_begins_with_bit_4_and_the_statusword_reports_its_progress():
     drive, axis = homing_drive()
     assert statusword(drive) == "4b 41 60 00 37 06 00 00"  # enabled, at a stand, not homed
     drive.on_frame(0x601, bytes.fromhex("2b 40 60 00 1f 00 00 00"), 0.0)

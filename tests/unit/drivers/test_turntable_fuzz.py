@@ -131,7 +131,7 @@ def raised_by(function, argument) -> DeviceError | None:
 
 
 class Drive:
-    """An SDO partner that says that all is well."""
+    """An SDO partner that reports no errors."""
 
     def statusword(self) -> int:
         return 0x1237

@@ -95,7 +95,7 @@ def test_controller_without_torque_off_has_no_such_fault(tmp_path):
     assert AsciiProtocol(load_protocol(path).value).fault_kind(0x0100) is FaultKind.OTHER
 
 
-def test_rig_file_names_a_protocol_file_beside_it(tmp_path):
+def test_rig_file_names_a_protocol_file_in_its_folder(tmp_path):
     altered(tmp_path, "x", "x")
     rig = tmp_path / "rig.toml"
     rig.write_text(

@@ -83,14 +83,14 @@ def test_frame_cut_into_single_bytes_is_received_with_its_last_byte() -> None:
     assert decoder.skipped_bytes == 0
 
 
-def test_frame_without_a_pose_is_told_from_a_broken_one() -> None:
+def test_frame_without_a_pose_is_distinguished_from_a_broken_one() -> None:
     decoder = FrameDecoder(HIL)
     (decoded,) = decoder.feed(encode_status(9, 2.0, STATUS_NO_POSE), 2.1)
     assert decoded == Decoded(9, 2.0, STATUS_NO_POSE, None)
     assert decoder.invalid == 0
 
 
-def test_position_alone_is_told_from_a_pose() -> None:
+def test_position_alone_is_distinguished_from_a_pose() -> None:
     raw = bytearray(TRANSCRIPT)
     raw[-3:] = bytes.fromhex("02 42 ef")  # status, and CRC by shifting bits
     assert encode(pose(counter=7, status=POSITION_ONLY)) == bytes(raw)
@@ -229,7 +229,7 @@ def test_a_million_mutated_frames_hide_no_good_one() -> None:
             place = rng.randrange(len(raw))
             raw[place] ^= rng.randrange(1, 256)
         if bytes(raw) in right:
-            continue  # mended by chance
+            continue  # repaired by chance
         if rng.random() < 0.3:
             del raw[rng.randrange(len(raw)) :]
         if rng.random() < 0.1:

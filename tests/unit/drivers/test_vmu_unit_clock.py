@@ -35,7 +35,7 @@ def test_drift_is_measured_whatever_the_offset() -> None:
     assert abs(estimate(0.1)["clock_drift_ppb"]) < 6000
 
 
-def test_a_step_far_below_the_rejection_of_frames_is_said() -> None:
+def test_step_far_below_the_rejection_of_frames_is_reported() -> None:
     clock = UnitClock(TRANSMISSION_S)
     for k in range(4 * WINDOW):
         clock.add(TRANSMISSION_S - (0.005 if k >= 2 * WINDOW else 0.0), k * PERIOD_S)

@@ -78,7 +78,7 @@ def rig(folder: Path, host: str = "127.0.0.1") -> Rig:
     return load_rig(str(rig_file(folder, "lab", host))).value
 
 
-def test_second_controller_is_refused_within_a_second_and_is_told_which_process_holds_the_wires(
+def test_second_controller_is_refused_within_a_second_naming_the_process_that_holds_the_wires(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(wire_lock, "_FOLDER", "hil-wires")  # of another process as well

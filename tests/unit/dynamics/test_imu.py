@@ -74,7 +74,7 @@ def test_gyro_sees_the_mean_rate_of_a_step_and_not_its_end(plain_1: Scenario) ->
     perfect = new(IMU_PARAMS)
     on = np.zeros(MAX_THRUSTERS, dtype=np.int64)
     on[:2] = [1, 0]
-    on[5] = 1  # +x at +y and -x at -y: a turn about -z
+    on[5] = 1  # +x at +y and -x at -y: a rotation about -z
     before = truth.w_CI_C.copy()
     truth_kernels.step(dss, NO_FIELD, new(TRUTH_MEMORY), truth, on)
     sample(perfect, truth, np.zeros(12), imu)

@@ -62,7 +62,7 @@ def test_quantum_cuts_readings_and_loses_nothing() -> None:
         assert np.abs(found.sum(axis=0) - n * true).max() <= 0.5 * quantum * (1.0 + 1e-9)
 
 
-def test_accelerometers_beside_the_reference_point_feel_its_rotation() -> None:
+def test_accelerometers_off_the_reference_point_measure_its_rotation() -> None:
     arm = np.array([0.3, -0.4, 0.5])
     rates = np.array([0.2, 0.1, -0.3]) + np.outer(np.arange(3) * DT, [1.0, -2.0, 0.5])
     _, force, _ = readings(f"imu.errors.lever_arm_m={arm.tolist()}", n=2, rates=rates)

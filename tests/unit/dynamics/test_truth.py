@@ -119,7 +119,7 @@ def test_momentum_gained_is_the_impulse_of_the_thrusters(plain_1: Scenario) -> N
         twist += params.dt_s * middle.apply(torque)
     angular = Rotation.from_quat(truth.q_CH).apply(params.inertia @ truth.w_CI_C)
     assert np.linalg.norm(truth.w_CI_C) > 0.02
-    # the attitude in mid-step is known to the turn that half a step of acceleration makes
+    # the attitude in mid-step is known to the rotation by half a step of acceleration
     np.testing.assert_allclose(linear, impulse, atol=3e-5)
     np.testing.assert_allclose(angular, twist, atol=3e-5)
 
@@ -134,7 +134,7 @@ def test_couple_turns_without_pushing(plain_1: Scenario) -> None:
     np.testing.assert_allclose(truth.w_CI_C, params.inertia_inverse @ torque * params.dt_s, atol=1e-10)
 
 
-def test_records_say_what_the_valves_did(plain_1: Scenario) -> None:
+def test_records_have_the_times_of_the_valves(plain_1: Scenario) -> None:
     params, truth = dynamics_params.dss(plain_1), dynamics_params.initial_truth(plain_1)
     params.minimum_on_s = 0.03
     for fraction in (1.0, 0.5, 0.0):

@@ -125,7 +125,7 @@ def test_reader_overtaken_by_the_writer_tries_again_and_returns_no_torn_value(
     assert into == value(25)
 
 
-def test_reader_of_a_writer_that_does_nothing_but_write_gives_up_and_says_so(
+def test_reader_of_a_writer_that_only_writes_gives_up_with_an_error(
     block: MailboxBlock, during_copies: Callable[[Callable[[], None]], None]
 ) -> None:
     cell = block["rails"]
@@ -135,7 +135,7 @@ def test_reader_of_a_writer_that_does_nothing_but_write_gives_up_and_says_so(
         cell.read(value(0))
 
 
-def test_cell_says_who_wrote_it_and_how_old_it_is(block: MailboxBlock) -> None:
+def test_mailbox_has_its_writer_and_its_age(block: MailboxBlock) -> None:
     into = value(0)
     assert block["rails"].read_stamped(into) == NOTHING
     assert block["rails"].read_stamped(into).age_s(3.0) == math.inf
@@ -145,7 +145,7 @@ def test_cell_says_who_wrote_it_and_how_old_it_is(block: MailboxBlock) -> None:
     assert stamp.age_s(3.0) == 1.5
 
 
-def test_value_that_somebody_else_spoilt_is_not_given(block: MailboxBlock) -> None:
+def test_value_corrupted_by_another_process_is_not_returned(block: MailboxBlock) -> None:
     cell = block["rails"]
     cell.write(value(1), 1.0)
     cell._slots._bytes[30] ^= 1

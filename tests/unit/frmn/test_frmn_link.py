@@ -125,12 +125,12 @@ def test_bench_without_a_peer_sends_nothing(bench: Link) -> None:
     assert not bench.send("gnc.input", np.zeros(1, GNC_INPUT_3))
 
 
-def test_goodbye_stands_also_where_the_port_is_closed_behind_it(bench: Link, gnc: Link) -> None:
+def test_last_datagram_counts_although_the_port_is_closed_after_it(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     bench.close("the run is over")
     gnc.send(
         "gnc.output", np.zeros(1, MAILBOXES["gnc.output"].dtype)
-    )  # meets the closed port before the goodbye is read
+    )  # meets the closed port before the disconnect is read
     time.sleep(0.05)
     gnc.poll()
     gnc.poll()
@@ -148,7 +148,7 @@ def test_closed_port_of_the_other_side_is_noticed_by_the_next_poll(bench: Link, 
     assert not bench.alive(time.monotonic())
 
 
-def test_word_of_a_closed_port_does_not_hide_what_another_side_says(bench: Link, gnc: Link) -> None:
+def test_error_of_a_closed_port_does_not_hide_datagrams_of_another_side(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     gnc._socket.close()
     other = Link(Role.GNC, "other", ("gnc.output",), ("gnc.input",), None, bench.address)
@@ -162,7 +162,7 @@ def test_word_of_a_closed_port_does_not_hide_what_another_side_says(bench: Link,
     other.close()
 
 
-def test_goodbye_ends_the_other_side(bench: Link, gnc: Link) -> None:
+def test_disconnect_ends_the_other_side(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     gnc.close("enough")
     until(lambda: bench.peer is not None and bench.peer.gone, bench)
@@ -201,7 +201,7 @@ def test_silent_writer_gives_way_to_another(bench: Link) -> None:
     assert bench.peer.address == ELSEWHERE
 
 
-def test_sender_that_says_no_hello_is_unknown(bench: Link) -> None:
+def test_sender_without_a_hello_is_unknown(bench: Link) -> None:
     assert bench.handle(output(1, 1), THERE, 0.0) is None
     assert bench.counters()["unknown_sender"] == 1
     assert list(bench.complaints) == ["127.0.0.1:5 has sent no hello"]
@@ -211,7 +211,7 @@ def test_sender_from_another_address_than_the_expected_is_unknown() -> None:
     link = Link(Role.DSS, "bench", ("gnc.input",), ("gnc.output",), LOCAL, THERE)
     assert link.handle(output(1, 1), ELSEWHERE, 0.0) is None
     assert list(link.complaints) == ["127.0.0.1:6 is not 127.0.0.1:5, the expected address"]
-    assert link.handle(output(1, 1), THERE, 0.0) is not None  # where one is expected an answer is hello enough
+    assert link.handle(output(1, 1), THERE, 0.0) is not None  # an expected answer counts as a hello
     link.close()
 
 
@@ -232,7 +232,9 @@ def test_cell_that_this_side_writes_is_refused_from_the_other(bench: Link) -> No
         (hello(1, role=Role.DSS), "unknown_cell", "has role 1, expected 2"),
     ],
 )
-def test_what_cannot_be_used_is_counted_and_said_once(bench: Link, datagram: bytes, counter: str, said: str) -> None:
+def test_unusable_datagrams_are_counted_and_reported_once(
+    bench: Link, datagram: bytes, counter: str, said: str
+) -> None:
     for _ in range(3):
         assert bench.handle(datagram, THERE, 0.0) is None
     assert bench.counters()[counter] == 3
@@ -240,7 +242,7 @@ def test_what_cannot_be_used_is_counted_and_said_once(bench: Link, datagram: byt
     assert bench.complaints[0].startswith(f"127.0.0.1:5 {said}")
 
 
-def test_side_of_another_version_hears_why_it_is_refused(bench: Link) -> None:
+def test_side_of_another_version_receives_the_reason_for_its_refusal(bench: Link) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.settimeout(5.0)
         other.sendto(hello(1)[:8] + b"\x01" + hello(1)[9:], bench.address)
@@ -252,7 +254,7 @@ def test_side_of_another_version_hears_why_it_is_refused(bench: Link) -> None:
         assert wire.read_text(datagram[32:-TAG_BYTES]) == (1, "this side uses version 2 of the protocol")
 
 
-def test_refusal_is_kept_for_whoever_wants_to_know(bench: Link, gnc: Link) -> None:
+def test_refusal_is_kept_for_later_queries(bench: Link, gnc: Link) -> None:
     joined(bench, gnc)
     second = Link(Role.GNC, "second", ("gnc.output",), ("gnc.input",), None, bench.address)
     until(lambda: second.refusal, bench, gnc, second)
@@ -295,7 +297,7 @@ def test_address_that_is_none_is_refused_in_a_line(text: str) -> None:
         parse_address("--dss", text, 24500)
 
 
-def test_address_may_leave_away_port_or_host() -> None:
+def test_address_may_omit_port_or_host() -> None:
     assert parse_address("--dss", "127.0.0.2", 24500) == ("127.0.0.2", 24500)
     assert parse_address("--listen", ":7", 24500) == ("127.0.0.1", 7)
 

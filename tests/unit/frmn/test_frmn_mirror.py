@@ -1,4 +1,4 @@
-"""Each cycle's records go to whoever wants them, and on to the telemetry in any case."""
+"""Each cycle's records go to the sides that request them, and to the telemetry in any case."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_cells_that_are_wanted_arrive_with_what_the_cycle_had() -> None:
     mirror.over(inner)
     mirror.begin(lambda: "running", lambda: 3)
     row = np.zeros(1, CYCLE)
-    mirror.put(row)  # nobody is there yet
+    mirror.put(row)  # no reader is there yet
     viewer.service()
     viewer_is_there(bench)
     bench.send("gnc.setup", np.zeros(1, MAILBOXES["gnc.setup"].dtype))
@@ -75,7 +75,7 @@ def viewer_is_there(bench: Link) -> None:
         bench.poll()
 
 
-def test_filters_that_are_told_again_do_not_count_in_a_later_cycle() -> None:
+def test_filters_that_are_sent_again_do_not_count_in_a_later_cycle() -> None:
     inbox, told = ReceiveBuffers(), np.zeros(1, GNC_FILTERS)
     told["cycle"] = 7
     inbox.take_filters(told)

@@ -30,7 +30,7 @@ def changed(datagram: bytes, offset: int, replacement: bytes) -> bytes:
     return bytes(made)
 
 
-def test_datagram_is_what_the_page_says() -> None:
+def test_datagram_is_as_documented() -> None:
     datagram = wire.pack(DatagramKind.HEARTBEAT, wire.heartbeat_payload(1.0, 2.0), 0x01020304, 5, 0.5)
     assert datagram.hex(" ", 4) == (
         "46524d4e 54200001 02030000 10000000 04030201 05000000 00000000 0000e03f 00000000 0000f03f 00000000 00000040"
@@ -73,11 +73,11 @@ def test_each_fault_has_its_name(datagram: bytes, fault: Fault) -> None:
     assert wire.unpack(datagram) is fault
 
 
-def test_layout_that_is_not_said_is_not_checked() -> None:
+def test_layout_that_is_not_given_is_not_checked() -> None:
     assert isinstance(wire.unpack(changed(output(1), 14, b"\0\0")), wire.DatagramHeader)
 
 
-def test_layout_tells_other_fields_of_the_same_size_and_not_other_names() -> None:
+def test_layout_distinguishes_other_fields_of_the_same_size_and_not_other_names() -> None:
     ours = np.dtype([("a", "f8", 2), ("b", "i4", 2)])
     assert layout_of(ours) == layout_of(np.dtype([("x", "f8", 2), ("y", "i4", 2)]))
     assert layout_of(ours) != layout_of(np.dtype([("a", "f8", 2), ("b", "f4", 2)]))

@@ -65,7 +65,7 @@ def until_empty(link: Link) -> list[str]:
     return names
 
 
-def test_tag_is_what_the_page_says() -> None:
+def test_tag_is_as_documented() -> None:
     datagram = output()
     expected = hmac.new(KEY, struct.pack("<I", 7) + datagram, hashlib.sha256).digest()[:16]
     assert tag_of(KEY, datagram, 7) == expected
@@ -84,7 +84,7 @@ def test_stranger_without_the_key_is_no_peer(bench: Link, stranger: socket.socke
 
 
 def test_recorded_exchange_cannot_be_repeated(bench: Link, stranger: socket.socket) -> None:
-    stranger.sendto(sealed(hello(), KEY), bench.address)  # recorded: it is heard, and sets nothing up
+    stranger.sendto(sealed(hello(), KEY), bench.address)  # recorded: it is received, and sets nothing up
     stranger.sendto(sealed(output(), KEY, bench._writer ^ 1), bench.address)  # to a bench of an earlier start
     stranger.sendto(sealed(output(), KEY), bench.address)
     assert until_empty(bench) == []
@@ -139,7 +139,7 @@ def test_port_of_a_connected_link_is_taken_also_for_programs_of_the_same_user(be
 
 
 @pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_burst_of_foreign_datagrams_delays_a_reply_by_less_than_a_cycle(
+def test_burst_of_unauthenticated_datagrams_delays_a_reply_by_less_than_a_cycle(
     bench: Link, stranger: socket.socket, count: int
 ) -> None:
     dice = random.Random(3)

@@ -186,7 +186,9 @@ def test_start_has_the_covariance_of_the_first_pose_and_of_the_drift(
     np.testing.assert_allclose(np.degrees(state.akf.x[4:]), 2.78e-6)
 
 
-def test_error_is_the_small_turn_from_the_estimate_to_the_truth(params: np.record, rng: np.random.Generator) -> None:
+def test_error_is_the_small_rotation_from_the_estimate_to_the_truth(
+    params: np.record, rng: np.random.Generator
+) -> None:
     q, turn, found = Rotation.random(rng=rng).as_quat(), np.array([1e-3, -2e-3, 3e-3]), np.empty(6)
     state = started(params, q, np.eye(3))
     state.akf.x[4:] = [1.0, 2.0, 3.0]
@@ -204,7 +206,7 @@ def test_rate_is_the_gyros_without_drift_and_without_hills_turn(params: np.recor
     np.testing.assert_allclose(state.akf.w_CH_C, w_CH, atol=1e-5)  # the turns of c and of H do not commute
 
 
-def test_errors_are_as_large_as_the_covariance_says(params: np.record, rng: np.random.Generator) -> None:
+def test_errors_are_as_large_as_the_covariance(params: np.record, rng: np.random.Generator) -> None:
     runs, steps, marks = 30, 1504, (8, 400, 1504)
     w, dt = np.array([0.004, -0.003, 0.005]), params.akf.dt_s
     r = SIGMA**2 * np.eye(3)

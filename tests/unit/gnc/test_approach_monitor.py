@@ -209,7 +209,7 @@ def test_rehearsal_aborts_at_its_time(params: np.record) -> None:
     assert check(params, 1.0, seen((3.0, 0.0, 0.0)), line(), 0, 1, watch)
 
 
-def test_ready_since_is_the_begin_of_the_unbroken_stay(params: np.record) -> None:
+def test_ready_since_is_the_start_of_the_unbroken_stay(params: np.record) -> None:
     watch = new(SUPERVISION)
     since = []
     for k, x in enumerate((0.5, 0.42, 0.41, 0.45, 0.4, 0.4)):

@@ -246,7 +246,7 @@ def test_attitude_converges_in_about_ten_seconds(params: np.record) -> None:
     assert abs(math.degrees(turn)) < 0.1
 
 
-def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record) -> None:
+def test_dead_band_is_widened_by_the_uncertainty_of_navigation(params: np.record) -> None:
     params.lead[:3] = 5.0
     error = 5.0 * coast_of(params, 0)
     navigation = seen((error, 0.0, 0.0))
@@ -257,7 +257,7 @@ def test_dead_band_is_widened_by_what_navigation_does_not_know(params: np.record
     assert demanded(params, navigation).force[0] == -1
 
 
-def test_brake_of_an_abort_knows_no_caution(params: np.record) -> None:
+def test_brake_of_an_abort_has_no_dead_band_margin(params: np.record) -> None:
     navigation, command, reference = seen((0.02, 0.0, 0.0)), new(COMMAND), held()
     navigation.sigma_r_m[0] = 1.0
     control(params, navigation, reference, new(FEED_FORWARD), command)
@@ -286,7 +286,7 @@ def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m:
     """A perfect estimate under a constant reference acceleration: thrust makes the same change of rate, to a pulse."""
     command, reference, fired = new(COMMAND), held(), 0
     position = velocity = 0.0
-    reference.a_CT_H[0] = 0.0045  # four and a half pulses a period: something is always owed
+    reference.a_CT_H[0] = 0.0045  # four and a half pulses a period: some delta-v is always pending
     cycles = 70 * int(params.period[0])
     for k in range(cycles):
         t = k * params.dt_s
@@ -308,7 +308,7 @@ def test_reference_is_followed_by_feed_forward_alone(params: np.record, sigma_m:
     assert abs(position - reference.r_CT_H[0]) < 0.005
 
 
-def test_feedback_leaves_to_feed_forward_what_is_owed(params: np.record) -> None:
+def test_feedback_leaves_the_pending_delta_v_to_feed_forward(params: np.record) -> None:
     command, navigation = new(COMMAND), seen()
     pulse = params.acceleration[0] * params.dt_s
     params.lead[:3] = 20.0

@@ -370,7 +370,7 @@ def test_gain_of_the_attitude_is_of_the_noise_about_each_axis(rng: np.random.Gen
     assert state.gain_attitude * state.noise_rad < 0.8 * np.abs(gain).max() * sigmas.max()
 
 
-def test_memory_has_room_for_the_errors_that_are_used_and_no_more() -> None:
+def test_memory_holds_the_errors_that_are_used_and_no_more() -> None:
     """A triangle of blocks of eight columns: of 2 blocks for 15 errors, of 6 for 46."""
     sizes = [new_memory(params).nbytes // int(params.memory) for params in (fusion_params(), fusion_params(*ALL))]
     assert sizes == [STEP.itemsize + 8 * (16 + 64 * 3), STEP.itemsize + 8 * (48 + 64 * 21)]

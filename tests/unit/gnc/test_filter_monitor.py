@@ -1,4 +1,4 @@
-"""The watch over the filters: it tells of covariances that lie, and stays quiet about honest ones."""
+"""Filter monitor: it reports inconsistent covariances, and stays quiet about consistent ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.run_settings import make_job
 
 
 def events_of(*settings: str, duration_s: float = 120.0, scheme: str = "scheme-1") -> list[Event]:
-    """Return what the watch told in a run on the mock rig."""
+    """Return what the monitor reported in a run on the mock rig."""
     job = make_job(duration_s, settings, scenario=scheme)
     with build.runner(job) as runner:
         runner.run()
@@ -35,20 +35,20 @@ def test_band_of_the_mean_is_that_of_chi_square() -> None:
     assert chi2.sf(50 * high, 150) == pytest.approx(0.01)
 
 
-def test_honest_innovations_say_nothing(rng: np.random.Generator) -> None:
+def test_consistent_innovations_raise_nothing(rng: np.random.Generator) -> None:
     monitor = NisMonitor("pkf", 64)
     assert [said for nis in rng.chisquare(3, 5000) if (said := monitor.add(float(nis)))] == []
 
 
 @pytest.mark.parametrize(("scale", "words"), [(2.0, "larger"), (0.5, "smaller")])
-def test_innovations_of_the_wrong_size_are_told_once(rng: np.random.Generator, scale: float, words: str) -> None:
+def test_innovations_of_the_wrong_size_are_reported_once(rng: np.random.Generator, scale: float, words: str) -> None:
     monitor = NisMonitor("pkf", 64)
     said = [text for nis in scale * rng.chisquare(3, 1000) if (text := monitor.add(float(nis)))]
     assert len(said) == 1
     assert words in said[0]
 
 
-def test_end_of_an_alarm_is_told(rng: np.random.Generator) -> None:
+def test_end_of_an_alarm_is_reported(rng: np.random.Generator) -> None:
     monitor = NisMonitor("pkf", 64)
     values = np.concatenate([3.0 * rng.chisquare(3, 200), rng.chisquare(3, 1000)])
     said = [text for nis in values if (text := monitor.add(float(nis)))]
@@ -90,7 +90,7 @@ def test_honest_run_has_no_alarm(settings: tuple[str, ...]) -> None:
         ("gnc.akf.gyro_noise_degps=1.0", "akf", "too large"),
     ],
 )
-def test_wrong_r_or_q_is_seen_and_told(setting: str, source: str, words: str) -> None:
+def test_wrong_r_or_q_is_detected_and_reported(setting: str, source: str, words: str) -> None:
     told = [event.text for event in events_of(*PLAIN, setting) if event.source == source]
     assert any(words in text for text in told)
 
@@ -113,7 +113,7 @@ def test_shadow_agrees_with_the_compiled_filters_also_on_late_poses() -> None:
     assert 0.0 < watch.largest_divergence[1] < 1e-4
 
 
-def test_shadow_tells_when_the_filters_part() -> None:
+def test_shadow_reports_when_the_filters_diverge() -> None:
     settings = (*PLAIN, "gnc.shadow.enabled=true", "gnc.shadow.position_limit_m=1e-5")
     told = events_of(*settings, duration_s=6.0)
     assert [event.source for event in told].count("shadow") >= 1

@@ -139,7 +139,7 @@ def test_random_lateness_and_order_cost_nothing_once_all_poses_are_in(
 
 
 def test_order_of_two_poses_of_one_step_hardly_matters(params: np.record, rng: np.random.Generator) -> None:
-    """To the position below a sigma: it is not corrected by what a later attitude says. To the attitude nothing."""
+    """To the position below a sigma: it is not corrected by a later attitude. To the attitude nothing."""
     flight = Flight(params, 40, rng)
     start, first, second, third = flight.pose(0), *(flight.pose(16, part) for part in (-0.3, 0.2, 0.4))
     runs = [Run(params, flight) for _ in range(2)]
@@ -149,7 +149,7 @@ def test_order_of_two_poses_of_one_step_hardly_matters(params: np.record, rng: n
         for pose in order:
             run.step(pose)
         run.step(third)
-        assert run.counts() == (2, 0, 0, 0, 1)  # there is room for two
+        assert run.counts() == (2, 0, 0, 0, 1)  # capacity for two
     a, b = (run.state.filters for run in runs)
     np.testing.assert_allclose(b.akf.x, a.akf.x, atol=1e-3 * math.sqrt(a.p[9, 9]))
     np.testing.assert_allclose(b.p[9:15, 9:15], a.p[9:15, 9:15], rtol=1e-6, atol=1e-20)
@@ -158,7 +158,7 @@ def test_order_of_two_poses_of_one_step_hardly_matters(params: np.record, rng: n
 
 
 def alongside(params: np.record, flight: Flight, poses: dict[int, list], extra: dict[int, list]) -> tuple[int, ...]:
-    """Return the counts of a run that got ``extra`` as well and knows exactly what the run without them knows."""
+    """Return the counts of a run that got ``extra`` as well and has exactly the estimate of the run without them."""
     without, run = Run(params, flight), Run(params, flight)
     for k in range(len(flight.imu)):
         without.step(*poses.get(k, []))
@@ -346,7 +346,7 @@ def test_pose_whose_covariance_makes_the_innovation_s_no_covariance_is_kept_out(
     assert np.isfinite(run.known()).all()
 
 
-def test_pose_that_is_let_in_starts_the_count_of_rejections_anew(params: np.record, rng: np.random.Generator) -> None:
+def test_accepted_pose_restarts_the_count_of_rejections(params: np.record, rng: np.random.Generator) -> None:
     flight = Flight(params, 200, rng)
     run = Run(params, flight)
     run.step(flight.pose(0))

@@ -192,7 +192,7 @@ def test_slew_ends_at_its_attitude_which_stays_in_an_abort() -> None:
     np.testing.assert_allclose(at(params, other, 9.0).q_CH, turning.q_CH, atol=1e-12)
 
 
-def test_hold_goes_on_until_it_may_end_and_the_next_phase_begins_then() -> None:
+def test_hold_lasts_until_it_may_end_and_the_next_phase_begins_then() -> None:
     params = listed(
         'sequence=["stay", "approach"]', "phases.stay.kind='hold'", "phases.stay.duration_s=10.0"
     )  # fmt: skip

@@ -74,7 +74,7 @@ def test_rotation_beyond_a_degree_misleads() -> None:
         ("supervision", "aborted", 1),
     ],
 )
-def test_error_that_is_reported_misleads_nobody(table: str, field: str, value: float) -> None:
+def test_reported_error_does_not_mislead(table: str, field: str, value: float) -> None:
     history = rows(10.0)
     history["navigation"]["r_CT_H"][:, 0] += 0.2
     history[table][field] = value
@@ -111,7 +111,7 @@ def test_gnc_without_protection_levels_is_judged_by_the_keep_out() -> None:
     assert judged(history, "keep_out.radius_m=0")[1]["passed"]
 
 
-def test_availability_is_the_share_of_faultless_cycles_with_levels_below_their_limits() -> None:
+def test_availability_is_the_fraction_of_faultless_cycles_with_levels_below_their_limits() -> None:
     history = rows(10.0)
     history["navigation"]["protection_level_m"][:50, 1] = 0.06
     history["navigation"]["protection_level_m"][400:] = 1.0

@@ -34,7 +34,7 @@ def test_yaw_of_eq_9_has_a_plus_between_its_products(rng: np.random.Generator) -
     assert worst_printed > 0.5
 
 
-def test_first_two_lines_of_eq_9_belong_to_the_mended_third_one(rng: np.random.Generator) -> None:
+def test_first_two_lines_of_eq_9_belong_to_the_corrected_third_one(rng: np.random.Generator) -> None:
     for rotation in Rotation.random(50, rng=rng):
         q = rotation.as_quat()
         roll = math.atan2(2 * (q[0] * q[3] + q[1] * q[2]), -(q[0] ** 2) - q[1] ** 2 + q[2] ** 2 + q[3] ** 2)

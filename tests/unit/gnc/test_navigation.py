@@ -110,7 +110,7 @@ def test_all_poses_of_a_step_are_fused_and_no_more(params: np.record, rng: np.ra
 
 
 @pytest.mark.parametrize("part", ["position", "attitude"])
-def test_gate_stands_where_its_parameter_says(params: np.record, part: str) -> None:
+def test_gate_is_at_the_value_of_its_parameter(params: np.record, part: str) -> None:
     name = "pkf" if part == "position" else "akf"
 
     def fused(gate: float) -> np.record:
@@ -151,7 +151,7 @@ def test_wrong_measurement_covariance_shows_as_a_mean_nis_off_three(
         assert mean == pytest.approx(3.0 / scale**2, rel=0.2)
 
 
-def test_errors_at_ten_metres_are_as_large_as_the_covariances_say(
+def test_errors_at_ten_metres_are_as_large_as_the_covariances(
     plain_filters_2: Scenario, mock_rig: Rig, rng: np.random.Generator
 ) -> None:
     """The attitude is estimated: its error, which lasts from frame to frame, is 10 m long."""

@@ -291,7 +291,7 @@ def test_sigma_is_the_root_of_the_diagonal(params: np.record, rng: np.random.Gen
         np.testing.assert_allclose(out, np.sqrt(np.diag(state.p)[first : first + 3]))
 
 
-def test_errors_with_a_known_attitude_are_as_large_as_the_covariance_says(
+def test_errors_with_a_known_attitude_are_as_large_as_the_covariance(
     params: np.record, plain_filters_1: Scenario, rng: np.random.Generator
 ) -> None:
     known_attitude(params)

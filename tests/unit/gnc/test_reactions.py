@@ -170,7 +170,7 @@ def test_filters_may_converge_for_a_limited_time(scheme_1: Scenario) -> None:
     assert approach.supervision.aborted == UNPROTECTED
 
 
-def test_converged_navigation_is_not_permitted_what_it_does_not_know(approach: WatchedApproach) -> None:
+def test_converged_navigation_is_permitted_no_more_than_its_sigmas(approach: WatchedApproach) -> None:
     assert approach.state.reactions.converged == 1
     approach.estimate.protection_level_m = 0.0
     approach.estimate.protection_level_m[1] = 0.15  # beyond the corridor, within an alert limit that is no part of it

@@ -85,7 +85,7 @@ def test_errors_of_rate_and_moments_move_the_other_errors_as_the_states_do(which
 
 
 def test_walk_of_the_rate_moves_the_velocity_in_the_axes() -> None:
-    """A chaser that goes on as before has the velocity -dw x r in axes whose rate has changed by dw."""
+    """A chaser that moves as before has the velocity -dw x r in axes whose rate has changed by dw."""
     state, errors = begun(np.zeros(3), np.zeros(3)), PARAMS.errors.copy()
     errors.target_walk = walk = 1e-10
     target_motion.carry_errors(PARAMS.orbit, errors, 0.0, state.filters)

@@ -38,7 +38,7 @@ def params() -> np.record:
 
 
 class Flight:
-    """A chaser near 10 m that thrusts as it is told, with the filters on its IMU, its commands and its poses.
+    """A chaser near 10 m that thrusts as commanded, with the filters on its IMU, its commands and its poses.
 
     leak: m/s^2, constant specific force in c. wrong: added to all that the IMU reads. force_scale, torque_scale: of the
     true forces and torques against those that the filters assume.
@@ -53,7 +53,7 @@ class Flight:
         self.wrong, self.force_scale, self.torque_scale = 0.0, 1.0, 1.0
 
     def step(self, on: Sequence[int] = NOTHING, unseen: Sequence[int] = NOTHING, poses: bool = True) -> np.record:
-        """Fly a step with the thrusters ``on``, and with others that nobody has commanded; return its STEP."""
+        """Fly a step with the thrusters ``on``, and with uncommanded ones; return its STEP."""
         params, imu, cycle = self.params, new(IMU), int(self.state.cycle)
         force = self._leak.copy()
         self.state.commanded[:] = 0
@@ -126,7 +126,7 @@ def test_step_is_quiet_without_command_and_thrust_once_valves_have_settled(
 
 
 @pytest.mark.parametrize("thruster", range(16))
-def test_reading_of_a_thruster_that_nobody_commanded_is_measured(
+def test_reading_of_an_uncommanded_thruster_is_measured(
     params: np.record, rng: np.random.Generator, thruster: int
 ) -> None:
     flight = Flight(params, rng)

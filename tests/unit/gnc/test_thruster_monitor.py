@@ -137,7 +137,9 @@ def test_dead_thruster_whose_command_lasts_is_found(chaser: MonitoredChaser, thr
     assert (chaser.state.fault, chaser.state.thruster) == (DEAD, thruster)
 
 
-def test_thruster_stuck_open_is_told_from_a_dead_one_opposite_whose_command_lasts(chaser: MonitoredChaser) -> None:
+def test_thruster_stuck_open_is_distinguished_from_a_dead_opposite_one_under_a_lasting_command(
+    chaser: MonitoredChaser,
+) -> None:
     # at the same place, in opposite directions: together they give nothing
     for _ in range(50):
         chaser.cycle({5: 1.0}, wanted=4)

@@ -128,7 +128,7 @@ def test_object_without_a_step_is_refused() -> None:
         hil.run("scheme-1", control=3)
 
 
-def test_backend_beside_a_whole_gnc_is_refused() -> None:
+def test_backend_together_with_a_whole_gnc_is_refused() -> None:
     class Gnc:
         def step(self, inp: object) -> None: ...
 

@@ -1,4 +1,4 @@
-"""Each frame of the vision unit is told with the cycle that used it, and with -1 where none did."""
+"""Each frame of the vision unit is reported with the cycle that used it, or with -1."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def frame(counter: int, t_s: float) -> PoseFrame:
     return PoseFrame(counter, t_s, t_s + 0.01, np.array([0.1, 0.2, 3.0 + counter]), q, np.eye(6), 3, 5)
 
 
-def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
+def test_frames_are_reported_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
     source, told, memory = Source(), Rows(), core_memory(make_job(1.0), mock_rig)
     vision = VisionStage(source, memory)
     vision.frame_sink = told
@@ -74,7 +74,7 @@ def test_frames_are_told_with_the_cycle_that_used_them(mock_rig: Rig) -> None:
     assert cycle(*many) == [(10, -1), (11, -1), *((12 + i, 3) for i in range(MAX_POSES))]
 
 
-def test_a_listener_hears_what_was_and_what_comes() -> None:
+def test_subscriber_receives_past_and_coming_items() -> None:
     events: ObservableList[int] = ObservableList([1])
     heard: list[int] = []
     events.append(2)

@@ -96,7 +96,7 @@ def test_margin_is_the_fullest_level_of_the_run_and_the_first_beyond_the_limit()
 
 
 @pytest.mark.parametrize(("kind", "action"), [("hardware", "safe_stop"), ("emulated", "log")])
-def test_hardware_stops_unless_told_otherwise(kind: str, action: str) -> None:
+def test_hardware_stops_by_default(kind: str, action: str) -> None:
     emulated = load_rig("emulated").value
     rig = emulated.model_copy(update={"kind": kind})
     assert rig.on_overrun == action

@@ -129,7 +129,7 @@ def test_wait_sleeps_and_spins_only_for_the_last_part(fake: FakeTime) -> None:
     assert fake.slept_ns == [pytest.approx(20 * MS - 200_000, abs=10_000)]
 
 
-def test_faster_clock_shortens_the_wall_period_and_keeps_bench_time(fake: FakeTime) -> None:
+def test_faster_clock_shortens_the_real_time_period_and_keeps_bench_time(fake: FakeTime) -> None:
     rate = wall_rate(fake, speed=10.0)
     first, wall_ns = rate.wait(), fake.ns
     for _ in range(10):

@@ -1,4 +1,4 @@
-"""What lies behind a fault: how long is waited for it goes by the fault's kind, never by its text."""
+"""Root cause of a fault: the time to wait for it depends on the fault's kind, never on its text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
 
 
 class SteppedRate:
-    """A rate whose time goes on by 10 ms whenever it is asked for."""
+    """A rate whose time advances by 10 ms at each query."""
 
     paced = True
 

@@ -55,7 +55,7 @@ def test_what_people_do_trips_in_the_next_cycle_and_forbids_opening(
     desk.step()
     assert desk.stage.emergency_input(0.0) == (False, False)
     setattr(desk.io, attribute, value)
-    if attribute == "pressed":  # the supervisor's to tell, not the look's
+    if attribute == "pressed":  # reported by the safety monitor, not by this check
         desk.step()
         assert desk.stage.emergency_input(0.0) == (True, False)
     else:
@@ -117,12 +117,12 @@ def test_brakes_stay_released_when_a_thruster_fires_and_close_with_the_chain(des
 def test_the_board_carries_the_chain_to_the_drives() -> None:
     board, clock = SharedAxisState.create(), WallClock()
     try:
-        assert board.read_chain(clock).closed  # nobody has such a device
+        assert board.read_chain(clock).closed  # no bench has such a device
         board.write_chain(ChainState(*[False] * 3), clock.now_s())
         assert not board.read_chain(clock).closed
         board.write_chain(ChainState(*[True] * 3), clock.now_s())
         assert board.read_chain(clock).closed
         board.write_chain(ChainState(*[True] * 3), clock.now_s() - 1.0)
-        assert not board.read_chain(clock).closed  # whoever should tell is dead
+        assert not board.read_chain(clock).closed  # the reporting process is dead
     finally:
         board.close()

@@ -48,7 +48,7 @@ def test_normalised_square_of_matching_errors_is_chi_square(rng: np.random.Gener
     assert chi2.ppf(0.0005, 12000) < total < chi2.ppf(0.9995, 12000)
 
 
-def test_more_states_than_there_is_room_for_are_refused() -> None:
+def test_more_states_than_the_capacity_are_refused() -> None:
     n = kalman.MAX_STATES + 1
     with pytest.raises(ValueError, match="too many states"):
         kalman.propagate_covariance(np.eye(n), np.eye(n), np.eye(n))

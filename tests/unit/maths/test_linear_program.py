@@ -20,7 +20,7 @@ def solved(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[bool, np.ndarra
     return found, x, -tableau[m, n]
 
 
-def test_minima_are_those_of_highs_and_infeasible_programs_are_told() -> None:
+def test_minima_agree_with_highs_and_infeasible_programs_are_reported() -> None:
     rng, infeasible = np.random.default_rng(1), 0
     for _ in range(200):
         m, n = rng.integers(1, 7, 2)

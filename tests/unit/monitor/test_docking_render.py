@@ -85,7 +85,7 @@ def test_the_area_of_a_disc_is_exact_at_any_position(atv: Scene, roll: float) ->
         np.testing.assert_allclose(centroid(image), middle_of(scene, d, np.array([0.0, 0.0, roll]), AHEAD), atol=2e-3)
 
 
-def test_an_upright_edge_covers_the_share_of_a_pixel_that_it_should(atv: Scene) -> None:
+def test_upright_edge_covers_the_right_fraction_of_a_pixel(atv: Scene) -> None:
     for edge_px in (100.0, 100.25, 100.5, 100.9):
         width_m = 2.0 * edge_px / 1100.0 * 10.0
         half = FlatShape(render.rectangle(width_m, 2.0), 0.0, 100.0)

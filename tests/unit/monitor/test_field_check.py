@@ -1,4 +1,4 @@
-"""Fields in frames that the scene says are whole: found from the images, named, and measured with no wrong sigmas."""
+"""Fields in frames that the scene states as whole: found from the images, named, and measured with no wrong sigmas."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_tolerance_of_time_that_has_the_fields_keeps_the_numbers_and_they_are_
     assert "upper_first" in monitor.warning
 
 
-def test_the_command_says_what_to_set(atv: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_prints_what_to_set(atv: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, summary = tmp_path / "frames", tmp_path / "summary.json"
     folder.mkdir()
     for k, image in enumerate(images_of(atv, "lower_first", 1.0, 10)):

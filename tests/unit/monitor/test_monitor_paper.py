@@ -101,7 +101,7 @@ def test_one_time_origin_and_one_a_portion_give_the_same_motion(rng: np.random.G
         np.testing.assert_allclose(first[0], second[0], rtol=1e-6, atol=1e-9)
 
 
-def test_the_mended_covariance_is_that_of_the_errors_and_the_printed_one_is_not(rng: np.random.Generator) -> None:
+def test_corrected_covariance_matches_the_errors_and_the_printed_one_does_not(rng: np.random.Generator) -> None:
     """Misprint 7: with q < 1, sigma^2 B^-1 over-reports; the propagated covariance covers, rates included."""
     squares = {"corrected": np.zeros(6), "printed": np.zeros(6)}
     runs = 150

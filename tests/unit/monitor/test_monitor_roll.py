@@ -53,7 +53,7 @@ def test_four_quarter_turns_are_the_target_itself() -> None:
 
 
 @pytest.mark.parametrize("name", ["ship rolled by 180 deg", "ship without boxes, rolled by 90 deg"])
-def test_roll_that_no_part_tells_apart_is_ambiguous_with_range_and_line_of_sight(name: str) -> None:
+def test_roll_that_no_part_distinguishes_is_ambiguous_with_range_and_line_of_sight(name: str) -> None:
     tally = BY_NAME[name].run(1, 3)
     assert tally.statuses == {"ambiguous": 1}, tally.line()
     assert [len(ratios) for ratios in tally.ratios] == [len(ANY_ROLL_QUANTITIES)]
@@ -66,7 +66,7 @@ def test_stated_roll_is_measured_without_boxes() -> None:
     assert np.abs(np.concatenate(tally.ratios)).max() < 4.5
 
 
-def test_labels_tell_rolls_apart() -> None:
+def test_labels_distinguish_rolls() -> None:
     """The labels of one scene are three: after any turn of the cross, one would be elsewhere."""
     scene = load_scene("atv").value
     target = scene.target.model_copy(
@@ -83,7 +83,7 @@ def test_labels_tell_rolls_apart() -> None:
     assert abs(hidden.value("range_m") - np.linalg.norm([0.05, 0.03, 4.0])) < 5.0 * hidden.sigma("range_m")
 
 
-def test_roll_that_a_box_has_told_is_known_while_the_target_is_followed_without_it() -> None:
+def test_roll_determined_by_a_box_is_kept_while_the_target_is_followed_without_it() -> None:
     """From 3.4 m the only box is outside of the image."""
     scene = load_scene("atv").value
     box = Box(x_m=1.3, y_m=0.0, width_m=0.14, height_m=0.7)

@@ -77,7 +77,7 @@ def test_outline_with_corners_is_found_and_measured_within_its_sigmas(shape: str
 
 
 def test_roll_of_an_irregular_outline_is_found_without_boxes() -> None:
-    """The plate alone looks the same after a turn by 90 deg, and a wrong roll would be found by no search."""
+    """The plate alone looks the same after a rotation by 90 deg, and a wrong roll would be found by no search."""
     portion, ratios, monitor = portion_at(scene_of(IRREGULAR, boxes=False), 24.0, 5)
     assert (portion.status, portion.frames) == ("far", 10)
     assert np.nanmax(np.abs(ratios)) < 4.0
@@ -88,7 +88,7 @@ def test_roll_of_an_irregular_outline_is_found_without_boxes() -> None:
 
 
 def test_another_outline_is_not_taken_for_it() -> None:
-    """Images of the L before a monitor that knows the octagon."""
+    """Images of the L before a monitor of the octagon."""
     shown, known = scene_of(L_SHAPE), scene_of(OCTAGON)
     rng = np.random.default_rng(1)
     image = TvTarget(shown, TvCamera()).frame(lambda _: (np.array([0.1, 0.2, 26.0]), np.zeros(3)), 0.0, rng)

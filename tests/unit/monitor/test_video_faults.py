@@ -59,6 +59,6 @@ def test_fields_are_compared_with_the_one_of_the_same_lines_before(image: Image)
     assert monitor.last.status == "near"
 
 
-def test_portion_of_which_no_more_than_half_of_the_pictures_agree_is_refused() -> None:
+def test_portion_in_which_at_most_half_of_the_images_agree_is_refused() -> None:
     row = replace(BY_NAME["vertical sync lost in 3 of 10 frames"], unsynced=9)
     assert row.run(1, 4).statuses["rejected_displaced"] == 1

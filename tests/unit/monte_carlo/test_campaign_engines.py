@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.parts.campaigns.engines import _PART, _Parts
 
 
-def test_parts_of_a_batch_are_put_together_in_the_order_of_the_cases_whoever_is_done_first() -> None:
+def test_parts_of_a_batch_are_joined_in_the_order_of_the_cases_whichever_is_done_first() -> None:
     first, count = 150, 3 * _PART + 1
     parts = _Parts((first, count))
     borders = list(parts.borders)

@@ -33,7 +33,7 @@ def test_wilson_interval_is_the_published_one() -> None:
     assert wilson(10, 10)["low"] == pytest.approx(0.7225, abs=5e-5)
 
 
-def test_interval_of_a_mean_covers_as_often_as_it_says(rng: np.random.Generator) -> None:
+def test_interval_of_a_mean_has_its_coverage(rng: np.random.Generator) -> None:
     found = [mean_interval(rng.normal(3.0, 2.0, 12)) for _ in range(1000)]
     covered = sum(f["low"] <= 3.0 <= f["high"] for f in found)  # type: ignore[operator]
     assert 925 <= covered <= 972

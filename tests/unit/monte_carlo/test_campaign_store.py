@@ -164,7 +164,7 @@ def test_part_without_identity_or_with_too_few_cases_is_run_again(tmp_path: Path
     assert len(lines) == 2
 
 
-def test_damaged_or_foreign_table_is_run_again(tmp_path: Path) -> None:
+def test_damaged_or_other_table_is_run_again(tmp_path: Path) -> None:
     for folder, identity in (("c", IDENTITY), ("other", IDENTITY | {"seed": 1})):
         with Store(tmp_path / folder, identity, ["a"]) as store:
             for first, count in store.missing(150):

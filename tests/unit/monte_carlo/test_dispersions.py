@@ -1,4 +1,4 @@
-"""What chance makes of a case: by its number and the seed alone, with the distributions that were asked for."""
+"""Dispersed scenario of a case: by its number and the seed alone, with the given distributions."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_matrix_is_spread_as_a_whole() -> None:
     assert factor != 1.0
 
 
-def test_gnc_is_told_of_its_own_table_alone() -> None:
+def test_gnc_receives_only_its_own_table() -> None:
     late = "dispersions.gnc.abort.at_s={kind='uniform', low=10.0, high=20.0}"
     scenario = load_scenario("scheme-1", (late,))
     design = Design(scenario, 4)
@@ -105,7 +105,7 @@ def test_seeds_of_cases_differ_between_cases_and_campaigns() -> None:
         ("dispersions.weather={}", ("dispersions.weather", "unknown key", "initial")),
     ],
 )
-def test_bad_dispersion_is_told_in_one_line(setting: str, words: tuple[str, ...]) -> None:
+def test_bad_dispersion_is_reported_in_one_line(setting: str, words: tuple[str, ...]) -> None:
     with pytest.raises(BadInput) as caught:
         Design(load_scenario("scheme-1", (setting,)), 0)
     assert len(caught.value.problems) == 1

@@ -1,4 +1,4 @@
-"""Drivers are found where they were planted, and none where there is none."""
+"""Planted drivers are found, and no others."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_cases_that_are_not_used_do_not_count(rng: np.random.Generator) -> None:
     assert find_drivers(Candidates(values), NAMES, failed, used) == one
 
 
-def test_threshold_is_where_no_case_passes() -> None:
+def test_threshold_is_the_value_beyond_which_no_case_passes() -> None:
     values = np.linspace(0.0, 1.0, 101)[:, None]
     failed = values[:, 0] > 0.695
     found = threshold(Term("value", (0,)), values, failed)

@@ -162,7 +162,7 @@ def test_command_ends_with_the_verdict_of_the_page(
     assert f">{word}<" in (tmp_path / "requirements.html").read_text()
 
 
-def test_evidence_of_runs_stands_beside_that_of_the_campaign(tmp_path: Path) -> None:
+def test_evidence_of_runs_is_listed_with_the_campaign_s(tmp_path: Path) -> None:
     identity = {"scenario": "scheme-1", "digest": "abc", "scenario_digest": "def", "seed": 3, "duration_s": 400.0}
     (tmp_path / "campaign.json").write_text(json.dumps(identity))
     requirements = [judged(np.full(852, 0.005)), judged(np.full(852, 0.005), id="R-2", column="limited_cycles")]

@@ -77,7 +77,7 @@ def test_each_shortcoming_of_a_host_with_hardware_is_named_with_what_to_do(
 
 
 @pytest.mark.parametrize("name", ["scheduling", "memory lock", "CPU governor"])
-def test_refused_privileges_are_a_note_where_no_hardware_moves(name: str) -> None:
+def test_refused_privileges_are_a_note_if_no_hardware_moves(name: str) -> None:
     poor = replace(GOOD, privileges=Privileges("not permitted", "not permitted"), governors=("powersave",))
     check = _check(poor, name, on_hardware=False)
     assert check.passed is None
@@ -187,7 +187,7 @@ def test_port_without_the_right_to_it_advises_its_group(tmp_path: Path, monkeypa
     assert check.advice.startswith("sudo usermod -aG dialout $USER")
 
 
-def test_host_that_no_name_server_knows_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_host_that_cannot_be_resolved_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(*_: object, **__: object) -> None:
         raise OSError(-2, "Name or service not known")
 

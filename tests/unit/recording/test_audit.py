@@ -37,7 +37,7 @@ class Evidence:
         return audit_problems(folder / "run.mcap", self.run, self.end, self.files, self.log)
 
     def relink(self) -> None:
-        """Write another chain over the changed log, and its end, as one would who knows how it is made."""
+        """Write another chain over the changed log, and its end, with full knowledge of the format."""
         chain = AuditChain.begin(self.run, self.files)
         for number, line in enumerate(self.log):
             if line["kind"] == "setting":
@@ -62,7 +62,7 @@ def test_edited_entry_is_found_whatever_was_edited(key: str) -> None:
         assert problem.startswith(f"entry {place}"), problem
 
 
-def test_missing_additional_moved_and_foreign_entries_are_found() -> None:
+def test_missing_additional_moved_and_inserted_entries_are_detected() -> None:
     dice = random.Random(3)
     for _ in range(200):
         evidence = Evidence()
@@ -100,7 +100,7 @@ def test_changed_header_configuration_or_end_is_found() -> None:
     assert evidence.problems() == ["has no audit: recorded by an earlier version, or removed"]
 
 
-def test_chain_that_was_written_anew_differs_from_the_catalogue(tmp_path: Path) -> None:
+def test_rewritten_chain_differs_from_the_catalogue(tmp_path: Path) -> None:
     evidence = Evidence()
     assert evidence.end is not None
     Catalogue(tmp_path).enter_audit(RUN["run"], int(evidence.end[ENTRIES]), evidence.end[DIGEST])

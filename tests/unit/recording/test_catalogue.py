@@ -1,4 +1,4 @@
-"""The catalogue of runs keeps every entry, whoever writes at the same time."""
+"""The catalogue of runs keeps every entry of concurrent writers."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_two_writers_at_once_lose_no_entry(tmp_path: Path) -> None:
     assert all(run["state"] == DONE for run in found)
 
 
-def test_a_foreign_file_in_its_place_is_refused(tmp_path: Path) -> None:
+def test_other_file_in_its_place_is_refused(tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes(b"no database at all, but long enough to be looked at" * 40)
     with pytest.raises(BadInput, match="not a catalogue"):
         Catalogue(tmp_path).runs()
@@ -132,7 +132,7 @@ def test_a_catalogue_of_another_version_is_refused(tmp_path: Path) -> None:
         catalogue.runs()
 
 
-def test_a_folder_without_catalogue_is_said_so(tmp_path: Path) -> None:
+def test_folder_without_catalogue_is_reported(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="--record"):
         Catalogue(tmp_path).runs()
     assert not (tmp_path / NAME).exists()

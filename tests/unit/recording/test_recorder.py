@@ -69,7 +69,7 @@ def test_what_was_overwritten_before_it_was_fetched_is_counted(tmp_path: Path) -
     assert end["dropped"] == "151"
 
 
-def test_files_that_the_configuration_names_are_told_by_their_digest(tmp_path: Path) -> None:
+def test_files_that_the_configuration_names_are_recorded_with_their_digest(tmp_path: Path) -> None:
     (tmp_path / "lamps.json").write_bytes(b"{}")
     table = {"rig": {"vmu": {"geometry_file": str(tmp_path / "lamps.json"), "rate_hz": 25.0}, "eds_file": "/none.eds"}}
     assert file_digests(table) == {

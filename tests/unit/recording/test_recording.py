@@ -92,7 +92,7 @@ def test_messages_for_viewers_have_the_rate_of_the_telemetry(
     assert len(found.records["/cycle"]) == 60
 
 
-def test_what_came_0_1_s_ago_stands_in_the_file_while_the_run_goes_on(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_data_of_0_1_s_ago_are_in_the_file_while_the_run_continues(tmp_path: Path, rng: np.random.Generator) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
     rows = rows_of(120, rng)
@@ -180,7 +180,7 @@ def test_damage_of_any_kind_ends_in_rows_or_in_one_clear_line(tmp_path: Path, rn
         (b"t_s,x\n" * 9, "no MCAP"),
     ],
 )
-def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, content: bytes, word: str) -> None:
+def test_file_of_another_kind_is_refused_in_one_line(tmp_path: Path, content: bytes, word: str) -> None:
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
     for opened in (load, recover):
@@ -290,7 +290,7 @@ def test_a_full_disk_keeps_what_was_written_and_counts_the_rest(
     assert recover(path).messages == 50 + 2 * 10
 
 
-def test_notes_and_pictures_open_with_the_names_that_foxglove_knows(tmp_path: Path) -> None:
+def test_notes_and_images_have_the_names_of_foxglove(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     file = run_file(path)
     note = np.zeros(1, LOG_ENTRY)
@@ -310,7 +310,7 @@ def test_notes_and_pictures_open_with_the_names_that_foxglove_knows(tmp_path: Pa
     assert picture["timestamp"] == {"sec": 3, "nsec": 500_000_000}
 
 
-def test_a_picture_beyond_its_room_is_refused() -> None:
+def test_image_beyond_its_capacity_is_refused() -> None:
     with pytest.raises(BadInput, match="left"):
         image_row("left", 0.0, bytes(IMAGE_BYTES + 1))
 

@@ -87,14 +87,14 @@ def test_gimbal_that_is_off_turns_and_shifts_the_camera(mock_rig: Rig, scheme_1:
     assert found["pose_error_mm"]["rms"] == pytest.approx(1e3 * math.hypot(*arm_H[:2]) * math.radians(0.02), rel=1e-6)
 
 
-def test_share_of_the_navigation_error_is_that_of_the_settled_part(mock_rig: Rig, scheme_1: Scenario) -> None:
+def test_fraction_of_the_navigation_error_counts_the_settled_part(mock_rig: Rig, scheme_1: Scenario) -> None:
     history = flight(mock_rig)
     history["feedback"]["rail_m"][:, 0] += 0.001
     history["navigation"]["r_CT_H"][:, 2] += 0.004
     history["navigation"]["r_CT_H"][: N // 2, 2] += 1.0
     found = bench_error(history, scheme_1, mock_rig, DT * (N // 2))
     assert found["share_of_navigation_error"] == pytest.approx(0.25)
-    assert found["share_of_attitude_error"] is None  # the estimated attitude is the true one: no whole to be a share of
+    assert found["share_of_attitude_error"] is None  # the estimated attitude is the true one: the fraction is undefined
 
 
 @pytest.mark.parametrize("rows", [0, 1])
@@ -142,7 +142,7 @@ def test_setpoint_to_encoder_is_found_in_the_runs_own_motion(
     np.testing.assert_allclose(found, delay_s + DT, atol=1e-9)
 
 
-def test_windows_that_say_nothing_are_left_out(mock_rig: Rig) -> None:
+def test_uninformative_windows_are_left_out(mock_rig: Rig) -> None:
     history = flight(mock_rig)
     history["setpoint"]["rail_mps"] *= 1e-3
     assert len(setpoint_to_encoder_s(history, DT, DT)) == 0

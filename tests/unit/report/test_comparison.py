@@ -1,4 +1,4 @@
-"""Twins are laid beside each other in their own sigmas."""
+"""Twins are compared in their own sigmas."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_where_and_by_how_much_a_twin_leaves(scheme_1: Scenario) -> None:
     assert found.of_tolerance == pytest.approx(0.05 / scheme_1.requirements.radial_distance_m)
 
 
-def test_without_sigmas_the_distance_alone_is_told(scheme_1: Scenario) -> None:
+def test_without_sigmas_only_the_distance_is_reported(scheme_1: Scenario) -> None:
     a, b = flight(), flight(400)
     a["navigation"]["sigma_r_m"] = np.nan
     b["truth"]["r_CT_H"][:, 0] = 0.01

@@ -35,7 +35,7 @@ def test_lost_vision_is_the_cause_of_a_hold_that_lasts_to_the_end() -> None:
     assert found["limits"]["pose_age"]["margin"] < -5.0
 
 
-def test_poses_are_not_missed_where_none_is_expected() -> None:
+def test_poses_are_not_missed_if_none_is_expected() -> None:
     found = flown(make_job(5.0, scenario="far-approach"))
     assert found["limits"]["pose_age"]["margin"] == 2.0
 

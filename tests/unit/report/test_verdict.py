@@ -101,7 +101,7 @@ def test_first_of_two_dwells_is_taken(required: Requirements) -> None:
     assert not verdict.passed
 
 
-def test_break_within_the_dwell_starts_it_anew_and_does_not_fail_the_run(required: Requirements) -> None:
+def test_break_within_the_dwell_restarts_it_and_does_not_fail_the_run(required: Requirements) -> None:
     verdict = judge(away(away(flown(60.0), 0.0, 20.0), 24.0, 24.1), required)
     assert verdict.held_since_s == pytest.approx(24.1)
     assert verdict.passed

@@ -156,7 +156,7 @@ def test_link_watch_counts_what_is_new_and_names_the_device() -> None:
     assert watch.check(0.0) is None  # what was lost before the link was opened does not count
     lost[0] = 9
     assert watch.check(0.1) is None
-    lost[0] = 0  # the device began to count anew
+    lost[0] = 0  # the device restarted its count
     assert watch.check(0.2) is None
     lost[0] = 2
     alarm = watch.check(0.2)

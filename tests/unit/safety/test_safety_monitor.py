@@ -1,4 +1,4 @@
-"""What the bench's supervisor says in which mode."""
+"""Alarms of the safety monitor by mode."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OPEN = set(Mode) - {Mode.OFF, Mode.SAFE_STOP}
 
 @dataclass
 class Scene:
-    """What a cycle at t = 10 s knows: all is well, unless a test changes it."""
+    """Data of a cycle at t = 10 s: all is well, unless a test changes it."""
 
     safety: SafetyMonitor
     rails: AxisFeedback = field(default_factory=lambda: AxisFeedback(10.0, np.array([3.0, 0.0, 0.0]), np.zeros(3)))
@@ -144,7 +144,7 @@ def test_each_rule_stops_the_bench_in_its_modes_and_in_no_other(
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_bench_on_which_all_is_well_may_go_on(scene: Scene, mode: Mode) -> None:
+def test_bench_without_faults_may_continue(scene: Scene, mode: Mode) -> None:
     assert scene.check(mode) is None
     assert scene.refusal() is None
 
@@ -220,7 +220,7 @@ def test_reset_is_refused_while_the_button_is_in(scene: Scene) -> None:
     assert not scene.safety.alarms.latched()
 
 
-def test_first_reason_for_a_hold_is_kept_until_the_devices_are_opened_anew(scene: Scene) -> None:
+def test_first_reason_for_a_hold_is_kept_until_the_devices_are_reopened(scene: Scene) -> None:
     scene.safety.request_hold("three late cycles")
     scene.safety.request_hold("another")
     assert scene.safety.hold_reason == "three late cycles"

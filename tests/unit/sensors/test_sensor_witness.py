@@ -27,7 +27,7 @@ CAMERA_M = np.array([0.8, 0.0, -0.5])
 
 
 class Interlock:
-    """Interlock of scheme-1 with a docking monitor, with a chaser at R_M and Q of which both sensors know."""
+    """Interlock of scheme-1 with a docking monitor, with a chaser at R_M and Q that both sensors measure."""
 
     def __init__(self) -> None:
         self.scenario = load_scenario("scheme-1", ("monitor.source=model",)).value
@@ -145,7 +145,7 @@ def test_a_measurement_bounds_the_error_of_an_estimate_that_is_wrong(
     assert least < interlock.sensors.bound_m < 1.5 * least
     nearly = float(interlock.sensors.bound_m)
     interlock.compare(far=True)
-    assert interlock.state.bound_m == 0.0  # neither sensor knows the attitude
+    assert interlock.state.bound_m == 0.0  # neither sensor measures the attitude
     interlock.estimate.protection_level_rad = 1e-3
     interlock.compare(far=True)
     assert interlock.state.bound_m == pytest.approx(0.005 + np.radians(0.1) * distance + 1e-3 * lever, rel=0.1)

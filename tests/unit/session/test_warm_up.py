@@ -46,7 +46,7 @@ def test_simulated_run_with_the_loop_in_the_cache_waits_for_nothing(cache_with: 
     assert done == []
 
 
-def test_first_simulated_run_compiles_the_loop_and_says_so(cache_with: CacheWith, job: Job) -> None:
+def test_first_simulated_run_compiles_the_loop_with_a_notice(cache_with: CacheWith, job: Job) -> None:
     done, words = cache_with("cycle"), []
     compile_kernels(job, words.append)
     assert done == ["compile the loop"]

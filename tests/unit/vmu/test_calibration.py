@@ -186,7 +186,7 @@ def today(
     return check(calibrated, seen, calibrated.setup, False)
 
 
-def test_no_drift_is_reported_where_there_is_none(known: tuple[StoredCalibration, Setup]) -> None:
+def test_no_drift_is_reported_without_drift(known: tuple[StoredCalibration, Setup]) -> None:
     assert min(today(known, seed).chance for seed in range(20)) > 1e-3
 
 

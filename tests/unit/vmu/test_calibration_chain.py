@@ -31,7 +31,7 @@ def made(mock_rig: Rig) -> Setup:
     return replace(setup, theta=theta)
 
 
-def test_pixels_are_those_of_bench_kinematics_and_stations(mock_rig: Rig) -> None:
+def test_pixels_agree_with_bench_kinematics_and_mounting(mock_rig: Rig) -> None:
     paper = on_paper(mock_rig, True)
     turntable = TurntableModel.of(mock_rig.bench)
     params, mounting = np.zeros(1, BENCH_PARAMS)[0], np.zeros(1, MOUNTING)[0]

@@ -112,7 +112,7 @@ def test_size_of_the_board_is_an_error_of_the_baseline(mock_rig: Rig) -> None:
     assert sigmas[1] ** 2 - sigmas[0] ** 2 == pytest.approx((0.01 * baseline_m) ** 2, rel=0.05)
 
 
-def test_views_that_determine_little_are_said_so(mock_rig: Rig) -> None:
+def test_views_that_determine_little_are_reported(mock_rig: Rig) -> None:
     rng = np.random.default_rng(5)
     nominal, truth = made(mock_rig, rng)
     pixels = corners(truth, 12, rng)
@@ -144,7 +144,7 @@ def test_command_writes_a_geometry_file_from_pairs_of_images(mock_rig: Rig, tmp_
     )
     assert geometry.calibration is not None
     assert geometry.calibration.target == "hand-held board 9x6 40 mm"
-    with pytest.raises(BadInput, match="no positions of a bench"):
+    with pytest.raises(BadInput, match="no bench positions"):
         read_back(geometry, str(out))
 
 

@@ -180,7 +180,7 @@ def test_one_image_leaves_nothing_behind_for_the_next(pair: CameraPair) -> None:
     assert np.array_equal(first, detector.spots(image))
 
 
-def test_a_disc_followed_from_the_image_before_is_the_one_found_anew(pair: CameraPair) -> None:
+def test_disc_followed_from_the_previous_image_equals_a_fresh_detection(pair: CameraPair) -> None:
     sensor, rng = Sensor(electrons_per_level=100.0, read_noise_levels=0.8), np.random.default_rng(5)
     following, windows = SpotDetector((SIZE, SIZE), sensor=sensor), np.column_stack([GRID - 30.0, GRID + 30.0])
     shifts, variances = [], []
@@ -204,7 +204,7 @@ def test_a_disc_followed_from_the_image_before_is_the_one_found_anew(pair: Camer
     assert np.mean(variances) == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_point_of_light_after_a_disc_is_measured_as_well_as_anew(pair: CameraPair) -> None:
+def test_point_of_light_after_a_disc_is_measured_as_well_as_in_a_fresh_image(pair: CameraPair) -> None:
     sensor, windows = Sensor(electrons_per_level=100.0, read_noise_levels=0.8), np.array([[60, 60, 140, 140]])
     image, detector = shown(pair, LOOK, Reflection(0, 100.2, 100.3)), SpotDetector((SIZE, SIZE), sensor=sensor)
     anew = SpotDetector((SIZE, SIZE), sensor=sensor).spots(image, windows)
@@ -238,7 +238,7 @@ def test_noise_that_is_all_lights_is_survived() -> None:
     assert len(SpotDetector((SIZE, SIZE)).spots(image)) <= 64
 
 
-def test_few_pixels_beside_a_large_light_are_noise_of_its_edge() -> None:
+def test_few_pixels_next_to_a_large_light_are_noise_of_its_edge() -> None:
     label = np.zeros((64, 64), np.int16)
     label[20:40, 20:40] = 1
     label[30, 42] = 2

@@ -65,7 +65,7 @@ def test_frames_with_errors_of_calibration_and_optics_are_solved(name: str) -> N
 
 @cache
 def apart(name: str) -> Tally:
-    """Return the tally of six frames of a row of ``APART``, for all its tests."""
+    """Return the verdict counts of six frames of a row of ``APART``, for all its tests."""
     return BY_NAME[name].run(6, 5)
 
 
@@ -108,7 +108,7 @@ def test_covariance_grows_where_the_images_are_further_apart_than_usual() -> Non
     assert fit["covariance"][0, 0] == 5.0
 
 
-def test_epipolar_distance_and_scale_tell_of_errors_that_are_not_stated(rng: np.random.Generator) -> None:
+def test_epipolar_distance_and_scale_show_errors_that_are_not_stated(rng: np.random.Generator) -> None:
     scene, truth = real_bench(EXACT, rng, PixelOptics()), somewhere(rng, 2.0, 2.5)
     raised = replace(scene, right=replace(scene.right, cy=scene.right.cy + 0.3))
     found = []
@@ -130,7 +130,7 @@ def test_glint_on_the_ring_does_not_turn_a_tracked_pose() -> None:
     assert tally.solved >= 7
 
 
-def test_covariance_grows_with_the_stated_tolerances_and_tells_noise_from_bias(rng: np.random.Generator) -> None:
+def test_covariance_grows_with_the_stated_tolerances_and_separates_noise_from_bias(rng: np.random.Generator) -> None:
     scene, truth = real_bench(EXACT, rng, PixelOptics()), somewhere(rng, 2.0, 2.5)
     left, right = scene.pair(truth.turn, truth.t_v, rng)
     exact, usual = (VisionUnit(known_geometry(errors)).solve(left, right, 0.0) for errors in (EXACT, USUAL))
@@ -190,7 +190,7 @@ def test_every_row_is_as_expected(row: Row) -> None:
     assert not verdict.why, verdict
 
 
-def test_track_goes_on_by_lights_that_are_too_weak_for_a_search() -> None:
+def test_track_continues_on_lights_that_are_too_weak_for_a_search() -> None:
     """LEDs of 3 levels have an SNR of 6: half of them are below the threshold of a whole image."""
     rng, unit, found = np.random.default_rng(12), VisionUnit(known_geometry(VERY_GOOD)), []
     for k, (scene, truth) in enumerate(approach(VERY_GOOD)(rng, 11)):

@@ -72,7 +72,7 @@ def test_pose_of_a_ring_before_a_mirroring_plate_is_not_ok_beyond_its_sigmas(nam
 
 
 @pytest.mark.parametrize(("beside_px", "part"), [(2.6, 0.3), (3.3, 0.2), (4.6, 0.2), (4.6, 0.5)])
-def test_weak_light_beside_an_led_is_a_spot_of_its_own(beside_px: float, part: float) -> None:
+def test_weak_light_next_to_an_led_is_a_spot_of_its_own(beside_px: float, part: float) -> None:
     """It is no peak of the sums of 3 x 3 pixels; left in the LED's spot it would displace that."""
     rng = np.random.default_rng(7)
     camera = PixelCamera(1200.0, 1200.0, 63.5, 63.5, 128, 128)

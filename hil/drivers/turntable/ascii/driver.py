@@ -104,7 +104,7 @@ class AsciiLink:
         for axis in range(3):
             values["position", axis] = float(position[axis])
             values["rate", axis] = float(rate[axis])
-        passive = self._stopped or not (self.jogging or all(known is Homing.DONE for known in self._homing))
+        passive = self._stopped or not (self.jogging or all(state is Homing.DONE for state in self._homing))
         self._wire.counts["exchanges"] += 1
         reply = self._perform("status", {}) if passive else self._perform("set", values)
         if reply is not None and not passive and not self._ascii.set_reports_all:
@@ -200,11 +200,11 @@ class AsciiLink:
 
     def _check_identity(self, report: FieldValues) -> None:
         for name, expected in self._identity.items():
-            found = report.get((name, DEVICE))
-            if found is None:
+            reported = report.get((name, DEVICE))
+            if reported is None:
                 raise ProtocolError(self.device, f"reports no {name}, expected {expected!r}")
-            if found != expected:
-                raise ProtocolError(self.device, f"{name} is {found!r}, expected {expected!r}")
+            if reported != expected:
+                raise ProtocolError(self.device, f"{name} is {reported!r}, expected {expected!r}")
 
     def _has(self, report: FieldValues, axis: int, name: str) -> bool:
         bit = getattr(self._protocol.status, name)
@@ -250,8 +250,8 @@ class AsciiLink:
             return Homing.UNDER_WAY
         if self._has(report, axis, "homing_failed"):
             return Homing.FAILED
-        known = self._has(report, axis, "homed") if bits.homed is not None else not self._has(report, axis, "not_homed")
-        if known:
+        homed = self._has(report, axis, "homed") if bits.homed is not None else not self._has(report, axis, "not_homed")
+        if homed:
             return Homing.DONE
         return Homing.FAILED if self._homing_started[axis] else Homing.NEEDED
 

@@ -68,10 +68,10 @@ class Framing:
         if self._checksum.kind == "none":
             return text
         length = CHECKSUMS[self._checksum.kind][1] + len(self._separator)
-        body, found = text[:-length], text[-length:]
+        body, checksum = text[:-length], text[-length:]
         expected = self._check_part(body)
-        if len(text) < length or found != expected:
-            shown = found[len(self._separator) :].decode("ascii", "replace")
+        if len(text) < length or checksum != expected:
+            shown = checksum[len(self._separator) :].decode("ascii", "replace")
             raise BrokenLine(f"checksum {shown}, expected {expected[len(self._separator) :].decode('ascii')}")
         return body
 

@@ -138,11 +138,11 @@ class AsciiTransport:
         if self.protocol.has_sequence and sequence != self._sequence:
             self.counts["duplicates" if sequence in self._answered else "late"] += 1
             return None
-        found = self.protocol.decode_reply(body, line, axis)
+        values = self.protocol.decode_reply(body, line, axis)
         self._answered.append(sequence)
         self._broken_in_a_row = 0
         self.restart_timeout()
-        return found
+        return values
 
     def _discard_pending(self) -> None:
         """Discard data received before the request, if there are no sequence numbers."""

@@ -94,7 +94,7 @@ class MessageTemplate:
         self.names = [name for _, name in self._parts if name]
 
     def write(self, values: Mapping[Key, Value], axis: int) -> str:
-        """Return the text; fields without an axis name are those of ``axis``."""
+        """Return the text; fields without an axis name belong to ``axis``."""
         out, formats = [], iter(self._formats)
         for literal, name in self._parts:
             out.append(literal)
@@ -168,9 +168,9 @@ class AsciiProtocol:
         """
         sequence, body = self.requests.decode(text)
         for line in self._all_lines:
-            found = line.send.read(body, None if line.each_axis else DEVICE)
-            if found is not None:
-                return sequence, line, *found
+            decoded = line.send.read(body, None if line.each_axis else DEVICE)
+            if decoded is not None:
+                return sequence, line, *decoded
         raise CommandRefused(f"{sequence:X}")
 
     def reply(self, sequence: int, line: AsciiCommand, axis: int, values: Mapping[Key, Value]) -> bytes:
@@ -198,9 +198,9 @@ class AsciiProtocol:
 
     def decode_reply(self, body: str, line: AsciiCommand, axis: int) -> FieldValues:
         """Return the values in a reply's body. Raises BrokenLine, or CommandRefused for an error reply."""
-        found = line.reply.read(body, axis)
-        if found is not None:
-            return found[1]
+        decoded = line.reply.read(body, axis)
+        if decoded is not None:
+            return decoded[1]
         refusal = self._error.read(body, DEVICE) if self._error else None
         if refusal is None:
             raise BrokenLine(f"{body!r} is no reply to {line.send.text!r}")

@@ -200,7 +200,7 @@ def encode_control(controlword: int) -> bytes:
 
 
 def decode_status(data: bytes) -> tuple[int, int]:
-    """Return statusword and digital inputs of STATUS_PDO, 0 for those of STATUS_PDO_PLAIN. Raises ValueError."""
+    """Return statusword and digital inputs of STATUS_PDO; STATUS_PDO_PLAIN has no inputs, 0. Raises ValueError."""
     if len(data) == _WORD.size:
         return int(_unpack(_WORD, data)[0]), 0
     statusword, inputs = _unpack(_STATUS, data)

@@ -50,7 +50,7 @@ class Need:
 
 
 def _needs() -> list[Need]:
-    found = [
+    needs = [
         Need(codec.DEVICE_TYPE, _U32),
         Need(codec.HEARTBEAT_PRODUCER, _U16, True),
         Need(codec.IDENTITY, _U32, subindex=1),
@@ -66,10 +66,10 @@ def _needs() -> list[Need]:
         Need(codec.TARGET_POSITION, _I32, True),
     ]
     for pdo in (codec.SETPOINT_PDO, codec.CONTROL_PDO, codec.FEEDBACK_PDO, codec.STATUS_PDO):
-        found += [Need(pdo.parameter, _U32, True, 1), Need(pdo.parameter, _U8, True, 2)]
-        found += [Need(pdo.mapping_index, _U8, True), Need(pdo.mapping_index, _U32, True, 1)]
-    found += [Need(pdo.parameter, _U16, True, codec.PDO_EVENT_TIMER) for pdo in (codec.SETPOINT_PDO, codec.STATUS_PDO)]
-    return found
+        needs += [Need(pdo.parameter, _U32, True, 1), Need(pdo.parameter, _U8, True, 2)]
+        needs += [Need(pdo.mapping_index, _U8, True), Need(pdo.mapping_index, _U32, True, 1)]
+    needs += [Need(pdo.parameter, _U16, True, codec.PDO_EVENT_TIMER) for pdo in (codec.SETPOINT_PDO, codec.STATUS_PDO)]
+    return needs
 
 
 def _homing_needs() -> list[Need]:
@@ -120,8 +120,8 @@ class Eds:
 
     def maps(self, pdo: Pdo) -> bool:
         """Return whether all that ``pdo`` holds can be mapped."""
-        found = [self._find(index) for index, _ in pdo.mapping]
-        return all(variable is not None and variable.pdo_mappable for variable in found)
+        variables = [self._find(index) for index, _ in pdo.mapping]
+        return all(variable is not None and variable.pdo_mappable for variable in variables)
 
     def _find(self, index: int, subindex: int = 0) -> Any:
         return self.variables.get((index, subindex))
@@ -133,8 +133,8 @@ class Eds:
         if variable is None:
             return f"{key}: is missing: the driver needs it"
         if variable.data_type != need.data_type:
-            found = _NAMES.get(variable.data_type, f"0x{variable.data_type:04X}")
-            return f"{key}: DataType is {found}, allowed: {_NAMES[need.data_type]}"
+            actual = _NAMES.get(variable.data_type, f"0x{variable.data_type:04X}")
+            return f"{key}: DataType is {actual}, allowed: {_NAMES[need.data_type]}"
         if need.written and variable.access_type not in _WRITABLE:
             return f"{key}: AccessType={variable.access_type}: the driver writes it, allowed: {', '.join(_WRITABLE)}"
         return ""
@@ -154,8 +154,8 @@ def read_eds(path: Path) -> canopen.ObjectDictionary:
 
 def variables_of(dictionary: canopen.ObjectDictionary) -> dict[tuple[int, int], ODVariable]:
     """Return the variables of an object dictionary by index and sub-index."""
-    found: dict[tuple[int, int], ODVariable] = {}
+    variables: dict[tuple[int, int], ODVariable] = {}
     for entry in dictionary.values():
         members = [entry] if isinstance(entry, ODVariable) else list(entry.values())
-        found |= {(variable.index, variable.subindex): variable for variable in members}
-    return found
+        variables |= {(variable.index, variable.subindex): variable for variable in members}
+    return variables

@@ -7,9 +7,9 @@ from typing import Final
 from hil.config.rig import Cia402, RotaryAxes, check_ids
 from hil.config.tables.driver_registry import DriverEntry, WireKey
 
-_PDO_BITS: Final = 111  # of a data frame of 8 bytes with the space after it, without stuff bits (ISO 11898-1)
-_SYNC_BITS: Final = 47  # of one without data
-_ADAPTER_BYTES: Final = {"serial": (19, 11), "slcan": (22, 6)}  # of both on the serial port of an adapter
+_PDO_BITS: Final = 111  # data frame of 8 bytes and interframe space, without stuff bits (ISO 11898-1)
+_SYNC_BITS: Final = 47  # frame without data
+_ADAPTER_BYTES: Final = {"serial": (19, 11), "slcan": (22, 6)}  # bytes of both on the serial port of an adapter
 _BITS_PER_BYTE: Final = 10
 
 

@@ -151,8 +151,8 @@ class Node:
         self._received_s[1] = self._clock.now_s()
         self.limit = codec.limit_of(inputs)
         if self.mode == codec.HOMING and self._homing_result is None:
-            found = codec.homing_of(statusword)
-            self._homing_result = None if found is Homing.UNDER_WAY else found
+            homing = codec.homing_of(statusword)
+            self._homing_result = None if homing is Homing.UNDER_WAY else homing
 
     def on_emergency(self, data: bytes) -> None:
         """Raise DriveFault for an emergency message that an SDO upload confirms."""
@@ -195,9 +195,9 @@ class Node:
     def _confirm_fault(self, code: int = 0) -> None:
         """Read the state by SDO, so that no damaged frame passes for a fault; raise DriveFault if it is one."""
         state = codec.state_of(self._sdo.statusword())
-        found = self._sdo.fault_code()
-        if state in codec.FAULT_STATES or found != 0:
-            code = found or code
+        reported = self._sdo.fault_code()
+        if state in codec.FAULT_STATES or reported != 0:
+            code = reported or code
             raise DriveFault(self.name, codec.fault_text(code), codec.fault_kind(code))
         if self._is_bad(state):
             title = state.title if state else "an undefined state"

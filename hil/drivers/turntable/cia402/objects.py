@@ -30,7 +30,7 @@ _ALLOWED = {
     **{(pdo.parameter, 2): (1, 255) for pdo in _PDOS},
 }
 """Low bytes of values that may be written, of objects with few."""
-_FORMATS = {16: "H", 32: "i"}  # of mappable objects, by bits
+_FORMATS = {16: "H", 32: "i"}  # formats of mappable objects, by bits
 
 
 @dataclass(slots=True)
@@ -70,7 +70,7 @@ class ObjectDictionary:
 
     def __init__(self, watchdog_ms: int) -> None:
         self.object_dictionary = read_eds(SHIPPED)
-        self.entries = {place: _object_of(variable) for place, variable in variables_of(self.object_dictionary).items()}
+        self.entries = {key: _object_of(variable) for key, variable in variables_of(self.object_dictionary).items()}
         self.entries[(codec.SETPOINT_PDO.parameter, codec.PDO_EVENT_TIMER)].value = watchdog_ms
         self._server = _SdoServer(self)
         self._operational = False
@@ -96,7 +96,7 @@ class ObjectDictionary:
             if identifier & codec.PDO_INVALID:
                 continue
             places = range(1, self.value(pdo.mapping_index) + 1)
-            mapping = [self.value(pdo.mapping_index, place) & 0xFFFF_FFFF for place in places]
+            mapping = [self.value(pdo.mapping_index, subindex) & 0xFFFF_FFFF for subindex in places]
             layout = struct.Struct("<" + "".join(_FORMATS[entry & 0xFF] for entry in mapping))
             objects = tuple(self.entries[(entry >> 16, entry >> 8 & 0xFF)] for entry in mapping)
             pdos[identifier] = MappedPdo(identifier, self.value(pdo.parameter, 2), layout, objects)
@@ -127,10 +127,10 @@ class ObjectDictionary:
             self._check_mapping(index, subindex, value & 0xFFFF_FFFF)
         entry.value, self._written = value, index
 
-    def _check_mapping(self, index: int, place: int, value: int) -> None:
-        if self._operational or (place > 0 and self[index].value != 0):
+    def _check_mapping(self, index: int, subindex: int, value: int) -> None:
+        if self._operational or (subindex > 0 and self[index].value != 0):
             raise SdoAbortedError(_WRONG_STATE)
-        if place > 0:
+        if subindex > 0:
             entry = self.entries.get((value >> 16, value >> 8 & 0xFF))
             if entry is None or not entry.mappable or entry.size * 8 != value & 0xFF:
                 raise SdoAbortedError(_NOT_MAPPABLE)
@@ -159,9 +159,9 @@ class _SdoServer(SdoServer):
 
 
 def _object_of(variable: ODVariable) -> Object:
-    place = (variable.index, variable.subindex)
+    key = (variable.index, variable.subindex)
     if isinstance(variable.default, str):
         return Object(0, text=variable.default.encode("ascii"))
     return Object(
-        len(variable) // 8, variable.default or 0, variable.writable, _ALLOWED.get(place, ()), variable.pdo_mappable
+        len(variable) // 8, variable.default or 0, variable.writable, _ALLOWED.get(key, ()), variable.pdo_mappable
     )

@@ -100,10 +100,10 @@ class DriveSetup:
         if profile != codec.DEVICE_PROFILE:
             raise ProtocolError(self.axis, f"node {self.node_id} is of device profile {profile}, not 402")
         for subindex, what, expected in ((1, "vendor id", config.vendor_id), (2, "product code", config.product_code)):
-            if expected is not None and (found := self._identity(subindex)) != expected:
-                raise ProtocolError(self.axis, f"{what} is 0x{found:08X}, expected 0x{expected:08X}")
-        if config.revision_min is not None and (found := self._identity(3)) < config.revision_min:
-            text = f"revision is 0x{found:08X}, expected 0x{config.revision_min:08X} or newer"
+            if expected is not None and (actual := self._identity(subindex)) != expected:
+                raise ProtocolError(self.axis, f"{what} is 0x{actual:08X}, expected 0x{expected:08X}")
+        if config.revision_min is not None and (actual := self._identity(3)) < config.revision_min:
+            text = f"revision is 0x{actual:08X}, expected 0x{config.revision_min:08X} or newer"
             raise ProtocolError(self.axis, text)
         if config.firmware is not None and (name := self._text(codec.FIRMWARE)) != config.firmware:
             raise ProtocolError(self.axis, f"firmware is {name!r}, expected {config.firmware!r}")
@@ -132,8 +132,8 @@ class DriveSetup:
     def choose_mode(self, mode: int) -> None:
         """Write the mode of operation and check that the drive is in it."""
         self.put(codec.MODE, mode, 1)
-        if (found := self.get(codec.MODE_DISPLAY, 1)) != mode:
-            raise ProtocolError(self.axis, f"stays in mode {found}, requested {mode} ({codec.MODE_NAMES[mode]})")
+        if (displayed := self.get(codec.MODE_DISPLAY, 1)) != mode:
+            raise ProtocolError(self.axis, f"stays in mode {displayed}, requested {mode} ({codec.MODE_NAMES[mode]})")
 
     def prepare_homing(self, method: int, speed: int, acceleration: int) -> bool:
         """Write the homing parameters, counts/s and counts/s^2; return whether the drive is homed already."""
@@ -248,8 +248,8 @@ class DriveSetup:
         self.put(pdo.parameter, identifier | codec.PDO_INVALID, 4, subindex=1)
         self.put(pdo.parameter, pdo.transmission, 1, subindex=2)
         self.put(pdo.mapping_index, 0, 1)
-        for place, (index, bits) in enumerate(pdo.mapping, start=1):
-            self.put(pdo.mapping_index, index << 16 | bits, 4, subindex=place)
+        for subindex, (index, bits) in enumerate(pdo.mapping, start=1):
+            self.put(pdo.mapping_index, index << 16 | bits, 4, subindex=subindex)
         self.put(pdo.mapping_index, len(pdo.mapping), 1)
         self.put(pdo.parameter, identifier, 4, subindex=1)
 

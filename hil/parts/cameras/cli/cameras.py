@@ -82,13 +82,13 @@ def list_found(*, json: File = None) -> int:
     from hil.drivers.cameras.base import CameraInfo
     from hil.drivers.cameras.interfaces import list_cameras
 
-    found = list_cameras()
+    cameras = list_cameras()
     deliver(
-        {"cameras": [camera._asdict() for camera in found]},
+        {"cameras": [camera._asdict() for camera in cameras]},
         json,
-        lambda: print_columns(CameraInfo._fields, [list(camera) for camera in found]),
+        lambda: print_columns(CameraInfo._fields, [list(camera) for camera in cameras]),
     )
-    return 0 if found else 1
+    return 0 if cameras else 1
 
 
 @app.command(name="show", help="Take images of one camera: size, levels, rate, losses; the last one as a file.")

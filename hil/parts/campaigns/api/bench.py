@@ -1,6 +1,6 @@
 """Bench under a test procedure in Python: ``hil.Bench``.
 
-The session runs in a thread of its own; the procedure's commands go through the queue of an operator, as those of the
+The session runs in a thread of its own; the procedure's commands go through an operator's queue, like commands of the
 console do. While a command is executed the procedure waits: its thread must not compete with the loop's.
 """
 
@@ -38,7 +38,7 @@ from hil.session.warm_up import compile_kernels
 
 Until = Literal["ready", "end"] | float
 _ON_HOLD: Final = "on hold"
-_POLL_WALL_S: Final = 0.2  # of the procedure's thread, so that Ctrl-C is noticed
+_POLL_WALL_S: Final = 0.2  # polling period of the procedure's thread, so that Ctrl-C is noticed
 _END_WALL_S: Final = 60.0
 _OPEN_S: Final = 60.0
 
@@ -185,7 +185,7 @@ class Bench:
         record: str | Path | None = None,
         speed: float = 1.0,
     ) -> None:
-        """Check the arguments, which are those of ``hil.run``. Raises BadInput; nothing moves and nothing is opened.
+        """Check the arguments: see ``hil.run``. Raises BadInput; nothing moves and nothing is opened.
 
         overrides: ``{"faults": [...]}`` injects faults. speed: relative to real time, on rigs that run in real time.
         """
@@ -234,7 +234,7 @@ class Bench:
 
     @property
     def alarms(self) -> list[Alarm]:
-        """Alarms of the session so far, as in ``Run.alarms``, those of high priority first; kept after its end."""
+        """Alarms of the session so far, as in ``Run.alarms``, high priority first; kept after its end."""
         runner = self._operator.runner
         return list(runner.safety.alarms.all()) if runner is not None else []
 
@@ -244,7 +244,7 @@ class Bench:
 
     @property
     def evidence(self) -> list[EvidenceRow]:
-        """Result, margin and status of each requirement, of the run so far: that of the last ``start`` or ``resume``.
+        """Result, margin and status of each requirement, of the run so far, since the last ``start`` or ``resume``.
 
         Raises BenchError before the first of them has returned.
         """
@@ -266,8 +266,8 @@ class Bench:
         runner = self._operator.runner
         if runner is None:
             raise self._ended_error("read the encoders")
-        found: np.record = runner.loop.now.feedback.copy()
-        return found
+        feedback: np.record = runner.loop.now.feedback.copy()
+        return feedback
 
     def target_feedback(self) -> np.record:
         """Return the newest encoder samples of the rotary manipulator: ``angle_rad``, ``rate_radps``, (3,) each.
@@ -280,26 +280,26 @@ class Bench:
         manipulator = runner.loop.bench.manipulator
         if manipulator is None:
             raise BenchError(f"bench: cannot read the target's encoders, {self._request.rig_name} rotates no target")
-        found = new(record_dtype(GIMBALS_FIELDS))
-        found.angle_rad, found.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
-        return found
+        feedback = new(record_dtype(GIMBALS_FIELDS))
+        feedback.angle_rad, feedback.rate_radps = manipulator.feedback.position, manipulator.feedback.rate
+        return feedback
 
     def axis_feedback(self, axis: str) -> tuple[float, float]:
         """Return the newest position and rate of one axis, by its encoder: m and m/s, or rad and rad/s.
 
-        axis: as of ``jog``. Raises BadInput.
+        axis: as in ``jog``. Raises BadInput.
         """
         runner = self._operator.runner
         if runner is None:
             raise self._ended_error("read the encoders")
         groups = zip((runner.loop.bench.rails, runner.loop.bench.turntable), runner.loop.bench.feedback, strict=True)
         others = ((group.axes, group.feedback) for group in runner.loop.target.groups)
-        for device, found in (*groups, *others):
+        for device, feedback in (*groups, *others):
             if axis in device.axis_names:
                 number = device.axis_names.index(axis)
-                return float(found.position[number]), float(found.rate[number])
-        known = ", ".join(self._job.rig.value.axis_names)
-        raise BadInput.single("axis_feedback", "", f"{axis!r}: must be one of {known}")
+                return float(feedback.position[number]), float(feedback.rate[number])
+        names = ", ".join(self._job.rig.value.axis_names)
+        raise BadInput.single("axis_feedback", "", f"{axis!r}: must be one of {names}")
 
     def home(self, timeout_s: float = 180.0) -> None:
         """Home the axes that need it."""
@@ -410,10 +410,10 @@ class Bench:
     def _execute_step(self, step: _Step) -> bool:
         if not self._thread.is_alive():
             raise self._ended_error(step.name)
-        found = self._operator.execute(step)
-        if not found and self._failure is not None:
+        completed = self._operator.execute(step)
+        if not completed and self._failure is not None:
             raise self._failure
-        return found
+        return completed
 
     def _ended_error(self, what: str) -> BenchError:
         why = f": {self.result.stop}" if self.result is not None else ""

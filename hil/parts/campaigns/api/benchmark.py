@@ -30,7 +30,7 @@ _TIMED: Final = 3
 
 
 class Row(NamedTuple):
-    """A campaign of the set. name: also that of its folder. faults: as of ``[[faults]]``."""
+    """A campaign of the set. name: also the name of its folder. faults: tables as in ``[[faults]]``."""
 
     name: str
     scenario: str
@@ -97,11 +97,11 @@ ROWS: Final = (
 
 def rows_of(only: str) -> list[Row]:
     """Return the rows whose name matches the pattern ``only``. Raises BadInput if there is none."""
-    found = [row for row in ROWS if fnmatchcase(row.name, only)]
-    if not found:
+    rows = [row for row in ROWS if fnmatchcase(row.name, only)]
+    if not rows:
         names = ", ".join(row.name for row in ROWS)
         raise BadInput.single("--only", "", f"{only!r:.60}: matches no row, allowed: a pattern for {names}")
-    return found
+    return rows
 
 
 def fly(
@@ -120,7 +120,7 @@ def fly(
     the name of each row. ideal: rows with cases that are not accepted, or a deviation above the paper's Table V, are
     flown again with each of ``IDEALS``. Raises BadInput.
     """
-    found, given = [], overrides or {}
+    table, given = [], overrides or {}
     for row in rows:
         progress(row.name)
         numbers = _fly_row(row, runs, Path(out) / row.name, seed, given, workers)
@@ -130,9 +130,9 @@ def fly(
                 progress(label)
                 again = _fly_row(row, runs, Path(out) / f"{row.name}-ideal-{name}", seed, given, workers, without)
                 numbers.setdefault("ideal", {})[name] = again | {"row": label, "scenario": row.scenario}
-        found.append({"row": row.name, "scenario": row.scenario} | numbers)
+        table.append({"row": row.name, "scenario": row.scenario} | numbers)
     progress("cost of a cycle")
-    return {"gnc": given, "runs": runs, "seed": seed, "cycle_us": cycle_us(given), "rows": found}
+    return {"gnc": given, "runs": runs, "seed": seed, "cycle_us": cycle_us(given), "rows": table}
 
 
 def _fly_row(
@@ -145,8 +145,8 @@ def _fly_row(
     if without is None:
         return numbers_of(campaign(row.scenario, runs, out, seed, overrides=overrides, workers=workers))
     scenario = job_of(row.scenario, "mock", overrides | without.settings, 0, None).scenario.value
-    left = scenario.dispersions.model_copy(update={table: {} for table in without.undispersed})
-    return numbers_of(campaign(scenario.model_copy(update={"dispersions": left}), runs, out, seed, workers=workers))
+    spread = scenario.dispersions.model_copy(update={table: {} for table in without.undispersed})
+    return numbers_of(campaign(scenario.model_copy(update={"dispersions": spread}), runs, out, seed, workers=workers))
 
 
 def numbers_of(flown: Campaign) -> dict[str, Any]:
@@ -169,8 +169,8 @@ def numbers_of(flown: Campaign) -> dict[str, Any]:
 
 
 def _spread(values: Any) -> dict[str, float | int | None]:
-    found = percentiles(values)
-    return {"p5": found.get("p5"), "median": found.get("p50"), "p95": found.get("p95")}
+    cut = percentiles(values)
+    return {"p5": cut.get("p5"), "median": cut.get("p50"), "p95": cut.get("p95")}
 
 
 def cycle_us(overrides: dict[str, Any]) -> float:
@@ -191,7 +191,7 @@ def compare(first: Path, second: Path, rows: Iterable[Row]) -> list[dict[str, An
     Cases of one number have the same dispersions and noise. Raises BadInput if no row is in both, or seed or number of
     cases differ.
     """
-    found = []
+    table = []
     for row in rows:
         if not (second / row.name).is_dir():
             continue
@@ -206,7 +206,7 @@ def compare(first: Path, second: Path, rows: Iterable[Row]) -> list[dict[str, An
         rates = paired_rates(here, there, "accepted")
         both = here.column("accepted") & there.column("accepted")
         saved = (there.column("propellant_kg") - here.column("propellant_kg"))[both]
-        found.append(
+        table.append(
             {
                 "row": row.name,
                 "cases": len(both),
@@ -215,6 +215,6 @@ def compare(first: Path, second: Path, rows: Iterable[Row]) -> list[dict[str, An
                 "saved_kg": float(np.median(saved)) if len(saved) else None,
             }
         )
-    if not found:
+    if not table:
         raise BadInput.single("--against", "", f"{second}: holds no row of this benchmark")
-    return found
+    return table

@@ -70,24 +70,24 @@ class CampaignRequest:
 
     def problems(self) -> list[Problem]:
         """Return a problem for each argument that cannot be used, named as the option of the command."""
-        found: list[tuple[str, str]] = []
+        refused: list[tuple[str, str]] = []
         if self.scheduler is not None and self.workers:
-            found.append(("workers", "not together with --scheduler, which has its own workers"))
+            refused.append(("workers", "not together with --scheduler, which has its own workers"))
         chosen = [name for name in STUDIES if getattr(self, name) is not None]
-        found += [(chosen[0], f"not together with --{other}") for other in chosen[1:]]
+        refused += [(chosen[0], f"not together with --{other}") for other in chosen[1:]]
         if self.runs is None and chosen[:1] not in (["rare"], ["sobol"]):
-            found.append(("runs", "must be given, unless --rare or --sobol is"))
+            refused.append(("runs", "must be given, unless --rare or --sobol is"))
         if self.sobol is not None and self.runs is not None:
-            found.append(("sobol", "not together with --runs"))
+            refused.append(("sobol", "not together with --runs"))
         if self.rare is not None:
             if self.method not in _METHODS:
-                found.append(("method", f"{self.method:.40}: must be {' or '.join(_METHODS)}"))
+                refused.append(("method", f"{self.method:.40}: must be {' or '.join(_METHODS)}"))
             least = _LEAST_CASES.get(self.method, 1)
             if self.runs is not None and self.runs < least:
                 each = " per level" if self.method == "subset" else ""
                 text = f"{self.runs}: too few for the probability of a rare event, at least {least}{each}"
-                found.append(("runs", text))
-        return [Problem(f"--{name}", "", text) for name, text in found]
+                refused.append(("runs", text))
+        return [Problem(f"--{name}", "", text) for name, text in refused]
 
     def run(self, show: Show = lambda *_: None, warn: Callable[[str], None] = lambda _: None) -> Results:
         """Run all cases; write tables, summaries, figures and page into ``out``, which is temporary if it is None.

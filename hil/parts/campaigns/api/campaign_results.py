@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 
 
 def job_of_case(job: Job, case: int, mixed: MixedSeed | None = None, unit: Array | None = None) -> Job:
-    """Return the job of a campaign's case: its true scenario, that of the GNC, and its own seed.
+    """Return the job of a campaign's case: its true scenario, the GNC's scenario, and its own seed.
 
     mixed: that seed in a campaign of a rare event or of Sobol' indices. unit: in the latter, the point of the dispersed
     numbers in the unit cube.
     """
     design = Design(job.scenario, job.seed)
-    truth, known = design.apply(design.values(case, mixed, unit), design.fault(case))
-    known = known.model_copy(update={"faults": truth.faults})
+    truth, assumed = design.apply(design.values(case, mixed, unit), design.fault(case))
+    assumed = assumed.model_copy(update={"faults": truth.faults})
     seed = case_seed(job.seed, case) if mixed is None else mixed
-    return replace(job, scenario=replace(job.scenario, value=known), seed=seed, dispersed=truth)
+    return replace(job, scenario=replace(job.scenario, value=assumed), seed=seed, dispersed=truth)
 
 
 def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str]:
     """Return the job of a case of the campaign in ``folder``, the campaign's seed, and a note if the scenario differs.
 
-    job: the nominal run; seed and duration are those of the campaign. Raises BadInput.
+    job: the nominal run with the campaign's seed and duration. Raises BadInput.
     """
     stored = StoredCampaign(folder)
     job = replace(job, seed=stored.seed, duration_s=stored.duration_s)
@@ -60,7 +60,7 @@ def job_of_stored_case(job: Job, folder: Path, case: int) -> tuple[Job, int, str
 def campaign_case(job: Job, case: int, folder: str | Path | None) -> tuple[Job, dict[str, Any], str]:
     """Return the job of a case, what the summary of its run has of it, and a note, "" for none. Raises BadInput.
 
-    folder: of the campaign; None for that of the scenario and seed of ``job``.
+    folder: of the campaign; None: named by scenario and seed of ``job``.
     """
     if folder is None:
         return job_of_case(job, case), {"campaign_seed": job.seed, "case": case}, ""
@@ -85,10 +85,10 @@ class Campaign:
     def accepted_rate(self) -> dict[str, float | int]:
         """Fraction of the cases that are accepted: completed, not aborted, all parts that the scenario requires.
 
-        Keys as of ``pass_rate``.
+        Keys: as in ``pass_rate``.
         """
-        found: dict[str, float | int] = self.summary["pass_rate"]["accepted"]
-        return found
+        rate: dict[str, float | int] = self.summary["pass_rate"]["accepted"]
+        return rate
 
     @property
     def pass_rate(self) -> dict[str, float | int]:
@@ -96,14 +96,14 @@ class Campaign:
 
         rate: the fraction; low, high: Wilson's 95 % interval; passed, runs: the numbers.
         """
-        found: dict[str, float | int] = self.summary["pass_rate"]["passed"]
-        return found
+        rate: dict[str, float | int] = self.summary["pass_rate"]["passed"]
+        return rate
 
     def column(self, name: str) -> Any:
         """Return one column of the cases as a numpy array, (n,); missing numbers are nan. Raises BadInput."""
         if name not in self.cases.column_names:
-            known = ", ".join(self.cases.column_names)
-            raise BadInput.single("campaign", name, f"no such column: give one of {known}")
+            names = ", ".join(self.cases.column_names)
+            raise BadInput.single("campaign", name, f"no such column: give one of {names}")
         return self.cases.column(name).to_numpy()
 
     def why(self, case: int | None = None) -> dict[str, Any]:
@@ -196,8 +196,8 @@ class Comparison:
     @property
     def difference(self) -> dict[str, Any]:
         """Mean difference of each outcome with its 95 % interval: ``mean``, ``low``, ``high``, ``n``."""
-        found: dict[str, Any] = self.summary["difference"]
-        return found
+        difference: dict[str, Any] = self.summary["difference"]
+        return difference
 
     def __repr__(self) -> str:
         rates = self.summary["accepted_rate"]

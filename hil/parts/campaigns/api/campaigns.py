@@ -33,7 +33,7 @@ class StudyArguments(CampaignArguments, total=False):
 
 
 class SharedArguments(CampaignArguments, total=False):
-    """Further arguments of studies, as of ``hil.campaign``."""
+    """Further arguments of studies, as in ``hil.campaign``."""
 
     duration_s: float | None
 
@@ -145,8 +145,8 @@ def sweep(
     if not swept.values:
         raise BadInput.single("values", "", "must be one number or more")
     more: Any = options
-    found: SweepResults = campaign(scenario, runs, out, seed, overrides=overrides, sweep=swept, **more)
-    return found
+    results: SweepResults = campaign(scenario, runs, out, seed, overrides=overrides, sweep=swept, **more)
+    return results
 
 
 def rare_event(
@@ -194,10 +194,10 @@ def rare_event(
         Invalid arguments, with one line per error.
     """
     more: Any = options
-    found: StudyResults = campaign(
+    study: StudyResults = campaign(
         scenario, runs, out, seed, overrides=overrides, workers=workers, rare=event, method=method, **more
     )
-    return found
+    return study
 
 
 def sobol_indices(
@@ -211,8 +211,8 @@ def sobol_indices(
 ) -> StudyResults:
     """Compute Sobol' indices of the outcomes, of each dispersed number and the noise, from ``rows`` x (d + 3) cases.
 
-    The other parameters and errors are those of ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
+    Other parameters and errors: see ``rare_event``; ``summary["sobol"]`` has the indices of each outcome.
     """
     more: Any = options
-    found: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)
-    return found
+    study: StudyResults = campaign(scenario, None, out, seed, overrides=overrides, workers=workers, sobol=rows, **more)
+    return study

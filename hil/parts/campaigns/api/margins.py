@@ -86,14 +86,14 @@ def search_margins(
         parts[0].job(0.0).warm_up()
         with closing(LocalEngine(workers)) as engine:
             margin = delay_margins(parts, runs, engine, folder, watch)
-        found = {"scenario": scenario.name, "runs": runs, "seed": seed, "margins": margin}
+        summary = {"scenario": scenario.name, "runs": runs, "seed": seed, "margins": margin}
         if out is not None:
-            write_summary(folder / "margins.json", found)
+            write_summary(folder / "margins.json", summary)
             draw_margins(margin, folder / "margins.png")
     finally:
         if temporary:
             temporary.cleanup()
-    return found
+    return summary
 
 
 def delayed_parts(scenario: Scenario, rig: Rig, seed: int) -> list[DelayedPart]:

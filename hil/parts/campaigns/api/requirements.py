@@ -71,19 +71,19 @@ class RunRequirement:
         """Return the column of ``history`` that a text names. Raises BadInput."""
         text = str(self.quantity).strip()
         absolute = len(text) > 2 and text[0] == text[-1] == "|"
-        found = _FIELD.fullmatch(text[1:-1] if absolute else text)
-        values, known = history, ", ".join(CYCLE.names or ())
-        for name in found.groups()[:2] if found else (text,):
+        match = _FIELD.fullmatch(text[1:-1] if absolute else text)
+        values, names = history, ", ".join(CYCLE.names or ())
+        for name in match.groups()[:2] if match else (text,):
             if name is None:
                 continue
             if name not in (values.dtype.names or ()):
-                raise BadInput.single(self.id, "quantity", f"{text:.60}: no such column, known here: {known}")
+                raise BadInput.single(self.id, "quantity", f"{text:.60}: no such column, known here: {names}")
             values = values[name]
-            known = ", ".join(values.dtype.names or ())
-        shape, index = values.shape[1:], found[3] if found else None
+            names = ", ".join(values.dtype.names or ())
+        shape, index = values.shape[1:], match[3] if match else None
         fits = index is None if not shape else index is not None and len(shape) == 1 and int(index) < shape[0]
         if values.dtype.names or not fits:
-            form = f"[0] to [{shape[0] - 1}]" if len(shape) == 1 else f"one of its fields: {known}" if known else "none"
+            form = f"[0] to [{shape[0] - 1}]" if len(shape) == 1 else f"one of its fields: {names}" if names else "none"
             raise BadInput.single(self.id, "quantity", f"{text:.60}: must be a number of each cycle, index {form}")
         column = np.asarray(values if index is None else values[:, int(index)], dtype=float)
         return np.abs(column) if absolute else column
@@ -100,7 +100,7 @@ class RunRequirement:
     def check(self, run: Run) -> EvidenceRow:
         """Return the evidence of ``run``: result, margin and status.
 
-        The margin is that of the value that is exceeded for ``for_s``; a value that is not a number exceeds all limits.
+        The margin is at the value that is exceeded for ``for_s``; a value that is not a number exceeds all limits.
         Raises BadInput if the quantity has not one number per cycle.
         """
         evidence = f"run of {run.summary['scenario']} on {run.summary['rig']}, seed {run.summary['seed']}, {run.stop}"

@@ -67,11 +67,11 @@ def benchmark(
         raise BadInput.single("--against", "", f"{against}: is no folder")
     folder, console = Path(out), Console(stderr=True)
     with console.status("") as status:
-        found = api.fly(rows, runs, folder, seed, overrides, workers, status.update, beside.ideal)
+        table = api.fly(rows, runs, folder, seed, overrides, workers, status.update, beside.ideal)
     if against is not None:
-        found["against"] = {"folder": str(against), "rows": api.compare(folder, Path(against), rows)}
-    write_summary(folder / api.RESULT, found)
-    write_text(page_of(found), folder / "benchmark.html")
-    print_columns(HEAD, [cells_of(row) for row in rows_and_ideals(found)])
-    Console().print(f"{found['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core")
+        table["against"] = {"folder": str(against), "rows": api.compare(folder, Path(against), rows)}
+    write_summary(folder / api.RESULT, table)
+    write_text(page_of(table), folder / "benchmark.html")
+    print_columns(HEAD, [cells_of(row) for row in rows_and_ideals(table)])
+    Console().print(f"{table['cycle_us']:.1f} us a cycle of scheme 1, with plant and mock devices, on one core")
     return 0

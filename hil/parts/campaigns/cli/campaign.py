@@ -117,14 +117,14 @@ def campaign(
     console = Console(stderr=True)
     with ProgressBar(console, "campaign") as bar:
         results = request.run(bar.show, lambda line: say(line, console, "yellow"))
-    found = _as_json(results, request)
+    summary = _as_json(results, request)
     if json != "-":
-        _render(found, Console())
+        _render(summary, Console())
         say(f"results in {out}")
-    write_json(found, json)
+    write_json(summary, json)
     if study.rare is not None:
-        return _DONE if found["rare"]["probability"] is not None else _NOT_SHOWN
-    return _DONE if all(each["verdict"] == "verified" for each in found.get("requirements", ())) else _NOT_SHOWN
+        return _DONE if summary["rare"]["probability"] is not None else _NOT_SHOWN
+    return _DONE if all(each["verdict"] == "verified" for each in summary.get("requirements", ())) else _NOT_SHOWN
 
 
 def _as_json(results: Results, request: CampaignRequest) -> dict[str, Any]:
@@ -141,16 +141,16 @@ def _as_json(results: Results, request: CampaignRequest) -> dict[str, Any]:
 
 
 def _render_indices(summary: dict[str, Any], console: Console) -> None:
-    for outcome, found in summary["sobol"].items():
+    for outcome, indices in summary["sobol"].items():
         rows = Table(title=f"Sobol' indices of {outcome}, {summary['cases']} cases", title_justify="left")
         for column in ("", "first order", "95 %", "total", "95 %"):
             rows.add_column(column, justify="right" if column else "left", overflow="fold")
-        for row in found[:5]:
+        for row in indices[:5]:
             cells = []
             for kind in ("first", "total"):
                 index = row[kind]
-                known = index["index"] is not None
-                cells += [f"{index['index']:.3f}", f"{index['low']:.3f} .. {index['high']:.3f}"] if known else ["-", ""]
+                valid = index["index"] is not None
+                cells += [f"{index['index']:.3f}", f"{index['low']:.3f} .. {index['high']:.3f}"] if valid else ["-", ""]
             rows.add_row(row["dispersion"], *cells)
         console.print(rows)
 
@@ -194,19 +194,19 @@ def _render_levels(summary: dict[str, Any], console: Console) -> None:
     console.print(rows)
 
 
-def _render(found: dict[str, Any], console: Console) -> None:
-    if "rare" in found:
-        _render_rare(found, console)
-    elif "sobol" in found:
-        _render_indices(found, console)
-    elif "sweep" in found:
-        _render_sweep(found["sweep"], console)
-    elif "comparison" in found:
-        for summary in (found["first"], found["second"]):
+def _render(content: dict[str, Any], console: Console) -> None:
+    if "rare" in content:
+        _render_rare(content, console)
+    elif "sobol" in content:
+        _render_indices(content, console)
+    elif "sweep" in content:
+        _render_sweep(content["sweep"], console)
+    elif "comparison" in content:
+        for summary in (content["first"], content["second"]):
             _render_summary(summary, console)
-        _render_comparison(found["comparison"], console)
+        _render_comparison(content["comparison"], console)
     else:
-        _render_summary(found, console)
+        _render_summary(content, console)
 
 
 def _rate_text(rate: dict[str, Any]) -> str:
@@ -253,8 +253,8 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
             say(f"{name:<15} {middle}, greatest {spread['greatest']:.4g} {unit}", console)
     for stop in summary["stops"][:5]:
         say(f"{stop['cases']} x {stop['reason']} (first: case {stop['first_case']})", console)
-    for found in summary["requirements"]:
-        say(f"{found['id']}: {found['verdict']}: {limit_text(found)}: {result_text(found)}", console)
+    for judged in summary["requirements"]:
+        say(f"{judged['id']}: {judged['verdict']}: {limit_text(judged)}: {result_text(judged)}", console)
     why = summary["why"]
     for cause in why["causes"][:_CAUSES]:
         say(f"why: {cause['text']}", console)
@@ -264,11 +264,11 @@ def _render_summary(summary: dict[str, Any], console: Console) -> None:
         say(text, console)
 
 
-def _render_comparison(found: dict[str, Any], console: Console) -> None:
-    rows = Table(title=f"{found['second']} minus {found['first']}, the same cases", title_justify="left")
-    for column in ("", found["first"], found["second"], "difference", f"{found['confidence']:.0%} interval"):
+def _render_comparison(paired: dict[str, Any], console: Console) -> None:
+    rows = Table(title=f"{paired['second']} minus {paired['first']}, the same cases", title_justify="left")
+    for column in ("", paired["first"], paired["second"], "difference", f"{paired['confidence']:.0%} interval"):
         rows.add_column(column, justify="right" if column else "left")
-    for name, cell in found["difference"].items():
+    for name, cell in paired["difference"].items():
         if cell["low"] is None:
             continue
         rows.add_row(
@@ -279,16 +279,16 @@ def _render_comparison(found: dict[str, Any], console: Console) -> None:
             f"{cell['low']:+.3g} .. {cell['high']:+.3g}",
         )
     console.print(rows)
-    for word, rate in (("accepted", found["accepted_rate"]), ("Table III", found["pass_rate"])):
-        cases = ", ".join(f"of {found[each]} alone {rate[f'{each}_alone']}" for each in ("first", "second"))
+    for word, rate in (("accepted", paired["accepted_rate"]), ("Table III", paired["pass_rate"])):
+        cases = ", ".join(f"of {paired[each]} alone {rate[f'{each}_alone']}" for each in ("first", "second"))
         say(f"{word:<12}{cases} cases", console)
 
 
-def _render_sweep(found: dict[str, Any], console: Console) -> None:
-    rows = Table(title=f"sweep of {found['key']}", title_justify="left")
+def _render_sweep(sweep: dict[str, Any], console: Console) -> None:
+    rows = Table(title=f"sweep of {sweep['key']}", title_justify="left")
     for column in ("value", "accepted", "propellant, kg", "firings", "ready, s"):
         rows.add_column(column, justify="right")
-    for point in found["points"]:
+    for point in sweep["points"]:
         means = (point[name]["mean"] for name in ("propellant_kg", "firings", "ready_time_s"))
         cells = ("-" if mean is None else f"{mean:.4g}" for mean in means)
         rows.add_row(f"{point['value']:.6g}", _rate_text(point["accepted_rate"]), *cells)

@@ -1,4 +1,4 @@
-"""``hil recordings place``, and the evidence that ``hil recordings verify`` adds to that of a campaign."""
+"""``hil recordings place``, and the evidence that ``hil recordings verify`` adds to a campaign's."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def _render_places(run: dict[str, Any]) -> None:
     head = ("outcome", "value", "percentile", "p", "outside")
     rows = []
     for name, cell in sorted(run["outcomes"].items(), key=lambda item: item[1]["p_value"] or 1.0):
-        known = cell["percentile"] is not None
+        is_placed = cell["percentile"] is not None
         beyond = "-" if cell["outside"] is None else f"{cell['outside']:.2f}" if cell["outside"] else ""
-        p = (f"{cell['percentile']:.1f}", f"{cell['p_value']:.3g}") if known else ("-", "-")
+        p = (f"{cell['percentile']:.1f}", f"{cell['p_value']:.3g}") if is_placed else ("-", "-")
         rows.append((name, f"{cell['value']:.5g}", *p, beyond))
     outside = sum(_is_outside(cell) for cell in run["outcomes"].values())
     cases = max((cell["cases"] for cell in run["outcomes"].values()), default=0)

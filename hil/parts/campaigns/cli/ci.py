@@ -172,15 +172,15 @@ def _tests_step(tests: str, rig: str, results: Path) -> PipelineStep:
     return PipelineStep(f"tests on {rig}", verdict, lines[-1] if lines else "no output")
 
 
-def _comparison_step(found: dict[str, Any]) -> PipelineStep:
+def _comparison_step(comparison: dict[str, Any]) -> PipelineStep:
     """Return FAIL if significantly more cases have lost their acceptance than won it, by the exact test of signs."""
     from scipy.stats import binomtest  # slow import
 
-    rates = found["accepted_rate"]
+    rates = comparison["accepted_rate"]
     lost, won = rates["first_alone"], rates["second_alone"]
     p = binomtest(lost, lost + won, alternative="greater").pvalue if lost + won else 1.0
     text = f"{lost} cases lost, {won} won, p = {p:.3g} for as many losses by chance"
-    return PipelineStep("comparison with the base", FAIL if p < 1.0 - found["confidence"] else PASS, text)
+    return PipelineStep("comparison with the base", FAIL if p < 1.0 - comparison["confidence"] else PASS, text)
 
 
 def _markdown(scenario: str, verdict: str, steps: list[PipelineStep], compared: dict[str, Any] | None) -> Iterator[str]:

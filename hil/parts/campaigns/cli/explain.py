@@ -31,8 +31,8 @@ def explain(source: str, /, *, case: OptionalCase = None, json: File = None) -> 
     if not Path(source).exists():
         problems.append(Problem("hil explain", "", f"{source}: does not exist: a campaign's folder or a recording"))
     refuse(problems)
-    found = _of_run(source) if is_run else _of_campaign(Path(source), case)
-    deliver(found, json, lambda: _print(found, is_run or case is not None))
+    reasons = _of_run(source) if is_run else _of_campaign(Path(source), case)
+    deliver(reasons, json, lambda: _print(reasons, is_run or case is not None))
     return 0
 
 
@@ -53,28 +53,28 @@ def _of_run(recording: str) -> dict[str, Any]:
     return open_recording(recording).why()
 
 
-def _print(found: dict[str, Any], is_one: bool) -> None:
+def _print(reasons: dict[str, Any], is_one: bool) -> None:
     if is_one:
-        say(found["text"])
-        if found["alarms_before"]:
-            say(f"alarms before: {found['alarms_before']}")
-        rows = [_margin_row(each) for each in found["limits"][:_ROWS]]
+        say(reasons["text"])
+        if reasons["alarms_before"]:
+            say(f"alarms before: {reasons['alarms_before']}")
+        rows = [_margin_row(each) for each in reasons["limits"][:_ROWS]]
         print_columns(("limit", "least margin", "value", "allowed", "at, s", "largest term"), rows, left=(0, 5))
-        _print_nearest(found.get("nearest"))
-        if "command" in found:
-            say(found["command"])
+        _print_nearest(reasons.get("nearest"))
+        if "command" in reasons:
+            say(reasons["command"])
         return
-    rate = found["accepted"]
+    rate = reasons["accepted"]
     say(f"{rate['passed']} of {rate['runs']} cases are accepted, {100.0 * rate['rate']:.2f} %")
-    for cause in found["causes"]:
+    for cause in reasons["causes"]:
         say(f"- {cause['text']}")
         _print_nearest(cause["nearest"], "  ")
-    if found["nothing_found"] and found["failed"]:
+    if reasons["nothing_found"] and reasons["failed"]:
         say("nothing found: no dispersed number predicts the failures better than chance")
-    elif found["drivers"]:
-        drivers = ", ".join(f"{row['name']} {row['importance']:.3f}" for row in found["drivers"])
-        say(f"drivers of all failures, by loss of the score of {found['score']:.3f}: {drivers}")
-    if text := false_alarms_text(found):
+    elif reasons["drivers"]:
+        drivers = ", ".join(f"{row['name']} {row['importance']:.3f}" for row in reasons["drivers"])
+        say(f"drivers of all failures, by loss of the score of {reasons['score']:.3f}: {drivers}")
+    if text := false_alarms_text(reasons):
         say(text)
 
 

@@ -56,28 +56,28 @@ def fusion(
             next(done, None)
         counted = finished
 
-    found = run_fusion(vmu_noise, runs, seed, settings, worker_count(workers), watch)
-    write_json(found, json)
+    summary = run_fusion(vmu_noise, runs, seed, settings, worker_count(workers), watch)
+    write_json(summary, json)
     if figure is not None:
         from hil.parts.campaigns.fusion import draw
 
         draw(vmu_noise, seed, settings, figure)
-    passed = _passed(found)
+    passed = _passed(summary)
     if json != "-":
-        _render(found, passed, Console())
+        _render(summary, passed, Console())
     return _PASSED if passed else _FAILED
 
 
-def _passed(found: dict[str, Any]) -> bool:
-    optimal = all(max(found[f"{name}_ratio"]) <= found[f"{name}_ratio_limit"] for name in ("position", "attitude"))
-    bands = [band for moment in found["nees_at_s"].values() for band in moment.values()]
+def _passed(summary: dict[str, Any]) -> bool:
+    optimal = all(max(summary[f"{name}_ratio"]) <= summary[f"{name}_ratio_limit"] for name in ("position", "attitude"))
+    bands = [band for moment in summary["nees_at_s"].values() for band in moment.values()]
     return optimal and all(band["low"] <= band["mean"] <= band["high"] for band in bands)
 
 
-def _render(found: dict[str, Any], passed: bool, console: Console) -> None:
-    from hil.parts.campaigns.fusion import TABLE_II_SD
+def _render(summary: dict[str, Any], passed: bool, console: Console) -> None:
+    from hil.parts.campaigns.fusion import (TABLE_II_SD)
 
-    rows = Table(title=f"Fusion errors over {found['runs']} runs, t >= 100 s, vision noise as {found['vmu_noise']}")
+    rows = Table(title=f"Fusion errors over {summary['runs']} runs, t >= 100 s, vision noise as {summary['vmu_noise']}")
     for name in ("", "axis", "rmse", "bound", "ratio", "largest", "Table II SD"):
         rows.add_column(name, justify="right" if name not in ("", "axis") else "left")
     for quantity, unit, scale, digits, paper in (
@@ -85,26 +85,26 @@ def _render(found: dict[str, Any], passed: bool, console: Console) -> None:
         ("attitude", "deg", 1.0, 5, TABLE_II_SD[1]),
     ):
         for i, axis in enumerate("xyz"):
-            values = [found[f"{quantity}_{kind}_{unit}"][i] * scale for kind in ("rmse", "bound")]
-            largest = found[f"{quantity}_max_{unit}"][i] * scale
+            values = [summary[f"{quantity}_{kind}_{unit}"][i] * scale for kind in ("rmse", "bound")]
+            largest = summary[f"{quantity}_max_{unit}"][i] * scale
             rows.add_row(
                 f"{quantity}, {'mm' if unit == 'm' else unit}" if i == 0 else "",
                 axis,
                 *(f"{value:.{digits}f}" for value in values),
-                f"{found[f'{quantity}_ratio'][i]:.3f}",
+                f"{summary[f'{quantity}_ratio'][i]:.3f}",
                 f"{largest:.{digits}f}",
                 f"{paper[i] * scale:.{digits}f}",
                 end_section=i == 2,
             )
     console.print(rows)
-    for t_s, moment in found["nees_at_s"].items():
+    for t_s, moment in summary["nees_at_s"].items():
         text = ", ".join(f"{name} {b['mean']:.2f} ({b['low']:.2f} .. {b['high']:.2f})" for name, b in moment.items())
         say(f"NEES at {t_s} s: {text}", console)
     text = ", ".join(
-        f"{n} {found[f'nis_{n}']['mean']:.3f} ({found[f'nis_{n}']['low']:.3f} .. {found[f'nis_{n}']['high']:.3f})"
+        f"{n} {summary[f'nis_{n}']['mean']:.3f} ({summary[f'nis_{n}']['low']:.3f} .. {summary[f'nis_{n}']['high']:.3f})"
         for n in ("pkf", "akf")
     )
-    say(f"NIS: {text}; rejected poses {found['rejected']}", console)
+    say(f"NIS: {text}; rejected poses {summary['rejected']}", console)
     word = "[bold green]PASS[/]" if passed else "[bold red]FAIL[/]"
-    limits = ", ".join(f"{name} {found[f'{name}_ratio_limit']:.3f}" for name in ("position", "attitude"))
-    console.print(f"{word} (ratio <= {limits} for {found['runs']} runs, NEES in its 99.9 % band)", highlight=False)
+    limits = ", ".join(f"{name} {summary[f'{name}_ratio_limit']:.3f}" for name in ("position", "attitude"))
+    console.print(f"{word} (ratio <= {limits} for {summary['runs']} runs, NEES in its 99.9 % band)", highlight=False)

@@ -52,16 +52,16 @@ def margins(
     console = Console(stderr=True)
     with console.status("compiling the loop if it is not cached, up to two minutes") as status:
         flown, rig = loaded_scenario(scenario, settings).value, loaded_rig("mock", settings).value
-        found = search_margins(flown, rig, runs, out, seed, workers, status.update)
-    deliver(found, json, lambda: _render(found, Console()))
-    return _FAILED if any(margin["margin_s"] is None for margin in found["margins"]) else _PASSED
+        summary = search_margins(flown, rig, runs, out, seed, workers, status.update)
+    deliver(summary, json, lambda: _render(summary, Console()))
+    return _FAILED if any(margin["margin_s"] is None for margin in summary["margins"]) else _PASSED
 
 
-def _render(found: dict[str, Any], console: Console) -> None:
-    rows = Table(title=f"{found['scenario']}: delay that all of {found['runs']} cases pass", title_justify="left")
+def _render(summary: dict[str, Any], console: Console) -> None:
+    rows = Table(title=f"{summary['scenario']}: delay that all of {summary['runs']} cases pass", title_justify="left")
     for column in ("part", "margin, ms", "fails at, ms", "because"):
         rows.add_column(column, justify="right" if "ms" in column else "left")
-    for margin in found["margins"]:
+    for margin in summary["margins"]:
         why = [f"{each['cases']} x {each['reason']}" for each in margin["why"][:_REASONS]]
         most = "above " if margin["fails_at_s"] is None else ""
         rows.add_row(

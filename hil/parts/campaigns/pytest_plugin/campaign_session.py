@@ -68,12 +68,12 @@ class CampaignSession:
         day = Day(_folder(config)) if name is not None else None
         lock_step = not option_of(config, "--wall-clock")
         who = option_of(config, "--operator")
-        found = cls(str(name or "mock"), lock_step, day, str(option_of(config, "--operator-terminal")), who)
-        if found.rig.kind == "hardware" and (is_worker or config.getoption("numprocesses", None)):
+        session = cls(str(name or "mock"), lock_step, day, str(option_of(config, "--operator-terminal")), who)
+        if session.rig.kind == "hardware" and (is_worker or config.getoption("numprocesses", None)):
             raise BadInput.single("--rig", "", f"{name}: is hardware, which runs one test at a time: omit -n")
         if day is not None and not is_worker:
-            day.begin(found.label, found._setup())
-        return found
+            day.begin(session.label, session._setup())
+        return session
 
     def _setup(self) -> dict[str, str]:
         rig, build = self.rig, build_info()
@@ -100,14 +100,14 @@ class CampaignSession:
     def run(self, item: pytest.Item) -> Run:
         """Return the run of the item's scenario, of an earlier test with the same one. Raises BenchError for a trip."""
         given = conditions_of(item)
-        if given.key not in self._shared:
-            self._confirm(item)
-            found = run_scenario(given.scenario, self.rig_name, given.seed, **self._options(given))
-            self._note_run(item, found)
-            self._shared[given.key] = found
-            self._park(found, given)
-        else:
+        if given.key in self._shared:
             self._note_run(item, self._shared[given.key])
+        else:
+            self._confirm(item)
+            run = run_scenario(given.scenario, self.rig_name, given.seed, **self._options(given))
+            self._note_run(item, run)
+            self._shared[given.key] = run
+            self._park(run, given)
         return completed(self._shared[given.key])
 
     @contextmanager
@@ -202,9 +202,9 @@ class CampaignSession:
         runs = item.stash.get(_RUNS, [])
         status = VERIFIED if outcome == PASSED else NOT_VERIFIED
         ran = "; ".join(f"{run.summary['scenario']}, seed {run.summary['seed']}, {run.stop}" for run in runs)
-        known = {row.id for row in rows}
+        identifiers = {row.id for row in rows}
         for identifier, text, _ in requirements_of(item) if outcome != SKIPPED else ():
-            if identifier not in known:
+            if identifier not in identifiers:
                 evidence = f"{item.nodeid} on {self.label}: {ran or 'no run'}"
                 result = message or "the test has passed"
                 rows.append(EvidenceRow(identifier, text, self.rig.kind, "test", evidence, result, None, status))
@@ -255,7 +255,7 @@ def _message(report: Any, error: BaseException | None) -> str:
 
 
 def _folder(config: pytest.Config) -> Path:
-    """Return the folder of the day: that of ``--results``; to resume the latest one; else that of today."""
+    """Return the folder of the day: ``--results``; the latest one to resume; else today's."""
     given = option_of(config, "--results")
     if given is not None:
         return Path(given)

@@ -22,7 +22,7 @@ _DIGEST: Final = 16
 
 @dataclass(frozen=True)
 class RunConditions:
-    """Scenario, seed and settings of a test. faults: instead of those of the scenario."""
+    """Scenario, seed and settings of a test. faults: replace the scenario's faults."""
 
     scenario: str
     seed: int = 0
@@ -42,7 +42,7 @@ class RunConditions:
 
 
 def conditions_of(item: pytest.Item) -> RunConditions:
-    """Return the conditions that the closest scenario marker of ``item`` gives, else those of the configuration."""
+    """Return the conditions that the closest scenario marker of ``item`` gives, else the configuration's."""
     marker = item.get_closest_marker("scenario")
     default = str(item.config.getini("hil_scenario"))
     if marker is None:
@@ -52,15 +52,15 @@ def conditions_of(item: pytest.Item) -> RunConditions:
 
 def requirements_of(item: pytest.Item) -> list[tuple[str, str, RunRequirement | None]]:
     """Return identifier, wording and, if it has one, limit of each requirement for which ``item`` is evidence."""
-    found: list[tuple[str, str, RunRequirement | None]] = []
+    requirements: list[tuple[str, str, RunRequirement | None]] = []
     document = (getattr(getattr(item, "obj", None), "__doc__", None) or item.name).strip().splitlines()[0]
     for marker in item.iter_markers("requirement"):
         for given in marker.args:
             if isinstance(given, RunRequirement):
-                found.append((given.id, given.text, given))
+                requirements.append((given.id, given.text, given))
             else:
-                found.append((given, marker.kwargs.get("text", document), None))
-    return found
+                requirements.append((given, marker.kwargs.get("text", document), None))
+    return requirements
 
 
 def check_markers(items: Iterable[pytest.Item]) -> None:

@@ -42,8 +42,8 @@ class Day:
             content = parse_json(read_text(path, _DAY_BYTES))
             self.setups = dict(content["setups"])
             for table in content["tests"]:
-                found = CampaignTest.of_json(table)
-                self._tests[found.test, found.rig] = found
+                test = CampaignTest.of_json(table)
+                self._tests[test.test, test.rig] = test
         except (ValueError, TypeError, KeyError) as error:
             raise BadInput.single(str(path), "", f"is no day of a campaign: {one_line(str(error), 200)}") from error
 
@@ -59,14 +59,14 @@ class Day:
 
     def add(self, table: dict[str, Any]) -> None:
         """Take the result of a test, as ``CampaignTest.as_json``."""
-        found = CampaignTest.of_json(table)
-        self._tests[found.test, found.rig] = found
+        test = CampaignTest.of_json(table)
+        self._tests[test.test, test.rig] = test
         self._write()
 
     def has_passed(self, test: str, rig: str, digest: str) -> bool:
         """Whether ``test`` has passed on ``rig``, and nothing has changed since."""
-        found = self._tests.get((test, rig))
-        return found is not None and found.outcome == PASSED and found.digest == digest
+        previous = self._tests.get((test, rig))
+        return previous is not None and previous.outcome == PASSED and previous.digest == digest
 
     def evidence(self) -> list[EvidenceRow]:
         """Return the rows of all tests."""
@@ -122,8 +122,8 @@ def _suite(top: ElementTree.Element, rig: str, tests: Sequence[CampaignTest]) ->
     )
     for test in tests:
         file, _, name = test.test.partition("::")
-        place = f"{rig}.{file.removesuffix('.py').replace('/', '.')}"
-        case = ElementTree.SubElement(suite, "testcase", classname=place, name=name, time=f"{test.wall_s:.3f}")
+        group = f"{rig}.{file.removesuffix('.py').replace('/', '.')}"
+        case = ElementTree.SubElement(suite, "testcase", classname=group, name=name, time=f"{test.wall_s:.3f}")
         properties = [("requirement", row["id"]) for row in test.evidence] + [
             ("run", f"{run.scenario}, seed {run.seed}, {run.stop}") for run in test.runs
         ]

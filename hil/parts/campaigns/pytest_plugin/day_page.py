@@ -44,10 +44,10 @@ def day_page(
 
 def _tests(rigs: Sequence[str], tests: Sequence[CampaignTest]) -> Iterator[str]:
     yield html.heading(2, "Tests")
-    found = {(test.test, test.rig): test for test in tests}
+    outcomes = {(test.test, test.rig): test for test in tests}
     rows = []
     for name in dict.fromkeys(test.test for test in tests):
-        cells = [found[name, rig].outcome if (name, rig) in found else "-" for rig in rigs]
+        cells = [outcomes[name, rig].outcome if (name, rig) in outcomes else "-" for rig in rigs]
         rows.append((name, next(test.text for test in tests if test.test == name), *cells))
     yield html.table(("test", "", *rigs), rows, words=True)
     wrong = [(test.test, test.rig, test.outcome, test.message) for test in tests if test.outcome != "passed"]

@@ -35,8 +35,8 @@ def pytest_load_initial_conftests(
 ) -> Iterator[None]:
     """Add the options when those of all plugins and conftest files are known; their values are no test files."""
     values = {value for option, value in pairwise(args) if option in _VALUED}
-    known = early_config.known_args_namespace
-    known.file_or_dir = [name for name in known.file_or_dir if name not in values]
+    options = early_config.known_args_namespace
+    options.file_or_dir = [name for name in options.file_or_dir if name not in values]
     yield
     group = parser.getgroup("hil", "test campaign on a bench (hil)")
     for name, attributes in OPTIONS.items():

@@ -48,18 +48,18 @@ class SignOffOptions:
         """Return a problem for each option that cannot be used."""
         from hil.checks.signed_record import DUE_DAYS_MAX  # slow imports
 
-        found = []
+        problems = []
         if self.operator is not None and not self.operator.strip():
-            found.append(Problem("--operator", "", "is empty, give a name"))
+            problems.append(Problem("--operator", "", "is empty, give a name"))
         if self.operator is not None and self.operator_key is not None:
-            found.append(Problem("--operator", "", "not together with --operator-key: the key has a name"))
+            problems.append(Problem("--operator", "", "not together with --operator-key: the key has a name"))
         if self.date is not None and not _is_day(self.date):
-            found.append(Problem("--date", "", f"{self.date}: must look like 2026-03-01"))
+            problems.append(Problem("--date", "", f"{self.date}: must look like 2026-03-01"))
         if self.proof_test and self.out is not None:
-            found.append(Problem("--proof-test", "", "signs no rig: not together with --out"))
+            problems.append(Problem("--proof-test", "", "signs no rig: not together with --out"))
         if not 1 <= self.due_days <= DUE_DAYS_MAX:
-            found.append(Problem("--due-days", "", f"{self.due_days}: allowed 1 to {DUE_DAYS_MAX}"))
-        return found
+            problems.append(Problem("--due-days", "", f"{self.due_days}: allowed 1 to {DUE_DAYS_MAX}"))
+        return problems
 
 
 _UNSIGNED = SignOffOptions()
@@ -124,9 +124,9 @@ def commission(
         refuse(check_plan(loaded, loaded_rig))
     compile_kernels_with_notice(job, console)
     prompt: OperatorPrompt = ScriptedPrompt(show=_show(Console())) if yes else Terminal(Console())
-    before = signed_before(loaded_rig.value)
+    earlier = signed_before(loaded_rig.value)
     chosen = chosen_axes(axis)
-    others = [k for k, name in enumerate(BENCH_AXES) if name in before]
+    others = [k for k, name in enumerate(BENCH_AXES) if name in earlier]
     key = None if sign_off.operator_key is None else read_key(sign_off.operator_key)
     who: OperatorKey | str = key or sign_off.operator or ("unattended (--yes)" if yes else _asked_name())
     if loaded_rig.value.kind == "hardware" and not prompt.ask(
@@ -160,10 +160,10 @@ def commission(
     day = sign_off.date or datetime.datetime.now().astimezone().date().isoformat()
     text = as_toml(findings, loaded_rig.value, base_of(rig, sign_off.out), who, day)
     write_text(text, sign_off.out)
-    left = [name for k, name in enumerate(BENCH_AXES) if k not in chosen and k not in others]
+    unsigned = [name for k, name in enumerate(BENCH_AXES) if k not in chosen and k not in others]
     prompt.show(
-        f"{sign_off.out}: {len(chosen)} axes signed, left: {', '.join(left)}"
-        if left
+        f"{sign_off.out}: {len(chosen)} axes signed, left: {', '.join(unsigned)}"
+        if unsigned
         else f"{sign_off.out}: the rig is signed off"
     )
     return _SIGNED

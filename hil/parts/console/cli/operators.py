@@ -46,17 +46,17 @@ def add(
     """
     from hil.core.operator_keys import name_problem, new_key, read_operators, write_key, write_operators
 
-    known = read_operators(operators) if Path(operators).exists() else {}
+    keys = read_operators(operators) if Path(operators).exists() else {}
     file = Path(out or f"{name.replace(' ', '-')}.key")
     problems = [Problem("NAME", "", text)] if (text := name_problem(name)) else []
-    if any(key.name.casefold() == name.casefold() for key in known.values()):
+    if any(key.name.casefold() == name.casefold() for key in keys.values()):
         problems.append(Problem(operators, name, "is there already: remove its table first to replace the key"))
     if file.exists():
         problems.append(Problem("--out", "", f"{file}: exists already"))
     refuse(problems)
     key = new_key(name, rights, address)
     write_key(file, key)
-    write_operators(operators, {**known, key.id: key})
+    write_operators(operators, {**keys, key.id: key})
     print(f"{file}: key {key.id} of {name}, who may {rights}: give it to this person alone")  # noqa: T201
     return 0
 
@@ -94,10 +94,10 @@ def verify(files: Annotated[list[str], Parameter(negative=())], /, *, operators:
     """
     from hil.core.operator_keys import read_operators
 
-    known, failed = read_operators(operators), False
+    keys, failed = read_operators(operators), False
     for name in files:
         for what, signature, record in _signatures(name):
-            problem = signature.problem(record, known)
+            problem = signature.problem(record, keys)
             failed = failed or bool(problem)
             print(f"{'FAIL' if problem else 'PASS'} {name}: {what}: {problem or f'sealed by {signature.by}'}")  # noqa: T201
     return int(failed)
@@ -111,7 +111,7 @@ def _signatures(name: str) -> list[tuple[str, Signature, list[Any]]]:
     if name.endswith(".json"):
         return [("record", *signature_of(read_signed(Path(name))))]
     sign_off = load_rig(name).value.sign_off
-    found = [] if sign_off is None else list(signatures(sign_off))
-    if not found:
+    signed = [] if sign_off is None else list(signatures(sign_off))
+    if not signed:
         raise BadInput.single(name, "rig.sign_off", "is missing: nothing is signed")
-    return found
+    return signed

@@ -151,8 +151,8 @@ def link_addresses(
     if listen is not None and peer is not None:
         raise BadInput.single(peer_option, "", f"{peer}: give this or {listen_option}, not both")
     if peer is not None:
-        found = parse_address(peer_option, peer, PORT)
-        if found[1] == 0:
+        address = parse_address(peer_option, peer, PORT)
+        if address[1] == 0:
             raise BadInput.single(peer_option, "", f"{peer}: must name a port")
-        return None, found
+        return None, address
     return parse_address(listen_option, listen if listen is not None else LOOPBACK, PORT), None

@@ -70,18 +70,18 @@ def gnc(
 
     if bind is not None and listen is None:  # by default the bench on this computer
         bind, peer = None, (LOOPBACK, PORT)
-    found = load_scenario(scenario, settings)
-    loaded = found.value
+    loaded_scenario = load_scenario(scenario, settings)
+    loaded = loaded_scenario.value
     for part, name in loaded.gnc.foreign.items():
         key, text = f"gnc.{part}.backend", "flies on the bench: hil gnc runs the built-in GNC or a whole one"
-        raise BadInput.single(found.where(key), key, f'"{name}": {text}')
-    library = open_library(loaded.gnc, found.where(key_of(loaded.gnc)))
+        raise BadInput.single(loaded_scenario.where(key), key, f'"{name}": {text}')
+    library = open_library(loaded.gnc, loaded_scenario.where(key_of(loaded.gnc)))
     console = Console(stderr=True)
 
     def announce(text: str) -> None:
         say(text, console, "dim")
 
-    mailboxes = {"wants": wants_of(found)} if library is None else {"offers": OFFERS, "wants": BINARY_WANTS}
+    mailboxes = {"wants": wants_of(loaded_scenario)} if library is None else {"offers": OFFERS, "wants": BINARY_WANTS}
     link = gnc_side(f"hil gnc {loaded.name}", bind, peer, link_key(key_file), **mailboxes)
     try:
         with console.status("compiling the kernels that are not cached"):

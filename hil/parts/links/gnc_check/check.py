@@ -24,7 +24,7 @@ _DRIFT_MPS: Final = 0.015
 _RATE_RADPS: Final = math.radians(0.3)
 _REACTION: Final = 0.01  # mean fraction of the time above which a push counts as a reaction
 _BUSY: Final = 0.25  # fraction of the time that thrusters may fire at rest on the reference
-_DELAY_S: Final = 4.0  # of the case that measures the delay
+_DELAY_S: Final = 4.0  # duration of the case that measures the delay
 _FROM_S: Final = 2.0  # reactions count from here on
 _AXES: Final = "xyz"
 _A_DEGREE: Final = math.degrees(1.0)
@@ -61,9 +61,9 @@ class Report:
 
     def add(self, check: str, faults: Iterable[str], fine: str) -> bool:
         """Add each of ``faults``, or ``fine`` if there are none; return whether there are none."""
-        found = list(dict.fromkeys(faults))
-        self.findings += [Finding(check, False, text) for text in found] or [Finding(check, True, fine)]
-        return not found
+        texts = list(dict.fromkeys(faults))
+        self.findings += [Finding(check, False, text) for text in texts] or [Finding(check, True, fine)]
+        return not texts
 
     def as_json(self) -> dict[str, Any]:
         return {"gnc": self.gnc, "passed": self.passed, **{k: v for k, v in asdict(self).items() if k != "gnc"}}
@@ -224,22 +224,22 @@ class _Check:
 
     def _check_sizes(self) -> None:
         """Check for mistaken units: reactions to errors far within Table III, none to errors beyond it."""
-        wanted = self._wanted
+        requirements = self._wanted
         faults = []
         for axis in range(3):
             about, along_axis = f"about {_AXES[axis]}", f"along {_AXES[axis]}"
-            limit = math.radians(wanted.angle_deg)
+            limit = math.radians(requirements.angle_deg)
             small, large = 0.8 * limit / _A_DEGREE, 2.0 * limit
             if self._reacts(CheckCase(f"small rotation {about}", rotation_rad=along(axis, small)), 3 + axis):
                 faults.append(
                     f"reacts to a rotation of {math.degrees(small):.2g} deg {about}, allowed "
-                    f"{wanted.angle_deg:g} deg: are radians taken for degrees somewhere (57 times too much)?"
+                    f"{requirements.angle_deg:g} deg: are radians taken for degrees somewhere (57 times too much)?"
                 )
             elif self._ignores(CheckCase(f"rotation {about}", rotation_rad=along(axis, large)), 1, axis):
                 far = self._reacts(CheckCase(f"large rotation {about}", rotation_rad=along(axis, 0.5)), 3 + axis)
                 hint = ", but to one of 29 deg: are degrees taken for radians (57 times too little)?" if far else ""
                 faults.append(f"does not react to a rotation of {math.degrees(large):g} deg {about}{hint}")
-            limit = wanted.radial_distance_m
+            limit = requirements.radial_distance_m
             small, large = 2e-3 * limit, 3.0 * limit
             if self._reacts(CheckCase(f"small offset {along_axis}", offset_m=along(axis, small)), axis):
                 faults.append(
@@ -248,8 +248,8 @@ class _Check:
                 )
             elif self._ignores(CheckCase(f"offset {along_axis}", offset_m=along(axis, large)), 0, axis):
                 faults.append(f"does not react to an offset of {1e3 * large:g} mm {along_axis}")
-        text = f"no reaction to small errors, but to {2.0 * wanted.angle_deg:g} deg and "
-        text += f"{3e3 * wanted.radial_distance_m:g} mm"
+        text = f"no reaction to small errors, but to {2.0 * requirements.angle_deg:g} deg and "
+        text += f"{3e3 * requirements.radial_distance_m:g} mm"
         self.report.add("size", faults, text)
 
     def _reacts(self, case: CheckCase, index: int) -> bool:
@@ -305,16 +305,16 @@ class _Check:
             (math.radians(0.08), math.radians(-0.06), math.radians(0.07)),
         )
         played = self._play(case)
-        known = np.flatnonzero((played.outputs["estimate"] == 1) & (played.modes == GncMode.RUNNING))
+        estimated = np.flatnonzero((played.outputs["estimate"] == 1) & (played.modes == GncMode.RUNNING))
         if played.ended:
             return
-        if not len(known) or known[-1] < len(played.outputs) - 1:
+        if not len(estimated) or estimated[-1] < len(played.outputs) - 1:
             self.report.add(
                 "estimate", [], "sends no estimate: the approach monitor has no input, docking is never a go"
             )
             return
         faults, self.report.estimate = check_estimate(
-            played.outputs[known[-1]], self._player.truth(case, float(played.t_s[known[-1]]))
+            played.outputs[estimated[-1]], self._player.truth(case, float(played.t_s[estimated[-1]]))
         )
         errors = self.report.estimate
         text = f"estimate within {1e3 * errors['position_m']:.1f} mm and {errors['attitude_deg']:.3f} deg of the truth"

@@ -63,8 +63,8 @@ def check_estimate(estimate: np.void, now: TrueMotion) -> tuple[list[str], dict[
     if not errors["velocity_mps"] <= NEAR_MPS:
         faults.append(f"velocity {_named(v, now, _VELOCITIES)}: it is {_triple(v)} m/s, in truth {_triple(now.v)} m/s")
     if not angle <= NEAR_RAD:
-        found = next((name for name, wrong in _ATTITUDES.items() if _angle(q, wrong(now)) < NEAR_RAD), "is off")
-        faults.append(f"attitude {found}: {errors['attitude_deg']:.2f} deg from the truth")
+        mistake = next((name for name, wrong in _ATTITUDES.items() if _angle(q, wrong(now)) < NEAR_RAD), "is off")
+        faults.append(f"attitude {mistake}: {errors['attitude_deg']:.2f} deg from the truth")
     if not errors["rate_degps"] <= math.degrees(NEAR_RADPS):
         faults.append(
             f"angular rate {_named(w, now, _RATES)}: it is {_triple(w)} rad/s, in truth {_triple(now.w)} rad/s"
@@ -82,8 +82,8 @@ def _named(value: Array, now: TrueMotion, wrongs: _Wrong) -> str:
 
 def _misread(now: TrueMotion, q: Array) -> Array:
     """Return the position if the pose, in c, is transformed back to H with ``q``."""
-    found: Array = quat.to_matrix(q).T @ (quat.to_matrix(now.q) @ now.r)
-    return found
+    misread: Array = quat.to_matrix(q).T @ (quat.to_matrix(now.q) @ now.r)
+    return misread
 
 
 def _scaled(q: Array, factor: float) -> Array:

@@ -19,7 +19,7 @@ from hil.parts.links.link import Arrival, Link
 from hil.parts.links.udp import shown
 
 _AGAIN_S: Final = 0.1  # after which a setup that is not answered is sent again
-_TIMEOUT_S: Final = 2.0  # of a reply; inputs are repeated meanwhile: a datagram may be lost
+_TIMEOUT_S: Final = 2.0  # time-out of a reply; inputs are repeated meanwhile: a datagram may be lost
 _RESEND_S: Final = 0.5
 
 
@@ -181,8 +181,8 @@ def pushes(outputs: np.ndarray, setup: np.record) -> Array:
     push = forces / setup.mass_kg / setup.acceleration_mps2
     twist = np.cross(arms, forces) @ np.linalg.inv(setup.inertia_kgm2).T / setup.angular_acceleration_radps2
     by_thruster = outputs["on"][:, :n].astype(float) @ np.hstack([push, twist])
-    found: Array = np.where((outputs["direct"] == 1)[:, None], by_thruster, demands)
-    return found
+    applied: Array = np.where((outputs["direct"] == 1)[:, None], by_thruster, demands)
+    return applied
 
 
 def play(gnc: GncUnderTest, player: Player, setup: np.record, case: CheckCase, change: Change | None = None) -> Played:
@@ -198,9 +198,9 @@ def play(gnc: GncUnderTest, player: Player, setup: np.record, case: CheckCase, c
         except BenchError as error:
             ended = f"{error} (in case: {case.name})"
             break
-        fault, place = whole_step.take_apart(answer, sent.cycle, n, *parts)
+        fault, index = whole_step.take_apart(answer, sent.cycle, n, *parts)
         if fault != backend_outputs.FINE and (sent.mode == GncMode.RUNNING or fault == backend_outputs.CYCLE):
-            faults.setdefault(fault, (fault_text(answer, fault, place, n, int(sent.cycle)), int(sent.cycle)))
+            faults.setdefault(fault, (fault_text(answer, fault, index, n, int(sent.cycle)), int(sent.cycle)))
         outputs.append(np.array(answer, GNC_OUTPUT))
         modes.append(int(sent.mode))
         t_s.append(float(sent.t_s))

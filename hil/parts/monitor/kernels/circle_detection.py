@@ -50,7 +50,7 @@ def _through(points, i, j, k):
 
 @kernel
 def fit_circle(points, near, start, turns):
-    """Fit a circle to those of ``points`` (n, 2) within ``near`` px of ``start`` (3,): u, v, radius, by Gauss-Newton.
+    """Fit a circle to the ``points`` (n, 2) within ``near`` px of ``start`` (3,): u, v, radius, by Gauss-Newton.
 
     ``start`` is improved in place (monitor paper 3, Phi_2). Return the fraction of the points used (0 on failure).
     """
@@ -63,8 +63,8 @@ def fit_circle(points, near, start, turns):
         for i in range(n):
             du, dv = points[i, 0] - start[0], points[i, 1] - start[1]
             distance = math.hypot(du, dv)
-            left = distance - start[2]
-            if abs(left) > near or distance <= 0.0:
+            residual = distance - start[2]
+            if abs(residual) > near or distance <= 0.0:
                 continue
             used += 1
             a, b = du / distance, dv / distance
@@ -74,9 +74,9 @@ def fit_circle(points, near, start, turns):
             s11 += b * b
             s12 += b
             s22 += 1.0
-            t0 += a * left
-            t1 += b * left
-            t2 += left
+            t0 += a * residual
+            t1 += b * residual
+            t2 += residual
         c00, c01, c02 = s11 * s22 - s12 * s12, s02 * s12 - s01 * s22, s01 * s12 - s02 * s11
         det = s00 * c00 + s01 * c01 + s02 * c02
         if used < 6 or abs(det) < 1e-9:
@@ -143,7 +143,7 @@ def find_circles(prepared: Prepared, left: float, top: float, line_step: float) 
 
     left, top: px, the region's first pixel in the image; line_step: px from one line of the region to the next.
     """
-    found: list[CircleCandidate] = []
+    circles: list[CircleCandidate] = []
     for level in prepared.thresholds:
         _, binary = cv2.threshold(prepared.image, level, 255, cv2.THRESH_BINARY)
         contours: Any = cv2.findContours(binary, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
@@ -151,9 +151,9 @@ def find_circles(prepared: Prepared, left: float, top: float, line_step: float) 
         for contour in contours:
             shape = _circle_of(contour, prepared.image.shape, left, top, line_step)
             if shape is not None:
-                found.append(shape)
-    found.sort(key=lambda one: one.coverage * one.clean, reverse=True)
-    return _distinct(found)
+                circles.append(shape)
+    circles.sort(key=lambda one: one.coverage * one.clean, reverse=True)
+    return _distinct(circles)
 
 
 def _circle_of(
@@ -179,9 +179,9 @@ def _circle_of(
     return CircleCandidate(float(circle[0]), float(circle[1]), float(circle[2]), share, clean)
 
 
-def _distinct(found: list[CircleCandidate]) -> list[CircleCandidate]:
+def _distinct(circles: list[CircleCandidate]) -> list[CircleCandidate]:
     kept: list[CircleCandidate] = []
-    for one in found:
+    for one in circles:
         reach = 0.04 * one.radius + 2.0
         if all(
             math.hypot(one.u - other.u, one.v - other.v) > reach or abs(one.radius - other.radius) > reach

@@ -103,12 +103,12 @@ def _clearance(u, v, group, circles_px, lines_px):
 
 
 @kernel
-def _reach(u, v, nu, nv, wanted, half_length, guard, group, circles_px, lines_px):
-    """Return the free distance from (u, v) along (nu, nv) to other borders, at most ``wanted``, px."""
+def _reach(u, v, nu, nv, extent, half_length, guard, group, circles_px, lines_px):
+    """Return the free distance from (u, v) along (nu, nv) to other borders, at most ``extent``, px."""
     needed = guard + half_length * 0.5
     free = _clearance(u, v, group, circles_px, lines_px) - needed
-    if free >= wanted:
-        return wanted
+    if free >= extent:
+        return extent
     if free < 0.0:
         return -1.0
     reach = free
@@ -116,7 +116,7 @@ def _reach(u, v, nu, nv, wanted, half_length, guard, group, circles_px, lines_px
         free = _clearance(u + reach * nu, v + reach * nv, group, circles_px, lines_px) - needed
         if free <= 0.05:
             break
-        reach = min(reach + free, wanted)
+        reach = min(reach + free, extent)
     return reach
 
 
@@ -126,17 +126,17 @@ def _in_picture(lens, u, v, margin):
 
 
 @kernel
-def _finish(sample, lens, wanted, least, blur, group, circles_px, lines_px):
+def _finish(sample, lens, extent, least, blur, group, circles_px, lines_px):
     """Set the extent of the strip; return whether enough of it is free and in the image."""
-    if not _in_picture(lens, sample.u, sample.v, wanted + 0.5 * sample.length + 0.5 * sample.width):
+    if not _in_picture(lens, sample.u, sample.v, extent + 0.5 * sample.length + 0.5 * sample.width):
         return False
     guard = _GUARD_SIGMAS * blur
     half = 0.5 * sample.width
     half_length = 0.5 * sample.length
     outside = _reach(sample.u + half * sample.nu, sample.v + half * sample.nv, sample.nu, sample.nv,
-                     wanted, half_length, guard, group, circles_px, lines_px)  # fmt: skip
+                     extent, half_length, guard, group, circles_px, lines_px)  # fmt: skip
     inside = _reach(sample.u - half * sample.nu, sample.v - half * sample.nv, -sample.nu, -sample.nv,
-                    wanted, half_length, guard, group, circles_px, lines_px)  # fmt: skip
+                    extent, half_length, guard, group, circles_px, lines_px)  # fmt: skip
     if sample.curvature > 0.0:
         inside = min(inside, 1.0 / sample.curvature - guard)
     sample.outside, sample.inside = half + outside, half + inside
@@ -153,7 +153,7 @@ def _curvature(u0, v0, u1, v1, u2, v2):
 
 @kernel
 def _place_on_circle(
-    lens, a, d, circle, number, length, most, wanted, least, blur, circles_px, lines_px, samples, count
+    lens, a, d, circle, number, length, most, extent, least, blur, circles_px, lines_px, samples, count
 ):
     _, _, depth = _project(lens, a, d, circle.y1, circle.y2, circle.y3)
     if depth <= 0.0:
@@ -166,7 +166,7 @@ def _place_on_circle(
         t = 2.0 * math.pi * (i + 0.5) / pieces
         y1, y2 = circle.y1 + circle.radius * math.cos(t), circle.y2 + circle.radius * math.sin(t)
         u, v, depth = _project(lens, a, d, y1, y2, circle.y3)
-        if depth <= 0.0 or not _in_picture(lens, u, v, wanted):
+        if depth <= 0.0 or not _in_picture(lens, u, v, extent):
             continue
         step = 0.05
         ua, va, da = _project(lens, a, d, circle.y1 + circle.radius * math.cos(t - step),
@@ -184,14 +184,14 @@ def _place_on_circle(
         sample.curvature = _curvature(ua, va, u, v, ub, vb)
         sample.length, sample.grows = min(length, around / pieces), 1.0
         sample.feature, sample.kind, sample.cluster = circle.feature, STEP, ARCS * number + ARCS * i // pieces
-        if _finish(sample, lens, wanted, least, blur, circle.group, circles_px, lines_px):
+        if _finish(sample, lens, extent, least, blur, circle.group, circles_px, lines_px):
             count += 1
     return count
 
 
 @kernel
 def _place_on_line(
-    lens, a, d, line, number, clusters, side, length, most, wanted, least, blur, circles_px, lines_px, samples, count
+    lens, a, d, line, number, clusters, side, length, most, extent, least, blur, circles_px, lines_px, samples, count
 ):
     """Place samples on a line; side: 0 for the line itself, +-1 for that border of a wide bar."""
     e1, e2 = line.b1 - line.a1, line.b2 - line.a2
@@ -219,7 +219,7 @@ def _place_on_line(
         share = share * d0 / (d1 + share * (d0 - d1))
         y1, y2 = line.a1 + m1 + share * e1, line.a2 + m2 + share * e2
         u, v, depth = _project(lens, a, d, y1, y2, line.y3)
-        if depth <= 0.0 or not _in_picture(lens, u, v, wanted):
+        if depth <= 0.0 or not _in_picture(lens, u, v, extent):
             continue
         sample = samples[count]
         sample.nu, sample.nv = way * tv, -way * tu
@@ -230,17 +230,17 @@ def _place_on_line(
         sample.kind = BAR if line.width > 0.0 and side == 0.0 else STEP
         sample.width = line.width * scale if sample.kind == BAR else 0.0
         sample.grows = 0.0 if sample.kind == BAR else 1.0
-        if _finish(sample, lens, wanted, least, blur, line.group, circles_px, lines_px):
+        if _finish(sample, lens, extent, least, blur, line.group, circles_px, lines_px):
             count += 1
     return count
 
 
 @kernel
-def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, wanted, samples):
+def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, wide_bar, extent, samples):
     """Write the samples of all parts under the pose a (3, 3), d (3,), m; return how many.
 
     blur: px, 1 sigma of an edge. length: px along the edge; most: largest number per edge. wide_bar: px, bars wider
-    than this are measured at each side separately. wanted: px, half width of the strips.
+    than this are measured at each side separately. extent: px, half width of the strips.
     """
     circles_px, lines_px = np.empty((circles.shape[0], 4)), np.empty((borders.shape[0], 5))
     project_borders(lens, a, d, circles, borders, circles_px, lines_px)
@@ -251,7 +251,7 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
         if small and circles_px[i, 2] < 5.0 * blur + 1.0:
             continue
         count = _place_on_circle(
-            lens, a, d, circles[i], i, length, most, wanted, least, blur, circles_px, lines_px, samples, count
+            lens, a, d, circles[i], i, length, most, extent, least, blur, circles_px, lines_px, samples, count
         )
     clusters = ARCS * circles.shape[0]
     for i in range(lines.shape[0]):
@@ -260,10 +260,10 @@ def place_edge_samples(lens, a, d, circles, lines, borders, blur, length, most, 
             _, _, depth = _project(lens, a, d, line.a1, line.a2, line.y3)
             if depth > 0.0 and lens[0] * line.width / depth > wide_bar:
                 for side in (-1.0, 1.0):
-                    count = _place_on_line(lens, a, d, line, i, clusters, side, length, most, wanted, least, blur,
+                    count = _place_on_line(lens, a, d, line, i, clusters, side, length, most, extent, least, blur,
                                            circles_px, lines_px, samples, count)  # fmt: skip
                 continue
         count = _place_on_line(
-            lens, a, d, line, i, clusters, 0.0, length, most, wanted, least, blur, circles_px, lines_px, samples, count
+            lens, a, d, line, i, clusters, 0.0, length, most, extent, least, blur, circles_px, lines_px, samples, count
         )
     return count

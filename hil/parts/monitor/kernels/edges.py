@@ -157,12 +157,12 @@ def fit_edge_samples(image, first_line, line_step, samples, count, blur, noise, 
             x[3] = 0.0
         if not (math.isfinite(x[0]) and math.isfinite(x[1]) and math.isfinite(x[3])):
             continue
-        known = 4 if bar else 3
+        n_fitted = 4 if bar else 3
         misfit, clear = _fit_profile(
-            s, grey, n, half, blur, bar, noise, known, turns, x, normal, right, factor, step
+            s, grey, n, half, blur, bar, noise, n_fitted, turns, x, normal, right, factor, step
         )  # fmt: skip
-        if clear >= known and abs(x[2]) < 4.0 * blur + 1.0:
-            _keep(sample, x, normal, factor, known, misfit, clear, 0.0 if bar else 1.0)
+        if clear >= n_fitted and abs(x[2]) < 4.0 * blur + 1.0:
+            _keep(sample, x, normal, factor, n_fitted, misfit, clear, 0.0 if bar else 1.0)
             if not bar:
                 _add_blur_sums(normal, right, factor, step, sums, sample)
         if bar and not (sample.good == 1 and sample.misfit <= _MISFIT * allowed_pixels(sample)):
@@ -204,8 +204,8 @@ def _fit_one_border(s, grey, n, half, blur, noise, x, normal, right, factor, ste
 
 
 @kernel
-def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, normal, right, factor, step):
-    """Improve the first ``known`` parameters ``x`` (4,) of a profile by its pixels.
+def _fit_profile(s, grey, n, half, blur, bar, noise, n_fitted, turns, x, normal, right, factor, step):
+    """Improve the first ``n_fitted`` parameters ``x`` (4,) of a profile by its pixels.
 
     Return the weighted square sum of the residuals, and the number of pixels that are not clipped or -1 without a
     solution. normal, right and factor are those of the last step.
@@ -223,13 +223,13 @@ def _fit_profile(s, grey, n, half, blur, bar, noise, known, turns, x, normal, ri
                 factor[i, j] = normal[i, j]
             if cut and i != 2:
                 factor[i, i] += _DAMPING
-        if not cholesky.factor(factor, known, factor, cholesky.LEAST_RESIDUE):
+        if not cholesky.factor(factor, n_fitted, factor, cholesky.LEAST_RESIDUE):
             return misfit, -1
         for i in range(4):
             step[i] = right[i]
-        cholesky.solve(factor, known, step, step)
+        cholesky.solve(factor, n_fitted, step, step)
         step[2] = min(max(step[2], -1.5 * blur), 1.5 * blur)
-        for i in range(known):
+        for i in range(n_fitted):
             x[i] += step[i]
             misfit -= step[i] * right[i]
         if cut:
@@ -269,10 +269,10 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, normal, right):
             weight = 1.0 / (model * mean + dark * dark * above - mean * mean)
             model = mean
             d0, d1, d2, d3 = above * d0, above * d1, above * d2, above * d3
-        left = grey[k] - model
-        total += weight * left * left
+        residual = grey[k] - model
+        total += weight * residual * residual
         w0, w1, w2, w3 = weight * d0, weight * d1, weight * d2, weight * d3
-        r0, r1, r2, r3 = r0 + w0 * left, r1 + w1 * left, r2 + w2 * left, r3 + w3 * left
+        r0, r1, r2, r3 = r0 + w0 * residual, r1 + w1 * residual, r2 + w2 * residual, r3 + w3 * residual
         n00, n10, n11, n20, n21 = n00 + w0 * d0, n10 + w1 * d0, n11 + w1 * d1, n20 + w2 * d0, n21 + w2 * d1
         n22, n30, n31, n32, n33 = n22 + w2 * d2, n30 + w3 * d0, n31 + w3 * d1, n32 + w3 * d2, n33 + w3 * d3
     right[0], right[1], right[2], right[3] = r0, r1, r2, r3
@@ -283,14 +283,14 @@ def _accumulate(s, grey, n, half, blur, bar, noise, x, normal, right):
 
 
 @kernel
-def _keep(sample, x, normal, factor, known, misfit, n, grows):
+def _keep(sample, x, normal, factor, n_fitted, misfit, n, grows):
     """Write a sample's result; the shift's variance from the factor of the normal equations.
 
     grows: as in EDGE_SAMPLE.
     """
     unit = np.zeros(4)
     unit[2] = 1.0
-    cholesky.solve(factor, known, unit, unit)
+    cholesky.solve(factor, n_fitted, unit, unit)
     sample.shift, sample.variance = x[2], unit[2]
     sample.low, sample.high = x[0], x[1] if grows != 0.0 else 0.5 * (x[1] + x[3])
     sample.grows = grows

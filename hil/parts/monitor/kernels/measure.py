@@ -57,11 +57,11 @@ def align_pose(image, first_line, line_step, lens, circles, lines, borders, x, c
         for robust in (width, max(0.5 * width, 1.5), max(0.25 * width, 1.0)):
             if not fit_pose(lens, samples, count, x, robust, prior, 2, normal):
                 return 0, 0.0
-        left = np.empty(count)
-        residuals(lens, samples, count, x, left)
+        misfits = np.empty(count)
+        residuals(lens, samples, count, x, misfits)
         agree = 0
         for c in range(count):
-            if abs(left[c]) < 1.0:
+            if abs(misfits[c]) < 1.0:
                 agree += 1
     return agree, agree / max(count, 1)
 
@@ -107,13 +107,13 @@ def _update_noise(samples, count, camera):
 
 
 @kernel
-def drop_outliers(samples, count, left, reject):
+def drop_outliers(samples, count, misfits, reject):
     """Set good = 2 if a shift is more than ``reject`` sigmas off, sigma inflated by the scatter of most shifts."""
     ratios = np.empty(count)
     n = 0
     for c in range(count):
         if samples[c].good == 1:
-            ratios[n] = abs(left[c]) / math.sqrt(samples[c].variance)
+            ratios[n] = abs(misfits[c]) / math.sqrt(samples[c].variance)
             n += 1
     if n == 0:
         return 0
@@ -121,7 +121,7 @@ def drop_outliers(samples, count, left, reject):
     kept = 0
     for c in range(count):
         if samples[c].good == 1:
-            if abs(left[c]) > reject * scale * math.sqrt(samples[c].variance):
+            if abs(misfits[c]) > reject * scale * math.sqrt(samples[c].variance):
                 samples[c].good = 2
             else:
                 kept += 1
@@ -129,8 +129,8 @@ def drop_outliers(samples, count, left, reject):
 
 
 @kernel
-def square_sums(samples, count, left, clusters, sums):
-    """Write the square sums of the residuals ``left`` relative to their sigmas; sums (4,).
+def square_sums(samples, count, misfits, clusters, sums):
+    """Write the square sums of the residuals ``misfits`` relative to their sigmas; sums (4,).
 
     Square sum over the samples, number of samples; the same of the means of the straight edges and arcs, which show
     errors common to the samples of one edge.
@@ -140,10 +140,10 @@ def square_sums(samples, count, left, clusters, sums):
     for c in range(count):
         sample = samples[c]
         if sample.good == 1:
-            total += left[c] * left[c] / sample.variance
+            total += misfits[c] * misfits[c] / sample.variance
             n += 1
             weights[sample.cluster] += 1.0 / sample.variance
-            means[sample.cluster] += left[c] / sample.variance
+            means[sample.cluster] += misfits[c] / sample.variance
     sums[0], sums[1], sums[2], sums[3] = total, n, 0.0, 0.0
     for k in range(clusters):
         if weights[k] > 0.0:
@@ -170,11 +170,11 @@ def _leave_out(samples, count, used, camera, near_bar):
 
 @kernel
 def measure(
-    image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, samples, left, normal, sums
+    image, first_line, line_step, lens, circles, lines, borders, x, camera, tuning, used, samples, misfits, normal, sums
 ):
     """Measure the pose ``x`` (15,), accurate to about a pixel; return (status, number of samples).
 
-    camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. left: residuals, px.
+    camera: CAMERA_STATE, updated. used: (features,), 1 if a feature is used. misfits: residuals, px.
     normal: (15, 15), of the edges alone. sums: (4,) of ``square_sums``.
     """
     prior, noise, blur_sums = tuning.prior, np.empty(2), np.empty(2)
@@ -195,13 +195,13 @@ def measure(
         for _ in range(3):
             if not fit_pose(lens, samples, count, x, 0.0, prior, 1, normal):
                 return UNSOLVED, count
-            residuals(lens, samples, count, x, left)
-            if drop_outliers(samples, count, left, tuning.reject) < _FEWEST:
+            residuals(lens, samples, count, x, misfits)
+            if drop_outliers(samples, count, misfits, tuning.reject) < _FEWEST:
                 return TOO_FEW, count
     if not fit_pose(lens, samples, count, x, 0.0, prior, 1, normal):
         return UNSOLVED, count
-    residuals(lens, samples, count, x, left)
-    square_sums(samples, count, left, clusters, sums)
+    residuals(lens, samples, count, x, misfits)
+    square_sums(samples, count, misfits, clusters, sums)
     return MEASURED, count
 
 

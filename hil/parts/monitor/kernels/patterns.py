@@ -96,8 +96,8 @@ def pattern_score(image, left, top, line_step, points, classes, u, v, scale, rol
 
 
 @kernel
-def best_pattern(image, left, top, line_step, points, classes, place, scale, reach, steps, rolls, largest_roll, out):
-    """Search the pattern around ``place`` (2,), px, and refine; write (u, v, roll) to ``out``; return the correlation.
+def best_pattern(image, left, top, line_step, points, classes, centre, scale, reach, steps, rolls, largest_roll, out):
+    """Search the pattern around ``centre`` (2,), px, and refine; write (u, v, roll) to ``out``; return the correlation.
 
     reach: px in each direction, in ``steps`` steps; rolls: number of steps in each direction up to largest_roll.
     """
@@ -106,7 +106,7 @@ def best_pattern(image, left, top, line_step, points, classes, place, scale, rea
         for j in range(-steps, steps + 1):
             if i * i + j * j > steps * steps + 1:
                 continue
-            u, v = place[0] + reach * i / max(steps, 1), place[1] + reach * j / max(steps, 1)
+            u, v = centre[0] + reach * i / max(steps, 1), centre[1] + reach * j / max(steps, 1)
             for k in range(-rolls, rolls + 1):
                 roll = largest_roll * k / max(rolls, 1)
                 score = pattern_score(image, left, top, line_step, points, classes, u, v, scale, roll)

@@ -107,16 +107,16 @@ def displace_samples(lens, samples, count, pose):
 @kernel
 def unknowns_of(prior, which):
     """Write the unknowns that are estimated with ``prior`` (PRIORS,) to which (UNKNOWNS,); return how many."""
-    known = 0
+    size = 0
     for i in range(UNKNOWNS):
         if i < GROWTH or prior[i - GROWTH + 1] > 0.0:
-            which[known] = i
-            known += 1
-    return known
+            which[size] = i
+            size += 1
+    return size
 
 
 @kernel
-def _add_prior(normal, right, x, prior, which, known):
+def _add_prior(normal, right, x, prior, which, size):
     """Add the prior information (PRIORS,), which matters only for what the edges leave open.
 
     The passive angles are small, and so are the camera's unknowns.
@@ -125,7 +125,7 @@ def _add_prior(normal, right, x, prior, which, known):
         weight = 1.0 / (prior[0] * prior[0] * x[2] * x[2])
         normal[i, i] += weight
         right[i] -= weight * x[i]
-    for i in range(GROWTH, known):
+    for i in range(GROWTH, size):
         sigma = prior[which[i] - GROWTH + 1]
         weight = 1.0 / (sigma * sigma)
         normal[i, i] += weight
@@ -143,15 +143,15 @@ def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
     """
     a = docking_view.attitude(pose[3:6])
     which = np.empty(UNKNOWNS, np.int64)
-    known = unknowns_of(prior, which)
-    slopes, row, own = np.empty((3, 3, 3)), np.empty(UNKNOWNS), np.empty(known)
-    right, step, part, full = np.empty(known), np.empty(known), np.empty((known, known)), np.empty((known, known))
+    size = unknowns_of(prior, which)
+    slopes, row, own = np.empty((3, 3, 3)), np.empty(UNKNOWNS), np.empty(size)
+    right, step, part, full = np.empty(size), np.empty(size), np.empty((size, size)), np.empty((size, size))
     for _ in range(turns):
         a = docking_view.attitude(pose[3:6])
         attitude_derivatives(pose[3:6], slopes)
-        for i in range(known):
+        for i in range(size):
             right[i] = 0.0
-            for j in range(known):
+            for j in range(size):
                 part[i, j] = 0.0
         for c in range(count):
             sample = samples[c]
@@ -159,55 +159,55 @@ def fit_pose(lens, samples, count, pose, robust, prior, turns, normal):
                 continue
             u, v = point_row(lens, a, slopes, pose[:3], sample.y1, sample.y2, sample.y3, sample.nu, sample.nv, row)
             camera_row(lens, sample, u, v, row)
-            left = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
+            residual = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
             for i in range(GROWTH, UNKNOWNS):
-                left -= row[i] * pose[i]
-            if not math.isfinite(left):
+                residual -= row[i] * pose[i]
+            if not math.isfinite(residual):
                 return False
             weight = 1.0 / max(sample.variance, 1e-12)
             if robust > 0.0:
-                inside = 1.0 - (left / robust) ** 2
+                inside = 1.0 - (residual / robust) ** 2
                 weight = inside * inside if inside > 0.0 else 0.0
-            for i in range(known):
+            for i in range(size):
                 own[i] = row[which[i]]
-                right[i] += weight * own[i] * left
+                right[i] += weight * own[i] * residual
                 for j in range(i + 1):
                     part[i, j] += weight * own[i] * own[j]
-        for i in range(known):
+        for i in range(size):
             for j in range(i):
                 part[j, i] = part[i, j]
-        for i in range(known):
-            for j in range(known):
+        for i in range(size):
+            for j in range(size):
                 full[i, j] = part[i, j]
-        _add_prior(full, right, pose, prior, which, known)
+        _add_prior(full, right, pose, prior, which, size)
         if not cholesky.solve_system(full, right, step):
             return False
-        for i in range(known):
+        for i in range(size):
             pose[which[i]] += step[i]
         if not (pose[2] > 0.01 and abs(step[3]) < 1.0 and abs(step[4]) < 1.0 and abs(step[5]) < 1.0):
             return False
     for i in range(UNKNOWNS):
         for j in range(UNKNOWNS):
             normal[i, j] = 0.0
-    for i in range(known):
-        for j in range(known):
+    for i in range(size):
+        for j in range(size):
             normal[which[i], which[j]] = part[i, j]
     return True
 
 
 @kernel
-def residuals(lens, samples, count, pose, left):
+def residuals(lens, samples, count, pose, out):
     """Write each sample's shift minus the edge's shift under ``pose``, px (nan for samples that are not good)."""
     a = docking_view.attitude(pose[3:6])
     p, row = np.empty(3), np.empty(UNKNOWNS)
     for c in range(count):
         sample = samples[c]
-        left[c] = np.nan
+        out[c] = np.nan
         if sample.good == 1:
             p[0], p[1], p[2] = sample.y1, sample.y2, sample.y3
             x = docking_view.to_camera(a, pose[:3], p)
             u, v = docking_view.project_point(lens[0], lens[1], lens[2], x)
-            left[c] = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
+            out[c] = sample.shift - (sample.nu * (u - sample.u) + sample.nv * (v - sample.v))
             camera_row(lens, sample, u, v, row)
             for i in range(GROWTH, UNKNOWNS):
-                left[c] -= row[i] * pose[i]
+                out[c] -= row[i] * pose[i]

@@ -57,7 +57,7 @@ def search_edge_samples(image, first_line, line_step, samples, count, reach, lea
         if not _profile(image, first_line, line_step, sample, steps, profile):
             continue
         half = 0.5 * sample.width
-        best, place = 0.0, -1
+        best, peak = 0.0, -1
         for k in range(2 * steps + 1):
             response[k] = 0.0
         for k in range(3, 2 * steps - 2):
@@ -71,13 +71,13 @@ def search_edge_samples(image, first_line, line_step, samples, count, reach, lea
                 value *= 0.5
             response[k] = value
             if abs(value) > abs(best):
-                best, place = value, k
-        if place < 4 or place > 2 * steps - 4 or abs(best) < least:
+                best, peak = value, k
+        if peak < 4 or peak > 2 * steps - 4 or abs(best) < least:
             continue
-        before, here, after = abs(response[place - 1]), abs(best), abs(response[place + 1])
+        before, here, after = abs(response[peak - 1]), abs(best), abs(response[peak + 1])
         bend = before - 2.0 * here + after
         offset = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-        sample.shift = place - steps + min(max(offset, -0.5), 0.5)
+        sample.shift = peak - steps + min(max(offset, -0.5), 0.5)
         sample.variance = 0.25
-        sample.low, sample.high = profile[place], profile[place] + best
+        sample.low, sample.high = profile[peak], profile[peak] + best
         sample.good = 1

@@ -57,8 +57,8 @@ def circle(canvas: Canvas, u: float, v: float, radius: float, colour: Colour, wi
 def dots(canvas: Canvas, points: NDArray[np.float64], colour: Colour) -> None:
     """Set a dot of two by two pixels at each of ``points`` (n, 2), px, that is on the canvas."""
     height, width = canvas.shape[:2]
-    known = points[np.isfinite(points).all(axis=1)]
-    inside = known[(known >= 0.0).all(axis=1) & (known < (width - 1, height - 1)).all(axis=1)].astype(int)
+    finite = points[np.isfinite(points).all(axis=1)]
+    inside = finite[(finite >= 0.0).all(axis=1) & (finite < (width - 1, height - 1)).all(axis=1)].astype(int)
     for down in (0, 1):
         for right in (0, 1):
             canvas[inside[:, 1] + down, inside[:, 0] + right] = colour

@@ -40,15 +40,15 @@ _LINE_PX: Final = 17
 
 def shapes(seen: FrameDetection) -> list[Shape]:
     """Return the shapes of the features detected in a frame, without its edges, in px of the full image."""
-    found: list[Shape] = []
+    drawn: list[Shape] = []
     good = not is_bad(seen.status)
     if seen.region is not None:
-        found += _frame(seen.region, good, REGION)
+        drawn += _frame(seen.region, good, REGION)
     corners = [(float(u), float(v)) for u, v in seen.corners]
-    found += _closed(corners, good, CIRCLE)
+    drawn += _closed(corners, good, CIRCLE)
     for circle in (seen.outline, seen.disc):
         if circle is not None:
-            found.append(
+            drawn.append(
                 {"kind": "circle", "at": _at(*circle[:2]), "radius": round(circle[2], 2), "good": good, "part": CIRCLE}
             )
     if seen.cross is not None:
@@ -57,8 +57,8 @@ def shapes(seen: FrameDetection) -> list[Shape]:
         centre = np.array(seen.cross[:2])
         for arm in (across, np.array([-across[1], across[0]])):
             one, other = centre - reach * arm, centre + reach * arm
-            found.append(_line((one[0], one[1]), (other[0], other[1]), good, CROSS))
-    return found
+            drawn.append(_line((one[0], one[1]), (other[0], other[1]), good, CROSS))
+    return drawn
 
 
 def caption(seen: FrameDetection) -> str:
@@ -80,7 +80,7 @@ def annotated_shapes(
     lines = [(caption(seen), not is_bad(seen.status), STATUS), *_numbers(portion)]
     if warning:
         lines.insert(1, (warning, False, STATUS))
-    found: list[Shape] = [
+    texts: list[Shape] = [
         {"kind": "text", "at": [_LEFT_PX, _LINE_PX * (row + 1)], "text": text, "good": good, "part": part}
         for row, (text, good, part) in enumerate(lines)
     ]
@@ -92,18 +92,18 @@ def annotated_shapes(
         for u, v in edges[::step]
     ]
     frame = [] if search is None else _frame(search, True, SEARCH)
-    return [*found, *frame, *shapes(seen), *points]
+    return [*texts, *frame, *shapes(seen), *points]
 
 
 def _numbers(portion: Portion | None) -> list[tuple[str, bool, str]]:
     if portion is None:
         return []
-    found = []
+    rows = []
     for quantity, name, unit, factor, decimals in NUMBERS:
         if quantity in _OVERLAID and portion.observes(quantity):
             value, sigma = portion.value(quantity) * factor, portion.sigma(quantity) * factor
-            found.append((f"{name} {value:.{decimals}f} +- {sigma:.{decimals + 1}f} {unit}", True, NUMBER))
-    return found
+            rows.append((f"{name} {value:.{decimals}f} +- {sigma:.{decimals + 1}f} {unit}", True, NUMBER))
+    return rows
 
 
 def is_bad(status: str) -> bool:

@@ -107,8 +107,8 @@ class _Axes:
         across = (t - self.t[0]) / (self.t[1] - self.t[0])
         up = np.clip((y - self.y[0]) / (self.y[1] - self.y[0]), -1.0, 2.0)
         inner_width, inner_height = self.width - _LEFT - _RIGHT, self.height - _ABOVE - _BELOW
-        found: Floats = np.column_stack((_LEFT + across * inner_width, _ABOVE + (1.0 - up) * inner_height))
-        return found
+        pixels: Floats = np.column_stack((_LEFT + across * inner_width, _ABOVE + (1.0 - up) * inner_height))
+        return pixels
 
 
 def draw(canvas: Canvas, plot: Plot, history: History) -> None:
@@ -141,8 +141,8 @@ def _axes(plot: Plot, series: list[tuple[Floats, Floats, Floats]], width: int, h
     last = max((float(t[-1]) for t in times), default=1.0)
     first = min((float(t[0]) for t in times), default=0.0)
     span = max(last - min(first, 0.0), 1.0)
-    found = [_extent(plot, y, sigma) for _, y, sigma in series]
-    every = np.concatenate(found) if found else np.empty(0)
+    extents = [_extent(plot, y, sigma) for _, y, sigma in series]
+    every = np.concatenate(extents) if extents else np.empty(0)
     if not len(every):
         return _Axes(
             (min(first, 0.0), min(first, 0.0) + span), (-3.0, 0.0) if plot.sigmas else (0.0, 1.0), width, height
@@ -159,11 +159,11 @@ def _axes(plot: Plot, series: list[tuple[Floats, Floats, Floats]], width: int, h
 
 def _extent(plot: Plot, y: Floats, sigma: Floats) -> Floats:
     """Return the values that the axis of ``y`` must cover: the bands, with unusually wide ones limited."""
-    known = np.isfinite(y) & np.isfinite(sigma)
-    if plot.sigmas or not known.any():
+    finite = np.isfinite(y) & np.isfinite(sigma)
+    if plot.sigmas or not finite.any():
         return y[np.isfinite(y)]
-    half = 2.0 * np.minimum(sigma[known], 2.0 * np.median(sigma[known]))
-    return np.concatenate((y[known] - half, y[known] + half))
+    half = 2.0 * np.minimum(sigma[finite], 2.0 * np.median(sigma[finite]))
+    return np.concatenate((y[finite] - half, y[finite] + half))
 
 
 def _draw_frame(canvas: Canvas, plot: Plot, axes: _Axes) -> None:
@@ -184,8 +184,8 @@ def _draw_frame(canvas: Canvas, plot: Plot, axes: _Axes) -> None:
 
 def _runs(y: Floats) -> list[slice]:
     """Return the intervals without a gap."""
-    known = np.concatenate(([False], np.isfinite(y), [False]))
-    edges = np.flatnonzero(known[1:] != known[:-1])
+    finite = np.concatenate(([False], np.isfinite(y), [False]))
+    edges = np.flatnonzero(finite[1:] != finite[:-1])
     return [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
 
 

@@ -50,9 +50,9 @@ class Screen:
         width, height = self._size
         grey = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
         left = (_IMAGE[0] - width) // 2
-        place = self.canvas[:height, left : left + width]
-        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR, dst=place)
-        self._draw_seen(place, seen)
+        view = self.canvas[:height, left : left + width]
+        cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR, dst=view)
+        self._draw_seen(view, seen)
 
     def show_portion(self, portion: Portion) -> None:
         """Show the motion after a portion."""
@@ -62,20 +62,20 @@ class Screen:
 
     def _place(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions of points (n, 2) of the image on the screen, px; pixel centres at integers."""
-        found: NDArray[np.float64] = (points + 0.5) * self._scale - 0.5
-        return found
+        scaled: NDArray[np.float64] = (points + 0.5) * self._scale - 0.5
+        return scaled
 
-    def _draw_seen(self, place: Canvas, seen: FrameDetection) -> None:
+    def _draw_seen(self, canvas: Canvas, seen: FrameDetection) -> None:
         for shape in shapes(seen):
             colour = _COLOURS[shape["part"]]
             if shape["kind"] == "circle":
                 u, v = self._place(np.array([shape["at"]]))[0]
-                drawing.circle(place, u, v, shape["radius"] * self._scale, colour)
+                drawing.circle(canvas, u, v, shape["radius"] * self._scale, colour)
             else:
-                drawing.line(place, self._place(np.array([shape["from"], shape["to"]])), colour)
-        drawing.dots(place, self._place(np.asarray(seen.edges, float).reshape(-1, 2)), drawing.ORANGE)
-        place[:24] = place[:24] // 3
-        drawing.text(place, caption(seen), 8, 17, drawing.VERMILION if is_bad(seen.status) else drawing.WHITE, 0.5)
+                drawing.line(canvas, self._place(np.array([shape["from"], shape["to"]])), colour)
+        drawing.dots(canvas, self._place(np.asarray(seen.edges, float).reshape(-1, 2)), drawing.ORANGE)
+        canvas[:24] = canvas[:24] // 3
+        drawing.text(canvas, caption(seen), 8, 17, drawing.VERMILION if is_bad(seen.status) else drawing.WHITE, 0.5)
 
     def _draw_numbers(self, portion: Portion | None) -> None:
         panel = self.canvas[_IMAGE[1] :, : _IMAGE[0]]

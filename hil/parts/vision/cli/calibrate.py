@@ -337,19 +337,19 @@ def _television_problems(start: InitialGuessOptions, scene_out: str | None, othe
     """Return the problems of the options of a television camera. others: values of options of a vision unit."""
     if start.scene is None:
         return [Problem("--scene-out", "", "goes with --scene only")] if scene_out is not None else []
-    found = [Problem("--scene", "", f"goes without --{name}") for name, value in others.items() if value]
-    return found if start.board is not None else [*found, Problem("--scene", "", "needs --board and --square-mm")]
+    problems = [Problem("--scene", "", f"goes without --{name}") for name, value in others.items() if value]
+    return problems if start.board is not None else [*problems, Problem("--scene", "", "needs --board and --square-mm")]
 
 
 def _hand_held_problems(start: InitialGuessOptions, others: dict[str, object]) -> list[Problem]:
     if not start.hand_held:
         return []
     given = [name for name in ("rig-out", "check", "drive") if others[name]]
-    found = [Problem("--hand-held", "", f"goes without --{name}") for name in given]
+    problems = [Problem("--hand-held", "", f"goes without --{name}") for name in given]
     if start.board is None and start.geometry is None:
         text = "needs --board and --square-mm; or, for the layout of the LEDs, --geometry with the calibrated cameras"
-        found.append(Problem("--hand-held", "", text))
-    return found
+        problems.append(Problem("--hand-held", "", text))
+    return problems
 
 
 def _calibrate_television(
@@ -393,10 +393,10 @@ def _check(
     from hil.vmu.calibration.report import drift_as_json
     from hil.vmu.calibration.views import read_views
 
-    known = read_back(load_geometry(known_path).value, known_path)
+    stored = read_back(load_geometry(known_path).value, known_path)
     loaded = read_views(Path(views))
     with ProgressBar(Console(stderr=True), "reading the views") as bar:
-        checked = job.check(loaded, known, _board(start), drift.moved, limits.range_m, bar.show)
+        checked = job.check(loaded, stored, _board(start), drift.moved, limits.range_m, bar.show)
     allowed = job.DriftLimits(limits.max_rms_px, drift.max_drift_px, drift.alarm)
     deliver(drift_as_json(checked, allowed), json_path, lambda: print_check(checked, allowed, Console()))
     return _FAILED if checked.refusal(allowed)[0] else _PASSED
@@ -414,10 +414,10 @@ def _board(start: InitialGuessOptions) -> Board | None:
 def _board_problems(board: str | None, square_mm: OptionalPositive) -> list[Problem]:
     if board is None:
         return [Problem("--square-mm", "", "goes with --board only")] if square_mm is not None else []
-    found = re.fullmatch(r"(\d{1,2})x(\d{1,2})", board)
-    if found is None:
+    match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", board)
+    if match is None:
         return [Problem("--board", "", f"{board}: must be COLUMNSxROWS of inner corners, as 11x8")]
-    columns, rows = (int(number) for number in found.groups())
+    columns, rows = (int(number) for number in match.groups())
     if columns == rows or min(columns, rows) < 3:
         text = "columns and rows must be at least 3 and differ, or the orientation of the board is ambiguous"
         return [Problem("--board", "", f"{board}: {text}")]

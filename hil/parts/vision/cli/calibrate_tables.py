@@ -50,10 +50,10 @@ def print_outcome(outcome: CalibrationOutcome, console: Console) -> None:
     ranges = _table("Position of a point measured by both cameras, 1 sigma, mm", "range m", "noise: across", "depth")
     ranges.add_column("calibration: across", justify="right")
     ranges.add_column("depth", justify="right")
-    for found in outcome.at_ranges:
-        noise = (f"{found.noise_across_mm:.3f}", f"{found.noise_depth_mm:.3f}")
+    for error in outcome.at_ranges:
+        noise = (f"{error.noise_across_mm:.3f}", f"{error.noise_depth_mm:.3f}")
         ranges.add_row(
-            f"{found.range_m:g}", *noise, f"{found.calibration_across_mm:.3f}", f"{found.calibration_depth_mm:.3f}"
+            f"{error.range_m:g}", *noise, f"{error.calibration_across_mm:.3f}", f"{error.calibration_depth_mm:.3f}"
         )
     console.print(ranges)
 
@@ -102,8 +102,8 @@ def print_camera(fit: CameraFit, scene: Scene, console: Console) -> None:
     """Print the calibration of a television camera."""
     table = _table(f"Camera of scene {scene.name}", "number", "value", "sigma", "scene", "unit")
     values = (*fit.focal_px, *fit.centre_px)
-    before = (scene.camera.f, scene.camera.f, scene.camera.cx, scene.camera.cy)
-    for name, value, sigma, given in zip(("fx", "fy", "cx", "cy"), values, fit.sigma_px, before, strict=True):
+    nominal = (scene.camera.f, scene.camera.f, scene.camera.cx, scene.camera.cy)
+    for name, value, sigma, given in zip(("fx", "fy", "cx", "cy"), values, fit.sigma_px, nominal, strict=True):
         table.add_row(name, *_shown(float(value), float(sigma)), f"{given:g}", "px")
     console.print(table)
     left_out = f", left out: {', '.join(fit.left_out)}" if fit.left_out else ""
@@ -117,28 +117,28 @@ def print_camera(fit: CameraFit, scene: Scene, console: Console) -> None:
 
 def print_check(checked: DriftCheck, limits: DriftLimits, console: Console) -> None:
     """Print a drift check."""
-    found, known = checked.drift, checked.known
+    drift, stored = checked.drift, checked.stored
 
     show = partial(say, console=console)
     table = _table(
-        f"Against {known.label.id} of {known.label.date}", "part", "chi-square", "numbers", "chance", "shift px"
+        f"Against {stored.label.id} of {stored.label.date}", "part", "chi-square", "numbers", "chance", "shift px"
     )
-    for e in found.explanations:
+    for e in drift.explanations:
         table.add_row(e.part, f"{e.square:.1f}", str(e.freedom), f"{e.chance:.1e}", f"{e.shift_px:.3f}")
     console.print(table)
     show(
-        f"{found.views} views, {found.points} points: residuals {found.rms_px:.3f} px RMS,"
-        f" noise {found.noise:.2f} times that of the calibration"
+        f"{drift.views} views, {drift.points} points: residuals {drift.rms_px:.3f} px RMS,"
+        f" noise {drift.noise:.2f} times that of the calibration"
     )
     if checked.lost:
         show(f"not used  {', '.join(checked.lost)}: the target is not visible or not at its expected position")
-    best = found.explanations[0]
-    significant = found.chance < limits.alarm
+    best = drift.explanations[0]
+    significant = drift.chance < limits.alarm
     if significant:
         show(
-            f"drift     {' or '.join(found.alike)} moved (by chance: {found.chance:.1e}, alarm below {limits.alarm:g})"
+            f"drift     {' or '.join(drift.alike)} moved (by chance: {drift.chance:.1e}, alarm below {limits.alarm:g})"
         )
-        told = parameters(len(known.setup.points) if len(best.change) > COMMON else 0)
+        told = parameters(len(stored.setup.points) if len(best.change) > COMMON else 0)
         moved = sorted(
             (
                 (abs(c / s), p, c * p.shown, s * p.shown)
@@ -155,6 +155,6 @@ def print_check(checked: DriftCheck, limits: DriftLimits, console: Console) -> N
             f" {checked.depth_mm:.3f} mm in depth"
         )
     else:
-        show(f"no drift  (by chance: {found.chance:.2f}, alarm below {limits.alarm:g})")
-    show(f"{'ok  ' if found.rms_px <= limits.rms_px else 'FAIL'}      residuals, allowed {limits.rms_px:g} px")
-    show(f"{'[bold red]FAIL[/]' if checked.refusal(limits)[0] else '[bold green]PASS[/]'} {known.label.id}")
+        show(f"no drift  (by chance: {drift.chance:.2f}, alarm below {limits.alarm:g})")
+    show(f"{'ok  ' if drift.rms_px <= limits.rms_px else 'FAIL'}      residuals, allowed {limits.rms_px:g} px")
+    show(f"{'[bold red]FAIL[/]' if checked.refusal(limits)[0] else '[bold green]PASS[/]'} {stored.label.id}")

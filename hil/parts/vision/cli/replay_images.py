@@ -26,14 +26,14 @@ def replay_images(
 ) -> int:
     """Replay the images of a recording; return the exit code. Raises BadInput if it has none."""
     recorded = load(Path(recording))
-    found: dict[str, tuple[ImagesReplayed, bool]] = {}
+    replays: dict[str, tuple[ImagesReplayed, bool]] = {}
     with Console(stderr=True).status("replaying the images"):
         if vmu:
-            found["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
+            replays["vmu"] = (replay_vision_unit(recorded, _geometry(recorded, geometry)), geometry is not None)
         if monitor:
-            found["monitor"] = (replay_monitor(recorded, _scene(recorded, scene)), scene is not None)
-    deliver(_as_json(recorded, found), json_path, lambda: _print(recorded, found))
-    same = all(replayed.identical or changed for replayed, changed in found.values())
+            replays["monitor"] = (replay_monitor(recorded, _scene(recorded, scene)), scene is not None)
+    deliver(_as_json(recorded, replays), json_path, lambda: _print(recorded, replays))
+    same = all(replayed.identical or changed for replayed, changed in replays.values())
     return _SAME if same else _DIFFERS
 
 
@@ -53,7 +53,7 @@ def _scene(recorded: Recorded, name: str | None) -> Scene:
     return load_scene(name).value if name is not None else recorded.calibration(SCENE_FILE, Scene)
 
 
-def _as_json(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) -> dict[str, Any]:
+def _as_json(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]) -> dict[str, Any]:
     return {
         "recording": str(recorded.path),
         "run": recorded.run["run"],
@@ -67,21 +67,21 @@ def _as_json(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) 
                 "missing": replayed.missing,
                 "new": replayed.new,
                 "statuses": [
-                    {"recorded": before, "replayed": now, "count": count}
-                    for (before, now), count in sorted(replayed.statuses.items())
+                    {"recorded": original, "replayed": now, "count": count}
+                    for (original, now), count in sorted(replayed.statuses.items())
                 ],
                 "differences": [difference.as_json() for difference in replayed.differences],
                 "remarks": replayed.remarks,
             }
-            for name, (replayed, changed) in found.items()
+            for name, (replayed, changed) in replays.items()
         },
     }
 
 
-def _print(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) -> None:
+def _print(recorded: Recorded, replays: dict[str, tuple[ImagesReplayed, bool]]) -> None:
     if not recorded.intact:
         say(f"{recorded.path} is truncated or damaged: its intact part is replayed")
-    for name, (replayed, _) in found.items():
+    for name, (replayed, _) in replays.items():
         what = "poses" if name == "vmu" else "portions"
         of = f"{replayed.of}, {replayed.images} exposures, {replayed.compared} {what}"
         for remark in replayed.remarks:
@@ -100,7 +100,7 @@ def _print(recorded: Recorded, found: dict[str, tuple[ImagesReplayed, bool]]) ->
 
 
 def _print_tables(replayed: ImagesReplayed, what: str) -> None:
-    rows = [(before, now, str(count)) for (before, now), count in sorted(replayed.statuses.items())]
+    rows = [(original, now, str(count)) for (original, now), count in sorted(replayed.statuses.items())]
     print_columns(("status, recorded", "now", "exposures"), rows, left=(0, 1))
     if replayed.differences:
         head = ("differs", "unit", what, "from, s", "at most by", "sigmas", "at, s")

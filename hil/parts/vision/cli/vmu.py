@@ -284,11 +284,11 @@ def summarise(solutions: Sequence[Solution], folder: str) -> dict[str, Any]:
 def _check_size(images: ImageFolder, geometry: VmuGeometry, path: str) -> None:
     """Raise BadInput if the first readable images all have another size than the geometry's."""
     for pair in images:
-        found = [(i, c) for i, c in ((pair.left, geometry.left), (pair.right, geometry.right)) if i is not None]
-        if not found:
+        pairs = [(i, c) for i, c in ((pair.left, geometry.left), (pair.right, geometry.right)) if i is not None]
+        if not pairs:
             continue
-        if all(image.shape != (camera.height, camera.width) for image, camera in found):
-            image, camera = found[0]
+        if all(image.shape != (camera.height, camera.width) for image, camera in pairs):
+            image, camera = pairs[0]
             text = f"{camera.width} x {camera.height}, but frame {pair.frame} is {image.shape[1]} x {image.shape[0]}"
             raise BadInput.single(path, "width, height", text)
         return

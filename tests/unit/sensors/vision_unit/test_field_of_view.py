@@ -59,7 +59,7 @@ def test_rotated_camera_loses_the_ring(mock_rig: Rig) -> None:
     assert margin(mock_rig, (1.0, 0.0, 2.0)) < 0.0
 
 
-def test_margins_of_a_bench_use_its_stations(mock_rig: Rig) -> None:
+def test_margins_of_a_bench_use_its_mounting(mock_rig: Rig) -> None:
     # at the ready point the camera, 0.6 m behind the reference point, is 1.0 m from the ring
     camera, leds = vmu_params.camera(mock_rig)
     bench, out = bench_params.bench(mock_rig, 0.02), np.empty(2)

@@ -49,7 +49,7 @@ def true_pose(at: np.ndarray = AT) -> tuple[np.ndarray, np.ndarray]:
     return t_v, quat.to_matrix(q_vt)
 
 
-def test_bias_scale_and_misalignment_distort_the_pose_as_their_keys_say() -> None:
+def test_bias_scale_and_misalignment_distort_the_pose_as_configured() -> None:
     (frame,) = frames(
         "vmu.errors.bias_m=[0.01, -0.02, 0.03]",
         "vmu.errors.scale_error=0.02",
@@ -74,7 +74,7 @@ def test_correlated_noise_keeps_its_variance_and_decays_with_its_time(fraction: 
         assert found == pytest.approx(fraction * math.exp(-lag / RATE_HZ / 1.6), abs=0.04)
 
 
-def test_outliers_and_misidentified_rings_have_their_share_of_the_poses() -> None:
+def test_outliers_and_misidentified_rings_have_their_fraction_of_the_poses() -> None:
     n = 4000
     settings = (
         "vmu.errors.outlier_probability=0.1",
