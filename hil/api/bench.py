@@ -21,6 +21,7 @@ from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.alarms import Alarm
 from hil.core.fields import record_dtype
 from hil.core.manipulator_records import GIMBALS_FIELDS
 from hil.core.messages import new
@@ -31,7 +32,6 @@ from hil.gnc_backends.python_backend import PythonGnc
 from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Outcome, Runner
 from hil.report.requirements_page import EvidenceRow
-from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 

@@ -35,7 +35,7 @@ from hil.loop.runner import STOPPED_BY_OPERATOR, Outcome, Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.report.long_run import accumulate
 from hil.report.summary import summarise
-from hil.report.verdict import Verdict
+from hil.report.tally import Tallied
 from hil.session import build
 from hil.session.warm_up import Compilation
 from hil.setup.assembly import Job
@@ -206,7 +206,7 @@ def judged_run(
     rig: str,
     outcome: Outcome,
     results: Sequence[PartResult] = (),
-    numbers: tuple[dict[str, Any], Verdict] | None = None,
+    numbers: Tallied | None = None,
 ) -> Run:
     """Return the results of ``outcome``. results: of parts. numbers: of a long run."""
     scenario = job.scenario.value

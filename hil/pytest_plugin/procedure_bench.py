@@ -7,9 +7,9 @@ from typing import Any
 
 from hil.api.bench import Bench, Until
 from hil.api.results import Run
+from hil.core.alarms import HIGH, Alarm
 from hil.core.modes import Mode
 from hil.errors import BenchError
-from hil.safety.alarms import HIGH, Alarm
 
 
 def latest_trip(alarms: Sequence[Alarm]) -> Alarm | None:

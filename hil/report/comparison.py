@@ -11,7 +11,8 @@ import numpy as np
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.params.ready import tolerances
-from hil.report.verdict import deviations, not_required_text
+from hil.report.results import RunResults
+from hil.report.verdict import deviations
 
 LEFT_SIGMAS: Final = 3.0
 _LEFT_FOR_S: Final = 1.0  # shorter excursions are noise
@@ -111,47 +112,12 @@ def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:
     return None
 
 
-def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def key_numbers(results: RunResults) -> list[tuple[str, str]]:
     """Return the numbers that are compared across runs: label and text."""
-    navigation, thrusters, timing = summary["navigation"], summary["thrusters"], summary["timing"]
-    bench, latency = summary["bench"], summary["latency"]
-    return [
-        ("verdict", f"pass {not_required_text(summary)}".rstrip() if summary["accepted"] else "fail"),
-        ("stop", str(summary["stop"])),
-        ("ready, s", _text(summary["ready_time_s"], ".2f")),
-        ("least margin to Table III", _percent(summary["verdict"]["control_precision"]["margin"])),
-        ("position rmse x y z, mm", _three(navigation["position_rmse_m"], 1e3)),
-        ("velocity rmse x y z, mm/s", _three(navigation["velocity_rmse_mps"], 1e3)),
-        ("attitude rmse x y z, deg", _three(navigation["attitude_rmse_deg"], 1.0)),
-        ("mean NEES position, 9 states", _text(navigation["nees_pkf"], ".2f")),
-        ("mean NEES attitude, 6 states", _text(navigation["nees_akf"], ".2f")),
-        ("propellant, kg", _text(thrusters["propellant_kg"], ".4f")),
-        ("firings", str(sum(thrusters["thruster_firings"]))),
-        ("camera error, rms mm", _text(bench["pose_error_mm"]["rms"], ".3f")),
-        ("camera error by true axes, rms mm", _text((bench.get("true_pose_error_mm") or {}).get("rms"), ".3f")),
-        ("pose to command p50 p99, ms", _times(latency["pose_to_command_ms"])),
-        ("setpoint to encoder p50 p99, ms", _times(latency["setpoint_to_encoder_ms"])),
-        ("overruns, periods lost", f"{timing['overruns']}, {timing['skipped_periods']}"),
-        ("lateness p50 p99 max, us", " ".join(_text(timing["lateness_us"][p], ".0f") for p in ("p50", "p99", "max"))),
-    ]
+    verdict = f"pass {results.not_required_text()}".rstrip() if results.accepted else "fail"
+    return [("verdict", verdict), *results.key_numbers()]
 
 
 def same_flight(runs: Sequence[dict[str, str]]) -> bool:
     """Return whether all metadata in ``runs`` have the same scenario and step."""
     return len({(run["scenario"], run["step_s"]) for run in runs}) == 1
-
-
-def _text(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100.0 * value:.0f} %"
-
-
-def _three(values: list[float] | None, scale: float) -> str:
-    return "-" if values is None else " ".join(f"{scale * value:.4g}" for value in values)
-
-
-def _times(times: dict[str, float | None]) -> str:
-    return f"{_text(times['p50'], '.2f')} {_text(times['p99'], '.2f')}"

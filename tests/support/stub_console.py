@@ -13,7 +13,6 @@ import numpy as np
 import uvicorn
 
 from hil.console.app import make_app
-from hil.console.remote_operator import CONFIRMATIONS
 from hil.console.service import ConsoleService
 from hil.console.session import Choice
 from hil.console.session_state import SessionState, bench_description
@@ -22,7 +21,7 @@ from hil.console.strangers import Access
 from hil.console.tuner import Tuner
 from hil.core.messages import CYCLE, Homing
 from hil.core.modes import Mode
-from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_commands import OperatorCommand
 
 FAULTS = {"rails": {"kinds": {"stuck": {"of_axis": True, "value": "s", "default": 1.0}}, "axes": ["x", "y", "z"]}}
 OPEN = Access()
@@ -56,10 +55,10 @@ class StubSession:
         if word is None:
             return {"text": ""}
         command = OperatorCommand(word)
-        if self.mode not in ALLOWED_IN[command]:
+        if self.mode not in command.modes:
             return {"text": f"bench: cannot {word} in {self.mode.value}"}
-        if command in CONFIRMATIONS and not message.get("confirmed"):
-            return {"text": "", "ask": CONFIRMATIONS[command], "mode": self.mode.value}
+        if command.question and not message.get("confirmed"):
+            return {"text": "", "ask": command.question, "mode": self.mode.value}
         self.orders.append(word)
         return {"text": ""}
 

@@ -11,7 +11,6 @@ import pytest
 from hil.config.load import load_scene
 from hil.console.live_view import Client
 from hil.console.message import ImageMessage, pack, unpack
-from hil.console.remote_operator import CONFIRMATIONS
 from hil.console.service import ConsoleService
 from hil.console.session import Choice, SignedBy
 from hil.console.session_state import SessionState
@@ -122,7 +121,7 @@ def test_region_of_search_is_checked_sent_and_shown_to_all_pages(service: Consol
 
 
 def test_every_command_that_moves_the_bench_requires_confirmation_and_none_that_stops_it() -> None:
-    assert set(OperatorCommand) - set(CONFIRMATIONS) == {
+    assert {order for order in OperatorCommand if not order.question} == {
         OperatorCommand.HOLD,
         OperatorCommand.STOP,
         OperatorCommand.DISARM,

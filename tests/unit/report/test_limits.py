@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
+from hil.core.alarm_table import alarm_of_json
+from hil.core.alarms import Alarm
 from hil.report.limits import sentence, shown, stop_of_alarm, unit_of
 from hil.report.summary import summarise
-from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.setup.assembly import Job
 from tests.support.run_settings import make_job
@@ -63,7 +64,7 @@ def test_least_value_is_required_and_a_largest_one_allowed() -> None:
     ],
 )
 def test_value_of_a_stop_has_its_unit(device: str, quantity: str, value: str, unit: str) -> None:
-    stop = stop_of_alarm(Alarm(1.0, device, quantity, value, value), "", 1.0)
+    stop = stop_of_alarm(alarm_of_json(Alarm(1.0, device, quantity, value, value).as_json()), "", 1.0)
     assert unit_of(stop.name) == unit
     number, _, given = value.partition(" ")
     assert stop.value is not None

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
 import pytest
 
 from hil.config.load import load_scenario
-from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
-from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog, alarm_from_error
+from hil.core import alarm_table as table
+from hil.core.alarm_table import alarm_from_error, alarm_of_json
+from hil.core.alarms import LOW, MEDIUM, Alarm
+from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.safety.alarms import AlarmLog
 from hil.safety.condition_alarms import Disagreement, HealthAlarms
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
-FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
+NEW_KEYS = ("code", "measured", "allowed", "unit")
+FOLLOWING = table.FOLLOWING_ERROR.alarm(1.5, "rails.x", 0.0612, 0.05)
 
 
 def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
@@ -21,9 +27,49 @@ def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
 
 
 @pytest.mark.parametrize(
+    ("alarm", "text", "numbers"),
+    [
+        (FOLLOWING, "following error 0.0612 m, allowed 0.05 m", ("following_error", 0.0612, 0.05, "m")),
+        (
+            table.SPEED.alarm(0.0, "yaw", math.radians(3.0), math.radians(1.0), rotates=True),
+            "speed 3.00 deg/s reported, allowed 1.00 deg/s by its position",
+            ("speed", math.radians(3.0), math.radians(1.0), "rad/s"),
+        ),
+        (
+            table.POSITION.alarm(0.0, "x", -1.25, (-1.2, 1.2)),
+            "position -1.2500 m, allowed -1.2 m to 1.2 m",
+            ("position", -1.25, -1.2, "m"),
+        ),
+        (
+            table.INTERLOCK.alarm(0.0, "io", "open", "closed", "door"),
+            "interlock door open, allowed closed",
+            ("interlock", None, None, ""),
+        ),
+        (table.RATE.alarm(0.0, "x", "nan", "a finite number"), "rate nan, allowed a finite number",
+         ("rate", None, None, "")),
+    ],
+    ids=lambda each: each.code if isinstance(each, Alarm) else None,
+)  # fmt: skip
+def test_alarm_has_its_numbers_in_si_and_their_text(alarm: Alarm, text: str, numbers: tuple[object, ...]) -> None:
+    assert alarm.text == f"{alarm.device}: {text}"
+    assert (alarm.code, alarm.measured, alarm.allowed, alarm.unit) == numbers
+
+
+def test_alarm_of_an_earlier_version_is_read_with_its_numbers() -> None:
+    for alarm in (FOLLOWING, table.SPEED.alarm(0.0, "yaw", 0.5, 0.25, rotates=True),
+                  table.ATTITUDE_AGAINST_ENCODERS.alarm(0.0, "vmu", 0.02, 0.01, "x"),
+                  table.MEAN_NIS.alarm(0.0, "navigation", 9.0, (2.0, 4.0), "pkf", 64)):  # fmt: skip
+        entry = {key: value for key, value in alarm.as_json().items() if key not in NEW_KEYS}
+        read = alarm_of_json(entry)
+        assert (read.code, read.unit, read.text) == (alarm.code, alarm.unit, alarm.text)
+        assert read.measured == pytest.approx(alarm.measured, rel=1e-2)
+        assert alarm_of_json(alarm.as_json()) == alarm
+
+
+@pytest.mark.parametrize(
     ("error", "quantity"),
     [
-        (SafetyTrip("rails.x", "following error", "0.0612 m", "0.05 m"), "following error"),
+        (FOLLOWING.trip(), "following error"),
         (LinkLost("rails.x", "connection closed"), "link"),
         (LinkTimeout("rails.x", "no answer for 0.5 s, allowed 0.4 s"), "timeout"),
         (ProtocolError("rails.x", "CRC 0x1a2b, expected 0x1a2c"), "protocol"),
@@ -43,8 +89,8 @@ def test_every_device_error_becomes_an_alarm_with_its_own_text(error: BenchError
 def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
     book = AlarmLog()
     first = book.latch(FOLLOWING)
-    assert book.latch(Alarm(9.0, "rails.x", "following error", "1 m", "0.05 m")) == first  # does not bury the first
-    book.latch(Alarm(2.0, "rails.y", "following error", "1 m", "0.05 m"))
+    assert book.latch(replace(FOLLOWING, t_s=9.0, value="1 m")) == first  # does not bury the first
+    book.latch(replace(FOLLOWING, device="rails.y"))
     assert [alarm.device for alarm in book.latched()] == ["rails.x", "rails.y"]
     assert book.acknowledge() == 2
     assert book.acknowledge() == 0
@@ -57,7 +103,7 @@ def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
     assert len(book.latched()) == 1
 
 
-DISAGREES = Alarm(3.0, "monitor", "pose", "off by 0.12 m", "0.03 m", priority=MEDIUM)
+DISAGREES = table.NAVIGATION_POSE.alarm(3.0, "monitor", 0.12, 0.03)
 
 
 def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> None:
@@ -66,7 +112,7 @@ def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> No
     book.raise_condition(DISAGREES)
     (alarm,) = book.latched()
     assert (alarm.number, alarm.active, alarm.acknowledged) == (1, True, False)
-    book.return_to_normal("monitor", "pose")
+    book.return_to_normal("monitor", DISAGREES.quantity)
     (alarm,) = book.latched()
     assert not alarm.active  # normal again, and not read yet
     book.raise_condition(DISAGREES)
@@ -74,7 +120,7 @@ def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> No
     assert book.latched()[0].active
     book.acknowledge(by="ann")
     assert book.latched()[0].acknowledged_by == "ann"  # it lasts
-    book.return_to_normal("monitor", "pose")
+    book.return_to_normal("monitor", DISAGREES.quantity)
     assert not book.latched()
     book.raise_condition(DISAGREES)
     assert [alarm.number for alarm in book.all()] == [1, 2]
