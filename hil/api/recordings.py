@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
@@ -15,7 +15,6 @@ from hil.api.runs import raise_user_error
 from hil.config.gnc_override import with_other_gnc
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
-from hil.core.alarm_table import alarm_of_json
 from hil.core.alarms import Alarm
 from hil.core.messages import Event, new
 from hil.errors import BadInput
@@ -30,6 +29,8 @@ from hil.recording.replay import Difference, Replayed, replay
 from hil.report.summary import summary_of
 from hil.report.verdict_parts import navigation_numbers
 from hil.setup.assembly import make_backend
+
+_ALARM_FIELDS = {field.name for field in fields(Alarm)}
 
 
 def open_recording(path: str | Path) -> Recording:
@@ -196,5 +197,5 @@ def _replayed(
 def _alarms(recorded: Recorded) -> list[Alarm]:
     """Return the alarms of the summary; of a run that broke off, those of the log, as far as it has them."""
     if recorded.summary is not None:
-        return [alarm_of_json(entry) for entry in recorded.summary.get("alarms", ())]
+        return [Alarm(**{k: v for k, v in a.items() if k in _ALARM_FIELDS}) for a in recorded.summary.get("alarms", ())]
     return [Alarm(n["bench_s"], n["name"], "", "", "", n["message"]) for n in recorded.log if n["kind"] == "alarm"]

@@ -63,27 +63,28 @@ def slug(text: str) -> str:
 
 @dataclass(frozen=True)
 class AlarmKind:
-    """A kind of alarm.
+    """A kind of alarm; its code is its name in JSON and columns.
 
-    quantity: what is monitored, {} for a part that varies. code: name in JSON and columns. device: which raises it.
-    allowed: limit, key of the rig file, modes. hazard: row of docs/hazards.toml. unit: of the numbers, SI; m and m/s
-    are rad and rad/s of an axis that rotates. digits: of the value, without and with rotation; limit_digits: of the
-    limit; both as few as possible unless set. value, limit: texts around the numbers. by_guard: raised by the bench
-    guard.
+    quantity: what is monitored, {} for a part that varies. device: which raises it. hazard: row of docs/hazards.toml.
+    unit: of the numbers, SI; m and m/s are rad and rad/s of an axis that rotates. value, limit: texts around them.
+    digits, limit_digits: theirs, without and with rotation, as few as possible unless set. by_guard: raised by the
+    bench guard.
     """
 
     quantity: str
     device: str
-    allowed: str
     hazard: str
     unit: str = ""
-    digits: Digits | None = None
-    limit_digits: Digits | None = None
     value: str = "{}"
     limit: str = "{}"
+    digits: Digits | None = None
+    limit_digits: Digits | None = None
     priority: str = HIGH
     code: str = ""
     by_guard: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "code", self.code or slug(self.quantity.replace("{}", "").strip().replace("'", "")))
 
     def unit_of(self, rotates: bool) -> str:
         """Return the unit, that of an axis if it ``rotates``."""
@@ -106,41 +107,31 @@ class AlarmKind:
         rotates. unit: instead of that of the kind. notes: texts after value and limit.
         """
         unit = self.unit_of(rotates) if unit is None else unit
-        number = None if isinstance(value, str) else _finite(value)
-        bound: float | None = None
-        if isinstance(limit, tuple):
-            bound = _finite(limit[0] if number is not None and number < limit[0] else limit[1])
-            limit_text = " to ".join(_shown(each, unit, self.limit_digits) for each in limit)
-        else:
-            bound = None if isinstance(limit, str) else _finite(limit)
-            limit_text = limit if isinstance(limit, str) else self.limit.format(_shown(limit, unit, self.limit_digits))
-        value_text = value if isinstance(value, str) else self.value.format(_shown(value, unit, self.digits))
-        return Alarm(
-            t_s,
-            device,
-            self.quantity.format(*parts),
-            value_text + notes[0],
-            limit_text + notes[1],
-            priority=self.priority,
-            code=self.code,
-            measured=number,
-            allowed=bound,
-            unit="" if number is None and bound is None else unit,
+        bounds = limit if isinstance(limit, tuple) else (limit,)
+        measured, low, high = map(_finite, (value, bounds[0], bounds[-1]))
+        allowed = low if low is not None and measured is not None and measured < low else high
+        texts = (
+            _shown(value, unit, self.digits, self.value) + notes[0],
+            " to ".join(_shown(bound, unit, self.limit_digits, self.limit) for bound in bounds) + notes[1],
         )
+        unit = "" if measured is None and allowed is None else unit
+        numbers: dict[str, Any] = {"code": self.code, "measured": measured, "allowed": allowed, "unit": unit}
+        return Alarm(t_s, device, self.quantity.format(*parts), *texts, priority=self.priority, **numbers)
 
-    def trip(
-        self, device: str, value: float | str, limit: float | str | tuple[float, float], *parts: object, **more: Any
-    ) -> SafetyTrip:
+    def trip(self, device: str, value: float | str, limit: float | str, *parts: object, **more: Any) -> SafetyTrip:
         """Return the error that ends a run by such an alarm. Arguments of ``alarm``."""
         return self.alarm(0.0, device, value, limit, *parts, **more).trip()
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _finite(value: float | str) -> float | None:
+    return None if isinstance(value, str) or not math.isfinite(value) else float(value)
 
 
-def _shown(value: float, unit: str, digits: Digits | None) -> str:
-    """Return ``value`` with its unit, an angle in degrees."""
-    is_angle = unit.startswith("rad")
-    value, unit = (math.degrees(value), unit.replace("rad", "deg")) if is_angle else (value, unit)
-    return f"{value:g} {unit}".rstrip() if digits is None else f"{value:.{digits[is_angle]}f} {unit}".rstrip()
+def _shown(value: float | str, unit: str, digits: Digits | None, text: str) -> str:
+    """Return ``value`` with its unit in ``text``, an angle in degrees."""
+    if isinstance(value, str):
+        return value
+    if is_angle := unit.startswith("rad"):
+        value, unit = math.degrees(value), unit.replace("rad", "deg")
+    form = "g" if digits is None else f".{digits[is_angle]}f"
+    return text.format(f"{value:{form}} {unit}".rstrip())

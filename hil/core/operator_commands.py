@@ -38,17 +38,16 @@ class OperatorCommand(Enum):
 
     def __new__(
         cls,
-        value: str,
+        name: str,
         modes: Collection[Mode] = (),
         button: str = "",
         key: str = "",
-        question: str = "",
+        ask: str = "",
         moves: bool = False,
     ) -> Self:
         command = object.__new__(cls)
-        command._value_ = value
-        command.modes, command.button, command.key = frozenset(modes), button, key
-        command.question, command.moves = question, moves
+        command._value_ = name
+        vars(command).update(modes=frozenset(modes), button=button, key=key, question=ask, moves=moves)
         return command
 
     # fmt: off

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -57,10 +57,14 @@ def divergences(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDiv
         apart = np.abs(getattr(of_a, row) - getattr(of_b, row))
         spread = np.hypot(*(_spread(of_sigma * rows["navigation"][sigma], row, scenario) for rows in (a, b)))
         for i, axis in enumerate("xyz"):
-            content = _divergence(
-                f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s
-            )
-            found.append(RunDivergence(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
+            worst = int(np.argmax(apart[:, i]))
+            largest, at_s = float(apart[worst, i]), float(a["t_s"][worst])
+            found.append(
+                RunDivergence(
+                    f"{name} {axis}", unit, scale * largest, at_s, of_tolerance=float(largest / allowed[row][i]),
+                    **_in_sigmas(apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s),
+                )
+            )  # fmt: skip
     return found
 
 
@@ -78,29 +82,15 @@ def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
     return spread
 
 
-def _divergence(
-    name: str, unit: str, scale: float, apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float
-) -> dict[str, Any]:
-    worst = int(np.argmax(apart))
+def _in_sigmas(apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float) -> dict[str, float | None]:
+    """Return ``sigmas``, ``beyond`` and ``left_s`` of RunDivergence."""
     usable = known & np.isfinite(spread) & (spread > 0.0)
-    content: dict[str, Any] = {
-        "name": name,
-        "unit": unit,
-        "largest": scale * float(apart[worst]),
-        "at_s": float(t_s[worst]),
-        "sigmas": None,
-        "beyond": None,
-        "left_s": None,
-    }
     if not usable.any():
-        return content
+        return dict.fromkeys(("sigmas", "beyond", "left_s"))
     ratio = np.where(usable, apart / np.where(usable, spread, 1.0), 0.0)
     out = ratio > LEFT_SIGMAS
-    return content | {
-        "sigmas": float(ratio.max()),
-        "beyond": float(out[usable].mean()),
-        "left_s": _first_stretch(out, t_s, max(1, round(_LEFT_FOR_S / step_s))),
-    }
+    left_s = _first_stretch(out, t_s, max(1, round(_LEFT_FOR_S / step_s)))
+    return {"sigmas": float(ratio.max()), "beyond": float(out[usable].mean()), "left_s": left_s}
 
 
 def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:

@@ -416,5 +416,5 @@ def stop_of_alarm(alarm: Alarm | None, stop: str, t_s: float) -> Stop:
     """Return the limit of the alarm that ended a run; without one that of its text ``stop``."""
     if alarm is None:
         return Stop(slug(stop.split(":")[0].strip()).replace(".", "_") or "stop", t_s)
-    quantity = alarm.code if "," in alarm.quantity else slug(alarm.quantity)
+    quantity = alarm.code if "," in alarm.quantity and alarm.code else slug(alarm.quantity.split(",")[0])
     return Stop(f"{quantity}_of_{alarm.device.split('.')[-1]}", t_s, alarm.measured, alarm.allowed)

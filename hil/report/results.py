@@ -5,9 +5,10 @@ A row is a field here, set where its number is computed; with a label it is amon
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Final, Self, dataclass_transform
+from dataclasses import Field, asdict, dataclass, field, fields
+from typing import Any, ClassVar, Self, dataclass_transform
 
 from hil.config.tables.required_parts import PART_COLUMNS
 
@@ -15,12 +16,9 @@ Vector = list[float]
 Text = Callable[[Any], str]
 
 
-def row(meaning: str, label: str = "", text: Text = str, of: type[Results] | None = None, many: bool = False) -> Any:
-    """Return a field of results, None unless set.
-
-    label, text: of a key number, and the function that shows it. of: table of the content, of each entry if ``many``.
-    """
-    return field(default=None, metadata={"meaning": meaning, "label": label, "text": text, "of": of, "many": many})
+def row(meaning: str = "", label: str = "", text: Text = str) -> Any:
+    """Return a field of results, None unless set. label, text: of a key number, and the function that shows it."""
+    return field(default=None, metadata={"meaning": meaning, "label": label, "text": text})
 
 
 def number(form: str, scale: float = 1.0, unit: str = "") -> Text:
@@ -42,19 +40,25 @@ def parts(form: str, *names: str) -> Text:
 class Results:
     """A table of results: its subclasses are dataclasses of rows. Units are the ends of the names."""
 
+    _tables: ClassVar[dict[str, type[Results]]] = {}
+
     def __init_subclass__(cls) -> None:
-        dataclass(kw_only=True)(cls)
+        Results._tables[cls.__name__] = dataclass(kw_only=True)(cls)
+
+    @classmethod
+    def rows(cls) -> Iterator[tuple[Field[Any], type[Results] | None]]:
+        """Yield each row with the table of its content, None for a value."""
+        for each in fields(cls):  # type: ignore[arg-type]  # a dataclass
+            inner = next(filter(None, map(Results._tables.get, re.findall(r"\w+", str(each.type)))), None)
+            yield each, inner
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Self:
         """Return the results of JSON ``content``; what an earlier version has not written is None."""
         values = {}
-        for each in fields(cls):  # type: ignore[arg-type]  # of a dataclass
-            value, inner = content.get(each.name), each.metadata["of"]
-            if inner is not None and value is not None:
-                many = each.metadata["many"]
-                value = {name: inner.of(entry) for name, entry in value.items()} if many else inner.of(value)
-            values[each.name] = value
+        for each, inner in cls.rows():
+            value = content.get(each.name)
+            values[each.name] = value if inner is None or value is None else inner.of(value)
         return cls(**values)
 
     def as_json(self) -> dict[str, Any]:
@@ -63,12 +67,16 @@ class Results:
 
     def key_numbers(self) -> Iterator[tuple[str, str]]:
         """Yield label and text of each row with a label, those of inner tables in their places."""
-        for each in fields(self):  # type: ignore[arg-type]  # a dataclass
-            value, meta = getattr(self, each.name), each.metadata
-            if meta["label"]:
-                yield meta["label"], "-" if value is None else meta["text"](value)
-            elif meta["of"] is not None and not meta["many"]:
-                yield from (meta["of"]() if value is None else value).key_numbers()
+        for each, inner in self.rows():
+            value, label = getattr(self, each.name), each.metadata["label"]
+            if label:
+                yield label, "-" if value is None else each.metadata["text"](value)
+            if inner is not None:
+                yield from (inner() if value is None else value).key_numbers()
+
+
+_MM, _PERCENT, _TWO = number(".4g", 1e3), number(".0f", 100.0, " %"), number(".2f")
+_RMS, _P50_P99 = parts(".3f", "rms"), parts(".2f", "p50", "p99")
 
 
 class Part(Results):
@@ -83,11 +91,7 @@ class ControlPrecision(Part):
     ready_time_s: float | None = row("begin of the ready phase")
     ready_duration_s: float = row("until the end of the run, or its abort")
     required_ready_s: float = row("least duration")
-    margin: float | None = row(
-        "least of 1 - deviation / tolerance; null if never ready",
-        "least margin to Table III",
-        number(".0f", 100.0, " %"),
-    )
+    margin: float | None = row("least of 1 - deviation / tolerance", "least margin to Table III", _PERCENT)
 
 
 class Abort(Results):
@@ -111,7 +115,7 @@ class Security(Part):
     closing_margin_mps: float | None = row("least margin to the closing rate")
     closing_margin_at_s: float | None = row("its time")
     nearest_m: float | None = row("least distance from the target")
-    abort: Abort | None = row("course of an abort; null without one", of=Abort)
+    abort: Abort | None = row("course of an abort; null without one")
 
 
 class Energy(Part):
@@ -165,13 +169,10 @@ class Decision(Part):
 class VerdictParts(Results):
     """Parts of the verdict that the rows give."""
 
-    control_precision: ControlPrecision = row("Table III", of=ControlPrecision)
-    security: Security = row("corridor and closing rate", of=Security)
-    energy: Energy = row("propellant", of=Energy)
-    field_of_view: FieldOfView = row("LEDs in the images", of=FieldOfView)
-
-
-_MM: Final = number(".4g", 1e3)
+    control_precision: ControlPrecision = row("Table III")
+    security: Security = row("corridor and closing rate")
+    energy: Energy = row("propellant")
+    field_of_view: FieldOfView = row("LEDs in the images")
 
 
 class Navigation(Results):
@@ -182,12 +183,10 @@ class Navigation(Results):
     attitude_rmse_deg: Vector | None = row("[3], error of the attitude", "attitude rmse x y z, deg", number(".4g"))
     position_sigma_m: Vector | None = row("[3], the filters' own standard deviation")
     attitude_sigma_deg: Vector | None = row("[3], the filters' own standard deviation")
-    position_bound_m: Vector | None = row(
-        "[3], Cramér-Rao bound with these poses and this IMU, whatever GNC is flown; null without poses or IMU"
-    )
+    position_bound_m: Vector | None = row("[3], Cramér-Rao bound with these poses and this IMU, whatever GNC is flown")
     attitude_bound_deg: Vector | None = row("[3], the same of the attitude")
-    nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, 9 states", number(".2f"))
-    nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, 6 states", number(".2f"))
+    nees_pkf: float | None = row("mean NEES; 9 for a consistent filter", "mean NEES position, 9 states", _TWO)
+    nees_akf: float | None = row("mean NEES; 6 for a consistent filter", "mean NEES attitude, 6 states", _TWO)
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Self:
@@ -223,25 +222,14 @@ class Bench(Results):
     rail_error_max_m: Vector | None = row("[3], the largest")
     gimbal_error_rms_deg: Vector | None = row("[3], commanded against measured gimbals")
     gimbal_error_max_deg: Vector | None = row("[3], the largest")
-    pose_error_mm: RmsMax = row(
-        "left camera against the truth, by the encoders", "camera error, rms mm", parts(".3f", "rms"), RmsMax
-    )
-    pose_error_deg: RmsMax = row("the same of its attitude", of=RmsMax)
+    pose_error_mm: RmsMax = row("left camera against the truth, by the encoders", "camera error, rms mm", _RMS)
+    pose_error_deg: RmsMax = row("the same of its attitude")
     share_of_navigation_error: float | None = row("rms of the pose error over that of the navigation error")
     share_of_attitude_error: float | None = row("the same of the attitude")
-    energy: dict[str, float] | None = row(
-        "[work of the thrusters](../../explanation/control.md#margins-of-the-loop): `translation_added_j`, "
-        "`rotation_added_j`: on the truth less that on the bench, above 0 the axes add energy; `translation_work_j`, "
-        "`rotation_work_j`: sum of the magnitudes on the truth"
-    )
+    energy: dict[str, float] | None = row("work of the thrusters on the truth, and what the axes add to it")
     limited_cycles: int = row("cycles with a limited setpoint")
-    true_pose_error_mm: RmsMax | None = row(
-        "left camera by the true positions of emulated axes",
-        "camera error by true axes, rms mm",
-        parts(".3f", "rms"),
-        RmsMax,
-    )
-    true_pose_error_deg: RmsMax | None = row("the same of its attitude", of=RmsMax)
+    true_pose_error_mm: RmsMax | None = row("the same by the true axes", "camera error by true axes, rms mm", _RMS)
+    true_pose_error_deg: RmsMax | None = row("the same of its attitude")
 
 
 class Percentiles(Results):
@@ -252,26 +240,13 @@ class Percentiles(Results):
     max: float | None = row("largest")
 
 
-_P50_P99: Final = parts(".2f", "p50", "p99")
-
-
 class Latency(Results):
     """Latencies."""
 
-    pose_to_command_ms: Percentiles = row(
-        "from the last byte of a pose frame to the command that used it",
-        "pose to command p50 p99, ms", _P50_P99, Percentiles,
-    )  # fmt: skip
-    pose_to_wire_ms: Percentiles = row("to the thruster lines", of=Percentiles)
-    setpoint_to_encoder_ms: Percentiles = row(
-        "from the transmission of a setpoint to the encoder, fitted to each second of motion",
-        "setpoint to encoder p50 p99, ms", _P50_P99, Percentiles,
-    )  # fmt: skip
-    pose_behind_imu_ms: Percentiles = row(
-        "by how much poses lag the exposures that they state, against the IMU, fitted to each 20 s of motion; lag of "
-        "the axes (`lead_s`) and unstated latency",
-        of=Percentiles,
-    )
+    pose_to_command_ms: Percentiles = row("last byte of a pose to its command", "pose to command p50 p99, ms", _P50_P99)
+    pose_to_wire_ms: Percentiles = row("to the thruster lines")
+    setpoint_to_encoder_ms: Percentiles = row("fitted to 1 s of motion", "setpoint to encoder p50 p99, ms", _P50_P99)
+    pose_behind_imu_ms: Percentiles = row("lag of the poses behind their exposures, fitted to 20 s of motion")
 
 
 class Lateness(Percentiles):
@@ -288,7 +263,22 @@ class DeviceTimes(Results):
     max_ms: float | None = row("largest")
     limit_ms: float = row("limit")
     beyond: int = row("number beyond it")
-    exchange_hz: float | None = row("of axes: exchanges per second with the drives; null for devices in memory")
+
+
+class AxisTimes(DeviceTimes):
+    """The same of axes."""
+
+    exchange_hz: float | None = row("exchanges per second with the drives; null for devices in memory")
+
+
+class Devices(Results):
+    """Times of the devices."""
+
+    cycle: DeviceTimes = row("from the start of a cycle to its command")
+    rails: AxisTimes = row("age of the sample used")
+    turntable: AxisTimes = row("age of the sample used")
+    vmu: DeviceTimes = row("from the exposure to the last byte")
+    io: DeviceTimes = row("from a command to its acknowledgement")
 
 
 class Timing(Results):
@@ -297,17 +287,15 @@ class Timing(Results):
     rate_hz: float = row("rate of the cycle")
     axes_rate_hz: float = row("rate of the axes")
     imu_rate_hz: float = row("rate of the IMU")
-    overruns: int = row("[late cycles](../../explanation/processes.md#real-time)", "overruns")
-    skipped_periods: int = row("lost periods", "periods lost")
+    overruns: int = row("[late cycles](../../explanation/processes.md#real-time)")
+    skipped_periods: int = row("lost periods")
     cycles: int = row("executed cycles")
     late_wakeups: int = row("late wake-ups")
-    lateness_us: Lateness = row("", "lateness p50 p99 max, us", parts(".0f", "p50", "p99", "max"), Lateness)
+    lateness_us: Lateness = row(
+        "late wake-ups, null in lock-step", "lateness p50 p99 max, us", parts(".0f", "p50", "p99", "max")
+    )
     lateness_histogram: list[dict[str, float | int | None]] = row("list of `below_us`, `cycles`")
-    devices: dict[str, DeviceTimes] = row(
-        "`cycle` (wake-up to command), `rails` and `turntable` (age of the sample used), `io` (command to "
-        "acknowledgement), `vmu` (exposure to last byte)",
-        of=DeviceTimes, many=True,
-    )  # fmt: skip
+    devices: Devices = row()
     late_cycle: str = row("overrun policy")
     privileges: list[dict[str, Any]] = row("list of `name`, `granted`, `detail`")
 
@@ -324,69 +312,33 @@ class RunResults(Results):
     passed: bool = row("completed, not aborted, and Table III")
     passed_all_parts: bool = row("the same with all parts, required or not")
     stop: str = row('"completed", or the fault', "stop")
-    ready_time_s: float | None = row("first time at which Table III has held for 5 s", "ready, s", number(".2f"))
+    ready_time_s: float | None = row("first time at which Table III has held for 5 s", "ready, s", _TWO)
     held_since_s: float | None = row("start of those 5 s")
-    ready_phase: dict[str, Vector] | None = row(
-        "`position_m`, `velocity_mps`, `attitude_deg`, `rate_degps`: [3], largest absolute deviations of the truth "
-        "from `ready_time_s` on; axial distance counts from the ready point"
-    )
-    verdict: VerdictParts = row("parts of the verdict", of=VerdictParts)
-    integrity: Integrity | None = row("part of the verdict", of=Integrity)
-    decision: Decision | None = row("part of the verdict", of=Decision)
+    ready_phase: dict[str, Vector] | None = row("largest absolute deviations of the truth in it")
+    verdict: VerdictParts = row("parts of the verdict")
+    integrity: Integrity | None = row("part of the verdict")
+    decision: Decision | None = row("part of the verdict")
     docking_go_s: float | None = row("first go by the events of the run")
-    navigation: Navigation = row("", of=Navigation)
-    thrusters: Thrusters = row("", of=Thrusters)
-    control: dict[str, Any] | None = row(
-        "[rule](../../explanation/control.md#the-rule) of the built-in control at the end of the run, else null: "
-        "`shortest_firing_s`; for each of `axes` the `axis`, its `unit` (mm or deg), `smallest_change` of its rate per "
-        "s, `noise` of the switching function, `coast`, `dead_band`, `lead_s`, `period_s`"
-    )
+    navigation: Navigation = row()
+    thrusters: Thrusters = row()
+    control: dict[str, Any] | None = row("[rule](../../explanation/control.md#the-rule) of the built-in control")
     orbit: dict[str, Any] = row("central `body`; `eclipse_s`, time in its shadow")
-    gnc: dict[str, Any] = row(
-        "`library`, `sha256`, `python`, `navigation.backend`, `.sha256`, `control.backend`, `.sha256`: library or FMU, "
-        "class, backends of one's own, with digests"
-    )
-    vision: dict[str, int] = row("[counters of the vision unit](wires.md) and "
-                                 "[its clock](../wire-formats.md#vision-unit)")  # fmt: skip
-    drift_check: dict[str, Any] | None = row(
-        "if the rig requests it (`[vmu.drift_check]`): `passed`, `calibration`, `date`, `limits`, `views`, `lost` "
-        "(views without the target), `points`, `rms_px`, `noise`, `chi_square`, `freedom`, `chance` (probability of "
-        "such a deviation by noise alone), `moved`, `shift_px`, and `shift_across_mm`, `shift_depth_mm` of a point at "
-        "`range_m`, `explanations` per part"
-    )
-    bench: Bench = row("", of=Bench)
-    latency: Latency = row("", of=Latency)
-    timing: Timing = row("", of=Timing)
-    clocks: dict[str, Any] | None = row(
-        "on wires: `ptp` (`begin` and `end`: `state`, `offset_us`, `path_delay_us`, `grandmaster`; `max_offset_us` of "
-        "the rig), `system_step_us`: by how much the system's time moved against bench time"
-    )
-    manipulator: dict[str, Any] | None = row(
-        "`angle_max_deg`, `rate_max_degps`, `following_error_max_deg`: [3], largest of the [rotary "
-        "manipulator](../../explanation/moving-targets.md#rotary-manipulator)"
-    )
+    gnc: dict[str, Any] = row("library, class or backends, with digests")
+    vision: dict[str, int] = row("[counters](wires.md) and [clock](../wire-formats.md#vision-unit) of the vision unit")
+    drift_check: dict[str, Any] | None = row("check of the cameras before the run")
+    bench: Bench = row()
+    latency: Latency = row()
+    timing: Timing = row("", "overruns, periods lost", lambda of: f"{of.overruns}, {of.skipped_periods}")
+    clocks: dict[str, Any] | None = row("PTP and steps of the system's time, on wires")
+    manipulator: dict[str, Any] | None = row("largest angles, rates and errors of the rotary manipulator")
     held_axes: dict[str, Any] | None = row("largest distances of further axes from their places, m or deg, by name")
-    sensors: dict[str, dict[str, Any]] | None = row(
-        "[further sensors](../../explanation/sensors.md) by name: samples `accepted`, `rejected`, `excluded`, "
-        "`too_late`, how often `suspected`, `mean_nis` per component, `refused` by reason"
-    )
-    sign_off: dict[str, Any] | None = row("null unless hardware; `valid`, `gap`, `waived`, `date`, `by`, `key`")
-    waived: list[dict[str, str]] = row(
-        "list of `key`, `value`, `takes_away`: [waived protections](../../explanation/safety.md#what-can-be-waived)"
-    )
+    sensors: dict[str, dict[str, Any]] | None = row("[further sensors](../../explanation/sensors.md) by name")
+    sign_off: dict[str, Any] | None = row("of the commissioning; null unless hardware")
+    waived: list[dict[str, str]] = row("[waived protections](../../explanation/safety.md#what-can-be-waived)")
     events: list[dict[str, Any]] = row("list of `t_s`, `source`, `text`")
-    injected: list[dict[str, Any]] = row(
-        "faults of the scenario: list of `device`, `kind`, `at_s`, `until_s`, `value`, and, null unless detected, "
-        '`detected_s`, `detected_by` ("navigation", "monitor", "guard", "device"), `reaction` ("coast", "hold", '
-        '"retreat", "abort", "safe stop"), `reaction_s`'
-    )
+    injected: list[dict[str, Any]] = row("faults of the scenario, and what detected them")
     faults: list[str] = row("texts of device faults")
-    alarms: list[dict[str, Any]] = row(
-        "list of `t_s`, `device`, `quantity`, `value`, `limit`, `text`, `latched`, `acknowledged`, `priority` "
-        '("high": trips; "medium", "low": conditions), `active`, `number`, `acknowledged_by`, `shelved_until_s`, '
-        "`code` of the [kind](alarms.md), `measured` and `allowed`: value and limit as numbers in SI `unit`, null if "
-        "they are none"
-    )
+    alarms: list[dict[str, Any]] = row("[alarms](alarms.md)")
     first_violated: str = row("[limit](modes.md) that was broken first")
     first_violated_s: float | None = row("its time")
     first_violated_value: float | None = row("its value, SI")
@@ -394,15 +346,8 @@ class RunResults(Results):
     first_violated_term: str = row("largest term of a level")
     first_violated_phase: str = row("phase")
     alarms_before: str = row("health bits set up to then")
-    limits: dict[str, dict[str, Any]] = row(
-        "per limit, `lost_periods_of_loop` and `lost_packets_of_DEVICE` among them: least `margin`, `at_s`, `value`, "
-        "`limit`, `term`, `unit`, `violated_s` (null: never)"
-    )
-    monitor: dict[str, Any] | None = row(
-        "`source`, `scene`, `frames`, `portions`, `status`, `longest_gap_s`, `frame_ms`, `lag_s`, `missed_rows`, "
-        "`failure`, `warning`, and per quantity the errors against `truth`, `bench`, `vmu` (`n`, `mean`, `rms`, "
-        "`sigma_rms`, `in_two_sigma`, `most_sigmas`)"
-    )
+    limits: dict[str, dict[str, Any]] = row("least margin to each limit")
+    monitor: dict[str, Any] | None = row("errors of the docking monitor")
     recording: dict[str, Any] | None = row("of a recorded run: the file and what it lacks")
 
     def as_json(self) -> dict[str, Any]:

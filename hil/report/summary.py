@@ -63,8 +63,8 @@ def summarise(
     found.bench.limited_cycles = outcome.limited_cycles
     for name, error in measured.get("bench", {}).items():
         setattr(found.bench, name, RmsMax.of(error))
-    for name in ("rails", "turntable"):
-        found.timing.devices[name].exchange_hz = measured.get("exchanges", {}).get(name)
+    for name, rate_hz_of in measured.get("exchanges", {}).items():
+        getattr(found.timing.devices, name).exchange_hz = rate_hz_of
     found = replace(
         found,
         scenario=scenario.name,

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from hil.checks.waivers import Waiver
 from hil.config.scenario import Requirements
@@ -24,45 +25,48 @@ ROW_LABELS = {
 }
 
 
-def _say(console: Console, text: str, style: str | None = None, markup: bool = True) -> None:
-    """Print ``text`` without line breaks."""
-    console.print(text, style=style, highlight=False, soft_wrap=True, markup=markup)
+def _say(console: Console, text: str | Text, style: str | None = None) -> None:
+    """Print ``text`` without line breaks; a Text has no markup."""
+    console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
 def render(run: RunResults, verdict: Verdict, requirements: Requirements, console: Console) -> None:
     """Print the run's verdict and key numbers."""
-    paper = TABLE_V.get(run.scenario)
     if verdict.worst is not None:
         console.print(_ready_phase(run, verdict, requirements))
-    _print_parts(run, console)
-    _print_times(run, paper.ready_time_s if paper else None, console)
-    _print_library(run.gnc or {"library": None}, console)
-    _print_navigation(run.navigation, console)
-    for name, found in (run.sensors or {}).items():
-        _say(console, f"Sensor      {name}: {_sensor_text(found)}", markup=False)
-    thrusters = run.thrusters
-    _say(
-        console,
-        f"Thrusters   force demand {number('.1f')(thrusters.force_on_time_s)} s, "
-        f"torque demand {number('.1f')(thrusters.torque_on_time_s)} s "
-        f"({number('.2f')(thrusters.torque_on_time_360_400_s)} s in 360..400 s), "
-        f"{sum(thrusters.thruster_firings)} firings, propellant {thrusters.propellant_kg:.3f} kg",
-    )
-    _print_bench(run.bench, run.latency, console)
-    if clocks := run.clocks:
-        _say(console, f"Clocks      {_clocks_text(clocks, run.vision)}")
-    if drift := run.drift_check:
-        _say(console, f"Cameras     {_drift_text(drift)}")
-    _print_timing(run.timing, console)
+    for line in _lines(run):
+        _say(console, line)
     print_sign_off(run.sign_off, console)
     print_waived(run.waived, console)
-    accepted = run.accepted
-    word = "[bold green]PASS[/]" if accepted else "[bold red]FAIL[/]"
-    beside = run.not_required_text() if accepted else f"({_reason(run, verdict)})"
+    word = "[bold green]PASS[/]" if run.accepted else "[bold red]FAIL[/]"
+    beside = run.not_required_text() if run.accepted else f"({_reason(run, verdict)})"
     weak = len(run.waived)
     given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
-    text = f"{word} {run.scenario} on {run.rig}, seed {run.seed} {beside}".rstrip() + given_up
-    _say(console, text)
+    _say(console, f"{word} {run.scenario} on {run.rig}, seed {run.seed} {beside}".rstrip() + given_up)
+
+
+def _lines(run: RunResults) -> Iterator[str | Text]:
+    """Yield the lines of parts of the verdict and of key numbers."""
+    for name, passed, text in verdict_lines(run):
+        yield f"{'[green]ok  [/]' if passed else '[red]fail[/]'} {name:<18} {text}"
+    yield _ready_text(run)
+    if run.gnc and run.gnc["library"] is not None:
+        yield Text(f"GNC         {run.gnc['library']}")
+    yield _navigation_text(run.navigation)
+    for name, found in (run.sensors or {}).items():
+        yield Text(f"Sensor      {name}: {_sensor_text(found)}")
+    use, one, two = run.thrusters, number(".1f"), number(".2f")
+    yield (
+        f"Thrusters   force demand {one(use.force_on_time_s)} s, torque demand {one(use.torque_on_time_s)} s "
+        f"({two(use.torque_on_time_360_400_s)} s in 360..400 s), "
+        f"{sum(use.thruster_firings)} firings, propellant {use.propellant_kg:.3f} kg"
+    )
+    yield from _bench_lines(run.bench, run.latency)
+    if run.clocks:
+        yield f"Clocks      {_clocks_text(run.clocks, run.vision)}"
+    if run.drift_check:
+        yield f"Cameras     {_drift_text(run.drift_check)}"
+    yield from _timing_lines(run.timing)
 
 
 def _sensor_text(found: dict[str, Any]) -> str:
@@ -78,39 +82,32 @@ def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
     if sign_off is not None and not sign_off["gap"]:
         key = sign_off.get("key")
         text = f"{sign_off['date']} by {sign_off['by']}{f', key {key}' if key else ''}"
-        _say(console, f"Sign-off    {text}", markup=False)
+        _say(console, Text(f"Sign-off    {text}"))
 
 
 def print_waived(waived: Sequence[dict[str, str]], console: Console) -> None:
     """Print each waived protection, in red."""
     for waiver in waived:
-        _say(console, str(Waiver(**waiver)), style="bold red", markup=False)
+        _say(console, Text(str(Waiver(**waiver))), style="bold red")
 
 
-def _print_timing(timing: results.Timing, console: Console) -> None:
+def _timing_lines(timing: results.Timing) -> Iterator[str]:
     late = {name: "-" if us is None else f"{us:.0f}" for name, us in timing.lateness_us.as_json().items()}
-    _say(
-        console,
+    yield (
         f"Timing      {timing.cycles} cycles at {timing.rate_hz:g} Hz, {timing.overruns} overruns, "
         f"{timing.skipped_periods} periods lost, {timing.late_wakeups} late wake-ups, "
-        f"lateness p50 {late['p50']} p99 {late['p99']} p99.9 {late['p999']} max {late['max']} us",
+        f"lateness p50 {late['p50']} p99 {late['p99']} p99.9 {late['p999']} max {late['max']} us"
     )
-    slow = {name: times for name, times in (timing.devices or {}).items() if times.beyond}
-    for name, times in slow.items():
-        _say(
-            console,
-            f"            {name}: {times.beyond} times beyond {times.limit_ms:g} ms, "
-            f"p50 {times.p50_ms:.2f} p99 {times.p99_ms:.2f} max {times.max_ms:.2f} ms",
-            style="yellow",
-        )
+    for name, times in vars(timing.devices).items() if timing.devices else ():
+        if times is not None and times.beyond:
+            yield (
+                f"[yellow]            {name}: {times.beyond} times beyond {times.limit_ms:g} ms, "
+                f"p50 {times.p50_ms:.2f} p99 {times.p99_ms:.2f} max {times.max_ms:.2f} ms[/]"
+            )
     if timing.privileges:
-        _say(console, f"Host        {_host_text(timing.privileges)}")
+        yield f"Host        {_host_text(timing.privileges)}"
     if timing.overruns:
-        _say(
-            console,
-            f"            this host is too slow: {timing.overruns} cycles were late; try a lower --speed",
-            style="yellow",
-        )
+        yield f"[yellow]            this host is too slow: {timing.overruns} cycles were late; try a lower --speed[/]"
 
 
 def _host_text(privileges: list[dict[str, Any]]) -> str:
@@ -150,13 +147,6 @@ def verdict_lines(run: RunResults) -> list[tuple[str, bool, str]]:
         suffix = "" if name in run.required_parts else "; not required"
         lines.append((name.replace("_", " "), bool(part.passed), f"{PART_TEXTS[name](part)}{suffix}"))
     return lines
-
-
-def _print_parts(run: RunResults, console: Console) -> None:
-    """Print a line for each part of the verdict."""
-    for name, passed, text in verdict_lines(run):
-        word = "[green]ok  [/]" if passed else "[red]fail[/]"
-        _say(console, f"{word} {name:<18} {text}")
 
 
 def _precision_text(part: results.ControlPrecision) -> str:
@@ -233,68 +223,54 @@ PART_TEXTS: Final[Mapping[str, Callable[[Any], str]]] = {
 """Part of the verdict -> function that returns its key numbers as text."""
 
 
-def _print_times(run: RunResults, paper_s: float | None, console: Console) -> None:
+def _ready_text(run: RunResults) -> str:
     if run.ready_time_s is None:
-        _say(console, "Ready       never: Table III did not hold for the dwell time")
-        return
-    beside = f" (paper: {paper_s:g} s)" if paper_s is not None else ""
-    _say(
-        console,
-        f"Ready       at {run.ready_time_s:.2f} s{beside}, Table III holds since {run.held_since_s:.2f} s",
-    )
+        return "Ready       never: Table III did not hold for the dwell time"
+    paper = TABLE_V.get(run.scenario)
+    beside = f" (paper: {paper.ready_time_s:g} s)" if paper and paper.ready_time_s is not None else ""
+    return f"Ready       at {run.ready_time_s:.2f} s{beside}, Table III holds since {run.held_since_s:.2f} s"
 
 
-def _print_library(gnc: dict[str, Any], console: Console) -> None:
-    if gnc["library"] is not None:
-        _say(console, f"GNC         {gnc['library']}", markup=False)
-
-
-def _print_navigation(navigation: results.Navigation, console: Console) -> None:
+def _navigation_text(navigation: results.Navigation) -> str:
     if navigation.position_rmse_m is None:
-        _say(console, "Navigation  no estimate: no pose arrived, or the GNC gave none")
-        return
-    bound, angle_bound = navigation.position_bound_m, navigation.attitude_bound_deg
+        return "Navigation  no estimate: no pose arrived, or the GNC gave none"
     mm, deg = number(".2f", 1e3), number(".4f")
-    _say(
-        console,
-        f"Navigation  position rmse {mm(navigation.position_rmse_m)} mm"
-        + (f" (bound {mm(bound)})" if bound else "")
-        + f", attitude rmse {deg(navigation.attitude_rmse_deg)} deg"
-        + (f" (bound {deg(angle_bound)})" if angle_bound else ""),
+    bound, angle_bound = navigation.position_bound_m, navigation.attitude_bound_deg
+    return (
+        f"Navigation  position rmse {mm(navigation.position_rmse_m)} mm{f' (bound {mm(bound)})' if bound else ''}, "
+        f"attitude rmse {deg(navigation.attitude_rmse_deg)} deg{f' (bound {deg(angle_bound)})' if angle_bound else ''}"
     )
 
 
-def _print_bench(bench: results.Bench, latency: results.Latency, console: Console) -> None:
-    """Print the bench error and the latencies of pose and setpoint."""
-    distance, angle = bench.pose_error_mm, bench.pose_error_deg
-    if distance.rms is not None and angle.rms is not None:
+def _bench_lines(bench: results.Bench, latency: results.Latency) -> Iterator[str]:
+    """Yield the bench error and the latencies of pose and setpoint."""
+    if (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
         fraction = bench.share_of_navigation_error
-        _say(
-            console,
-            f"Bench       camera error rms {distance.rms:.3f} max {distance.max:.3f} mm, "
-            f"rms {angle.rms:.4f} max {angle.max:.4f} deg"
-            + (f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""),
-        )
+        share = f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""
+        yield f"Bench       camera error {errors}{share}"
     if text := _energy_added_text(bench.energy or {}):
-        _say(console, f"            {text}")
-    if (true := bench.true_pose_error_mm) and (by_angle := bench.true_pose_error_deg):
-        _say(
-            console,
-            f"Emulated    camera error by the true axes, behind the encoders: rms {true.rms:.3f} "
-            f"max {true.max:.3f} mm, rms {by_angle.rms:.4f} max {by_angle.max:.4f} deg",
-        )
-    parts = [
-        f"{name} p50 {times.p50:.2f} p99 {times.p99:.2f} max {times.max:.2f} ms"
-        for name, times in (
-            ("pose to command", latency.pose_to_command_ms),
-            ("to its digital line", latency.pose_to_wire_ms),
-            ("setpoint to encoder", latency.setpoint_to_encoder_ms),
-            ("pose behind IMU", latency.pose_behind_imu_ms),
-        )
-        if times.p50 is not None
+        yield f"            {text}"
+    if (errors := _camera_text(bench.true_pose_error_mm, bench.true_pose_error_deg)) is not None:
+        yield f"Emulated    camera error by the true axes, behind the encoders: {errors}"
+    times = {
+        "pose to command": latency.pose_to_command_ms,
+        "to its digital line": latency.pose_to_wire_ms,
+        "setpoint to encoder": latency.setpoint_to_encoder_ms,
+        "pose behind IMU": latency.pose_behind_imu_ms,
+    }
+    shown = [
+        f"{name} p50 {each.p50:.2f} p99 {each.p99:.2f} max {each.max:.2f} ms"
+        for name, each in times.items()
+        if each.p50 is not None
     ]
-    if parts:
-        _say(console, f"Latency     {', '.join(parts)}")
+    if shown:
+        yield f"Latency     {', '.join(shown)}"
+
+
+def _camera_text(mm: results.RmsMax | None, deg: results.RmsMax | None) -> str | None:
+    if mm is None or deg is None or mm.rms is None or deg.rms is None:
+        return None
+    return f"rms {mm.rms:.3f} max {mm.max:.3f} mm, rms {deg.rms:.4f} max {deg.max:.4f} deg"
 
 
 def _energy_added_text(energy: dict[str, float]) -> str:

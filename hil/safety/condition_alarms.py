@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 from hil.config.scenario import Scenario
 from hil.core import alarm_table as table
@@ -14,16 +14,6 @@ from hil.core.observable import ObservableList
 from hil.safety.alarms import AlarmLog
 
 _INCONSISTENT: Final = "not those of their covariance"
-
-
-class Disagreement(NamedTuple):
-    """Disagreement of a witness with the navigation. component: what is off, by ``value``, SI in ``unit``."""
-
-    device: str
-    component: str
-    unit: str
-    value: float
-    limit: float
 
 
 class HealthAlarms:
@@ -39,7 +29,7 @@ class HealthAlarms:
         self,
         alarms: AlarmLog,
         scenario: Scenario,
-        disagreement: Callable[[], Disagreement | None] = lambda: None,
+        disagreement: Callable[[], Alarm | None] = lambda: None,
         suspect: Callable[[], str] = str,
     ) -> None:
         self._alarms = alarms
@@ -96,15 +86,11 @@ class HealthAlarms:
     def _of(self, bit: GncHealth) -> Alarm:
         """Return the alarm of ``bit``, at no time."""
         if bit is GncHealth.MONITOR_DISAGREES:
-            return self._disagreement_alarm()
+            texts = ("beyond both sigmas", "within both sigmas")
+            found = self._disagreement() or table.NAVIGATION_POSE.alarm(0.0, self._witness, *texts)
+            self._witness = found.device
+            return found
         if bit is not GncHealth.SENSOR_SUSPECT:
             return self._of_bits[bit]
         self._excluded = self._suspect() or self._excluded
         return table.INNOVATIONS.alarm(0.0, self._excluded, _INCONSISTENT, "consistent")
-
-    def _disagreement_alarm(self) -> Alarm:
-        kind, found = table.NAVIGATION_POSE, self._disagreement()
-        if found is None:
-            return kind.alarm(0.0, self._witness, "beyond both sigmas", "within both sigmas")
-        self._witness, component = found.device, f" {found.component}"
-        return kind.alarm(0.0, self._witness, found.value, found.limit, unit=found.unit, notes=(component, ""))

@@ -29,7 +29,7 @@ def test_results_are_read_back_as_they_were_written(summary: dict[str, Any]) -> 
     assert run.as_json() == summary
     assert run.verdict.security.abort is not None
     assert run.verdict.security.abort.cause == "ordered"
-    assert run.timing.devices["rails"].exchange_hz is None
+    assert run.timing.devices.rails.exchange_hz is None
 
 
 def test_key_numbers_are_rows_with_a_label_and_what_was_not_reached_is_a_dash(summary: dict[str, Any]) -> None:
@@ -61,4 +61,4 @@ def test_each_key_of_the_json_is_described(summary: dict[str, Any]) -> None:
         for inner in content if isinstance(content, dict) and name in ("verdict", "bench", "timing", "latency") else ():
             assert f"`{name}.{inner}`" in page
     assert "| **`thrusters.propellant_kg`** | propellant used |" in page
-    assert "`timing.devices.NAME.limit_ms`" in page
+    assert "`timing.devices.rails.limit_ms`" in page

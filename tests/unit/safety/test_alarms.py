@@ -10,14 +10,13 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.core import alarm_table as table
-from hil.core.alarm_table import alarm_from_error, alarm_of_json
+from hil.core.alarm_table import alarm_from_error
 from hil.core.alarms import LOW, MEDIUM, Alarm
 from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
 from hil.safety.alarms import AlarmLog
-from hil.safety.condition_alarms import Disagreement, HealthAlarms
+from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
-NEW_KEYS = ("code", "measured", "allowed", "unit")
 FOLLOWING = table.FOLLOWING_ERROR.alarm(1.5, "rails.x", 0.0612, 0.05)
 
 
@@ -53,17 +52,6 @@ def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
 def test_alarm_has_its_numbers_in_si_and_their_text(alarm: Alarm, text: str, numbers: tuple[object, ...]) -> None:
     assert alarm.text == f"{alarm.device}: {text}"
     assert (alarm.code, alarm.measured, alarm.allowed, alarm.unit) == numbers
-
-
-def test_alarm_of_an_earlier_version_is_read_with_its_numbers() -> None:
-    for alarm in (FOLLOWING, table.SPEED.alarm(0.0, "yaw", 0.5, 0.25, rotates=True),
-                  table.ATTITUDE_AGAINST_ENCODERS.alarm(0.0, "vmu", 0.02, 0.01, "x"),
-                  table.MEAN_NIS.alarm(0.0, "navigation", 9.0, (2.0, 4.0), "pkf", 64)):  # fmt: skip
-        entry = {key: value for key, value in alarm.as_json().items() if key not in NEW_KEYS}
-        read = alarm_of_json(entry)
-        assert (read.code, read.unit, read.text) == (alarm.code, alarm.unit, alarm.text)
-        assert read.measured == pytest.approx(alarm.measured, rel=1e-2)
-        assert alarm_of_json(alarm.as_json()) == alarm
 
 
 @pytest.mark.parametrize(
@@ -157,9 +145,8 @@ def test_bits_of_the_health_are_conditions_that_name_the_device() -> None:
     book = AlarmLog()
     kinds = ("approach", "hold", "wait", "final", "retreat")
     scenario = load_scenario("scheme-1", tuple(f"gnc.reactions.thruster_fault.{kind}=continue" for kind in kinds))
-    health = HealthAlarms(
-        book, scenario.value, lambda: Disagreement("monitor", "along the line of sight", "m", 0.1234, 0.03)
-    )
+    off = table.NAVIGATION_POSE.alarm(0.0, "monitor", 0.1234, 0.03, notes=(" along the line of sight", ""))
+    health = HealthAlarms(book, scenario.value, lambda: off)
     for bench_s, bits in ((1.0, 0), (2.0, 16), (3.0, 16), (4.0, 24), (5.0, 8), (6.0, 0)):
         health.update(bench_s, bits)
     first, second = book.all()
