@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
@@ -22,6 +23,7 @@ from hil.params import bench as bench_params
 from hil.safety.packet_loss import SpeedCheck
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
+_FOLLOWING: Final = replace(table.FOLLOWING_ERROR, digits=(3, 3), limit_digits=(3, 3))
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
 _SETTLED: Final = 0.001  # m or rad
 _STEP_S: Final = 0.02  # until a jog begins
@@ -174,7 +176,7 @@ class TargetAxes:
         worst = int(np.argmax(error - allowed))
         if not error[worst] <= allowed[worst]:
             name = self.axes.axis_names[worst]
-            raise table.FOLLOWING_ERROR.trip(name, error[worst], allowed[worst], rotates=self.rotates)
+            raise _FOLLOWING.trip(name, error[worst], allowed[worst], rotates=self.rotates)
         self._check_speeds()
 
     def _check_speeds(self) -> None:
