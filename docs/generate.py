@@ -15,7 +15,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from docs import benchmark_pages, package_pages, record_pages, wire_pages
+from docs import benchmark_pages, package_pages, record_pages, result_pages, wire_pages
 from hil.cli.main import app
 from hil.config.key_reference import KeyTable, own_keys, tables
 from hil.config.protocol import Protocol
@@ -250,7 +250,7 @@ What `hil campaign --dispersions NAME` draws, with the source of each size. Pass
 
 
 HAZARD_KEYS: Final = (
-    "id", "losses", "hazard", "cause", "software", "hardware", "category", "alarms", "tests", "remains",
+    "id", "losses", "hazard", "cause", "software", "hardware", "category", "tests", "remains",
 )  # fmt: skip
 """Keys of a row of ``docs/hazards.toml``."""
 
@@ -262,19 +262,19 @@ def hazards() -> str:
 Losses: **P** a person is hurt, **B** bench or specimen is damaged, **V** a verdict is wrong, **A** an act cannot be
 attributed. The category is asked of the hardware barrier, by ISO 13849-1; software of this program has none ([what it
 cannot do](../../explanation/safety-file.md#what-software-cannot-do)). The table is `docs/hazards.toml`; the suite
-checks that each test exists and that each [alarm](../modes-and-alarms.md) of the program has a row.
+checks that each test exists, and [each alarm](alarms.md) names its hazard.
 """
     rows = tomllib.loads((Path(__file__).parent / "hazards.toml").read_text(encoding="utf-8"))["hazards"]
     head = "| | hazard | losses | category asked | tests | alarms |\n|---|---|---|---|---|---|\n"
     lines = [
         f"| {row['id']} | {row['hazard']} | {row['losses']} | {row['category']} | {len(row['tests'])} "
-        f"| {len(row['alarms'])} |"
+        f"| {len(result_pages.alarms_of(row['id']))} |"
         for row in rows
     ]
     sections = [
         f"## {row['id']} {row['hazard']}\n\n| | |\n|---|---|\n| cause | {row['cause']} |\n| barrier in software | "
         f"{row['software']} |\n| barrier in hardware | {row['hardware']} |\n| category asked of it | {row['category']} "
-        f"|\n| alarms | {', '.join(row['alarms']) or 'none'} |\n"
+        f"|\n| alarms | {', '.join(result_pages.alarms_of(row['id'])) or 'none'} |\n"
         f"| tests | {', '.join(map(_test_link, row['tests']))} |\n"
         f"| what remains | {row['remains']} |\n"
         for row in rows
@@ -294,6 +294,8 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "limits": limit_table,
     "sensors": sensor_table,
     "hazards": hazards,
+    "alarms": result_pages.alarms,
+    "run-results": result_pages.run_results,
     "rig": rig_keys,
     "files": other_files,
     "dispersions": dispersion_sets,

@@ -14,7 +14,7 @@ from typing import Final
 from hil.config.load import load_frame
 from hil.core.gnc_records import GncHealth
 from hil.core.modes import ALLOWED, Mode
-from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_commands import OperatorCommand
 from hil.frmn.mailboxes import BY_NUMBER
 from hil.report.limits import LIMITS, unit_of, words_of
 from hil.safety.monitor import CHECKS, Checks
@@ -119,7 +119,7 @@ def _listed(text: str) -> str:
 def modes() -> str:
     """Return the page of modes, commands, checks, health and limits of a run."""
     allowed = [f"| {mode.value} | {_listed_modes(targets, Mode)} |" for mode, targets in ALLOWED.items()]
-    commands = [f"| {command.value} | {_listed_modes(found, Mode)} |" for command, found in ALLOWED_IN.items()]
+    commands = [f"| {command.value} | {_listed_modes(command.modes, Mode)} |" for command in OperatorCommand]
     names = list(Checks.__dataclass_fields__)
     checks = [
         f"| {mode.value} | " + " | ".join("x" if getattr(found, name) else "" for name in names) + " |"

@@ -19,7 +19,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from hil.core.alarms import Alarm
 
 _LONGEST_LINE: Final = 2000
 
@@ -110,11 +113,8 @@ class DriveFault(DeviceError):
 
 
 class SafetyTrip(BenchError):
-    """A monitored quantity exceeded its limit."""
+    """A monitored quantity exceeded its limit: the error of an alarm."""
 
-    def __init__(self, device: str, quantity: str, value: str, limit: str) -> None:
-        self.device = device
-        self.quantity = quantity
-        self.value = value
-        self.limit = limit
-        super().__init__(f"{device}: {quantity} {value}, allowed {limit}")
+    def __init__(self, alarm: Alarm) -> None:
+        self.alarm = alarm
+        super().__init__(alarm.text)

@@ -32,7 +32,7 @@ from hil.api.jobs import IN_LOCK_STEP
 from hil.config.load import load_rig, load_scenario
 from hil.config.tables.faults import EMULATED
 from hil.core.modes import Mode
-from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
+from hil.core.operator_commands import Operator, OperatorCommand
 from hil.frmn.mailbox import MailboxBlock
 from hil.loop.rate_keeper import Tick
 from hil.loop.runner import Runner
@@ -138,7 +138,7 @@ class ConsoleLine:
             with suppress(BlockingIOError):
                 while self._here.recv(1 << 18):
                     pass
-            allowed = self._plan and self._runner.safety.modes.mode in ALLOWED_IN[self._plan[0]]
+            allowed = self._plan and self._runner.safety.modes.mode in self._plan[0].modes
             if allowed and time.monotonic() - sent_s > _BETWEEN_ORDERS_WALL_S:
                 number, sent_s = number + 1, time.monotonic()
                 self._send(order=self._plan.pop(0).value, confirmed=True, id=number)

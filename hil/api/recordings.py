@@ -15,6 +15,7 @@ from hil.api.runs import raise_user_error
 from hil.config.gnc_override import with_other_gnc
 from hil.config.load import Loaded
 from hil.config.scenario import Scenario
+from hil.core.alarms import Alarm
 from hil.core.messages import Event, new
 from hil.errors import BadInput
 from hil.gnc_backends.backend import OwnBackends
@@ -27,7 +28,6 @@ from hil.recording.read import Recorded, RowBatch, load, load_without_rows, row_
 from hil.recording.replay import Difference, Replayed, replay
 from hil.report.summary import summary_of
 from hil.report.verdict_parts import navigation_numbers
-from hil.safety.alarms import Alarm
 from hil.session.assembly import make_backend
 
 _ALARM_FIELDS = {field.name for field in fields(Alarm)}

@@ -14,6 +14,7 @@ import numpy as np
 from hil.api import frames
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.alarms import Alarm
 from hil.core.clock import utc_ns
 from hil.core.fields import record_dtype
 from hil.core.files import write_text
@@ -23,9 +24,9 @@ from hil.errors import BadInput
 from hil.loop.compiled.run_stats import counted
 from hil.loop.outcome import Outcome
 from hil.report.limits import why_of
+from hil.report.results import RunResults
 from hil.report.summary import limits_of
 from hil.report.verdict import Verdict, verdict_of
-from hil.safety.alarms import Alarm
 from hil.sensors.vision_unit import columns as vmu_columns
 from hil.session.assembly import Job
 
@@ -143,7 +144,7 @@ class Run:
         summary = self.summary
         if "limits" not in summary:  # a recording of an earlier version
             outcome = Outcome(self.history, self.stop, alarms=self.alarms)
-            summary = summary | limits_of(outcome, self._counted, summary, self.scenario)
+            summary = summary | limits_of(outcome, self._counted, RunResults.of(summary), self.scenario)
         return why_of(summary)
 
     @property

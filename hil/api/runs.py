@@ -36,7 +36,7 @@ from hil.loop.runner import STOPPED_BY_OPERATOR, Runner
 from hil.loop.session_parts import PartResult, SessionParts
 from hil.report.long_run import accumulate
 from hil.report.summary import summarise
-from hil.report.verdict import Verdict
+from hil.report.tally import Tallied
 from hil.session import build
 from hil.session.assembly import Job
 from hil.session.warm_up import Compilation
@@ -207,7 +207,7 @@ def judged_run(
     rig: str,
     outcome: Outcome,
     results: Sequence[PartResult] = (),
-    numbers: tuple[dict[str, Any], Verdict] | None = None,
+    numbers: Tallied | None = None,
 ) -> Run:
     """Return the results of ``outcome``. results: of parts. numbers: of a long run."""
     scenario = job.scenario.value

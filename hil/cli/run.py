@@ -120,6 +120,7 @@ def run(
 def run_and_print(request: RunRequest, console: Console, json: str | None) -> int:
     """Run a checked job and print its verdict; return the exit code. json: file for its numbers, - for stdout."""
     from hil.api.runs import run_job
+    from hil.report.results import RunResults
     from hil.report.table import render
 
     announce = partial(say, console=console, style="dim")
@@ -134,7 +135,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
     if problem := summary.get("recording", {}).get("problem"):
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
-        render(summary, completed.verdict, completed.scenario.requirements, Console())
+        render(RunResults.of(summary), completed.verdict, completed.scenario.requirements, Console())
         for table, lines in part_lines().items():
             if table in summary:
                 print("\n".join(imported(lines)(summary[table])))  # noqa: T201

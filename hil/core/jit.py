@@ -111,7 +111,7 @@ class KernelCache:
 
 def _fields(types: Iterable[Any]) -> list[Any]:
     """Return the names of the fields of all named tuples in ``types``, which the names of their types do not hold."""
-    tuples = [each for each in types if isinstance(each, numba.types.BaseTuple)]
+    tuples: list[Any] = [each for each in types if isinstance(each, numba.types.BaseTuple)]
     return [(getattr(each, "fields", ()), _fields(each.types)) for each in tuples]
 
 

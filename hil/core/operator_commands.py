@@ -7,10 +7,10 @@ import select
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, Self
 
 from hil.core.modes import Mode
 
@@ -26,41 +26,52 @@ class OperatorCommand(Enum):
     JOG: see ``Operator.jog``. STOP: end the session. RESET: after a safe stop, reopen the devices.
     """
 
-    HOME = "home"
-    ARM = "arm"
-    START = "start"
-    GO = "go"
-    HOLD = "hold"
-    RESUME = "resume"
-    ABORT = "abort"
-    DISARM = "disarm"
-    PARK = "park"
-    JOG = "jog"
-    STOP = "stop"
-    RESET = "reset"
+    modes: frozenset[Mode]
+    """Modes in which it is executed; in every other mode it is rejected with a message to the operator."""
+    button: str
+    """Text of its button, "" without one among the commands of the console's page; ``key``: of the keyboard."""
+    key: str
+    question: str
+    """Question that confirms it, "" if it requires no confirmation."""
+    moves: bool
+    """Whether it moves the axes, or lets them move."""
 
+    def __new__(
+        cls,
+        name: str,
+        modes: Collection[Mode] = (),
+        button: str = "",
+        key: str = "",
+        ask: str = "",
+        moves: bool = False,
+    ) -> Self:
+        command = object.__new__(cls)
+        command._value_ = name
+        vars(command).update(modes=frozenset(modes), button=button, key=key, question=ask, moves=moves)
+        return command
 
-ALLOWED_IN: Final[dict[OperatorCommand, frozenset[Mode]]] = {
-    OperatorCommand.HOME: frozenset({Mode.STANDBY}),
-    OperatorCommand.ARM: frozenset({Mode.STANDBY}),
-    OperatorCommand.START: frozenset({Mode.ARMED}),
-    OperatorCommand.GO: frozenset({Mode.RUNNING}),
-    OperatorCommand.HOLD: frozenset({Mode.PLACING, Mode.RUNNING, Mode.HOLD}),
-    OperatorCommand.RESUME: frozenset({Mode.HOLD}),
-    OperatorCommand.ABORT: frozenset({Mode.RUNNING}),
-    OperatorCommand.DISARM: frozenset({Mode.ARMED}),
-    OperatorCommand.PARK: frozenset({Mode.STANDBY}),
-    OperatorCommand.JOG: frozenset({Mode.STANDBY}),
-    OperatorCommand.STOP: frozenset(set(Mode) - {Mode.OFF}),
-    OperatorCommand.RESET: frozenset({Mode.SAFE_STOP}),
-}
-"""Modes in which a command is executed; in every other mode it is rejected with a message to the operator."""
-
-
-MOVING: Final = frozenset(
-    {OperatorCommand.HOME, OperatorCommand.ARM, OperatorCommand.START, OperatorCommand.PARK, OperatorCommand.JOG}
-)
-"""Commands that move the axes, or let them move."""
+    # fmt: off
+    HOME = ("home", {Mode.STANDBY}, "Home", "o",
+            "Home: axes that are not homed search for their switches. Is the bench clear of people?", True)
+    ARM = ("arm", {Mode.STANDBY}, "Arm", "m",
+           "Arm: all axes move to the start pose. Is the bench clear of people?", True)
+    START = ("start", {Mode.ARMED}, "Start", "s",
+             "Start: the loop is closed and the bench moves automatically. Is the bench clear of people?", True)
+    RESUME = ("resume", {Mode.HOLD}, "Resume", "r",
+              "Resume: the bench continues from its present position. Is the bench clear of people?")
+    GO = ("go", {Mode.RUNNING}, "Go", "g",
+          "Go: the chaser leaves its waiting point and approaches the target.")
+    ABORT = ("abort", {Mode.RUNNING}, "Abort", "a",
+             "Abort: the chaser brakes and retreats with the bench. The approach cannot be continued.")
+    DISARM = ("disarm", {Mode.ARMED}, "Disarm", "d")
+    PARK = ("park", {Mode.STANDBY}, "Park", "k",
+            "Park: all axes move to the park position; the session ends. Is the bench clear of people?", True)
+    RESET = ("reset", {Mode.SAFE_STOP}, "Reset", "e",
+             "Reset: the devices open and the drives are powered. Is the cause gone, is the bench clear?")
+    HOLD = ("hold", {Mode.PLACING, Mode.RUNNING, Mode.HOLD})
+    JOG = ("jog", {Mode.STANDBY}, "", "", "", True)
+    STOP = ("stop", set(Mode) - {Mode.OFF})
+    # fmt: on
 
 
 class StopCommanded(Exception):
@@ -142,7 +153,7 @@ class Operator:
     def next_command(self, mode: Mode) -> OperatorCommand | None:
         """Return the next command while none is in execution: a submitted one, else the plan's for ``mode``."""
         command = self.pop(mode)
-        if command is None and self._plan and mode in ALLOWED_IN[self._plan[0]]:
+        if command is None and self._plan and mode in self._plan[0].modes:
             return self._plan.popleft()
         return command
 
@@ -155,7 +166,7 @@ class Operator:
         with self._lock:
             while self.pending:
                 command = self.pending.popleft()
-                if mode in ALLOWED_IN[command]:
+                if mode in command.modes:
                     return command
                 self.rejections.append(f"bench: cannot {command.value} in {mode.value}")
                 if command is OperatorCommand.JOG:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.config.rig import AxisGroupTable
 from hil.config.tables.mechanics import DriveMechanics
+from hil.core import alarm_table as table
 from hil.core.messages import Array, new
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
 from hil.models.drive_mechanics import drive_mechanics_record, drive_mechanics_step, encoder_reading
@@ -135,10 +136,10 @@ class SetpointLimits:
         jogging: the position is not limited. Raises SafetyTrip for a value that is not finite.
         """
         accepted = accepted_setpoint(self.names, position, *setpoint_bounds(self.low, self.high, jogging))
-        accepted_rate = accepted_setpoint(self.names, rate, -self.rate_max, self.rate_max, "rate")
+        accepted_rate = accepted_setpoint(self.names, rate, -self.rate_max, self.rate_max, table.RATE)
         return accepted, np.where(accepted == position, accepted_rate, 0.0)
 
     def accepted_goal(self, position: Array, rate: Array) -> tuple[Array, Array]:
         """Return the goal of a move (n,), and its largest rate, within the limits; errors: see ``accepted``."""
         goal = accepted_setpoint(self.names, position, self.low, self.high)
-        return goal, accepted_setpoint(self.names, np.abs(rate), np.zeros_like(rate), self.rate_max, "rate")
+        return goal, accepted_setpoint(self.names, np.abs(rate), np.zeros_like(rate), self.rate_max, table.RATE)

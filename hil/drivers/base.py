@@ -14,8 +14,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from hil.core import alarm_table as table
+from hil.core.alarms import AlarmKind
 from hil.core.messages import AXES_MAX, Array, AxisFeedback, IoInputs, IoOutputs, PoseFrame
-from hil.errors import SafetyTrip
 
 
 @runtime_checkable
@@ -174,13 +175,13 @@ def setpoint_bounds(low: Array, high: Array, jogging: bool) -> tuple[Array, Arra
 
 
 def accepted_setpoint(
-    axis_names: tuple[str, ...], values: Array, low: Array, high: Array, quantity: str = "setpoint"
+    axis_names: tuple[str, ...], values: Array, low: Array, high: Array, kind: AlarmKind = table.SETPOINT
 ) -> Array:
-    """Return ``values`` (n,) limited to [low, high]; raise SafetyTrip with ``quantity`` if one is not finite."""
+    """Return ``values`` (n,) limited to [low, high]; raise SafetyTrip of ``kind`` if one is not finite."""
     numbers = values.tolist()
     if not math.isfinite(sum(numbers)):
         for name, value in zip(axis_names, numbers, strict=True):
             if not math.isfinite(value):
-                raise SafetyTrip(name, quantity, str(value), "a finite number")
+                raise kind.trip(name, str(value), "a finite number")
     accepted: Array = np.minimum(high, np.maximum(low, values))
     return accepted

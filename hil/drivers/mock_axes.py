@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import AxisGroupTable
+from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import AXES_LEAST, ServoAxes
 from hil.drivers.base import accepted_setpoint, full_names, setpoint_bounds
-from hil.errors import DeviceError, LinkLost, SafetyTrip
+from hil.errors import DeviceError, LinkLost
 from hil.models.servo import move_servo
 
 _BRAKE_STEP_S: Final = 0.002
@@ -76,7 +77,7 @@ class MockAxes:
             self._refuse_without_home()
         bounds = setpoint_bounds(axes.low, axes.high, self._jogging)
         accepted = accepted_setpoint(self.axis_names, position, *bounds)
-        feedforward = accepted_setpoint(self.axis_names, rate, -axes.rate_max, axes.rate_max, "rate")
+        feedforward = accepted_setpoint(self.axis_names, rate, -axes.rate_max, axes.rate_max, table.RATE)
         self._move(now_s)
         if self._stopped:
             return self._shown()
@@ -142,7 +143,7 @@ class MockAxes:
             return
         for name, state in zip(self.axis_names, self._homing, strict=True):
             if state != Homing.DONE:
-                raise SafetyTrip(name, "setpoint", "not homed", "homed axes")
+                raise table.SETPOINT.trip(name, "not homed", "homed axes")
 
     def _set_homing(self, changed: dict[int, Homing]) -> None:
         states = [changed.get(i, state) for i, state in enumerate(self._homing)]

@@ -20,7 +20,7 @@ from hil.errors import DeviceError
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
 from hil.models.profile import along_line, duration
-from hil.safety.guard_alarms import guard_alarm
+from hil.safety.guard_alarms import breach_alarm
 from hil.safety.monitor import SafetyMonitor
 
 
@@ -154,7 +154,7 @@ class BenchStage:
         sampled_s[0, 0], sampled_s[0, 1] = self.sampled_s(run_zero_s)
         code = core.guard_bench(self._params, self._state, bench_s - run_zero_s)
         if code != NOTHING:
-            raise guard_alarm(bench_s, self.axis_names, int(code), self._state.breach).trip()
+            raise breach_alarm(bench_s, self.axis_names, int(code), self._state.breach).trip()
 
     def seed(self, now_s: float) -> None:
         """Seed the setpoints with the encoder positions, at rest, so that the next command causes no jump.

@@ -16,13 +16,13 @@ from typing import Final
 
 import numpy as np
 
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.messages import Array
 from hil.drivers.base import AxisGroup
 from hil.errors import BenchError, DriveFault, FaultKind, LinkLost, SafetyTrip
 from hil.loop.cycle import Loop
 from hil.loop.rate_keeper import Rate
-from hil.loop.safety_io_stage import SAFETY_CHAIN
-from hil.safety.alarms import Alarm, speed_text
 
 REACTION_S: Final = 0.12
 """Allowed from the command until an axis brakes: wire, drive, and the age of its feedback."""
@@ -94,10 +94,8 @@ class Ramp:
         axis = int(self._off_since_s.argmin())
         if now_s - self._off_since_s[axis] < OFF_RAMP_S:
             return None
-        allowed = self._allowed(now_s)[axis]
-        limit = f"{speed_text(allowed, self._rotates)} on its ramp"
-        value = speed_text(allowed + excess[axis], self._rotates)
-        return Alarm(now_s, self.axes.axis_names[axis], "speed in a stop", value, limit)
+        allowed, name = float(self._allowed(now_s)[axis]), self.axes.axis_names[axis]
+        return table.SPEED_IN_A_STOP.alarm(now_s, name, allowed + excess[axis], allowed, rotates=self._rotates)
 
     def _allowed(self, now_s: float) -> Array:
         """Return the highest speed (n,) that the ramps allow at ``now_s``."""
@@ -215,7 +213,7 @@ class ControlledStop:
                 break
             if not reported and now_s > closed_s + BRAKE_CONFIRMED_S:
                 reported = True
-                alarm = Alarm(now_s, "io", "holding brakes", "not closed: axes held by their drives", "closed")
+                alarm = table.HOLDING_BRAKES.alarm(now_s, "io", "not closed: axes held by their drives", "closed")
                 self._loop.bench.safety.alarms.latch(alarm)
         return now_s
 
@@ -256,6 +254,6 @@ class RootCause:
         except BenchError as cause:
             if isinstance(self._fault, LinkLost):  # a root cause itself
                 return self._fault
-            if not (chain_opened and isinstance(cause, SafetyTrip) and cause.quantity == SAFETY_CHAIN):
+            if not (chain_opened and isinstance(cause, SafetyTrip) and cause.alarm.code == table.SAFETY_CHAIN.code):
                 return cause
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -25,8 +25,9 @@ _TRANSIT_MAX_S: Final = 3.0  # longest delay of a frame: latency, jitter and a f
 class CycleData:
     """Records of the present cycle: views into one row of CYCLE, the row that is recorded.
 
-    row: (1,) of CYCLE; None: of its own. samples: of the IMU since the cycle before, (n,) of IMU; ``imu`` is their
-    mean.
+    Each field of CYCLE is an attribute: a record, or for a number an array with the row as first axis, as writing into
+    an array is faster than into a record. row: (1,) of CYCLE; None: of its own. samples: of the IMU since the cycle
+    before, (n,) of IMU; ``imu`` is their mean.
     """
 
     def __init__(self, n_samples: int = 1, row: np.ndarray | None = None) -> None:
@@ -37,29 +38,9 @@ class CycleData:
         for name in CYCLE.names or ():
             setattr(self, name, kernel_record(records[name][0]) if CYCLE[name].names else self.row[name])
 
-    # scalars, arrays of shape (1,): writing into an array is faster than into a record
-    t_s: np.ndarray
-    sampled_s: np.ndarray  # (1, 2)
-    received_s: np.ndarray
-    commanded_s: np.ndarray
-    on_wire_s: np.ndarray
-    lateness_s: np.ndarray
-    nees_position: np.ndarray
-    nees_attitude: np.ndarray
-    monitor_bound_m: np.ndarray
-    monitor_bound_s: np.ndarray
-    bench_off: np.ndarray
-    bench_breach: np.ndarray
+    if TYPE_CHECKING:
 
-    truth: np.record
-    imu: np.record
-    pose: np.record
-    navigation: np.record
-    reference: np.record
-    supervision: np.record
-    command: np.record
-    setpoint: np.record
-    feedback: np.record
+        def __getattr__(self, name: str) -> Any: ...
 
 
 class CoreMemory:

@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from hil.bench.jog import Jog
+from hil.core import alarm_table as table
 from hil.core.gnc_records import GncMode
 from hil.core.messages import AXES, HOMED, Homing, new
 from hil.core.modes import Mode
 from hil.core.operator_commands import JogRequest, Operator, OperatorCommand, StopCommanded
 from hil.drivers.base import Jogs
-from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.cycle import Loop
 from hil.loop.overrun_monitor import OverrunMonitor
@@ -30,7 +30,7 @@ _SETTLE_S: Final = 3.0  # allowed after placing or homing until all axes are at 
 _NO_MOVE_S: Final = 1e-3  # shorter moves are rounding
 _SETTLED_M: Final = 0.001
 _SETTLED_RAD: Final = 0.001
-_PLACE_NAMES: Final = {Mode.PLACING: "start pose", Mode.PARKING: "park position"}
+_NOT_REACHED: Final = {Mode.PLACING: table.START_POSE, Mode.PARKING: table.PARK_POSITION}
 
 _GNC_MODES: Final = {Mode.ARMED: GncMode.ARMED, Mode.HOLD: GncMode.HOLD, Mode.RUNNING: GncMode.HOLD}
 """Mode sent to the GNC while the loop is open, else STANDBY; in the first cycle of a hold the mode is still RUNNING."""
@@ -143,7 +143,7 @@ class MotionSequencer:
             now_s, limit_s = self.tick().now_s, self.safety.limits.homing_timeout_s
             self._poll_command(Mode.HOMING)
             if now_s - since_s > limit_s:
-                raise SafetyTrip(name, "homing", f"not done after {now_s - since_s:.1f} s", f"{limit_s:g} s")
+                raise table.HOMING.trip(name, now_s - since_s, limit_s)
         self.tick()
         self._await_standstill()
         self.modes.go(Mode.STANDBY)
@@ -192,7 +192,7 @@ class MotionSequencer:
         tick = self.tick()
         if self.hold_requested(self.modes.mode):
             text = self.safety.hold_reason or "commanded by the operator"
-            raise SafetyTrip("bench", "hold", f"({text})", "once target and further axes stand")
+            raise table.HOLD.trip("bench", f"({text})", "once target and further axes stand")
         return tick
 
     def park(self, target: np.record) -> None:
@@ -204,7 +204,7 @@ class MotionSequencer:
         self.begin()
         tick = self.seed_for_run()
         if name := self.loop.target.not_homed(tick.now_s):
-            raise SafetyTrip(name, "homing", "not done", "done before parking")
+            raise table.HOMING.trip(name, "not done", "done before parking")
         self.modes.go(Mode.PARKING)
         bench, fraction = self.loop.bench, self.safety.limits.parking_rate_fraction
         bench.park_turntable(target, tick.now_s)
@@ -258,7 +258,7 @@ class MotionSequencer:
             if ended and self._is_at(target) and bench.at_rest(tick.now_s):
                 return True
             if moved_s > move.duration_s + _SETTLE_S:
-                raise SafetyTrip("bench", _PLACE_NAMES[mode], "not reached", f"{_SETTLE_S:g} s after the move")
+                raise _NOT_REACHED[mode].trip("bench", "not reached", _SETTLE_S)
             move.at(moved_s + self._step_s, wanted)
             bench.command(wanted, tick.now_s, move.limits)
             tick = self.tick()

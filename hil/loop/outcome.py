@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.alarms import Alarm
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.realtime import Grant
-from hil.safety.alarms import Alarm
 
 
 @dataclass(slots=True)

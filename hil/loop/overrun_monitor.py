@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.core import alarm_table as table
 from hil.core.messages import Array
 from hil.errors import SafetyTrip
 from hil.loop.rate_keeper import Rate, Tick
@@ -77,12 +78,9 @@ class OverrunMonitor:
         if not beyond or self._action == "log" or self._tripped:
             return
         self._tripped = True
-        trip = SafetyTrip(
-            "loop",
-            "lost periods",
-            f"{self._bucket.level:.0f} (last cycle ended {tick.overrun_s * 1e3:.1f} ms after its deadline)",
-            f"{self._allowed} in {self._window_s:g} s",
-        )
+        late = f" (last cycle ended {tick.overrun_s * 1e3:.1f} ms after its deadline)"
+        notes = (late, f" in {self._window_s:g} s")
+        trip = table.LOST_PERIODS.trip("loop", self._bucket.level, self._allowed, notes=notes)
         if self._action == "hold" and self.on_hold is not None:
             self.on_hold(trip)
         else:

@@ -11,11 +11,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.core import alarm_table as table
+from hil.core.alarm_table import alarm_from_error
 from hil.core.clock import pause_text
 from hil.core.messages import Event
 from hil.core.modes import Mode
 from hil.core.observable import ObservableList
-from hil.core.operator_commands import MOVING, STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
+from hil.core.operator_commands import STOP_SIGNALS, Operator, OperatorCommand, StopCommanded
 from hil.core.realtime import DefaultScheduling, no_garbage_collection
 from hil.drivers.base import PoseSource
 from hil.errors import BenchError, DeviceError, LinkLost, LinkTimeout, SafetyTrip
@@ -25,14 +27,14 @@ from hil.loop.motion_sequences import PROGRESS_CYCLES, MotionSequencer
 from hil.loop.outcome import Outcome
 from hil.loop.overrun_monitor import OverrunMonitor
 from hil.loop.rate_keeper import Rate
-from hil.loop.safety_io_stage import SAFETY_CHAIN
 from hil.loop.session_parts import SessionParts
-from hil.safety.alarms import alarm_from_error
 
 COMPLETED = "completed"
 STOPPED_BY_OPERATOR = "stopped by the operator"
 _LONG_PAUSE_S: Final = 0.03
-_CAUSED_BY_PAUSES: Final = (SAFETY_CHAIN, "age of the setpoint", "age of the feedback", "following error")
+_CAUSED_BY_PAUSES: Final = tuple(
+    kind.code for kind in (table.SAFETY_CHAIN, table.AGE_OF_SETPOINT, table.AGE_OF_FEEDBACK, table.FOLLOWING_ERROR)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +208,7 @@ class Runner:
         open_s, now_s = self._plan.brakes.open_s, released_s
         while now_s - released_s < open_s or self.loop.safety_io.brakes_closed(now_s):
             if now_s - released_s > open_s + BRAKE_CONFIRMED_S:
-                raise SafetyTrip("io", "holding brakes", "closed", f"open {open_s:g} s after their release")
+                raise table.HOLDING_BRAKES.trip("io", "closed", f"open {open_s:g} s after their release")
             now_s = self.rate.wait().now_s
             self._sequencer.check(now_s)
 
@@ -227,7 +229,7 @@ class Runner:
             self._on_progress(self._modes.mode, 0.0)
 
     def _execute(self, command: OperatorCommand) -> None:
-        if command in MOVING and (alarm := self.safety.interlock_power(self.rate.now_s())):
+        if command.moves and (alarm := self.safety.interlock_power(self.rate.now_s())):
             if not self.operator.attended:
                 raise alarm.trip()
             self.operator.rejections.append(alarm.text)
@@ -355,7 +357,7 @@ class Runner:
         "" without one, or if it cannot be the cause: other faults than a lost link take a long pause.
         """
         is_link = isinstance(cause, LinkLost | LinkTimeout)
-        if not (is_link or (isinstance(cause, SafetyTrip) and cause.quantity in _CAUSED_BY_PAUSES)):
+        if not (is_link or (isinstance(cause, SafetyTrip) and cause.alarm.code in _CAUSED_BY_PAUSES)):
             return ""
         pauses = {"the loop": self.rate.pause_s, **self.parts.process_pauses()}
         longest = max(pauses, key=pauses.__getitem__)

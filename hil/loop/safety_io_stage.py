@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from hil.core import alarm_table as table
 from hil.core.messages import IoInputs, IoOutputs
 from hil.drivers.base import DiscreteIo
 from hil.errors import DeviceError, SafetyTrip
@@ -18,7 +19,6 @@ from hil.loop.rate_keeper import Rate
 from hil.safety.monitor import not_enabled
 
 CLOSING_TIME_S: Final = 1.0  # allowed from the first edge of enable until the relay closes
-SAFETY_CHAIN: Final = "safety chain"
 _READ_BACK_WALL_S: Final = 0.15  # of the chain after the relay has opened: relay, coupler, processes
 _EDGE_PERIOD_S: Final = 0.2  # of the edges of enable
 _PULSE_PERIOD_S: Final = 0.01
@@ -102,8 +102,7 @@ class SafetyIoStage(SafetyIo):
         self.io.write(IoOutputs(True, self._lines(), pump=False), rate.now_s())
         while self.io.read(rate.now_s()).chain_closed:
             if time.monotonic() - begun > timeout_s + _READ_BACK_WALL_S:
-                value = f"chain closed {timeout_s + _READ_BACK_WALL_S:g} s after the last pulse"
-                raise SafetyTrip(self.io.name, "time-out of the charge pump", value, f"{timeout_s:g} s")
+                raise table.PUMP_TIMEOUT.trip(self.io.name, timeout_s + _READ_BACK_WALL_S, timeout_s)
             rate.wait()
         return time.monotonic() - begun
 
@@ -112,7 +111,7 @@ class SafetyIoStage(SafetyIo):
         now_s = start_s = rate.now_s()
         while not self._send_enable(now_s, enable=(now_s - start_s) % _EDGE_PERIOD_S < 0.5 * _EDGE_PERIOD_S):
             if now_s - start_s > CLOSING_TIME_S:
-                raise SafetyTrip(self.io.name, SAFETY_CHAIN, f"open {CLOSING_TIME_S:g} s after enable", "closed")
+                raise table.SAFETY_CHAIN.trip(self.io.name, f"open {CLOSING_TIME_S:g} s after enable", "closed")
             now_s = rate.wait().now_s
 
     def _send_enable(self, now_s: float, enable: bool) -> bool:
@@ -191,10 +190,10 @@ class SafetyIoStage(SafetyIo):
 
     def _trip(self, inputs: IoInputs) -> SafetyTrip:
         if not inputs.estop_closed:
-            return SafetyTrip(self.io.name, "emergency stop", "pressed", "released")
+            return table.EMERGENCY_STOP.trip(self.io.name, "pressed", "released")
         for name in inputs.open_interlocks:
-            return SafetyTrip(self.io.name, f"interlock {name}", "open", "closed")
-        return SafetyTrip(self.io.name, SAFETY_CHAIN, "open", "closed")
+            return table.INTERLOCK.trip(self.io.name, "open", "closed", name)
+        return table.SAFETY_CHAIN.trip(self.io.name, "open", "closed")
 
 
 @contextmanager

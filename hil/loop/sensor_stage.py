@@ -10,6 +10,8 @@ import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
 from hil.config.tables.sensors import device_of
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import Array
 from hil.core.sensor_records import SENSOR_ARRIVAL
@@ -19,8 +21,7 @@ from hil.gnc_backends.base import GncBackend
 from hil.loop import core
 from hil.loop.core_memory import CoreMemory
 from hil.params.sensors import MONITOR
-from hil.safety.alarms import LOW, Alarm, AlarmLog
-from hil.safety.condition_alarms import Disagreement
+from hil.safety.alarms import AlarmLog
 from hil.sensors.measurement import deliver, is_any_due, log_arrivals, measure, put_sample
 from hil.sensors.module import SensorKind
 
@@ -116,19 +117,21 @@ class SensorStage:
         """Raise an alarm if ``source`` is silent: the navigation carries on without it, with a larger level."""
         silent_s = now_s - source.last_s
         if source.failure or silent_s > _SILENT_S:
-            value = source.failure or f"none for {silent_s:.1f} s"
-            alarm = Alarm(now_s, source.name, "samples", value, f"one within {_SILENT_S:g} s", priority=LOW)
-            self._alarms.raise_condition(alarm)
+            self._alarms.raise_condition(table.SAMPLES.alarm(now_s, source.name, source.failure or silent_s, _SILENT_S))
         else:
-            self._alarms.return_to_normal(source.name, "samples")
+            self._alarms.return_to_normal(source.name, table.SAMPLES.quantity)
 
-    def disagreement(self) -> Disagreement | None:
-        """Return the last disagreement of the first witness whose interlock is set, None if none is."""
+    def disagreement(self) -> Alarm | None:
+        """Return the alarm, at no time, of the first witness whose interlock is set, None if none is."""
         for (name, kind), witness in zip(self._kinds.items(), self.arrivals.witness, strict=False):
             if witness.disagrees:
                 component = kind.components[int(witness.component)]
-                device, label = name if name == MONITOR else device_of(name), component.doc or component.name
-                return Disagreement(device, label, component.unit, float(witness.value), float(witness.limit))
+                device, notes = (
+                    name if name == MONITOR else device_of(name),
+                    (f" {component.doc or component.name}", ""),
+                )
+                value, limit = float(witness.value), float(witness.limit)
+                return table.NAVIGATION_POSE.alarm(0.0, device, value, limit, unit=component.unit, notes=notes)
         return None
 
     def record(self, cycle: int) -> None:

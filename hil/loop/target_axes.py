@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar, Final
 
 import numpy as np
@@ -11,18 +12,18 @@ import numpy as np
 from hil.bench import kinematics, stopping
 from hil.bench.jog import Jog
 from hil.config.rig import AxisGroupTable
+from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, Array, AxisFeedback, Homing, new
 from hil.drivers.base import AxisGroup, Jogs, LimitsSetpoints
-from hil.errors import SafetyTrip
 from hil.loop.bench_stage import BenchStage, Move
 from hil.loop.rate_keeper import Tick
 from hil.models.profile import along_smooth_line, duration
 from hil.params import bench as bench_params
-from hil.safety.alarms import speed_text
 from hil.safety.packet_loss import SpeedCheck
 
 FRACTION_OF_LIMITS: Final = Move.FRACTION_OF_LIMITS
+_FOLLOWING: Final = replace(table.FOLLOWING_ERROR, digits=(3, 3), limit_digits=(3, 3))
 _SETTLE_S: Final = 3.0  # allowed after the move until the axes are at their places
 _SETTLED: Final = 0.001  # m or rad
 _STEP_S: Final = 0.02  # until a jog begins
@@ -73,7 +74,7 @@ class TargetAxes:
         waiting = ""
         for name, state in zip(self.axes.axis_names, self.axes.read(now_s).homing, strict=True):
             if state is Homing.FAILED:
-                raise SafetyTrip(name, "homing", "failed", "home switch found")
+                raise table.HOMING.trip(name, "failed", "home switch found")
             waiting = waiting or ("" if state is Homing.DONE else name)
         return waiting
 
@@ -97,7 +98,7 @@ class TargetAxes:
         feedback = self.axes.read(now_s)
         for name, homing in zip(self.axes.axis_names, feedback.homing, strict=True):
             if homing is not Homing.DONE:
-                raise SafetyTrip(name, "homing", homing.name.lower().replace("_", " "), "done before a run")
+                raise table.HOMING.trip(name, homing.name.lower().replace("_", " "), "done before a run")
         start, distance = feedback.position.copy(), goal - feedback.position
         self._stand_at(start)
         speeds, accelerations = rate_fraction * self._rate_max, FRACTION_OF_LIMITS * self.acceleration_max
@@ -109,7 +110,7 @@ class TargetAxes:
         position, motion, along = start.copy(), np.zeros(len(start)), np.empty(2)
         while moved_s <= duration_s or np.abs(self.feedback.position - goal).max() > _SETTLED:
             if moved_s > duration_s + _SETTLE_S:
-                raise SafetyTrip(self.axes.name, "place", "not reached", f"{_SETTLE_S:g} s after the move")
+                raise table.PLACE.trip(self.axes.name, "not reached", _SETTLE_S)
             for i, (length, speed, up, smooth_s) in enumerate(limits):
                 along_smooth_line(length, speed, up, up, smooth_s, moved_s, along)
                 position[i] = start[i] + math.copysign(along[0], distance[i])
@@ -166,7 +167,7 @@ class TargetAxes:
         self._check_following()
         for name, switch in zip(self.axes.axis_names, self.feedback.limit, strict=True):
             if switch and not self._jogged:
-                raise SafetyTrip(name, "limit switch", "low" if switch < 0 else "high", "none")
+                raise table.LIMIT_SWITCH.trip(name, "low" if switch < 0 else "high", "none")
 
     def _check_following(self) -> None:
         """Raise SafetyTrip if an axis is too far from its setpoint, or moves otherwise than it reports."""
@@ -174,21 +175,15 @@ class TargetAxes:
         allowed = self._error_max + self._error_per_speed_s * np.abs(self._expected_rate)
         worst = int(np.argmax(error - allowed))
         if not error[worst] <= allowed[worst]:
-            value, limit = self.text(error[worst], 3), self.text(allowed[worst], 3)
-            raise SafetyTrip(self.axes.axis_names[worst], "following error", value, limit)
+            name = self.axes.axis_names[worst]
+            raise _FOLLOWING.trip(name, error[worst], allowed[worst], rotates=self.rotates)
         self._check_speeds()
 
     def _check_speeds(self) -> None:
         """Raise SafetyTrip if the reported speed of an axis is not the change of its position."""
         if (found := self._speeds.update(self.feedback)) is not None:
             axis, reported, moved = found
-            value, limit = (speed_text(each, self.rotates) for each in (reported, moved))
-            raise SafetyTrip(self.axes.axis_names[axis], "speed", f"{value} reported", f"{limit} by its position")
-
-    def text(self, value: float, places: int | None = None) -> str:
-        """Return a length or an angle with its unit."""
-        shown, unit = (math.degrees(value), "deg") if self.rotates else (value, "m")
-        return f"{shown:g} {unit}" if places is None else f"{shown:.{places}f} {unit}"
+            raise table.SPEED.trip(self.axes.axis_names[axis], reported, moved, rotates=self.rotates)
 
     def check(self, now_s: float) -> None:
         """Raise SafetyTrip if an axis is not where it should be, DeviceError on failure."""

@@ -11,11 +11,11 @@ import numpy as np
 from hil.bench import kinematics, manipulator
 from hil.bench.manipulator import ChaserMotion
 from hil.config.rig import HeldAtPlace, RotaryManipulator
+from hil.core import alarm_table as table
 from hil.core.kernel_record import kernel_record
 from hil.core.manipulator_records import HELD_SAMPLE, MANIPULATOR_SAMPLE
 from hil.core.messages import Array
 from hil.drivers.base import AxisGroup
-from hil.errors import SafetyTrip
 from hil.frmn.ring import NoTelemetry, Telemetry
 from hil.loop.bench_stage import BenchStage
 from hil.loop.rate_keeper import Tick
@@ -43,8 +43,8 @@ class HeldAxes(TargetAxes):
         np.maximum(self._largest, error, out=self._largest)
         worst = int(error.argmax())
         if not error[worst] <= self._held_within:
-            value, limit = self.text(error[worst], 4), self.text(self._held_within)
-            raise SafetyTrip(self.axes.axis_names[worst], "distance from commanded place", value, limit)
+            name = self.axes.axis_names[worst]
+            raise table.COMMANDED_PLACE.trip(name, error[worst], self._held_within, rotates=self.rotates)
         self._check_speeds()
 
     def record(self, t_s: float, run_zero_s: float, chaser: BenchStage) -> None:

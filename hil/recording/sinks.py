@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from hil.config.rig import Rig
+from hil.core.alarms import Alarm
 from hil.core.build_info import VERSION
 from hil.core.camera_images import ImageEncoder
 from hil.core.local_user import local_user
@@ -19,7 +20,6 @@ from hil.loop.session_parts import SessionParts
 from hil.recording.audit import Actor, AuditChain
 from hil.recording.foxglove import log
 from hil.recording.schema import LOG_ENTRY
-from hil.safety.alarms import Alarm
 
 
 class EventRecorder:

@@ -19,6 +19,7 @@ from hil.core.messages import Array
 from hil.maths import elementary, linear
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
+from hil.report.results import RmsMax
 from hil.report.sums import Squares
 from hil.sensors.vision_unit import parameters as vmu_params
 
@@ -71,7 +72,7 @@ class BenchErrorSums:
                 part.add(error[span])
                 whole.add(of[span])
 
-    def as_json(self) -> dict[str, Any]:
+    def rows(self) -> dict[str, Any]:
         """Return the pose error at the left camera, its fraction of the navigation error, and the energy added, J.
 
         ``pose_error_mm`` and ``pose_error_deg``: rms and max over the run. ``share_of_navigation_error`` and
@@ -81,8 +82,8 @@ class BenchErrorSums:
         before, settled = self._shares
         position, attitude = settled if settled[0][0].n else before
         return {
-            "pose_error_mm": {"rms": self._distance.rms(), "max": self._distance.largest()},
-            "pose_error_deg": {"rms": self._angle.rms(), "max": self._angle.largest()},
+            "pose_error_mm": RmsMax(rms=self._distance.rms(), max=self._distance.largest()),
+            "pose_error_deg": RmsMax(rms=self._angle.rms(), max=self._angle.largest()),
             "share_of_navigation_error": _ratio(*position),
             "share_of_attitude_error": _ratio(*attitude),
             "energy": dict(zip(ENERGY_KEYS, self._work.tolist(), strict=True)),

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.core.messages import Array
 from hil.params.ready import tolerances
-from hil.report.verdict import deviations, not_required_text
+from hil.report.results import RunResults
+from hil.report.verdict import deviations
 
 LEFT_SIGMAS: Final = 3.0
 _LEFT_FOR_S: Final = 1.0  # shorter excursions are noise
@@ -56,10 +57,14 @@ def divergences(a: np.ndarray, b: np.ndarray, scenario: Scenario) -> list[RunDiv
         apart = np.abs(getattr(of_a, row) - getattr(of_b, row))
         spread = np.hypot(*(_spread(of_sigma * rows["navigation"][sigma], row, scenario) for rows in (a, b)))
         for i, axis in enumerate("xyz"):
-            content = _divergence(
-                f"{name} {axis}", unit, scale, apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s
-            )
-            found.append(RunDivergence(**content, of_tolerance=float(apart[:, i].max() / allowed[row][i])))
+            worst = int(np.argmax(apart[:, i]))
+            largest, at_s = float(apart[worst, i]), float(a["t_s"][worst])
+            found.append(
+                RunDivergence(
+                    f"{name} {axis}", unit, scale * largest, at_s, of_tolerance=float(largest / allowed[row][i]),
+                    **_in_sigmas(apart[:, i], spread[:, i], known, a["t_s"], scenario.step_s),
+                )
+            )  # fmt: skip
     return found
 
 
@@ -77,29 +82,15 @@ def _spread(sigma: Array, row: str, scenario: Scenario) -> Array:
     return spread
 
 
-def _divergence(
-    name: str, unit: str, scale: float, apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float
-) -> dict[str, Any]:
-    worst = int(np.argmax(apart))
+def _in_sigmas(apart: Array, spread: Array, known: np.ndarray, t_s: Array, step_s: float) -> dict[str, float | None]:
+    """Return ``sigmas``, ``beyond`` and ``left_s`` of RunDivergence."""
     usable = known & np.isfinite(spread) & (spread > 0.0)
-    content: dict[str, Any] = {
-        "name": name,
-        "unit": unit,
-        "largest": scale * float(apart[worst]),
-        "at_s": float(t_s[worst]),
-        "sigmas": None,
-        "beyond": None,
-        "left_s": None,
-    }
     if not usable.any():
-        return content
+        return dict.fromkeys(("sigmas", "beyond", "left_s"))
     ratio = np.where(usable, apart / np.where(usable, spread, 1.0), 0.0)
     out = ratio > LEFT_SIGMAS
-    return content | {
-        "sigmas": float(ratio.max()),
-        "beyond": float(out[usable].mean()),
-        "left_s": _first_stretch(out, t_s, max(1, round(_LEFT_FOR_S / step_s))),
-    }
+    left_s = _first_stretch(out, t_s, max(1, round(_LEFT_FOR_S / step_s)))
+    return {"sigmas": float(ratio.max()), "beyond": float(out[usable].mean()), "left_s": left_s}
 
 
 def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:
@@ -111,47 +102,12 @@ def _first_stretch(out: np.ndarray, t_s: Array, least: int) -> float | None:
     return None
 
 
-def key_numbers(summary: dict[str, Any]) -> list[tuple[str, str]]:
+def key_numbers(results: RunResults) -> list[tuple[str, str]]:
     """Return the numbers that are compared across runs: label and text."""
-    navigation, thrusters, timing = summary["navigation"], summary["thrusters"], summary["timing"]
-    bench, latency = summary["bench"], summary["latency"]
-    return [
-        ("verdict", f"pass {not_required_text(summary)}".rstrip() if summary["accepted"] else "fail"),
-        ("stop", str(summary["stop"])),
-        ("ready, s", _text(summary["ready_time_s"], ".2f")),
-        ("least margin to Table III", _percent(summary["verdict"]["control_precision"]["margin"])),
-        ("position rmse x y z, mm", _three(navigation["position_rmse_m"], 1e3)),
-        ("velocity rmse x y z, mm/s", _three(navigation["velocity_rmse_mps"], 1e3)),
-        ("attitude rmse x y z, deg", _three(navigation["attitude_rmse_deg"], 1.0)),
-        ("mean NEES position, 9 states", _text(navigation["nees_pkf"], ".2f")),
-        ("mean NEES attitude, 6 states", _text(navigation["nees_akf"], ".2f")),
-        ("propellant, kg", _text(thrusters["propellant_kg"], ".4f")),
-        ("firings", str(sum(thrusters["thruster_firings"]))),
-        ("camera error, rms mm", _text(bench["pose_error_mm"]["rms"], ".3f")),
-        ("camera error by true axes, rms mm", _text((bench.get("true_pose_error_mm") or {}).get("rms"), ".3f")),
-        ("pose to command p50 p99, ms", _times(latency["pose_to_command_ms"])),
-        ("setpoint to encoder p50 p99, ms", _times(latency["setpoint_to_encoder_ms"])),
-        ("overruns, periods lost", f"{timing['overruns']}, {timing['skipped_periods']}"),
-        ("lateness p50 p99 max, us", " ".join(_text(timing["lateness_us"][p], ".0f") for p in ("p50", "p99", "max"))),
-    ]
+    verdict = f"pass {results.not_required_text()}".rstrip() if results.accepted else "fail"
+    return [("verdict", verdict), *results.key_numbers()]
 
 
 def same_flight(runs: Sequence[dict[str, str]]) -> bool:
     """Return whether all metadata in ``runs`` have the same scenario and step."""
     return len({(run["scenario"], run["step_s"]) for run in runs}) == 1
-
-
-def _text(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{100.0 * value:.0f} %"
-
-
-def _three(values: list[float] | None, scale: float) -> str:
-    return "-" if values is None else " ".join(f"{scale * value:.4g}" for value in values)
-
-
-def _times(times: dict[str, float | None]) -> str:
-    return f"{_text(times['p50'], '.2f')} {_text(times['p99'], '.2f')}"

@@ -13,6 +13,7 @@ from hil.config.tables.faults import TimedFault
 from hil.gnc.integrity_verdict import MONITOR_DISAGREES
 from hil.maths import chi_square
 from hil.maths.limits import finite_or_none
+from hil.report import results
 
 SAFE_STOP: Final = "safe stop"
 _NEES_TAIL: Final = 2.5e-4  # of either filter
@@ -28,7 +29,7 @@ class SafeStop:
     by: str
 
 
-def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:
+def integrity_part(state: np.record, scenario: Scenario) -> results.Integrity:
     """Return the integrity part of the verdict. state: INTEGRITY_STATE at the end of a run.
 
     A GNC that reports no protection levels is judged by the distance to the target alone.
@@ -36,22 +37,22 @@ def integrity_part(state: np.record, scenario: Scenario) -> dict[str, Any]:
     reported = bool(state.reported)
     nearest_m, keep_out_m = finite_or_none(state.nearest), scenario.keep_out.radius_m
     has_estimate = state.worst_limit > 0.0 or state.worst_error > 0.0
-    return {
-        "passed": bool(state.hmi_cycles == 0 and nearest_m is not None and nearest_m >= keep_out_m),
-        "hmi_cycles": int(state.hmi_cycles) if reported else None,
-        "hmi_by_line1_only": int(state.hmi_by_line1_only) if reported else None,
-        "worst_error_m": float(state.worst_error) if has_estimate else None,
-        "alert_limit_m": float(state.worst_limit) if has_estimate else None,
-        "protection_level_m": [finite_or_none(level) for level in state.worst_level],
-        "availability": float(state.available / state.judged) if reported and state.judged else None,
-        "time_to_alert_s": float(state.longest_unnoticed_s),
-        "nearest_m": nearest_m,
-        "false_alerts": int(state.false_alerts),
-        "sensors": sensor_set(scenario),
-    }
+    return results.Integrity(
+        passed=bool(state.hmi_cycles == 0 and nearest_m is not None and nearest_m >= keep_out_m),
+        hmi_cycles=int(state.hmi_cycles) if reported else None,
+        hmi_by_line1_only=int(state.hmi_by_line1_only) if reported else None,
+        worst_error_m=float(state.worst_error) if has_estimate else None,
+        alert_limit_m=float(state.worst_limit) if has_estimate else None,
+        protection_level_m=[finite_or_none(level) for level in state.worst_level],
+        availability=float(state.available / state.judged) if reported and state.judged else None,
+        time_to_alert_s=float(state.longest_unnoticed_s),
+        nearest_m=nearest_m,
+        false_alerts=int(state.false_alerts),
+        sensors=sensor_set(scenario),
+    )
 
 
-def decision_part(state: np.record) -> dict[str, Any]:
+def decision_part(state: np.record) -> results.Decision:
     """Return the part of the verdict about docking's go. state: INTEGRITY_STATE at the end of a run.
 
     A mean NEES may be as large as that of a consistent filter whose errors stay the same for the whole run: a quantile
@@ -60,14 +61,14 @@ def decision_part(state: np.record) -> dict[str, Any]:
     found = state.decision
     counted = [mean <= limit for mean, limit in mean_nees(state)]
     nees_ok = all(counted) if counted else None
-    return {
-        "passed": bool(found.error == 0 and found.beyond + found.pending == 0 and nees_ok is not False),
-        "go_s": finite_or_none(found.go_s),
-        "error": bool(found.error),
-        "nees_ok": nees_ok,
-        "beyond_level_cycles": int(found.beyond + found.pending),
-        "error_over_level": float(found.over_level),
-    }
+    return results.Decision(
+        passed=bool(found.error == 0 and found.beyond + found.pending == 0 and nees_ok is not False),
+        go_s=finite_or_none(found.go_s),
+        error=bool(found.error),
+        nees_ok=nees_ok,
+        beyond_level_cycles=int(found.beyond + found.pending),
+        error_over_level=float(found.over_level),
+    )
 
 
 def mean_nees(state: np.record) -> list[tuple[float, float]]:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from hil.config.rig import Rig
 from hil.core.messages import Array
+from hil.report.results import Devices
 from hil.sensors.vision_unit import columns as vmu_columns
 
 LATENCIES: Final = ("pose_to_command_ms", "pose_to_wire_ms", "setpoint_to_encoder_ms", "pose_behind_imu_ms")
@@ -148,8 +149,6 @@ def percentiles(values: Array) -> dict[str, float | None]:
 
 
 NAMES: Final = ("cycle", "rails", "turntable", "vmu", "io")
-EXCHANGED: Final = ("rails", "turntable")
-"""Those with an exchange of setpoints and feedback."""
 _SAMPLE_PERIODS: Final = 2.0  # of the cycle: the limit of a sample's age, unless the rig file sets it
 _LATE_STAMP_S: Final = 1e-3  # a command is stamped just after its lines were passed on
 
@@ -182,19 +181,13 @@ def limits_s(rig: Rig, step_s: float) -> dict[str, float]:
     return dict.fromkeys(NAMES, exchange_s) | {"cycle": step_s, "vmu": rig.vmu.timeout_s}
 
 
-def judge_times(times_s: Mapping[str, Array], beyond: Mapping[str, int], rig: Rig, step_s: float) -> dict[str, Any]:
-    """Return the table ``timing.devices`` of the JSON. beyond: number of times above their limits."""
-    return {
-        name: {f"{key}_ms": value for key, value in percentiles(1e3 * times_s[name]).items()}
-        | {"limit_ms": 1e3 * limit_s, "beyond": beyond[name]}
-        for name, limit_s in limits_s(rig, step_s).items()
-    }
-
-
-def with_exchanges(devices: Mapping[str, Any], rates_hz: Mapping[str, float]) -> dict[str, Any]:
-    """Return ``judge_times`` with ``exchange_hz``, exchanges per second with the drives; None for devices in memory."""
-    added = {name: {"exchange_hz": rates_hz.get(name)} for name in EXCHANGED}
-    return {name: table | added.get(name, {}) for name, table in devices.items()}
+def judge_times(times_s: Mapping[str, Array], beyond: Mapping[str, int], rig: Rig, step_s: float) -> Devices:
+    """Return the times of each device against its limit. beyond: number of times above their limits."""
+    found = {}
+    for name, limit_s in limits_s(rig, step_s).items():
+        times = {f"{key}_ms": value for key, value in percentiles(1e3 * times_s[name]).items()}
+        found[name] = times | {"limit_ms": 1e3 * limit_s, "beyond": beyond[name]}
+    return Devices.of(found)
 
 
 def count_beyond(times_s: Mapping[str, Array], rig: Rig, step_s: float) -> dict[str, int]:

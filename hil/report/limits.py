@@ -16,13 +16,15 @@ import numpy as np
 from hil.config.rig import BENCH_AXES
 from hil.config.scenario import Scenario
 from hil.config.tables.required_parts import PART_COLUMNS, required_parts
+from hil.core.alarm_table import ALARMS
+from hil.core.alarms import Alarm, slug
 from hil.core.gnc_records import GncHealth
 from hil.gnc.approach_monitor import BENCH_DISAGREES, FIRST_HEALTH_CAUSE, HELD_TOO_LONG, ORDERED, SENSOR_SUSPECT
 from hil.gnc.ready_phase import DEVIATIONS
 from hil.maths.limits import finite_or_none
 from hil.params.ready import all_tolerances
 from hil.report.integrity import mean_nees
-from hil.safety.alarms import Alarm
+from hil.report.results import Energy
 
 _DIRECTIONS: Final = ("along", "across", "attitude")
 _SHORT_AXES: Final = tuple(name.split(".")[-1] for name in BENCH_AXES)
@@ -64,11 +66,6 @@ _WORDS: Final = {
     "lost_periods_of_loop": "number of lost periods",
     "nees_position": "NEES of the position filter", "nees_attitude": "NEES of the attitude filter",
 }  # fmt: skip
-_STOP_UNITS: Final = {
-    "age": "s", "distance": "m", "range": "m", "pose": "m", "position": "m", "following": "m", "attitude": "rad",
-    "rotation": "rad", "speed": "m/s",
-}  # fmt: skip
-"""First word of what ends a run with a safe stop -> unit, of rails where it is that of an axis."""
 _SMALLER: Final = {"m": "mm", "m/s": "mm/s", "kg": "g"}
 """Unit -> its thousandth."""
 _LEAST_VALUES: Final = frozenset(("ready_time", "keep_out", "field_of_view"))
@@ -107,8 +104,8 @@ def unit_of(name: str) -> str:
     """Return the SI unit of the limit ``name``, "" for a number without one."""
     what, _, axis = name.rpartition("_")
     if what.endswith("_of") and name not in LIMITS:
-        unit, rotates = _STOP_UNITS.get(name.split("_")[0], ""), axis in ("turntable", *_SHORT_AXES[3:])
-        return {"m": "rad", "m/s": "rad/s"}.get(unit, unit) if rotates else unit
+        kind = ALARMS.get(what.removesuffix("_of"))
+        return kind.unit_of(axis in ("turntable", *_SHORT_AXES[3:])) if kind else ""
     if name in ("pose_age", "hold_time", "ready_time"):
         return "s"
     if what == "closing_rate" or name.startswith("closing_rate"):
@@ -176,7 +173,7 @@ class RunNumbers:
     stats: np.record
     parts: Mapping[str, bool]
     view: tuple[float | None, float | None, float | None]
-    energy: Mapping[str, Any]
+    energy: Energy
     end_s: float
     accepted: bool
     stop: Stop | None = None
@@ -271,7 +268,7 @@ def _part_margins(run: RunNumbers, scenario: Scenario) -> list[Margin]:
     if margin is not None:
         lost = (lost_s, margin, 0.0) if margin < 0.0 else ()
         found.append(Margin("field_of_view", margin, at_s, margin, 0.0, "", *lost))
-    used, allowed = run.energy["propellant_kg"], run.energy["factor"] * run.energy["least_propellant_kg"]
+    used, allowed = run.energy.propellant_kg, run.energy.factor * run.energy.least_propellant_kg
     spent = (run.end_s, used, allowed) if used > allowed else ()
     found.append(Margin("propellant", allowed - used, run.end_s, used, allowed, "", *spent))
     decision = integrity.decision
@@ -418,20 +415,6 @@ def shown(value: float, unit: str) -> str:
 def stop_of_alarm(alarm: Alarm | None, stop: str, t_s: float) -> Stop:
     """Return the limit of the alarm that ended a run; without one that of its text ``stop``."""
     if alarm is None:
-        return Stop(stop.split(":")[0].strip().replace(" ", "_").replace(".", "_") or "stop", t_s)
-    quantity = alarm.quantity.split(",")[0].replace(" ", "_").replace("-", "_")
-    if quantity.startswith("pose") and "deg" in alarm.value:
-        quantity = quantity.replace("pose", "attitude")
-    return Stop(f"{quantity}_of_{alarm.device.split('.')[-1]}", t_s, _leading(alarm.value), _leading(alarm.limit))
-
-
-def _leading(text: str) -> float | None:
-    """Return the finite number at the start of ``text``, in SI, None without one."""
-    number, _, unit = text.strip().partition(" ")
-    try:
-        value = float(number)
-    except ValueError:
-        return None
-    if not math.isfinite(value):
-        return None
-    return math.radians(value) if unit.startswith("deg") else value
+        return Stop(slug(stop.split(":")[0].strip()).replace(".", "_") or "stop", t_s)
+    quantity = alarm.code if "," in alarm.quantity and alarm.code else slug(alarm.quantity.split(",")[0])
+    return Stop(f"{quantity}_of_{alarm.device.split('.')[-1]}", t_s, alarm.measured, alarm.allowed)

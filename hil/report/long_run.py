@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from hil.loop.outcome import Outcome
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
-from hil.report.tally import Tally
-from hil.report.verdict import Verdict
+from hil.report.tally import Tallied, Tally
 from hil.session import assembly
 from hil.session.assembly import Job
 
@@ -55,7 +54,7 @@ def _load_kernels(job: Job, row: np.ndarray) -> None:
         warm.end()
 
 
-def accumulate(parts: SessionParts, job: Job) -> Callable[[Outcome], tuple[dict[str, Any], Verdict] | None]:
+def accumulate(parts: SessionParts, job: Job) -> Callable[[Outcome], Tallied | None]:
     """Add to ``parts`` what receives the rows if the run of ``job`` is longer than its memory of rows.
 
     Return a function that returns the ``numbers`` of the run with an outcome; None if its rows give them.
@@ -79,7 +78,7 @@ def accumulate(parts: SessionParts, job: Job) -> Callable[[Outcome], tuple[dict[
         run.add(rows)
         return rows
 
-    def end(outcome: Outcome) -> tuple[dict[str, Any], Verdict] | None:
+    def end(outcome: Outcome) -> Tallied | None:
         if not taken:
             return None
         if part_thread is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -91,7 +91,7 @@ class NavigationBound:
         values: list[float] = np.sqrt(self._sums[span][k] / self._time_s[span]).tolist()
         return values
 
-    def as_json(self) -> dict[str, list[float] | None]:
+    def rows(self) -> dict[str, Any]:
         """Return the root mean squares of the standard deviations, by the keys of the JSON; None without poses."""
         angle = self._root(1)
         return {

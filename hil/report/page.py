@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from hil.checks.waivers import Waiver
 from hil.loop.compiled.run_stats import counted
@@ -13,9 +13,10 @@ from hil.recording.read import Recorded
 from hil.report import html
 from hil.report.comparison import LEFT_SIGMAS, divergences, key_numbers, same_flight
 from hil.report.figures import figures
+from hil.report.results import Navigation, RunResults
 from hil.report.summary import BROKE_OFF, summary_of
 from hil.report.table import ready_rows, verdict_lines
-from hil.report.verdict import TABLE_V, Verdict, not_required_text, verdict_of
+from hil.report.verdict import TABLE_V, Verdict, verdict_of
 
 _VERSIONS: Final = (
     "hil",
@@ -37,7 +38,7 @@ class Judged:
     """A recorded run with its numbers and verdict."""
 
     recorded: Recorded
-    summary: dict[str, Any]
+    results: RunResults
     verdict: Verdict
 
     @property
@@ -50,7 +51,7 @@ def judged(recorded: Recorded) -> Judged:
     """Return the run's numbers as recorded; of a run that broke off, those of its cycles."""
     scenario, history = recorded.scenario, recorded.cycles
     verdict = verdict_of(counted(history, scenario).ready, scenario.requirements)
-    return Judged(recorded, summary_of(recorded), verdict)
+    return Judged(recorded, RunResults.of(summary_of(recorded)), verdict)
 
 
 def report(runs: Sequence[Recorded]) -> str:
@@ -66,100 +67,98 @@ def report(runs: Sequence[Recorded]) -> str:
 
 
 def _one(run: Judged, alone: bool) -> Iterator[str]:
-    recorded, summary = run.recorded, run.summary
+    recorded, results = run.recorded, run.results
     if not alone:
         yield html.heading(1, run.name)
-    accepted = summary["accepted"]
-    text = f"PASS {not_required_text(summary)}".rstrip() if accepted else "FAIL"
+    accepted = results.accepted
+    text = f"PASS {results.not_required_text()}".rstrip() if accepted else "FAIL"
     yield html.paragraph(text, f"verdict {'pass' if accepted else 'fail'}")
     yield html.paragraph(
         f"{recorded.run['run']}, started {recorded.run['started_utc']}, {len(recorded.cycles)} cycles recorded, "
-        f"ended: {summary['stop']}"
+        f"ended: {results.stop}"
     )
     if not recorded.intact or recorded.summary is None:
         yield html.paragraph(f"{BROKE_OFF} or is damaged: the page shows its intact part.", "note")
     dropped = int((recorded.end or {}).get("dropped", "0"))
     if dropped:
         yield html.paragraph(f"{dropped} messages are missing in this recording.", "note")
-    for waiver in summary["waived"]:
+    for waiver in results.waived:
         yield html.paragraph(str(Waiver(**waiver)), "waived")
     yield from _verdict(run)
     yield html.heading(2, "Figures")
     for title, address in figures(recorded.cycles, recorded.scenario, recorded.rig, run.verdict):
         yield html.image(title, address)
-    yield from _numbers(summary)
-    yield from _events(recorded, summary)
+    yield from _numbers(results)
+    yield from _events(recorded, results)
     yield from _configuration(recorded)
 
 
 def _verdict(run: Judged) -> Iterator[str]:
-    summary, scenario = run.summary, run.recorded.scenario
+    results, scenario = run.results, run.recorded.scenario
     yield html.heading(2, "Verdict")
-    rows = [("ok" if passed else "fail", name, text) for name, passed, text in verdict_lines(summary)]
+    rows = [("ok" if passed else "fail", name, text) for name, passed, text in verdict_lines(results)]
     yield html.table(("", "part", ""), rows, words=True)
-    paper = TABLE_V.get(summary["scenario"])
+    paper = TABLE_V.get(results.scenario)
     if run.verdict.worst is None:
         yield html.paragraph("The ready phase was not reached: there is no comparison with Table V.", "note")
         return
-    ready = ready_rows(summary["scenario"], run.verdict, scenario.requirements)
+    ready = ready_rows(results.scenario, run.verdict, scenario.requirements)
     lines = [(f"{label} {axis}, {unit}", *cells) for label, axis, unit, *cells in ready]
     beside = f"{paper.ready_time_s:g}" if paper and paper.ready_time_s is not None else "-"
-    lines.append(("ready, s", "", f"{summary['ready_time_s']:.2f}", "", beside, ""))
+    lines.append(("ready, s", "", f"{results.ready_time_s:.2f}", "", beside, ""))
     head = ("", "Table III", "here", "margin", "Table V", "")
     yield html.table(head, lines, "Ready phase: largest deviations against Table III, and the paper's Table V")
 
 
-def _numbers(summary: dict[str, Any]) -> Iterator[str]:
+def _numbers(results: RunResults) -> Iterator[str]:
     yield html.heading(2, "Key numbers")
-    yield html.table(("", "here"), key_numbers(summary))
-    if errors := _errors_over_bound(summary["navigation"]):
+    yield html.table(("", "here"), key_numbers(results))
+    if errors := _errors_over_bound(results.navigation):
         caption = "Navigation: error against the bound of these sensors, which no filter can be below"
         yield html.table(("", "error, rms", "bound", "error over bound"), errors, caption)
-    thrusters = summary["thrusters"]
+    thrusters = results.thrusters
     rows = [
         (str(i), str(firings), f"{on_s:.2f}")
-        for i, (firings, on_s) in enumerate(
-            zip(thrusters["thruster_firings"], thrusters["thruster_on_time_s"], strict=True)
-        )
+        for i, (firings, on_s) in enumerate(zip(thrusters.thruster_firings, thrusters.thruster_on_time_s, strict=True))
     ]
     yield html.table(("thruster", "firings", "open, s"), rows, "Thruster use")
-    if control := summary.get("control"):
+    if control := results.control:
         keys = ("smallest_change", "noise", "coast", "dead_band", "lead_s", "period_s")
         rows = [(axis["axis"], axis["unit"], *(f"{axis[key]:.3g}" for key in keys)) for axis in control["axes"]]
         head = ("axis", "unit", "smallest change, unit/s", "noise", "coast", "dead band", "lead, s", "period, s")
         caption = f"Control at the end: dead bands and leads for firings of at least {control['shortest_firing_s']:g} s"
         yield html.table(head, rows, caption)
-    timing = summary["timing"]
-    asked = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing["privileges"]]
+    timing = results.timing
+    asked = [(p["name"], "granted" if p["granted"] else "refused", p["detail"]) for p in timing.privileges]
     if asked:
         yield html.table(("requested of the system", "", ""), asked, "Real time", words=True)
     latency = [
         (name.replace("_", " "), *("-" if value is None else f"{value:.2f}" for value in times.values()))
-        for name, times in summary["latency"].items()
+        for name, times in results.latency.as_json().items()
     ]
     yield html.table(("latency", "p50", "p99", "max"), latency)
-    if summary["vision"]:
-        counted = [(name, str(count)) for name, count in summary["vision"].items()]
+    if results.vision:
+        counted = [(name, str(count)) for name, count in results.vision.items()]
         yield html.table(("vision unit", "count"), counted)
-    if sensors := summary.get("sensors"):
+    if sensors := results.sensors:
         keys = ("accepted", "rejected", "excluded", "too_late", "suspected", "mean_nis")
         samples = [
             (name, *("-" if found[key] is None else f"{found[key]:.6g}" for key in keys))
             for name, found in sensors.items()
         ]
         yield html.table(("sensor", *(key.replace("_", " ") for key in keys)), samples)
-    if drift := summary.get("drift_check"):
+    if drift := results.drift_check:
         parts = [(e["part"], f"{e['shift_px']:.3f}", f"{e['chance']:.1e}") for e in drift["explanations"]]
         title = f"Drift since calibration {drift['calibration']} of {drift['date']}"
         yield html.table(("part", "shift, px", "by chance"), parts, title)
 
 
-def _errors_over_bound(navigation: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+def _errors_over_bound(navigation: Navigation) -> list[tuple[str, str, str, str]]:
     """Return error, bound and their ratio of each axis; none if a recording has no such bound."""
     lines = []
     for quantity, unit, scale, axes in (("position", "m", 1e3, "xyz"), ("attitude", "deg", 1.0, "123")):
-        error, bound = (navigation.get(f"{quantity}_{name}_{unit}") for name in ("rmse", "bound"))
-        if error is None or bound is None or f"{quantity}_sigma_{unit}" not in navigation:
+        error, bound = (getattr(navigation, f"{quantity}_{name}_{unit}") for name in ("rmse", "bound"))
+        if error is None or bound is None:
             continue
         for axis, here, least in zip(axes, error, bound, strict=True):
             shown = "mm" if unit == "m" else unit
@@ -169,19 +168,19 @@ def _errors_over_bound(navigation: dict[str, Any]) -> list[tuple[str, str, str, 
     return lines
 
 
-def _events(recorded: Recorded, summary: dict[str, Any]) -> Iterator[str]:
+def _events(recorded: Recorded, results: RunResults) -> Iterator[str]:
     yield html.heading(2, "Faults, alarms, events")
-    if summary.get("injected"):
+    if results.injected:
         rows = [
             (fault["device"], fault["kind"], " ".join(f"{value:g}" for value in fault["value"]), f"{fault['at_s']:g}",
              "" if fault["until_s"] is None else f"{fault['until_s']:g}")
-            for fault in summary["injected"]
+            for fault in results.injected
         ]  # fmt: skip
         yield html.table(("injected in", "fault", "value", "from, s", "to, s"), rows, words=True)
-    if summary["faults"]:
-        yield html.table(("fault",), [(text,) for text in summary["faults"]], words=True)
-    if summary["alarms"]:
-        alarms = [(f"{a['t_s']:.2f}", a["text"]) for a in summary["alarms"]]
+    if results.faults:
+        yield html.table(("fault",), [(text,) for text in results.faults], words=True)
+    if results.alarms:
+        alarms = [(f"{a['t_s']:.2f}", a["text"]) for a in results.alarms]
         yield html.table(("bench time, s", "alarm"), alarms, words=True)
     rows = [
         (*("" if n[key] is None else f"{n[key]:.2f}" for key in ("t_s", "bench_s")), n["kind"], n["name"], n["message"])
@@ -200,7 +199,7 @@ def _configuration(recorded: Recorded) -> Iterator[str]:
 
 
 def _comparison(runs: Sequence[Judged]) -> Iterator[str]:
-    numbers = [dict(key_numbers(run.summary)) for run in runs]
+    numbers = [dict(key_numbers(run.results)) for run in runs]
     rows = [(label, *(found[label] for found in numbers)) for label in numbers[0]]
     yield html.table(("", *(run.name for run in runs)), rows, "Side by side")
     if not same_flight([run.recorded.run for run in runs]):

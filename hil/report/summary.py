@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,6 +15,7 @@ from hil.config.rig import Rig
 from hil.config.scenario import Scenario
 from hil.config.tables.faults import TimedFault
 from hil.config.tables.sign_off import SignOff
+from hil.core.alarm_table import ALARMS
 from hil.core.build_info import build_info
 from hil.core.messages import Event
 from hil.gnc.control import rule_of
@@ -25,11 +27,10 @@ from hil.loop.runner import COMPLETED
 from hil.params import gnc as gnc_params
 from hil.params.ready import ROW_NAMES
 from hil.report.integrity import SafeStop, decision_part, detection, integrity_part
-from hil.report.latency import with_exchanges
 from hil.report.limits import RunNumbers, alarms_before, first_violated, margins_of, stop_of_alarm
-from hil.report.tally import Tally
-from hil.report.verdict import Verdict, acceptance, parts_of
-from hil.safety.guard_alarms import GUARD_QUANTITIES
+from hil.report.results import RmsMax, RunResults
+from hil.report.tally import Tallied, Tally
+from hil.report.verdict import Verdict, acceptance
 
 if TYPE_CHECKING:
     from hil.recording.read import Recorded
@@ -45,9 +46,9 @@ def summarise(
     rig_name: str,
     seed: int,
     rate_hz: float,
-    numbers: tuple[dict[str, Any], Verdict] | None = None,
+    numbers: Tallied | None = None,
 ) -> tuple[dict[str, Any], Verdict]:
-    """Return the run's numbers as JSON content, and the verdict; None for quantities that the run did not reach.
+    """Return the run's results as JSON content, and the verdict; None for quantities that the run did not reach.
 
     numbers: of ``Tally``, if ``outcome.history`` has the last rows of a long run only.
     """
@@ -56,79 +57,73 @@ def summarise(
         tally = Tally(scenario, rig)
         tally.add(history)
         numbers = tally.numbers()
-    found, verdict = numbers
-    parts, timing, state = found["verdict"], found["timing"], found["stats"].integrity
+    found, stats, verdict = numbers
     aborted = bool(len(history) and history["supervision"]["aborted"][-1])
     passed = verdict.passed and outcome.stop == COMPLETED and not aborted
-    summary = {
-        "scenario": scenario.name,
-        "build": build_info()._asdict(),
-        "seed": seed,
-        "rig": rig_name,
-        "passed": passed,
-        "stop": outcome.stop,
-        "ready_time_s": verdict.ready_time_s,
-        "held_since_s": verdict.held_since_s,
-        "ready_phase": {name: verdict.worst[name].tolist() for name in ROW_NAMES} if verdict.worst else None,
-        "verdict": parts,
-        "integrity": integrity_part(state, scenario),
-        "decision": decision_part(state),
-        "docking_go_s": docking_go_s(outcome.events),
-        "navigation": found["navigation"],
-        "thrusters": found["thrusters"],
-        "control": control_numbers(history, scenario),
-        "orbit": {"body": scenario.orbit.body} | found["orbit"],
-        "gnc": gnc_summary(scenario),
-        "vision": outcome.vision_counters,
-        "drift_check": outcome.measured.get("drift_check") or None,
-        "bench": found["bench"]
-        | {"limited_cycles": outcome.limited_cycles}
-        | outcome.measured.get("bench", dict.fromkeys(("true_pose_error_mm", "true_pose_error_deg"))),
-        "latency": found["latency"],
-        "timing": {
-            "rate_hz": rate_hz,
-            "axes_rate_hz": rate_hz * rig.ticks(scenario.step_s),
-            "imu_rate_hz": rate_hz * scenario.imu_samples,
-            "overruns": outcome.overruns,
-            "skipped_periods": outcome.skipped_periods,
-            **timing,
-            "devices": with_exchanges(timing["devices"], outcome.measured.get("exchanges", {})),
-            "late_cycle": rig.on_overrun,
-            "privileges": [{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
-        },
-        "clocks": outcome.measured.get("clocks"),
-        "manipulator": outcome.measured.get("manipulator"),
-        "held_axes": outcome.measured.get("held_axes"),
-        "sensors": outcome.measured.get("sensors"),
-        "sign_off": sign_off_summary(rig),
-        "waived": [waiver.as_json() for waiver in waivers(rig, scenario)],
-        "events": [{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
-        "injected": [
-            injected(fault, detection(state, k, fault, safe_stop(outcome, scenario)))
+    measured = outcome.measured
+    found.bench.limited_cycles = outcome.limited_cycles
+    for name, error in measured.get("bench", {}).items():
+        setattr(found.bench, name, RmsMax.of(error))
+    for name, rate_hz_of in measured.get("exchanges", {}).items():
+        getattr(found.timing.devices, name).exchange_hz = rate_hz_of
+    found = replace(
+        found,
+        scenario=scenario.name,
+        build=build_info()._asdict(),
+        seed=seed,
+        rig=rig_name,
+        passed=passed,
+        stop=outcome.stop,
+        ready_time_s=verdict.ready_time_s,
+        held_since_s=verdict.held_since_s,
+        ready_phase={name: verdict.worst[name].tolist() for name in ROW_NAMES} if verdict.worst else None,
+        integrity=integrity_part(stats.integrity, scenario),
+        decision=decision_part(stats.integrity),
+        docking_go_s=docking_go_s(outcome.events),
+        control=control_numbers(history, scenario),
+        gnc=gnc_summary(scenario),
+        vision=outcome.vision_counters,
+        drift_check=measured.get("drift_check") or None,
+        timing=replace(
+            found.timing,
+            rate_hz=rate_hz,
+            axes_rate_hz=rate_hz * rig.ticks(scenario.step_s),
+            imu_rate_hz=rate_hz * scenario.imu_samples,
+            overruns=outcome.overruns,
+            skipped_periods=outcome.skipped_periods,
+            late_cycle=rig.on_overrun,
+            privileges=[{"name": g.name, "granted": g.granted, "detail": g.detail} for g in outcome.privileges],
+        ),
+        clocks=measured.get("clocks"),
+        manipulator=measured.get("manipulator"),
+        held_axes=measured.get("held_axes"),
+        sensors=measured.get("sensors"),
+        sign_off=sign_off_summary(rig),
+        waived=[waiver.as_json() for waiver in waivers(rig, scenario)],
+        events=[{"t_s": event.t_s, "source": event.source, "text": event.text} for event in outcome.events],
+        injected=[
+            injected(fault, detection(stats.integrity, k, fault, safe_stop(outcome, scenario)))
             for k, fault in enumerate(scenario.faults)
         ],
-        "faults": outcome.faults,
-        "alarms": [alarm.as_json() for alarm in outcome.alarms],
-    }
-    summary["passed_all_parts"] = passed and all(part["passed"] for part in parts_of(summary).values())
-    accepted = acceptance(summary, scenario.requirements)
-    limits = limits_of(outcome, found["stats"], summary | accepted, scenario)
-    return accepted | summary | limits, verdict
+        faults=outcome.faults,
+        alarms=[alarm.as_json() for alarm in outcome.alarms],
+    )
+    found.passed_all_parts = passed and all(part.passed for part in found.parts().values())
+    found.accepted, found.required_parts = acceptance(found, scenario.requirements)
+    return found.as_json() | limits_of(outcome, stats, found, scenario), verdict
 
 
-def limits_of(outcome: Outcome, stats: np.record, summary: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+def limits_of(outcome: Outcome, stats: np.record, results: RunResults, scenario: Scenario) -> dict[str, Any]:
     """Return the first violated limit, the alarms before it and the margins. stats: RUN_STATS."""
-    view, end_s, stop = summary["verdict"]["field_of_view"], 0.0, None
+    view, end_s, stop = results.verdict.field_of_view, 0.0, None
     if len(outcome.history):
         end_s = float(outcome.history["t_s"][-1])
     if outcome.stop != COMPLETED:
         alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
         stop = stop_of_alarm(alarm, outcome.stop, end_s)
-    parts = {name: bool(part["passed"]) for name, part in parts_of(summary).items()}
-    seen, energy = (view["margin_px"], view["at_s"], view["at_s"]), summary["verdict"]["energy"]
-    run = RunNumbers(
-        stats, parts, seen, energy, end_s, bool(summary["accepted"]), stop, outcome.measured.get("limits", {})
-    )
+    parts = {name: bool(part.passed) for name, part in results.parts().items()}
+    seen, measured = (view.margin_px, view.at_s, view.at_s), outcome.measured.get("limits", {})
+    run = RunNumbers(stats, parts, seen, results.verdict.energy, end_s, bool(results.accepted), stop, measured)
     margins = margins_of(run, scenario)
     found = first_violated(run, scenario, margins)
     return found | {
@@ -140,7 +135,8 @@ def limits_of(outcome: Outcome, stats: np.record, summary: dict[str, Any], scena
 def summary_of(recorded: Recorded) -> dict[str, Any]:
     """Return the numbers of a recorded run; of one that broke off, those of its cycles."""
     if recorded.summary is not None:
-        of_earlier_versions = acceptance(recorded.summary, recorded.scenario.requirements)
+        found = acceptance(RunResults.of(recorded.summary), recorded.scenario.requirements)
+        of_earlier_versions = dict(zip(("accepted", "required_parts"), found, strict=True))
         waived = [waiver.as_json() for waiver in waivers(recorded.rig, recorded.scenario)]
         return {"waived": waived, **of_earlier_versions, **recorded.summary}
     stop = (recorded.end or {}).get("stop", BROKE_OFF)
@@ -159,7 +155,7 @@ def safe_stop(outcome: Outcome, scenario: Scenario) -> SafeStop | None:
     alarm = next((alarm for alarm in outcome.alarms if alarm.text == outcome.stop), None)
     if alarm is None or not len(outcome.history):
         return None
-    by = "guard" if alarm.quantity.startswith(GUARD_QUANTITIES) else "device"
+    by = "guard" if ALARMS[alarm.code].by_guard else "device"
     return SafeStop(float(outcome.history["t_s"][-1]) + scenario.step_s, by)
 
 

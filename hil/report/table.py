@@ -7,12 +7,15 @@ from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from hil.checks.waivers import Waiver
 from hil.config.scenario import Requirements
 from hil.core.realtime import REAL_TIME
 from hil.params.ready import ROW_NAMES, tolerances
-from hil.report.verdict import TABLE_V, Verdict, missed_parts, not_required_text, parts_of
+from hil.report import results
+from hil.report.results import RunResults, number
+from hil.report.verdict import TABLE_V, Verdict
 
 ROW_LABELS = {
     "position_m": ("distance", ("x - 0.4 m", "y", "z"), "mm", 1e3),
@@ -22,45 +25,48 @@ ROW_LABELS = {
 }
 
 
-def _say(console: Console, text: str, style: str | None = None, markup: bool = True) -> None:
-    """Print ``text`` without line breaks."""
-    console.print(text, style=style, highlight=False, soft_wrap=True, markup=markup)
+def _say(console: Console, text: str | Text, style: str | None = None) -> None:
+    """Print ``text`` without line breaks; a Text has no markup."""
+    console.print(text, style=style, highlight=False, soft_wrap=True)
 
 
-def render(summary: dict[str, Any], verdict: Verdict, requirements: Requirements, console: Console) -> None:
+def render(run: RunResults, verdict: Verdict, requirements: Requirements, console: Console) -> None:
     """Print the run's verdict and key numbers."""
-    paper = TABLE_V.get(summary["scenario"])
     if verdict.worst is not None:
-        console.print(_ready_phase(summary, verdict, requirements))
-    _print_parts(summary, console)
-    _print_times(summary, paper.ready_time_s if paper else None, console)
-    _print_library(summary.get("gnc", {"library": None}), console)
-    _print_navigation(summary["navigation"], console)
-    for name, found in (summary.get("sensors") or {}).items():
-        _say(console, f"Sensor      {name}: {_sensor_text(found)}", markup=False)
-    thrusters = summary["thrusters"]
-    _say(
-        console,
-        f"Thrusters   force demand {_three(thrusters['force_on_time_s'], '.1f')} s, "
-        f"torque demand {_three(thrusters['torque_on_time_s'], '.1f')} s "
-        f"({_three(thrusters['torque_on_time_360_400_s'], '.2f')} s in 360..400 s), "
-        f"{sum(thrusters['thruster_firings'])} firings, propellant {thrusters['propellant_kg']:.3f} kg",
-    )
-    _print_bench(summary["bench"], summary["latency"], console)
-    if clocks := summary.get("clocks"):
-        _say(console, f"Clocks      {_clocks_text(clocks, summary['vision'])}")
-    if drift := summary.get("drift_check"):
-        _say(console, f"Cameras     {_drift_text(drift)}")
-    _print_timing(summary["timing"], console)
-    print_sign_off(summary["sign_off"], console)
-    print_waived(summary["waived"], console)
-    accepted = summary["accepted"]
-    word = "[bold green]PASS[/]" if accepted else "[bold red]FAIL[/]"
-    beside = not_required_text(summary) if accepted else f"({_reason(summary, verdict)})"
-    weak = len(summary["waived"])
+        console.print(_ready_phase(run, verdict, requirements))
+    for line in _lines(run):
+        _say(console, line)
+    print_sign_off(run.sign_off, console)
+    print_waived(run.waived, console)
+    word = "[bold green]PASS[/]" if run.accepted else "[bold red]FAIL[/]"
+    beside = run.not_required_text() if run.accepted else f"({_reason(run, verdict)})"
+    weak = len(run.waived)
     given_up = f"[bold red]; {weak} protection{'s' * (weak > 1)} waived or weak[/]" if weak else ""
-    text = f"{word} {summary['scenario']} on {summary['rig']}, seed {summary['seed']} {beside}".rstrip() + given_up
-    _say(console, text)
+    _say(console, f"{word} {run.scenario} on {run.rig}, seed {run.seed} {beside}".rstrip() + given_up)
+
+
+def _lines(run: RunResults) -> Iterator[str | Text]:
+    """Yield the lines of parts of the verdict and of key numbers."""
+    for name, passed, text in verdict_lines(run):
+        yield f"{'[green]ok  [/]' if passed else '[red]fail[/]'} {name:<18} {text}"
+    yield _ready_text(run)
+    if run.gnc and run.gnc["library"] is not None:
+        yield Text(f"GNC         {run.gnc['library']}")
+    yield _navigation_text(run.navigation)
+    for name, found in (run.sensors or {}).items():
+        yield Text(f"Sensor      {name}: {_sensor_text(found)}")
+    use, one, two = run.thrusters, number(".1f"), number(".2f")
+    yield (
+        f"Thrusters   force demand {one(use.force_on_time_s)} s, torque demand {one(use.torque_on_time_s)} s "
+        f"({two(use.torque_on_time_360_400_s)} s in 360..400 s), "
+        f"{sum(use.thruster_firings)} firings, propellant {use.propellant_kg:.3f} kg"
+    )
+    yield from _bench_lines(run.bench, run.latency)
+    if run.clocks:
+        yield f"Clocks      {_clocks_text(run.clocks, run.vision)}"
+    if run.drift_check:
+        yield f"Cameras     {_drift_text(run.drift_check)}"
+    yield from _timing_lines(run.timing)
 
 
 def _sensor_text(found: dict[str, Any]) -> str:
@@ -76,39 +82,32 @@ def print_sign_off(sign_off: dict[str, Any] | None, console: Console) -> None:
     if sign_off is not None and not sign_off["gap"]:
         key = sign_off.get("key")
         text = f"{sign_off['date']} by {sign_off['by']}{f', key {key}' if key else ''}"
-        _say(console, f"Sign-off    {text}", markup=False)
+        _say(console, Text(f"Sign-off    {text}"))
 
 
 def print_waived(waived: Sequence[dict[str, str]], console: Console) -> None:
     """Print each waived protection, in red."""
     for waiver in waived:
-        _say(console, str(Waiver(**waiver)), style="bold red", markup=False)
+        _say(console, Text(str(Waiver(**waiver))), style="bold red")
 
 
-def _print_timing(timing: dict[str, Any], console: Console) -> None:
-    late = {name: "-" if value is None else f"{value:.0f}" for name, value in timing["lateness_us"].items()}
-    _say(
-        console,
-        f"Timing      {timing['cycles']} cycles at {timing['rate_hz']:g} Hz, {timing['overruns']} overruns, "
-        f"{timing['skipped_periods']} periods lost, {timing['late_wakeups']} late wake-ups, "
-        f"lateness p50 {late['p50']} p99 {late['p99']} p99.9 {late['p999']} max {late['max']} us",
+def _timing_lines(timing: results.Timing) -> Iterator[str]:
+    late = {name: "-" if us is None else f"{us:.0f}" for name, us in timing.lateness_us.as_json().items()}
+    yield (
+        f"Timing      {timing.cycles} cycles at {timing.rate_hz:g} Hz, {timing.overruns} overruns, "
+        f"{timing.skipped_periods} periods lost, {timing.late_wakeups} late wake-ups, "
+        f"lateness p50 {late['p50']} p99 {late['p99']} p99.9 {late['p999']} max {late['max']} us"
     )
-    slow = {name: times for name, times in timing.get("devices", {}).items() if times["beyond"]}
-    for name, times in slow.items():
-        _say(
-            console,
-            f"            {name}: {times['beyond']} times beyond {times['limit_ms']:g} ms, "
-            f"p50 {times['p50_ms']:.2f} p99 {times['p99_ms']:.2f} max {times['max_ms']:.2f} ms",
-            style="yellow",
-        )
-    if timing["privileges"]:
-        _say(console, f"Host        {_host_text(timing['privileges'])}")
-    if timing["overruns"]:
-        _say(
-            console,
-            f"            this host is too slow: {timing['overruns']} cycles were late; try a lower --speed",
-            style="yellow",
-        )
+    for name, times in vars(timing.devices).items() if timing.devices else ():
+        if times is not None and times.beyond:
+            yield (
+                f"[yellow]            {name}: {times.beyond} times beyond {times.limit_ms:g} ms, "
+                f"p50 {times.p50_ms:.2f} p99 {times.p99_ms:.2f} max {times.max_ms:.2f} ms[/]"
+            )
+    if timing.privileges:
+        yield f"Host        {_host_text(timing.privileges)}"
+    if timing.overruns:
+        yield f"[yellow]            this host is too slow: {timing.overruns} cycles were late; try a lower --speed[/]"
 
 
 def _host_text(privileges: list[dict[str, Any]]) -> str:
@@ -131,97 +130,89 @@ def ready_rows(scenario: str, verdict: Verdict, requirements: Requirements) -> I
             yield label, axis, unit, f"{limit:.4g}", f"{here:.3g}", margin, theirs, word
 
 
-def _ready_phase(summary: dict[str, Any], verdict: Verdict, requirements: Requirements) -> Table:
+def _ready_phase(run: RunResults, verdict: Verdict, requirements: Requirements) -> Table:
     table = Table(title="Ready phase: largest deviations against Table III", title_justify="left")
     for column in ("", "axis", "limit", "here", "margin", "Table V", ""):
         table.add_column(column, justify="left" if column in ("", "axis") else "right")
-    for i, (label, axis, unit, *numbers, word) in enumerate(ready_rows(summary["scenario"], verdict, requirements)):
+    for i, (label, axis, unit, *numbers, word) in enumerate(ready_rows(run.scenario, verdict, requirements)):
         first = "" if i % 3 else f"{label}, {unit}"
         table.add_row(first, axis, *numbers, f"[{'green' if word == 'ok' else 'red'}]{word}[/]", end_section=i % 3 == 2)
     return table
 
 
-def verdict_lines(summary: dict[str, Any]) -> list[tuple[str, bool, str]]:
-    """Return name, verdict and key numbers of each part of the verdict, as far as ``summary`` has it."""
+def verdict_lines(run: RunResults) -> list[tuple[str, bool, str]]:
+    """Return name, verdict and key numbers of each part of the verdict, as far as ``run`` has it."""
     lines = []
-    for name, part in parts_of(summary).items():
-        text = PART_TEXTS[name](part)
-        suffix = "" if name in summary["required_parts"] else "; not required"
-        lines.append((name.replace("_", " "), bool(part["passed"]), f"{text}{suffix}"))
+    for name, part in run.parts().items():
+        suffix = "" if name in run.required_parts else "; not required"
+        lines.append((name.replace("_", " "), bool(part.passed), f"{PART_TEXTS[name](part)}{suffix}"))
     return lines
 
 
-def _print_parts(summary: dict[str, Any], console: Console) -> None:
-    """Print a line for each part of the verdict."""
-    for name, passed, text in verdict_lines(summary):
-        word = "[green]ok  [/]" if passed else "[red]fail[/]"
-        _say(console, f"{word} {name:<18} {text}")
-
-
-def _precision_text(part: dict[str, Any]) -> str:
-    if part["margin"] is None:
+def _precision_text(part: results.ControlPrecision) -> str:
+    if part.margin is None:
         return "never ready"
-    text = f"least margin to Table III {100.0 * part['margin']:.0f} %"
-    duration_s, required_s = part.get("ready_duration_s", 0.0), part.get("required_ready_s", 0.0)
+    text = f"least margin to Table III {100.0 * part.margin:.0f} %"
+    duration_s, required_s = part.ready_duration_s or 0.0, part.required_ready_s or 0.0
     return text if duration_s >= required_s else f"{text}, ready for {duration_s:.2f} s, required {required_s:g} s"
 
 
-def _security_text(part: dict[str, Any]) -> str:
-    if "corridor_margin_m" not in part:
+def _security_text(part: results.Security) -> str:
+    if part.corridor_margin_m is None or part.closing_margin_mps is None:
         return "no cycle was run"
     text = (
-        f"corridor margin {part['corridor_margin_m']:.3f} m, "
-        f"closing-rate margin {1e3 * part['closing_margin_mps']:.1f} mm/s, nearest {part['nearest_m']:.3f} m"
+        f"corridor margin {part.corridor_margin_m:.3f} m, "
+        f"closing-rate margin {1e3 * part.closing_margin_mps:.1f} mm/s, nearest {part.nearest_m:.3f} m"
     )
-    abort = part["abort"]
+    abort = part.abort
     if abort is None:
         return text
-    drift = abort["drift_from_end"]
+    drift = abort.drift_from_end
     return (
-        f"{text}; aborted at {abort['at_s']:.2f} s ({abort['cause']}): from {abort['range_m']:.2f} m, nearest "
-        f"{abort['nearest_m']:.2f} m, end {abort['range_at_end_m']:.2f} m, then adrift for an orbit "
+        f"{text}; aborted at {abort.at_s:.2f} s ({abort.cause}): from {abort.range_m:.2f} m, nearest "
+        f"{abort.nearest_m:.2f} m, end {abort.range_at_end_m:.2f} m, then adrift for an orbit "
         f"nearest {drift['nearest_m']:.2f} m"
     )
 
 
-def _energy_text(part: dict[str, Any]) -> str:
-    allowed, bound = part["factor"] * part["least_propellant_kg"], part["impulsive_bound_kg"]
-    over = f", {part['propellant_kg'] / bound:.2f} x impulsive bound" if bound else ""
+def _energy_text(part: results.Energy) -> str:
+    allowed, bound = part.factor * part.least_propellant_kg, part.impulsive_bound_kg
+    over = f", {part.propellant_kg / bound:.2f} x impulsive bound" if bound else ""
     return (
-        f"propellant {part['propellant_kg']:.3f} kg, allowed {allowed:.3f} kg "
-        f"({part['factor']:g} x impulsive least){over}, {part['firings']} firings"
+        f"propellant {part.propellant_kg:.3f} kg, allowed {allowed:.3f} kg "
+        f"({part.factor:g} x impulsive least){over}, {part.firings} firings"
     )
 
 
-def _view_text(part: dict[str, Any]) -> str:
-    if part["at_s"] is None:
+def _view_text(part: results.FieldOfView) -> str:
+    if part.at_s is None:
         return "no cycle was run"
-    margin = "behind a camera" if part["margin_px"] is None else f"least margin {part['margin_px']:.0f} px"
-    return f"{margin} at {part['at_s']:.2f} s, range {part['range_m']:.2f} m"
+    margin = "behind a camera" if part.margin_px is None else f"least margin {part.margin_px:.0f} px"
+    return f"{margin} at {part.at_s:.2f} s, range {part.range_m:.2f} m"
 
 
-def _integrity_text(part: dict[str, Any]) -> str:
-    if part["nearest_m"] is None:
+def _integrity_text(part: results.Integrity) -> str:
+    if part.nearest_m is None:
         return "no cycle was run"
-    near = f"nearest {part['nearest_m']:.3f} m"
-    if part["worst_error_m"] is None:
+    near = f"nearest {part.nearest_m:.3f} m"
+    if part.worst_error_m is None:
         return f"no estimate, {near}"
-    text = f"largest error {part['worst_error_m']:.3f} m, alert limit {part['alert_limit_m']:.3f} m, {near}"
-    if part["hmi_cycles"] is None:
+    text = f"largest error {part.worst_error_m:.3f} m, alert limit {part.alert_limit_m:.3f} m, {near}"
+    if part.hmi_cycles is None:
         return f"{text}; no protection levels"
-    available = "" if part["availability"] is None else f", available {100.0 * part['availability']:.1f} %"
-    return f"{text}; {part['hmi_cycles']} misleading cycles{available}, {part['false_alerts']} false alerts"
+    available = "" if part.availability is None else f", available {100.0 * part.availability:.1f} %"
+    return f"{text}; {part.hmi_cycles} misleading cycles{available}, {part.false_alerts} false alerts"
 
 
-def _decision_text(part: dict[str, Any]) -> str:
-    go = "never a go" if part["go_s"] is None else f"docking a go at {part['go_s']:.2f} s"
-    if part["error"]:
+def _decision_text(part: results.Decision) -> str:
+    go = "never a go" if part.go_s is None else f"docking a go at {part.go_s:.2f} s"
+    if part.error:
         go += ", with the truth outside the requirement"
-    nees = {None: "no NEES", True: "NEES consistent", False: "NEES too large"}[part["nees_ok"]]
-    return f"{go}; {nees}, {part['beyond_level_cycles']} cycles beyond the protection level"
+    nees = {None: "no NEES", True: "NEES consistent", False: "NEES too large"}[part.nees_ok]
+    return f"{go}; {nees}, {part.beyond_level_cycles} cycles beyond the protection level"
 
 
-PART_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
+PART_TEXTS: Final[Mapping[str, Callable[[Any], str]]] = {
     "control_precision": _precision_text,
     "security": _security_text,
     "energy": _energy_text,
@@ -232,70 +223,54 @@ PART_TEXTS: Final[Mapping[str, Callable[[dict[str, Any]], str]]] = {
 """Part of the verdict -> function that returns its key numbers as text."""
 
 
-def _print_times(summary: dict[str, Any], paper_s: float | None, console: Console) -> None:
-    if summary["ready_time_s"] is None:
-        _say(console, "Ready       never: Table III did not hold for the dwell time")
-        return
-    beside = f" (paper: {paper_s:g} s)" if paper_s is not None else ""
-    _say(
-        console,
-        f"Ready       at {summary['ready_time_s']:.2f} s{beside}, "
-        f"Table III holds since {summary['held_since_s']:.2f} s",
+def _ready_text(run: RunResults) -> str:
+    if run.ready_time_s is None:
+        return "Ready       never: Table III did not hold for the dwell time"
+    paper = TABLE_V.get(run.scenario)
+    beside = f" (paper: {paper.ready_time_s:g} s)" if paper and paper.ready_time_s is not None else ""
+    return f"Ready       at {run.ready_time_s:.2f} s{beside}, Table III holds since {run.held_since_s:.2f} s"
+
+
+def _navigation_text(navigation: results.Navigation) -> str:
+    if navigation.position_rmse_m is None:
+        return "Navigation  no estimate: no pose arrived, or the GNC gave none"
+    mm, deg = number(".2f", 1e3), number(".4f")
+    bound, angle_bound = navigation.position_bound_m, navigation.attitude_bound_deg
+    return (
+        f"Navigation  position rmse {mm(navigation.position_rmse_m)} mm{f' (bound {mm(bound)})' if bound else ''}, "
+        f"attitude rmse {deg(navigation.attitude_rmse_deg)} deg{f' (bound {deg(angle_bound)})' if angle_bound else ''}"
     )
 
 
-def _print_library(gnc: dict[str, Any], console: Console) -> None:
-    if gnc["library"] is not None:
-        _say(console, f"GNC         {gnc['library']}", markup=False)
-
-
-def _print_navigation(navigation: dict[str, Any], console: Console) -> None:
-    if navigation["position_rmse_m"] is None:
-        _say(console, "Navigation  no estimate: no pose arrived, or the GNC gave none")
-        return
-    bound = navigation["position_bound_m"]
-    angle_bound = navigation["attitude_bound_deg"]
-    _say(
-        console,
-        f"Navigation  position rmse {_three([1e3 * v for v in navigation['position_rmse_m']], '.2f')} mm"
-        + (f" (bound {_three([1e3 * v for v in bound], '.2f')})" if bound else "")
-        + f", attitude rmse {_three(navigation['attitude_rmse_deg'], '.4f')} deg"
-        + (f" (bound {_three(angle_bound, '.4f')})" if angle_bound else ""),
-    )
-
-
-def _print_bench(bench: dict[str, Any], latency: dict[str, Any], console: Console) -> None:
-    """Print the bench error and the latencies of pose and setpoint."""
-    distance, angle = bench["pose_error_mm"], bench["pose_error_deg"]
-    if distance["rms"] is not None and angle["rms"] is not None:
-        fraction = bench["share_of_navigation_error"]
-        _say(
-            console,
-            f"Bench       camera error rms {distance['rms']:.3f} max {distance['max']:.3f} mm, "
-            f"rms {angle['rms']:.4f} max {angle['max']:.4f} deg"
-            + (f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""),
-        )
-    if text := _energy_added_text(bench.get("energy", {})):
-        _say(console, f"            {text}")
-    if true := bench.get("true_pose_error_mm"):
-        by_angle = bench["true_pose_error_deg"]
-        _say(
-            console,
-            f"Emulated    camera error by the true axes, behind the encoders: rms {true['rms']:.3f} "
-            f"max {true['max']:.3f} mm, rms {by_angle['rms']:.4f} max {by_angle['max']:.4f} deg",
-        )
-    parts = [
-        f"{name} p50 {times['p50']:.2f} p99 {times['p99']:.2f} max {times['max']:.2f} ms"
-        for name, times in (
-            ("pose to command", latency["pose_to_command_ms"]),
-            ("to its digital line", latency["pose_to_wire_ms"]),
-            ("setpoint to encoder", latency["setpoint_to_encoder_ms"]),
-            ("pose behind IMU", latency["pose_behind_imu_ms"]),
-        )
-        if times["p50"] is not None
+def _bench_lines(bench: results.Bench, latency: results.Latency) -> Iterator[str]:
+    """Yield the bench error and the latencies of pose and setpoint."""
+    if (errors := _camera_text(bench.pose_error_mm, bench.pose_error_deg)) is not None:
+        fraction = bench.share_of_navigation_error
+        share = f", {100.0 * fraction:.1f} % of the navigation error" if fraction is not None else ""
+        yield f"Bench       camera error {errors}{share}"
+    if text := _energy_added_text(bench.energy or {}):
+        yield f"            {text}"
+    if (errors := _camera_text(bench.true_pose_error_mm, bench.true_pose_error_deg)) is not None:
+        yield f"Emulated    camera error by the true axes, behind the encoders: {errors}"
+    times = {
+        "pose to command": latency.pose_to_command_ms,
+        "to its digital line": latency.pose_to_wire_ms,
+        "setpoint to encoder": latency.setpoint_to_encoder_ms,
+        "pose behind IMU": latency.pose_behind_imu_ms,
+    }
+    shown = [
+        f"{name} p50 {each.p50:.2f} p99 {each.p99:.2f} max {each.max:.2f} ms"
+        for name, each in times.items()
+        if each.p50 is not None
     ]
-    if parts:
-        _say(console, f"Latency     {', '.join(parts)}")
+    if shown:
+        yield f"Latency     {', '.join(shown)}"
+
+
+def _camera_text(mm: results.RmsMax | None, deg: results.RmsMax | None) -> str | None:
+    if mm is None or deg is None or mm.rms is None or deg.rms is None:
+        return None
+    return f"rms {mm.rms:.3f} max {mm.max:.3f} mm, rms {deg.rms:.4f} max {deg.max:.4f} deg"
 
 
 def _energy_added_text(energy: dict[str, float]) -> str:
@@ -331,21 +306,17 @@ def _drift_text(drift: dict[str, Any]) -> str:
     return f"{found} since {known}: {drift['views']} views, residuals {drift['rms_px']:.3f} px RMS"
 
 
-def _three(values: list[float], form: str) -> str:
-    return " ".join(format(value, form) for value in values)
-
-
-def _reason(summary: dict[str, Any], verdict: Verdict) -> str:
+def _reason(run: RunResults, verdict: Verdict) -> str:
     """Return why a run is not accepted: of several reasons the first in time."""
-    if summary["faults"]:
+    if run.faults:
         return "safe stop"
-    if summary["verdict"]["security"]["abort"] is not None:
+    if run.verdict.security.abort is not None:
         return "the approach was aborted"
-    missed = [name.replace("_", " ") for name in missed_parts(summary) if name != "control_precision"]
+    missed = [name.replace("_", " ") for name in run.missed_parts() if name != "control_precision"]
     reasons = [f"failed: {', '.join(missed)}"] if missed else []
-    if "control_precision" in missed_parts(summary):
-        reasons.insert(0, _not_precise(summary["verdict"]["control_precision"]["required_ready_s"], verdict))
-    return "; ".join(reasons) or str(summary["stop"])
+    if "control_precision" in run.missed_parts():
+        reasons.insert(0, _not_precise(run.verdict.control_precision.required_ready_s, verdict))
+    return "; ".join(reasons) or str(run.stop)
 
 
 def _not_precise(required_s: float, verdict: Verdict) -> str:

@@ -20,6 +20,7 @@ from hil.params.ready import SETTLED_S
 from hil.report.bench_error import BenchErrorSums
 from hil.report.latency import LATENCIES, NAMES, count_beyond, execution_times_s, judge_times, measured, percentiles
 from hil.report.navigation_bound import NavigationBound
+from hil.report.results import Bench, Latency, Lateness, Navigation, Percentiles, RunResults, Timing, VerdictParts
 from hil.report.sums import Squares, ThinnedSample
 from hil.report.verdict import Verdict, control_precision, verdict_of
 from hil.report.verdict_parts import (
@@ -34,6 +35,10 @@ from hil.report.verdict_parts import (
 _BLOCK_S: Final = 20.0
 """Of the run: what is fitted to windows (``latency``) finds whole ones in a block."""
 _ROWS_MAX: Final = 2048
+
+
+Tallied = tuple[RunResults, np.record, Verdict]
+"""Results that the rows give, RUN_STATS, and the verdict."""
 
 
 class Tally:
@@ -106,36 +111,38 @@ class Tally:
             self._times[name].add(times_s[name])
             self._beyond[name] += count
 
-    def numbers(self) -> tuple[dict[str, Any], Verdict]:
-        """Return the tables of the run's JSON that its rows give, with RUN_STATS as ``stats``, and the verdict."""
+    def numbers(self) -> Tallied:
+        """Return what the rows give."""
         self.end()
         scenario, stats, step_s = self._scenario, self.stats, self._scenario.step_s
         verdict = verdict_of(stats.ready, scenario.requirements)
         thrusters = thruster_numbers(stats, scenario)
-        energy = energy_part(stats, scenario, thrusters["propellant_kg"])
+        security = security_part(stats)
+        security.abort = self._abort.course()
         times_s = {name: sample.values() for name, sample in self._times.items()}
-        return {
-            "stats": stats,
-            "verdict": {
-                "control_precision": control_precision(verdict, scenario),
-                "security": security_part(stats) | {"abort": self._abort.as_json()},
-                "energy": energy,
-                "field_of_view": self._view.as_json(),
-            },
-            "navigation": navigation_numbers(stats.navigation) | self._bound.as_json(),
-            "thrusters": thrusters,
-            "orbit": {"eclipse_s": step_s * float(stats.shadow_cycles)},
-            "bench": {
+        latency = {name: Percentiles(**percentiles(1e3 * sample.values())) for name, sample in self._latency.items()}
+        results = RunResults(
+            verdict=VerdictParts(
+                control_precision=control_precision(verdict, scenario),
+                security=security,
+                energy=energy_part(stats, scenario, thrusters.propellant_kg),
+                field_of_view=self._view.part(),
+            ),
+            navigation=Navigation(**navigation_numbers(stats.navigation), **self._bound.rows()),
+            thrusters=thrusters,
+            orbit={"body": scenario.orbit.body, "eclipse_s": step_s * float(stats.shadow_cycles)},
+            bench=Bench(
                 **self._rails.as_json("rail_error", "m"),
                 **self._gimbals.as_json("gimbal_error", "deg"),
-                **self._bench.as_json(),
-            },
-            "latency": {name: percentiles(1e3 * sample.values()) for name, sample in self._latency.items()},
-            "timing": {
-                "cycles": int(stats.cycles),
-                "late_wakeups": self._late_wakeups,
-                "lateness_us": lateness_percentiles_us(self._lateness.values()),
-                "lateness_histogram": self._histogram,
-                "devices": judge_times(times_s, self._beyond, self._rig, step_s),
-            },
-        }, verdict
+                **self._bench.rows(),
+            ),
+            latency=Latency(**latency),
+            timing=Timing(
+                cycles=int(stats.cycles),
+                late_wakeups=self._late_wakeups,
+                lateness_us=Lateness(**lateness_percentiles_us(self._lateness.values())),
+                lateness_histogram=self._histogram,
+                devices=judge_times(times_s, self._beyond, self._rig, step_s),
+            ),
+        )
+        return results, stats, verdict

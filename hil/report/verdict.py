@@ -13,17 +13,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from hil.config.scenario import Requirements, Scenario
 from hil.config.tables.model import Triple
-from hil.config.tables.required_parts import PART_COLUMNS, required_parts
+from hil.config.tables.required_parts import required_parts
 from hil.core.messages import Array
 from hil.gnc import ready_phase
 from hil.loop.runner import COMPLETED
 from hil.params.ready import ROW_NAMES, ready_params, tolerances
+from hil.report.results import ControlPrecision, RunResults
 
 _ROUNDING_S = 1e-9
 
@@ -72,17 +72,17 @@ def verdict_of(state: np.record, requirements: Requirements) -> Verdict:
     return Verdict(float(state.ready_s), float(state.since_s), passed, worst, duration_s)
 
 
-def control_precision(verdict: Verdict, scenario: Scenario) -> dict[str, Any]:
+def control_precision(verdict: Verdict, scenario: Scenario) -> ControlPrecision:
     """Return Table III over the ready phase; margin: the least of 1 - deviation / tolerance, None if never ready."""
     allowed, worst = tolerances(scenario.requirements), verdict.worst
     margin = None if worst is None else min(float((1.0 - worst[n] / allowed[n]).min()) for n in ROW_NAMES)
-    return {
-        "passed": verdict.passed,
-        "ready_time_s": verdict.ready_time_s,
-        "ready_duration_s": verdict.ready_duration_s,
-        "required_ready_s": scenario.requirements.required_ready_s,
-        "margin": margin,
-    }
+    return ControlPrecision(
+        passed=verdict.passed,
+        ready_time_s=verdict.ready_time_s,
+        ready_duration_s=verdict.ready_duration_s,
+        required_ready_s=scenario.requirements.required_ready_s,
+        margin=margin,
+    )
 
 
 @dataclass(frozen=True)
@@ -115,35 +115,10 @@ def is_accepted(completed: bool, aborted: bool, parts: Mapping[str, bool], requi
     return completed and not aborted and bool(required) and all(parts.get(name, False) for name in required)
 
 
-def parts_of(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the parts of the verdict in ``summary``, that of ``hil run --json``; earlier versions have fewer."""
-    found = {**summary.get("verdict", {}), **summary}
-    return {name: found[name] for name in PART_COLUMNS if found.get(name) is not None}
-
-
-def acceptance(summary: Mapping[str, Any], requirements: Requirements) -> dict[str, Any]:
-    """Return ``accepted`` and ``required_parts`` of the JSON; summary: with ``stop`` and the parts of the verdict."""
-    found = parts_of(summary)
-    parts = {name: bool(part["passed"]) for name, part in found.items()}
-    aborted = found.get("security", {}).get("abort") is not None
-    return {
-        "accepted": is_accepted(summary["stop"] == COMPLETED, aborted, parts, requirements),
-        "required_parts": required_parts(requirements.required_parts, parts),
-    }
-
-
-def not_required_text(summary: Mapping[str, Any]) -> str:
-    """Return the parts that the scenario does not require, each with its outcome, in brackets; "" without any."""
-    parts = parts_of(summary)
-    outcomes = [
-        f"{name.replace('_', ' ')} {'ok' if part['passed'] else 'fail'}"
-        for name, part in parts.items()
-        if name not in summary["required_parts"]
-    ]
-    return f"(not required: {', '.join(outcomes)})" if outcomes else ""
-
-
-def missed_parts(summary: Mapping[str, Any]) -> list[str]:
-    """Return the required parts that the run did not pass."""
-    parts = parts_of(summary)
-    return [name for name in summary["required_parts"] if not (name in parts and parts[name]["passed"])]
+def acceptance(results: RunResults, requirements: Requirements) -> tuple[bool, list[str]]:
+    """Return ``accepted`` and ``required_parts``; results: with ``stop`` and the parts of the verdict."""
+    parts = {name: bool(part.passed) for name, part in results.parts().items()}
+    security = getattr(results.verdict, "security", None)
+    aborted = security is not None and security.abort is not None
+    accepted = is_accepted(results.stop == COMPLETED, aborted, parts, requirements)
+    return accepted, required_parts(requirements.required_parts, parts)

@@ -41,6 +41,7 @@ from hil.models import elliptic_motion
 from hil.params import bench as bench_params
 from hil.params import gnc as gnc_params
 from hil.params.dynamics import mean_motion
+from hil.report import results
 from hil.sensors.vision_unit import parameters as vmu_params
 
 _RMS_KEYS: Final = (
@@ -84,17 +85,17 @@ def attitude_error(history: np.ndarray) -> Array:
     return rotation
 
 
-def thruster_numbers(stats: np.record, scenario: Scenario) -> dict[str, Any]:
+def thruster_numbers(stats: np.record, scenario: Scenario) -> results.Thrusters:
     """Return the use of the thrusters: demands, open times, firings, propellant. stats: RUN_STATS."""
     n, step_s = len(scenario.chaser.thrusters.position_m), scenario.step_s
-    return {
-        "force_on_time_s": (step_s * stats.force_cycles).tolist(),
-        "torque_on_time_s": (step_s * stats.torque_cycles).tolist(),
-        "torque_on_time_360_400_s": (step_s * stats.torque_cycles_360_400_s).tolist(),
-        "thruster_on_time_s": (step_s * stats.thruster_open[:n]).tolist(),
-        "thruster_firings": stats.thruster_firings[:n].tolist(),
-        "propellant_kg": propellant_kg(stats, scenario),
-    }
+    return results.Thrusters(
+        force_on_time_s=(step_s * stats.force_cycles).tolist(),
+        torque_on_time_s=(step_s * stats.torque_cycles).tolist(),
+        torque_on_time_360_400_s=(step_s * stats.torque_cycles_360_400_s).tolist(),
+        thruster_on_time_s=(step_s * stats.thruster_open[:n]).tolist(),
+        thruster_firings=stats.thruster_firings[:n].tolist(),
+        propellant_kg=propellant_kg(stats, scenario),
+    )
 
 
 def propellant_kg(stats: np.record, truth: Scenario) -> float:
@@ -137,23 +138,23 @@ def drift_over_an_orbit(row: np.void, orbit: Orbit) -> dict[str, Any]:
     }
 
 
-def security_part(stats: np.record) -> dict[str, Any]:
+def security_part(stats: np.record) -> results.Security:
     """Return ``passed`` and the least margins on the truth up to an abort. stats: RUN_STATS.
 
     The corridor counts from the first cycle inside it; the line of an abort is that before it.
     """
     if not stats.cycles:
-        return {"passed": False}
+        return results.Security(passed=False)
     limits = stats.integrity.limits
     corridor, closing = float(limits.margin[CORRIDOR]), float(limits.margin[CLOSING])
-    return {
-        "passed": corridor >= 0.0 and closing >= 0.0,
-        "corridor_margin_m": corridor,
-        "corridor_margin_at_s": float(limits.at_s[CORRIDOR]),
-        "closing_margin_mps": closing,
-        "closing_margin_at_s": float(limits.at_s[CLOSING]),
-        "nearest_m": float(stats.integrity.nearest),
-    }
+    return results.Security(
+        passed=corridor >= 0.0 and closing >= 0.0,
+        corridor_margin_m=corridor,
+        corridor_margin_at_s=float(limits.at_s[CORRIDOR]),
+        closing_margin_mps=closing,
+        closing_margin_at_s=float(limits.at_s[CLOSING]),
+        nearest_m=float(stats.integrity.nearest),
+    )
 
 
 class AbortCourse:
@@ -180,21 +181,21 @@ class AbortCourse:
         if self._hold_since_s is None and len(held):
             self._hold_since_s = float(rows["t_s"][held[0]])
 
-    def as_json(self) -> dict[str, Any] | None:
+    def course(self) -> results.Abort | None:
         """Return the course, None without an abort."""
         first, last, orbit = self._first, self._last, self._scenario.orbit
         if first is None or last is None:
             return None
-        return {
-            "cause": ABORT_CAUSES[int(first["supervision"]["aborted"])],
-            "at_s": float(first["t_s"]),
-            "range_m": linear.length(first["truth"]["r_CT_H"]),
-            "nearest_m": self._nearest_m,
-            "hold_since_s": self._hold_since_s,
-            "range_at_end_m": linear.length(last["truth"]["r_CT_H"]),
-            "drift_from_trigger": drift_over_an_orbit(first, orbit),
-            "drift_from_end": drift_over_an_orbit(last, orbit),
-        }
+        return results.Abort(
+            cause=ABORT_CAUSES[int(first["supervision"]["aborted"])],
+            at_s=float(first["t_s"]),
+            range_m=linear.length(first["truth"]["r_CT_H"]),
+            nearest_m=self._nearest_m,
+            hold_since_s=self._hold_since_s,
+            range_at_end_m=linear.length(last["truth"]["r_CT_H"]),
+            drift_from_trigger=drift_over_an_orbit(first, orbit),
+            drift_from_end=drift_over_an_orbit(last, orbit),
+        )
 
 
 def slew_impulse(scenario: Scenario) -> float:
@@ -223,7 +224,7 @@ def impulsive_bound(stats: np.record, scenario: Scenario) -> float | None:
     )
 
 
-def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> dict[str, Any]:
+def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> results.Energy:
     """Return ``passed`` and the numbers. stats: RUN_STATS.
 
     delta_v_mps is the rocket equation's value for the propellant, as if all thrust had acted in one direction.
@@ -233,18 +234,18 @@ def energy_part(stats: np.record, scenario: Scenario, propellant_kg: float) -> d
     line, slews = float(stats.reference_delta_v), slew_impulse(scenario) / mass_kg
     least_kg = mass_kg * -elementary.expm1(-(line + slews) / exhaust_speed)
     bound = impulsive_bound(stats, scenario)
-    return {
-        "passed": bool(stats.cycles and propellant_kg <= factor * least_kg),
-        "propellant_kg": propellant_kg,
-        "delta_v_mps": -exhaust_speed * elementary.log1p(-propellant_kg / mass_kg),
-        "least_propellant_kg": least_kg,
-        "least_line_mps": line,
-        "least_slews_mps": slews,
-        "impulsive_bound_mps": bound,
-        "impulsive_bound_kg": None if bound is None else mass_kg * -elementary.expm1(-(bound + slews) / exhaust_speed),
-        "factor": factor,
-        "firings": int(np.sum(stats.thruster_firings)),
-    }
+    return results.Energy(
+        passed=bool(stats.cycles and propellant_kg <= factor * least_kg),
+        propellant_kg=propellant_kg,
+        delta_v_mps=-exhaust_speed * elementary.log1p(-propellant_kg / mass_kg),
+        least_propellant_kg=least_kg,
+        least_line_mps=line,
+        least_slews_mps=slews,
+        impulsive_bound_mps=bound,
+        impulsive_bound_kg=None if bound is None else mass_kg * -elementary.expm1(-(bound + slews) / exhaust_speed),
+        factor=factor,
+        firings=int(np.sum(stats.thruster_firings)),
+    )
 
 
 class FieldOfView:
@@ -270,14 +271,14 @@ class FieldOfView:
         self._rows += len(rows)
         self._lost += int(np.count_nonzero(margins < 0.0))
 
-    def as_json(self) -> dict[str, Any]:
+    def part(self) -> results.FieldOfView:
         """Return ``passed``, the least margin to an image's edge, px, its time and range, and the time outside."""
         if not self._rows:
-            return {"passed": False, "margin_px": None, "at_s": None, "range_m": None, "lost_s": None}
-        return {
-            "passed": bool(self._least_px >= 0.0),
-            "margin_px": finite_or_none(self._least_px),
-            "at_s": self._at_s,
-            "range_m": self._range_m,
-            "lost_s": self._step_s * self._lost,
-        }
+            return results.FieldOfView(passed=False)
+        return results.FieldOfView(
+            passed=bool(self._least_px >= 0.0),
+            margin_px=finite_or_none(self._least_px),
+            at_s=self._at_s,
+            range_m=self._range_m,
+            lost_s=self._step_s * self._lost,
+        )

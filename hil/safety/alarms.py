@@ -1,4 +1,4 @@
-"""Alarms of the bench and of its consistency monitors (ANSI/ISA-18.2).
+"""Log of the alarms of the bench and of its consistency monitors (ANSI/ISA-18.2).
 
 A *trip*, of high priority, ends in a safe stop and stays latched until a reset. A *condition*, of medium or low
 priority, stands while it lasts, and until it is acknowledged; it may be shelved for a time. Each alarm is acknowledged
@@ -7,75 +7,14 @@ by itself.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
+from hil.core.alarms import HIGH, PRIORITIES, Alarm
 from hil.core.observable import ObservableList
-from hil.errors import BenchError, DeviceError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
 
-_KINDS: dict[type[DeviceError], tuple[str, str]] = {
-    LinkLost: ("link", "connected"),
-    LinkTimeout: ("timeout", "response in time"),
-    ProtocolError: ("protocol", "valid message"),
-    DriveFault: ("drive fault", "none"),
-}
-
-
-HIGH, MEDIUM, LOW = "high", "medium", "low"
-PRIORITIES: Final = (HIGH, MEDIUM, LOW)
-"""Of alarms, in their order: to act on at once, soon, when there is time."""
 SHELVED_MAX_S: Final = 3600.0
 """Longest time for which an alarm can be shelved."""
-
-
-@dataclass(frozen=True, slots=True)
-class Alarm:
-    """One alarm: bench time, device, monitored quantity, its value and its limit, both with units.
-
-    latched: it stands. active: its condition lasts. number: in its session, from 1. shelved_until_s: bench time, 0 if
-    it is not shelved.
-    """
-
-    t_s: float
-    device: str
-    quantity: str
-    value: str
-    limit: str
-    text: str = ""
-    latched: bool = True
-    acknowledged: bool = False
-    priority: str = HIGH
-    active: bool = True
-    number: int = 0
-    acknowledged_by: str = ""
-    shelved_until_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.text:
-            object.__setattr__(self, "text", f"{self.device}: {self.quantity} {self.value}, allowed {self.limit}")
-
-    def trip(self) -> SafetyTrip:
-        """Return the error that ends the run."""
-        return SafetyTrip(self.device, self.quantity, self.value, self.limit)
-
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self)
-
-
-def alarm_from_error(error: BenchError, t_s: float) -> Alarm:
-    """Return the alarm of a bench error; its text is the text of the error."""
-    if isinstance(error, SafetyTrip):
-        return Alarm(t_s, error.device, error.quantity, error.value, error.limit, str(error))
-    if isinstance(error, DeviceError):
-        quantity, limit = _KINDS.get(type(error), ("device", "no error"))
-        return Alarm(t_s, error.device, quantity, error.what, limit, str(error))
-    return Alarm(t_s, "bench", "error", str(error), "none", str(error))
-
-
-def speed_text(speed: float, rotates: bool) -> str:
-    """Return the speed of an axis, m/s or rad/s, in the unit of alarms: deg/s for one that rotates."""
-    return f"{math.degrees(speed):.2f} deg/s" if rotates else f"{speed:.3f} m/s"
 
 
 class AlarmLog:

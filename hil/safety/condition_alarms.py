@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Final
 
 from hil.config.scenario import Scenario
+from hil.core import alarm_table as table
+from hil.core.alarms import LOW, MEDIUM, Alarm
 from hil.core.gnc_records import GncHealth
 from hil.core.observable import ObservableList
-from hil.gnc.estimation.filter_monitor import FilterCondition
-from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog
+from hil.safety.alarms import AlarmLog
 
-
-class Disagreement(NamedTuple):
-    """Disagreement of a witness with the navigation. component: what is off, by ``value``, SI in ``unit``."""
-
-    device: str
-    component: str
-    unit: str
-    value: float
-    limit: float
+_INCONSISTENT: Final = "not those of their covariance"
 
 
 class HealthAlarms:
@@ -36,7 +29,7 @@ class HealthAlarms:
         self,
         alarms: AlarmLog,
         scenario: Scenario,
-        disagreement: Callable[[], Disagreement | None] = lambda: None,
+        disagreement: Callable[[], Alarm | None] = lambda: None,
         suspect: Callable[[], str] = str,
     ) -> None:
         self._alarms = alarms
@@ -44,26 +37,19 @@ class HealthAlarms:
         self._suspect = suspect
         self._witness, self._excluded = "monitor", "sensors"  # the last one that disagreed, and that was excluded
         self._health = 0
-        self._checks: list[FilterCondition] = []
+        self._checks: list[Alarm] = []
         lost_s, rejected = scenario.gnc.integrity.lost_after_s, scenario.gnc.integrity.suspect_after
-        self._texts = {
-            GncHealth.VISION_LOST: ("vmu", "accepted poses", f"none for {lost_s:g} s", f"one within {lost_s:g} s"),
-            GncHealth.VISION_SUSPECT: (
-                "vmu",
-                "innovations",
-                "rejected, or not those of their covariance",
-                f"fewer than {rejected} rejected in a row, consistent",
+        estimate_limit = "within rig.guard.estimate_error_max_m and its protection level"
+        unexplained = "repeated, or explained by no thruster"
+        self._of_bits = {
+            GncHealth.VISION_LOST: table.ACCEPTED_POSES.alarm(0.0, "vmu", lost_s, lost_s),
+            GncHealth.VISION_SUSPECT: table.INNOVATIONS.alarm(0.0, "vmu", f"rejected, or {_INCONSISTENT}", rejected),
+            GncHealth.IMU_SUSPECT: table.READINGS.alarm(0.0, "imu", unexplained, "explained"),
+            GncHealth.THRUSTER_FAULT: table.THRUST.alarm(0.0, "thrusters", "stuck open or dead", "as commanded"),
+            GncHealth.COVARIANCE_INVALID: table.COVARIANCE.alarm(
+                0.0, "navigation", "not positive definite", "positive definite"
             ),
-            GncHealth.IMU_SUSPECT: ("imu", "readings", "repeated, or explained by no thruster", "explained"),
-            GncHealth.THRUSTER_FAULT: ("thrusters", "thrust", "stuck open or dead", "as commanded"),
-            GncHealth.COVARIANCE_INVALID: ("navigation", "covariance", "not positive definite", "positive definite"),
-            GncHealth.BENCH_DISAGREES: (
-                "navigation",
-                "estimate against the encoders",
-                "beyond its own bounds",
-                "within rig.guard.estimate_error_max_m and its protection level",
-            ),
-            GncHealth.SENSOR_SUSPECT: ("sensors", "innovations", "not those of their covariance", "consistent"),
+            GncHealth.BENCH_DISAGREES: table.ESTIMATE.alarm(0.0, "navigation", "beyond its own bounds", estimate_limit),
         }
         reactions = scenario.gnc.reactions.conditions()
         self._priorities = {
@@ -71,14 +57,16 @@ class HealthAlarms:
             for bit, row in zip((bit for bit in GncHealth if bit), reactions, strict=False)
         }
 
-    def watch(self, conditions: ObservableList[FilterCondition]) -> None:
+    def watch(self, conditions: ObservableList[Alarm]) -> None:
         """Raise the alarms of ``conditions`` with the next ``update``."""
         conditions.subscribe(self._checks.append)
 
     def update(self, bench_s: float, health: int) -> None:
         """Take the health of a cycle at ``bench_s`` of bench time."""
         if self._checks:
-            self._take_checks(bench_s)
+            for alarm in self._checks:
+                self._take(alarm, bench_s)
+            self._checks.clear()
         changed = health ^ self._health
         if not changed:
             return
@@ -86,33 +74,23 @@ class HealthAlarms:
         for bit in GncHealth:
             if not bit or not changed & bit:
                 continue
-            device, quantity, value, limit = self._of(bit)
-            if health & bit:
-                priority = self._priorities[bit]
-                self._alarms.raise_condition(Alarm(bench_s, device, quantity, value, limit, priority=priority))
-            else:
-                self._alarms.return_to_normal(device, quantity)
+            self._take(replace(self._of(bit), priority=self._priorities[bit], active=bool(health & bit)), bench_s)
 
-    def _take_checks(self, bench_s: float) -> None:
-        for check in self._checks:
-            if check.active:
-                alarm = Alarm(bench_s, "navigation", check.quantity, check.value, check.limit, priority=LOW)
-                self._alarms.raise_condition(alarm)
-            else:
-                self._alarms.return_to_normal("navigation", check.quantity)
-        self._checks.clear()
+    def _take(self, alarm: Alarm, bench_s: float) -> None:
+        """Raise ``alarm``, or return it to normal if it is not active."""
+        if alarm.active:
+            self._alarms.raise_condition(replace(alarm, t_s=bench_s))
+        else:
+            self._alarms.return_to_normal(alarm.device, alarm.quantity)
 
-    def _of(self, bit: GncHealth) -> tuple[str, str, str, str]:
-        """Return device, quantity, value and limit."""
-        if bit is GncHealth.SENSOR_SUSPECT:
-            self._excluded = self._suspect() or self._excluded
-            return self._excluded, *self._texts[bit][1:]
-        if bit is not GncHealth.MONITOR_DISAGREES:
-            return self._texts[bit]
-        value, limit = "beyond both sigmas", "within both sigmas"
-        if (found := self._disagreement()) is not None:
+    def _of(self, bit: GncHealth) -> Alarm:
+        """Return the alarm of ``bit``, at no time."""
+        if bit is GncHealth.MONITOR_DISAGREES:
+            texts = ("beyond both sigmas", "within both sigmas")
+            found = self._disagreement() or table.NAVIGATION_POSE.alarm(0.0, self._witness, *texts)
             self._witness = found.device
-            unit, scale = ("deg", math.degrees(1.0)) if found.unit == "rad" else (found.unit, 1.0)
-            value = f"off by {scale * found.value:.4f} {unit} {found.component}"
-            limit = f"{scale * found.limit:.4f} {unit}"
-        return self._witness, "pose of the navigation", value, limit
+            return found
+        if bit is not GncHealth.SENSOR_SUSPECT:
+            return self._of_bits[bit]
+        self._excluded = self._suspect() or self._excluded
+        return table.INNOVATIONS.alarm(0.0, self._excluded, _INCONSISTENT, "consistent")

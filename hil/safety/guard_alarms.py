@@ -1,89 +1,57 @@
-"""Alarms of the bench guard."""
+"""Alarms of the motion guards: bench guard, guard volume, following error and travel."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from hil.bench import bench_guard, guard, keep_out
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.models.bodies import PAIR
-from hil.safety.alarms import Alarm
 
-_RANGE, _DISTANCE, _ROTATION = "range to the target", "distance from the truth", "rotation from the truth"
-_LIMITED, _DEMAND, _POSE = "limited setpoints", "distance from the demand", "pose against encoders"
-_PLANE: Final = "distance from the target along the docking axis"
-_BODIES: Final = "distance of chaser and target"
-BENCH_BODIES: Final = "distance of bodies"
-GUARD_QUANTITIES = (_RANGE, _PLANE, _BODIES, BENCH_BODIES, _DISTANCE, _ROTATION, _LIMITED, _DEMAND, _POSE)
-"""Monitored quantities, those of the vision unit without the axis."""
-_LETTERS = "xyz"
-
-
-def guard_alarm(now_s: float, axis_names: Sequence[str], code: int, found: np.record) -> Alarm:
-    """Return the alarm of the bench guard. code: as returned by ``check_bench``; found: BREACH."""
-    if is_of_volume(code):
-        return volume_alarm(now_s, code, found)
-    value, limit = float(found.value), float(found.high)
-    match code:
-        case keep_out.KEEP_OUT | keep_out.PLANE:
-            return _keep_out_alarm(now_s, code, found, "")
-        case bench_guard.BODIES_MEET:
-            return bodies_alarm(now_s, _BODIES, "keep_out.bodies", found)
-        case bench_guard.POSITION:
-            return Alarm(now_s, "bench", _DISTANCE, _metres(value), _metres(limit))
-        case bench_guard.ATTITUDE:
-            return Alarm(now_s, "bench", _ROTATION, _degrees(value), _degrees(limit))
-        case bench_guard.LIMITED:
-            return Alarm(now_s, "bench", _LIMITED, f"{value:.0f} in a row", f"{limit:.0f}")
-        case bench_guard.AXIS:
-            axis = int(found.axis)
-            shown = _metres if axis < 3 else _degrees
-            return Alarm(now_s, axis_names[axis], _DEMAND, shown(value), shown(limit))
-    about = _LETTERS[int(found.axis)]
-    if code == bench_guard.VISION_POSITION:
-        return Alarm(now_s, "vmu", f"{_POSE}, {about}", _metres(value), _metres(limit))
-    return Alarm(now_s, "vmu", f"{_POSE}, about {about}", _degrees(value), _degrees(limit))
+_VOLUME: Final = {keep_out.KEEP_OUT: table.RANGE, keep_out.PLANE: table.PLANE}
+_BODIES: Final = {
+    bench_guard.BODIES_MEET: (table.CHASER_AND_TARGET, "keep_out.bodies"),
+    guard.COLLISION: (table.BODIES, "bench.bodies"),
+}
+_AXIS: Final = {guard.FOLLOWING: table.FOLLOWING_ERROR, bench_guard.AXIS: table.DISTANCE_FROM_DEMAND}
+_POSE: Final = {
+    bench_guard.VISION_POSITION: table.POSE_AGAINST_ENCODERS,
+    bench_guard.VISION_ATTITUDE: table.ATTITUDE_AGAINST_ENCODERS,
+}
+_BENCH: Final = {
+    bench_guard.POSITION: table.DISTANCE_FROM_TRUTH,
+    bench_guard.ATTITUDE: table.ROTATION_FROM_TRUTH,
+    bench_guard.LIMITED: table.LIMITED_SETPOINTS,
+}
 
 
-def volume_alarm(now_s: float, code: int, found: np.record) -> Alarm:
-    """Return the alarm of the guard volume by the encoders. code: as returned by ``enters_volume``; found: BREACH."""
-    if code == guard.COLLISION:
-        return bodies_alarm(now_s, BENCH_BODIES, "bench.bodies", found)
-    return _keep_out_alarm(now_s, code - guard.BY_ENCODERS, found, " by the encoders")
-
-
-def is_of_volume(code: int) -> bool:
-    """Return whether ``code``, of ``first_breach``, is of the guard volume."""
-    return code == guard.COLLISION or code > guard.BY_ENCODERS
-
-
-def _keep_out_alarm(now_s: float, code: int, found: np.record, source: str) -> Alarm:
-    quantity = _RANGE if code == keep_out.KEEP_OUT else _PLANE
-    return Alarm(now_s, "bench", quantity, f"{_metres(found.value)}{source}", _at_closing_rate(found))
-
-
-def bodies_alarm(now_s: float, quantity: str, key: str, found: np.record) -> Alarm:
-    """Return the alarm of two bodies of the list ``key``. found: BREACH."""
-    moving, fixed = divmod(int(found.axis), PAIR)
-    value = f"{_metres(found.value)} ({key} {moving} and {fixed})"
-    return Alarm(now_s, "bench", quantity, value, _at_closing_rate(found))
+def breach_alarm(now_s: float, axis_names: Sequence[str], code: int, found: np.record) -> Alarm:
+    """Return the alarm of a breach. code: as returned by the kernels of the guards; found: BREACH."""
+    axis, value, low, high = int(found.axis), float(found.value), float(found.low), float(found.high)
+    source, closing = "", f" and more at a closing rate of {low:.4f} m/s"
+    if code > guard.BY_ENCODERS:
+        code, source = code - guard.BY_ENCODERS, " by the encoders"
+    if code in _VOLUME:
+        return _VOLUME[code].alarm(now_s, "bench", value, high, notes=(source, closing))
+    if code in _BODIES:
+        kind, key = _BODIES[code]
+        moving, fixed = divmod(axis, PAIR)
+        return kind.alarm(now_s, "bench", value, high, notes=(f" ({key} {moving} and {fixed})", closing))
+    if code in _BENCH:
+        return _BENCH[code].alarm(now_s, "bench", value, high)
+    if code in _POSE:
+        return _POSE[code].alarm(now_s, "vmu", value, high, "xyz"[axis])
+    if code in _AXIS:
+        return _AXIS[code].alarm(now_s, axis_names[axis], value, high, rotates=axis >= 3)
+    if code == guard.NOT_FINITE:
+        return table.POSITION.alarm(now_s, axis_names[axis], str(value), "a finite number")
+    return table.POSITION.alarm(now_s, axis_names[axis], value, (low, high), rotates=axis >= 3)
 
 
 def is_of_guard(code: int) -> bool:
     """Return whether the bench guard has ended the compiled loop. code: of ``run_cycles``."""
     return code >= keep_out.KEEP_OUT
-
-
-def _at_closing_rate(found: np.record) -> str:
-    return f"{_metres(found.high)} and more at a closing rate of {found.low:.4f} m/s"
-
-
-def _metres(metres: float) -> str:
-    return f"{metres:.4f} m"
-
-
-def _degrees(radians: float) -> str:
-    return f"{math.degrees(radians):.3f} deg"

@@ -8,10 +8,10 @@ import numpy as np
 
 from hil.bench import guard as guards
 from hil.bench.keep_out import NOTHING
+from hil.core.alarms import Alarm
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import AXES, new
-from hil.safety.alarms import Alarm
-from hil.safety.guard_alarms import volume_alarm
+from hil.safety.guard_alarms import breach_alarm
 
 _LEAVING_S: Final = 0.1  # of a setpoint's motion, after which axes that leave the volume must not be deeper in it
 _WIDER_M: Final = 2.0
@@ -51,7 +51,7 @@ class JogGuard:
 
     def _found(self, now_s: float, guard: np.record, axes: np.record) -> Alarm | None:
         code = int(guards.enters_volume(guard, kernel_record(axes), self._breach))
-        return None if code == NOTHING else volume_alarm(now_s, code, self._breach)
+        return None if code == NOTHING else breach_alarm(now_s, (), code, self._breach)
 
     def _alarm(self, now_s: float, guard: np.record, setpoint: np.record, axes: np.record) -> Alarm | None:
         found = self._found(now_s, guard, axes)

@@ -1,7 +1,7 @@
 """Safety monitor of the bench. Checks in each cycle whether the bench may continue, and returns the alarm if not.
 
 It owns mode, emergency stop, alarms and packet-loss monitors, but no device. The table ``CHECKS`` lists the checks of
-each mode; docs/explanation/safety.md lists all alarms.
+each mode; ``alarm_table`` lists all alarms.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ import numpy as np
 
 from hil.bench import guard as guards
 from hil.config.rig import Rig
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import HOMED, NO_LIMIT, Array, AxisFeedback, Homing, new
 from hil.core.modes import Mode, ModeMachine
 from hil.errors import SafetyTrip
-from hil.safety.alarms import Alarm, AlarmLog, speed_text
+from hil.safety.alarms import AlarmLog
 from hil.safety.estop import EmergencyStop
-from hil.safety.guard_alarms import is_of_volume, volume_alarm
+from hil.safety.guard_alarms import breach_alarm
 from hil.safety.jog_guard import JogGuard
 from hil.safety.packet_loss import LinkWatch, SpeedCheck
 
-LOCAL_ENABLE: Final = "local enabling input"
 _SWITCHES: Final = {-1: "low", 1: "high"}
 _REST_MPS = 0.01
 _REST_RADPS = math.radians(1.0)
@@ -163,8 +164,7 @@ class SafetyMonitor:
         if checks.switches and (rails.limit != NO_LIMIT or turntable.limit != NO_LIMIT):
             return self._on_limit_switch(now_s, rails, turntable)
         if checks.commanded and now_s - commanded_s > self.limits.command_age_max_s:
-            age, limit = f"{now_s - commanded_s:.3f} s", f"{self.limits.command_age_max_s:g} s"
-            return Alarm(now_s, "bench", "age of the setpoint", age, limit)
+            return table.AGE_OF_SETPOINT.alarm(now_s, "bench", now_s - commanded_s, self.limits.command_age_max_s)
         if checks.following:
             is_homed = rails.homing == HOMED and turntable.homing == HOMED
             self._guard.homed = is_homed and mode is not Mode.JOGGING  # which has a guard volume of its own
@@ -180,10 +180,8 @@ class SafetyMonitor:
         for device, (check, feedback) in enumerate(zip(self._speed_checks, (rails, turntable), strict=True)):
             if (found := check.update(feedback)) is not None:
                 axis, reported, moved = found
-                rotates = device == 1
-                value = f"{speed_text(reported, rotates)} reported"
-                limit = f"{speed_text(moved, rotates)} by its position"
-                return Alarm(now_s, self._axis_names[3 * device + axis], "speed", value, limit)
+                name = self._axis_names[3 * device + axis]
+                return table.SPEED.alarm(now_s, name, reported, moved, rotates=device == 1)
         return None
 
     def interlock_power(self, now_s: float) -> Alarm | None:
@@ -212,12 +210,10 @@ class SafetyMonitor:
         moving = guards.first_moving(feedback, self.limits.rest_mps, self.limits.rest_radps)
         if moving < 0:
             return None
-        if moving < 3:
-            value, limit = f"{feedback.rail_mps[moving]:.4f} m/s", f"{self.limits.rest_mps:g} m/s"
-        else:
-            value = f"{math.degrees(feedback.gimbal_radps[moving - 3]):.3f} deg/s"
-            limit = f"{math.degrees(self.limits.rest_radps):g} deg/s"
-        return Alarm(now_s, self._axis_names[moving], "speed before motion", value, limit)
+        rotates = moving >= 3
+        value = feedback.gimbal_radps[moving - 3] if rotates else feedback.rail_mps[moving]
+        limit = self.limits.rest_radps if rotates else self.limits.rest_mps
+        return table.SPEED_BEFORE_MOTION.alarm(now_s, self._axis_names[moving], value, limit, rotates=rotates)
 
     def check_links(self, now_s: float) -> Alarm | None:
         """Return an alarm if a device has lost too many packets recently; called a few times per second."""
@@ -243,7 +239,7 @@ class SafetyMonitor:
     def reset(self, now_s: float) -> Alarm | None:
         """Reset all alarms, or return the alarm that forbids it."""
         if not self.estop.reset():
-            return Alarm(now_s, "bench", "emergency stop", "pressed", "released")
+            return table.EMERGENCY_STOP.alarm(now_s, "bench", "pressed", "released")
         if not self.locally_enabled:
             return not_enabled(now_s)
         self.alarms.reset()
@@ -260,7 +256,7 @@ class SafetyMonitor:
         """Return an alarm if an axis failed to home."""
         for axis, state in enumerate((*rails.homing, *turntable.homing)):
             if state is Homing.FAILED:
-                return Alarm(now_s, self._axis_names[axis], "homing", "failed", "home switch found")
+                return table.HOMING.alarm(now_s, self._axis_names[axis], "failed", "home switch found")
         return None
 
     def homing_timeout(
@@ -271,57 +267,33 @@ class SafetyMonitor:
         if now_s - since_s <= limit_s:
             return None
         axis = next(i for i, state in enumerate((*rails.homing, *turntable.homing)) if state is not Homing.DONE)
-        return Alarm(
-            now_s, self._axis_names[axis], "homing", f"not done after {now_s - since_s:.1f} s", f"{limit_s:g} s"
-        )
+        return table.HOMING.alarm(now_s, self._axis_names[axis], now_s - since_s, limit_s)
 
     def _emergency_stop(self, now_s: float) -> Alarm:
         value = "pressed" if self.estop.pressed else "released, not reset"
-        return Alarm(now_s, "bench", "emergency stop", value, "released and reset")
+        return table.EMERGENCY_STOP.alarm(now_s, "bench", value, "released and reset")
 
     def _stale_feedback(self, now_s: float, first_axis: int, feedback: AxisFeedback, limit_s: float) -> Alarm:
         device = self._axis_names[first_axis].partition(".")[0]
-        return Alarm(now_s, device, "age of the feedback", f"{now_s - feedback.t_s:.3f} s", f"{limit_s:g} s")
+        return table.AGE_OF_FEEDBACK.alarm(now_s, device, now_s - feedback.t_s, limit_s)
 
     def _not_homed(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm:
         states = (*rails.homing, *turntable.homing)
         axis = next(i for i, state in enumerate(states) if state != Homing.DONE)
         value = {Homing.NEEDED: "not homed", Homing.UNDER_WAY: "under way", Homing.FAILED: "failed"}[states[axis]]
-        return Alarm(now_s, self._axis_names[axis], "homing", value, "done")
+        return table.HOMING.alarm(now_s, self._axis_names[axis], value, "done")
 
     def _on_limit_switch(self, now_s: float, rails: AxisFeedback, turntable: AxisFeedback) -> Alarm:
         switches = (*rails.limit, *turntable.limit)
         axis = next(i for i, switch in enumerate(switches) if switch != 0)
-        return Alarm(now_s, self._axis_names[axis], "limit switch", _SWITCHES[switches[axis]], "none")
+        return table.LIMIT_SWITCH.alarm(now_s, self._axis_names[axis], _SWITCHES[switches[axis]], "none")
 
 
 def not_enabled(now_s: float) -> Alarm:
     """Return the alarm of a local enabling input that permits neither power nor motion."""
-    return Alarm(now_s, "io", LOCAL_ENABLE, "off", "on")
+    return table.LOCAL_ENABLE.alarm(now_s, "io", "off", "on")
 
 
 def hold_trip(reason: str) -> SafetyTrip:
     """Return the error of a hold requested for ``reason`` in a run without an operator to resume it."""
-    return SafetyTrip("bench", "hold", f"({reason})", "only in attended runs")
-
-
-def breach_alarm(now_s: float, axis_names: Sequence[str], what: int, found: np.record) -> Alarm:
-    """Return the alarm of a breach. what: code returned by the guard kernels; found: BREACH."""
-    axis = int(found.axis)
-    if is_of_volume(what):
-        return volume_alarm(now_s, what, found)
-    name = axis_names[axis]
-    if what == guards.FOLLOWING:
-        return Alarm(now_s, name, "following error", _shown(axis, found.value), _limit(axis, found.high))
-    if what == guards.NOT_FINITE:
-        return Alarm(now_s, name, "position", str(float(found.value)), "a finite number")
-    limit = f"{_limit(axis, found.low)} to {_limit(axis, found.high)}"
-    return Alarm(now_s, name, "position", _shown(axis, found.value), limit)
-
-
-def _shown(axis: int, value: float) -> str:
-    return f"{value:.4f} m" if axis < 3 else f"{math.degrees(value):.3f} deg"
-
-
-def _limit(axis: int, value: float) -> str:
-    return f"{value:g} m" if axis < 3 else f"{math.degrees(value):g} deg"
+    return table.HOLD.trip("bench", f"({reason})", "only in attended runs")

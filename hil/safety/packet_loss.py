@@ -13,8 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.messages import Array, AxisFeedback
-from hil.safety.alarms import Alarm
 
 
 @dataclass(slots=True)
@@ -72,8 +73,8 @@ class LinkWatch:
         if not self._bucket.add(new, now_s):
             return None
         bucket = self._bucket
-        limit = f"{bucket.capacity:g} at once, 1 per {bucket.forget_s:g} s"
-        return Alarm(now_s, self.device, "lost packets", f"{bucket.level:.1f}", limit)
+        drained = f" at once, 1 per {bucket.forget_s:g} s"
+        return table.LOST_PACKETS.alarm(now_s, self.device, bucket.level, bucket.capacity, notes=("", drained))
 
 
 _WINDOW_S: Final = 0.1

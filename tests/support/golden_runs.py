@@ -23,6 +23,7 @@ from unittest.mock import patch
 import numpy as np
 
 from hil.config.load import load_rig, load_scenario
+from hil.core.alarms import Alarm
 from hil.core.messages import CYCLE
 from hil.parts.campaigns.case_runner import CaseRunner
 from hil.parts.campaigns.dispersions import Design, case_seed
@@ -54,6 +55,12 @@ _BUDGET: Final = (
 
 _EXPLAINED: Final = ("margin_", "first_violated", "alarms_before", "propellant_over_bound")
 """Begins of columns that follow from the rows."""
+
+
+_ALARM_FIELDS: Final = (
+    "t_s", "device", "quantity", "value", "limit", "text", "latched", "acknowledged", "priority", "active", "number",
+    "acknowledged_by", "shelved_until_s",
+)  # fmt: skip
 
 
 def _faults(*rows: str) -> str:
@@ -141,7 +148,13 @@ def _run(scenario: str, settings: tuple[str, ...]) -> str:
         recorded = load(path)
     batch = recorded.as_batch()
     rows = (outcome.history, batch.arrivals, batch.imu_samples, recorded.axes_samples)
-    return _digest(outcome.stop, outcome.events, outcome.alarms, *(each.tobytes() for each in rows))
+    alarms = f"[{', '.join(map(_alarm_text, outcome.alarms))}]"
+    return _digest(outcome.stop, outcome.events, alarms, *(each.tobytes() for each in rows))
+
+
+def _alarm_text(alarm: Alarm) -> str:
+    """Return ``alarm`` as it was digested before it had numbers: its texts, times and states."""
+    return f"Alarm({', '.join(f'{name}={getattr(alarm, name)!r}' for name in _ALARM_FIELDS)})"
 
 
 def _replay(scenario: str, settings: tuple[str, ...]) -> str:

@@ -14,9 +14,8 @@ import uvicorn
 
 from hil.core.messages import CYCLE, Homing
 from hil.core.modes import Mode
-from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_commands import OperatorCommand
 from hil.parts.console.app import make_app
-from hil.parts.console.remote_operator import CONFIRMATIONS
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.session import Choice
 from hil.parts.console.session_state import SessionState, bench_description
@@ -56,10 +55,10 @@ class StubSession:
         if word is None:
             return {"text": ""}
         command = OperatorCommand(word)
-        if self.mode not in ALLOWED_IN[command]:
+        if self.mode not in command.modes:
             return {"text": f"bench: cannot {word} in {self.mode.value}"}
-        if command in CONFIRMATIONS and not message.get("confirmed"):
-            return {"text": "", "ask": CONFIRMATIONS[command], "mode": self.mode.value}
+        if command.question and not message.get("confirmed"):
+            return {"text": "", "ask": command.question, "mode": self.mode.value}
         self.orders.append(word)
         return {"text": ""}
 

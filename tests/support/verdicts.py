@@ -32,4 +32,4 @@ def bench_error(history: np.ndarray, scenario: Scenario, rig: Rig, settled_s: fl
     """Return the numbers of the bench's error over ``history`` (n,) of CYCLE."""
     found = BenchErrorSums(scenario, rig, settled_s)
     found.add(history)
-    return found.as_json()
+    return found.rows()

@@ -18,6 +18,7 @@ from hil.cli.main import execute
 from hil.recording.read import load
 from hil.report.comparison import key_numbers
 from hil.report.page import report
+from hil.report.results import RunResults
 from hil.report.summary import summary_of
 from tests.support.run_settings import without_figures
 
@@ -86,7 +87,7 @@ def test_every_output_of_a_run_gives_the_same_verdict(
     monkeypatch.setattr("hil.report.page.figures", lambda *_: ())
     page = report([load(found.file)])
     assert f'<p class="verdict {listed}">{word}{f" {LEFT_OUT}" if accepted else ""}</p>' in page
-    assert dict(key_numbers(run.summary))["verdict"] == (f"pass {LEFT_OUT}" if accepted else "fail")
+    assert dict(key_numbers(RunResults.of(run.summary)))["verdict"] == (f"pass {LEFT_OUT}" if accepted else "fail")
 
 
 def test_recording_of_an_earlier_version_is_judged_by_the_requirements_of_its_scenario(

@@ -20,10 +20,10 @@ import pytest
 from hil.cli.main import execute
 from hil.config.load import load_rig, load_scenario
 from hil.errors import CampaignStopped
-from hil.parts.campaigns import (batch, engines)
-from hil.parts.campaigns.campaign import (CampaignJob)
-from hil.parts.campaigns.engines import (LocalEngine)
-from hil.parts.campaigns.store import (Store)
+from hil.parts.campaigns import batch, engines
+from hil.parts.campaigns.campaign import CampaignJob
+from hil.parts.campaigns.engines import LocalEngine
+from hil.parts.campaigns.store import Store
 from tests.support.run_settings import without_figures
 
 pytestmark = pytest.mark.xdist_group("campaign")

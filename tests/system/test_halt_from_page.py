@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_commands import OperatorCommand
 from tests.support.browsers import BrowserPage, ask_by, chromium, firefox, until
 from tests.support.console_client import PATIENT, console
 from tests.support.run_settings import NEAR, typed
@@ -64,7 +64,7 @@ def set_focus(page: BrowserPage, stub: StubSession | None, focus: str) -> None:
     what, _, name = focus.partition(" ")
     mode = Mode.RUNNING
     if name in CONFIRMED:
-        mode = min(ALLOWED_IN[OperatorCommand(name)], key=lambda mode: mode.value)
+        mode = min(OperatorCommand(name).modes, key=lambda mode: mode.value)
     if stub is not None:
         stub.mode = mode
     page.evaluate(

@@ -18,6 +18,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from hil.config.rig import LinearAxes
+from hil.core import alarm_table as table
 from hil.core.clock import BenchClock
 from hil.core.messages import Array, AxisFeedback, Homing
 from hil.drivers.axes import SetpointLimits
@@ -36,7 +37,7 @@ from hil.drivers.rails.drive import (
 )
 from hil.drivers.rails.frames import new_counters
 from hil.drivers.setpoint_limiter import ExchangePacer, SetpointLimiter, setpoint_limiters
-from hil.errors import DeviceError, DriveFault, LinkLost, SafetyTrip
+from hil.errors import DeviceError, DriveFault, LinkLost
 
 IDLE_PERIOD_S: Final = 0.02  # between exchanges without setpoints
 _STOP_WAIT_WALL_S: Final = 0.08
@@ -119,7 +120,7 @@ class ModbusRails(LoopThread):
             return feedback.position.copy()
         for axis, homing in enumerate(self._homing.state):
             if homing is not Homing.DONE and not self._jogging:
-                raise SafetyTrip(self.axis_names[axis], "setpoint", "before homing", "once the axis is homed")
+                raise table.SETPOINT.trip(self.axis_names[axis], "before homing", "once the axis is homed")
         self._setpoint = (accepted.tolist(), feedforward.tolist(), now_s)
         if self._pacer.is_due(now_s):
             self._call(self._wake.set)

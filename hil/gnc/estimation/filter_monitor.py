@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.messages import Event
 from hil.core.observable import ObservableList
 from hil.maths import chi_square
@@ -15,16 +17,6 @@ from hil.maths import chi_square
 WINDOWS = (64, 512)  # updates per mean: a fast and a sensitive one
 _TAIL = 1e-6  # false-alarm probability of a mean, on either side
 _CLEAR_TAIL = 0.1  # an alarm clears well inside the band: hysteresis against chatter
-
-
-@dataclass(frozen=True, slots=True)
-class FilterCondition:
-    """A check of the filters has begun (``active``) or ceased to fail: monitored quantity, its value and its limit."""
-
-    quantity: str
-    value: str
-    limit: str
-    active: bool
 
 
 def nis_band(updates: int, tail: float) -> tuple[float, float]:
@@ -67,12 +59,11 @@ class NisMonitor:
             f"allowed {self.low:.2f} to {self.high:.2f}; Q or R is too {tuning}"
         )
 
-    def condition(self) -> FilterCondition:
-        """Return the result of the check."""
-        window, limit = self._values.maxlen, f"{self.low:.2f} to {self.high:.2f}"
-        return FilterCondition(
-            f"mean NIS of {self.name} over {window} poses", f"{self._mean:.2f}", limit, self.inconsistent
-        )
+    def condition(self) -> Alarm:
+        """Return the result of the check as an alarm, at no time, that is active if the filter is inconsistent."""
+        band, window = (self.low, self.high), self._values.maxlen
+        alarm = table.MEAN_NIS.alarm(0.0, "navigation", self._mean, band, self.name, window)
+        return replace(alarm, active=self.inconsistent)
 
 
 class FilterMonitor:
@@ -83,8 +74,8 @@ class FilterMonitor:
 
     def __init__(self, navigation: np.record, shadow_limits: tuple[float, float] | None) -> None:
         self.events: ObservableList[Event] = ObservableList()
-        self.conditions: ObservableList[FilterCondition] = ObservableList()
-        """Checks as they begin and cease to fail: alarms of low priority."""
+        self.conditions: ObservableList[Alarm] = ObservableList()
+        """Checks as they begin and cease to fail: alarms at no time, active or not."""
         self.largest_divergence = (0.0, 0.0)  # m, rad
         self._cycle_s = float(navigation.dt_s)
         self._position = [NisMonitor("pkf", window) for window in WINDOWS]
@@ -137,7 +128,7 @@ class FilterMonitor:
         self._diverged = diverged
         value = f"{divergence.position:.4f} m and {math.degrees(divergence.angle):.4f} deg"
         limit = f"{self._limits[0]:g} m and {math.degrees(self._limits[1]):g} deg"
-        self.conditions.append(FilterCondition("distance from the shadow filter", value, limit, diverged))
+        self.conditions.append(replace(table.SHADOW.alarm(0.0, "navigation", value, limit), active=diverged))
         if diverged:
             text = f"diverges from the filters by {value}, allowed {limit}"
             self.events.append(Event(float(round(cycle * self._cycle_s, 6)), "shadow", text))

@@ -12,12 +12,14 @@ from hil.bench.kinematics import write_axes
 from hil.config.load import Loaded
 from hil.config.rig import BENCH_AXES, Rig
 from hil.config.scenario import Scenario
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.kernel_record import kernel_record
 from hil.core.messages import ARRIVAL, AXES, AXES_SAMPLE, CYCLE, IMU_SAMPLE, new
 from hil.core.sensor_records import SENSOR_ARRIVAL
 from hil.drivers.axes import ServoAxes
 from hil.dynamics.imu import IMU_NOISE
-from hil.errors import BadInput, LinkTimeout, SafetyTrip
+from hil.errors import BadInput, LinkTimeout
 from hil.gnc.estimation.step_memory import new_memory
 from hil.gnc_backends.backend import WHOLE, OwnBackends
 from hil.gnc_backends.backend_registry import NO_BACKENDS, backends_of, named
@@ -35,9 +37,8 @@ from hil.params import dynamics as dynamics_params
 from hil.params import gnc as gnc_params
 from hil.params import integrity as integrity_params
 from hil.params.ready import settled_s
-from hil.safety.alarms import Alarm
-from hil.safety.guard_alarms import guard_alarm, is_of_guard
-from hil.safety.monitor import SafetyLimits, breach_alarm, hold_trip, safety_limits
+from hil.safety.guard_alarms import breach_alarm
+from hil.safety.monitor import SafetyLimits, hold_trip, safety_limits
 from hil.sensors.vision_unit import parameters as vmu_params
 from hil.sensors.vision_unit.model import VISION_NOISE
 from hil.session.assembly import axes_at_start, draw_initial_imu_errors
@@ -215,6 +216,6 @@ class CaseRunner:
         if code == shell.NOT_FINITE:
             setpoint = [*state.next.rail_m, *state.next.gimbal_rad]
             axis = next((i for i, value in enumerate(setpoint) if not math.isfinite(value)), 0)
-            return str(SafetyTrip(BENCH_AXES[axis], "setpoint", str(setpoint[axis]), "a finite number"))
-        self.alarm = (guard_alarm if is_of_guard(code) else breach_alarm)(0.0, BENCH_AXES, code, state.breach)
+            return str(table.SETPOINT.trip(BENCH_AXES[axis], str(setpoint[axis]), "a finite number"))
+        self.alarm = breach_alarm(0.0, BENCH_AXES, code, state.breach)
         return str(self.alarm.trip())

@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.config.scenario import Scenario
 from hil.config.tables.required_parts import PART_COLUMNS
+from hil.core.alarms import Alarm
 from hil.core.messages import Array
 from hil.gnc.decision_verdict import ACCUSED
 from hil.gnc.limits import CLOSING, CORRIDOR
@@ -28,9 +29,9 @@ from hil.report.limits import (
     margins_of,
     stop_of_alarm,
 )
+from hil.report.results import Energy
 from hil.report.verdict import control_precision, is_accepted, verdict_of
 from hil.report.verdict_parts import energy_part, navigation_means, propellant_kg, security_part
-from hil.safety.alarms import Alarm
 from hil.safety.guard_alarms import is_of_guard
 
 _AXES: Final = ("x", "y", "z")
@@ -86,32 +87,32 @@ def row_of(
     passed = bool(verdict.passed and stop == COMPLETED and not aborted)
     parts = {
         "control_precision": passed,
-        "security": security["passed"],
-        "energy": energy["passed"],
+        "security": security.passed,
+        "energy": energy.passed,
         "field_of_view": bool(flown and stats.view_margin >= 0.0),
-        "integrity": bool(flown and integrity["passed"]),
-        "decision": bool(flown and decision["passed"]),
+        "integrity": bool(flown and integrity.passed),
+        "decision": bool(flown and decision.passed),
     }
     row: dict[str, Any] = {
         "passed": passed,
         "passed_all_parts": all(parts.values()),
         **{column: parts[name] for name, column in PART_COLUMNS.items()},
         "accepted": is_accepted(stop == COMPLETED, bool(aborted), parts, scenario.requirements),
-        "false_alerts": integrity["false_alerts"],
-        "decision_error": decision["error"],
-        "nees_ok": decision["nees_ok"],
-        "go_s": decision["go_s"],
-        "beyond_level_cycles": decision["beyond_level_cycles"],
-        "error_over_level": decision["error_over_level"],
-        **{f"false_alarm_{name}": int(n) for name, n in zip(ACCUSED, stats.integrity.decision["false"], strict=True)},
-        "propellant_limit_kg": energy["factor"] * energy["least_propellant_kg"],
-        "hmi_cycles": integrity["hmi_cycles"],
-        "worst_error_m": integrity["worst_error_m"],
-        "alert_limit_m": integrity["alert_limit_m"],
+        "false_alerts": integrity.false_alerts,
+        "decision_error": decision.error,
+        "nees_ok": decision.nees_ok,
+        "go_s": decision.go_s,
+        "beyond_level_cycles": decision.beyond_level_cycles,
+        "error_over_level": decision.error_over_level,
+        **{f"false_alarm_{name}": int(n) for name, n in zip(ACCUSED, stats.integrity.decision.false, strict=True)},
+        "propellant_limit_kg": energy.factor * energy.least_propellant_kg,
+        "hmi_cycles": integrity.hmi_cycles,
+        "worst_error_m": integrity.worst_error_m,
+        "alert_limit_m": integrity.alert_limit_m,
         "protection_level_m": finite_or_none(stats.integrity.worst_bound),
-        "availability": integrity["availability"],
-        "time_to_alert_s": integrity["time_to_alert_s"],
-        "firings": energy["firings"],
+        "availability": integrity.availability,
+        "time_to_alert_s": integrity.time_to_alert_s,
+        "firings": energy.firings,
         "limited_cycles": int(stats.limited_cycles),
         "cycles": int(stats.cycles),
         "stop": stop,
@@ -120,10 +121,10 @@ def row_of(
         "held_since_s": verdict.held_since_s,
         "aborted_at_s": float(limits.aborted_at_s) if aborted else None,
         "propellant_kg": used_kg,
-        "propellant_share": used_kg / energy["least_propellant_kg"] if energy["least_propellant_kg"] else None,
-        "propellant_over_bound": used_kg / energy["impulsive_bound_kg"] if energy["impulsive_bound_kg"] else None,
+        "propellant_share": used_kg / energy.least_propellant_kg if energy.least_propellant_kg else None,
+        "propellant_over_bound": used_kg / energy.impulsive_bound_kg if energy.impulsive_bound_kg else None,
         "thruster_on_time_s": scenario.step_s * float(np.sum(stats.thruster_open)),
-        "control_margin": control_precision(verdict, scenario)["margin"],
+        "control_margin": control_precision(verdict, scenario).margin,
         **{
             name: finite_or_none(value) if flown else None
             for name, value in (
@@ -146,7 +147,7 @@ def row_of(
 def _limits(
     stats: np.record,
     parts: dict[str, bool],
-    energy: dict[str, Any],
+    energy: Energy,
     accepted: bool,
     ended: Stop | None,
     scenario: Scenario,

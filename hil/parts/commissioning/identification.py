@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import LEAD_MAX_S
+from hil.core import alarm_table as table
 from hil.core.messages import AXES, Array, new
 from hil.core.modes import Mode
-from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.rate_keeper import Tick
@@ -202,7 +202,7 @@ class Identification:
         moved_s = 0.0
         while moved_s < move.duration_s + 2.0 * self._dt or not self._at_rest(tick):
             if moved_s > move.duration_s + _SETTLE_S:
-                raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after a move")
+                raise table.STANDSTILL.trip("bench", "not reached", _SETTLE_S)
             moved_s += self._dt
             move.at(moved_s, self._target)
             self._bench.command(self._target, tick.now_s, move.limits)

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from hil.core import alarm_table as table
 from hil.core.messages import AXES, Array, new
 from hil.core.modes import Mode
-from hil.errors import SafetyTrip
 from hil.loop.bench_stage import Move
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.rate_keeper import Tick
@@ -108,7 +108,7 @@ class SlowMover:
         fastest = np.zeros(6)
         while (moved_s := len(errors) * self.dt_s) < move.duration_s + 2.0 * self.dt_s or not self._at_rest():
             if moved_s > move.duration_s + _SETTLE_S:
-                raise SafetyTrip("bench", "standstill", "not reached", f"{_SETTLE_S:g} s after a move")
+                raise table.STANDSTILL.trip("bench", "not reached", _SETTLE_S)
             move.at(moved_s + self.dt_s, self._target)
             self._step(move.limits)
             errors.append(self._sent - self.encoders())
@@ -149,7 +149,7 @@ class SlowMover:
         self._tick = self._sequencer.tick()
         if self._sequencer.hold_requested(Mode.PLACING):
             text = self._sequencer.safety.hold_reason or "commanded by the operator"
-            raise SafetyTrip("bench", "hold", f"({text})", "not during a commissioning")
+            raise table.HOLD.trip("bench", f"({text})", "not during a commissioning")
 
     def _at_rest(self) -> bool:
         return self._bench.at_rest(self._tick.now_s)

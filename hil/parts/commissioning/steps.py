@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from hil.config.rig import Rig
+from hil.core import alarm_table as table
 from hil.core.messages import AXES, Array, new
-from hil.errors import SafetyTrip
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 from hil.parts.commissioning.emergency_stop import Button, ChainTests, EmergencyStopTest
@@ -253,7 +253,7 @@ class Commissioning:
             low, high = float(self._params.low[axis]), float(self._params.high[axis])
             if not low <= positions[axis] <= high:
                 allowed = f"{shown(axis, low)} to {shown(axis, high)}"
-                raise SafetyTrip(name, "dry run", shown(axis, float(positions[axis])), allowed)
+                raise table.DRY_RUN.trip(name, shown(axis, float(positions[axis])), allowed)
         return positions
 
     def _position_text(self, mover: SlowMover, axis: int) -> str:

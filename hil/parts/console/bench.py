@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
 from hil.core.camera_images import ThreadedImageSink
 from hil.core.clock import WallClock
@@ -23,7 +22,7 @@ from hil.recording.recorder import ring_dtypes
 from hil.recording.session import required_sinks, ring_slots
 from hil.recording.sinks import EventRecorder, RecordingSinks
 from hil.report.long_run import accumulate
-from hil.report.verdict import Verdict
+from hil.report.tally import Tallied
 from hil.session import build
 
 
@@ -36,7 +35,7 @@ class ConsoleBench:
     clock: WallClock
     run_time: RunTime
     event_recorder: EventRecorder | None
-    numbers: Callable[[Outcome], tuple[dict[str, Any], Verdict] | None]
+    numbers: Callable[[Outcome], Tallied | None]
     addresses: dict[str, str] = field(default_factory=dict)
     rings: dict[str, Ring] = field(default_factory=dict)
     wired: WiredBench | None = None

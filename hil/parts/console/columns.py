@@ -8,51 +8,64 @@ from typing import Any, Final
 import numpy as np
 
 from hil.bench.kinematics import pose_of_axes
+from hil.core.fields import Field, record_dtype
 from hil.core.jit import kernel
-from hil.core.messages import MAX_THRUSTERS
+from hil.core.messages import CYCLE, MAX_THRUSTERS
 from hil.maths import euler, quat
 from hil.sensors.vision_unit.pose import position_in_h
 
-_TRIPLES: Final = (
-    "reference_m",  # of r_CT_H, in H
-    "estimate_m",
-    "bench_m",  # from the encoders
-    "vision_m",  # from the received pose; nan in cycles without one
-    "velocity_estimate_mps",  # in H
-    "velocity_truth_mps",
-    "angle_reference_deg",  # theta1 theta2 theta3 of H to c
-    "angle_estimate_deg",
-    "angle_bench_deg",
-    "angle_vision_deg",
-    "rate_estimate_degps",  # c against H, in c
-    "rate_truth_degps",
-    "position_error_mm",  # estimate minus truth, in H
-    "position_band_mm",  # three sigma of the filter
-    "angle_error_deg",  # small rotation from the estimated to the true frame, in c
-    "angle_band_deg",
-    "rail_m",
-    "gimbal_deg",
+
+def _vector(name: str, unit: str, frame: str = "", meaning: str = "") -> Field:
+    return Field(name, "f8", 3, unit, frame, meaning)
+
+
+ROW_FIELDS: Final = (
+    Field("t_s", "f8", unit="s"),
+    _vector("reference_m", "m", "H", "r_CT_H"),
+    _vector("estimate_m", "m", "H"),
+    _vector("bench_m", "m", "H", "from the encoders"),
+    _vector("vision_m", "m", "H", "from the received pose; nan in cycles without one"),
+    _vector("velocity_estimate_mps", "m/s", "H"),
+    _vector("velocity_truth_mps", "m/s", "H"),
+    _vector("angle_reference_deg", "deg", "", "theta1 theta2 theta3 of H to c"),
+    _vector("angle_estimate_deg", "deg"),
+    _vector("angle_bench_deg", "deg"),
+    _vector("angle_vision_deg", "deg"),
+    _vector("rate_estimate_degps", "deg/s", "c", "c against H"),
+    _vector("rate_truth_degps", "deg/s", "c"),
+    _vector("position_error_mm", "mm", "H", "estimate minus truth"),
+    _vector("position_band_mm", "mm", "H", "three sigma of the filter"),
+    _vector("angle_error_deg", "deg", "c", "small rotation from the estimated to the true frame"),
+    _vector("angle_band_deg", "deg", "c", "three sigma of the filter"),
+    _vector("rail_m", "m"),
+    _vector("gimbal_deg", "deg"),
+    Field("q_bench", "f8", 4, meaning="attitude by the encoders"),
+    Field("nis_position", "f8", meaning="nan without an update"),
+    Field("nis_attitude", "f8", meaning="nan without an update"),
+    Field("thrusters", "f8", meaning="bit n set: thruster n is open; the bits of 24 are exact in a 32-bit float"),
+    Field("lateness_us", "f8", unit="us"),
+    Field("corridor_margin_m", "f8", unit="m"),
+    Field("closing_margin_mps", "f8", unit="m/s"),
+    Field("aborted", "f8"),
+    Field("phase", "f8"),
+    Field("level_along", "f8", meaning="protection level over alert limit"),
+    Field("level_across", "f8", meaning="protection level over alert limit"),
+    Field("level_attitude", "f8", meaning="protection level over alert limit"),
+    Field("level_term", "f8", meaning="largest term of the level that is nearest its limit, as in SUPERVISION"),
 )
-_SINGLES: Final = (
-    "q_bench_0",
-    "q_bench_1",
-    "q_bench_2",
-    "q_bench_3",
-    "nis_position",  # nan without an update
-    "nis_attitude",
-    "thrusters",  # bit n set: thruster n is open
-    "lateness_us",
-    "corridor_margin_m",
-    "closing_margin_mps",
-    "aborted",
-    "phase",
-    "level_along",  # protection level over alert limit
-    "level_across",
-    "level_attitude",
-    "level_term",  # the largest of the level that is nearest its limit, as in SUPERVISION
-)
-NAMES: Final = ("t_s", *(f"{name}.{axis}" for name in _TRIPLES for axis in "xyz"), *_SINGLES)
-"""Names of the columns in order; the bits of 24 thrusters are exact in a 32-bit float."""
+"""Numbers of a row of the console: columns, in the order of the message, and record of the kernel."""
+ROW: Final = np.dtype((np.record, record_dtype(ROW_FIELDS)))
+_CYCLE: Final = np.dtype((np.record, CYCLE))
+
+
+def _columns(field: Field) -> list[str]:
+    """Return the columns of ``field``: a vector has one for each axis, a quaternion for each component."""
+    ends = {3: [".x", ".y", ".z"], 4: ["_0", "_1", "_2", "_3"], (): [""]}[field.shape]
+    return [f"{field.name}{end}" for end in ends]
+
+
+NAMES: Final = tuple(name for field in ROW_FIELDS for name in _columns(field))
+"""Names of the columns in order."""
 COLUMNS: Final = len(NAMES)
 INDEX: Final = {name: i for i, name in enumerate(NAMES)}
 
@@ -63,17 +76,10 @@ _NEWEST_KNOWN: Final = tuple(INDEX[f"{name}.{axis}"] for name in ("vision_m", "a
 
 
 @kernel
-def _put(out, at, vector, scale):
-    """Write ``vector`` (3,), scaled, from column ``at`` of the row ``out``; return the column after it."""
-    for i in range(3):
-        out[at + i] = scale * vector[i]
-    return at + 3
-
-
-@kernel
-def _put_angles(out, at, q, order):
-    """Write the angles theta1 theta2 theta3 of ``q`` (4,), deg; return the column after them."""
-    return _put(out, at, euler.from_quaternion(q, order), 180.0 / math.pi)
+def _put(out, vector, scale):
+    """Write ``vector`` (n,), scaled, into ``out`` (n,)."""
+    for i in range(vector.shape[0]):
+        out[i] = scale * vector[i]
 
 
 @kernel
@@ -84,83 +90,74 @@ def _attitude_error(q_true, q_estimate):
 
 @kernel
 def columns_of(params, order, rows, out):
-    """Write the console's columns of ``rows`` (n,) of CYCLE into ``out`` (n, COLUMNS), in the order of NAMES.
+    """Write the console's numbers of ``rows`` (n,) of CYCLE into ``out`` (n,) of ROW.
 
     params: BENCH_PARAMS. order (3,): rotation sequence of the angles. Lengths in m or mm, angles in deg, as named.
     """
     deg = 180.0 / math.pi
-    r_bench, q_bench, r_seen = np.empty(3), np.empty(4), np.empty(3)
+    r_bench, q_bench, r_seen, none = np.empty(3), np.empty(4), np.empty(3), np.full(3, np.nan)
     for k in range(rows.shape[0]):
         row, o = rows[k], out[k]
-        truth, estimate, reference, pose = row.truth, row.navigation, row.reference, row.pose
+        truth, estimate, reference, pose, supervision = (
+            row.truth,
+            row.navigation,
+            row.reference,
+            row.pose,
+            row.supervision,
+        )
         pose_of_axes(params, row.feedback.rail_m, row.feedback.gimbal_rad, r_bench, q_bench)
-        o[0] = row.t_s
-        at = _put(o, 1, reference.r_CT_H, 1.0)
-        at = _put(o, at, estimate.r_CT_H, 1.0)
-        at = _put(o, at, r_bench, 1.0)
-        seen = pose.fresh > 0
-        none = np.full(3, np.nan)
         position_in_h(pose, r_seen)
-        at = _put(o, at, r_seen if seen else none, 1.0)
-        at = _put(o, at, estimate.v_CT_H, 1.0)
-        at = _put(o, at, truth.v_CT_H, 1.0)
-        at = _put_angles(o, at, reference.q_CH, order)
-        at = _put_angles(o, at, estimate.q_CH, order)
-        at = _put_angles(o, at, q_bench, order)
-        at = _put(o, at, euler.from_quaternion(pose.q_CH, order) if seen else none, deg)
-        at = _put(o, at, estimate.w_CH_C, deg)
-        w_HI_C = quat.transform(truth.q_CH, truth.w_HI_H)
-        error = _attitude_error(truth.q_CH, estimate.q_CH)
-        for i in range(3):
-            o[at + i] = deg * (truth.w_CI_C[i] - w_HI_C[i])
-            o[at + 3 + i] = 1e3 * (estimate.r_CT_H[i] - truth.r_CT_H[i])
-            o[at + 6 + i] = 3e3 * estimate.sigma_r_m[i]
-            o[at + 9 + i] = deg * error[i]
-            o[at + 12 + i] = 3.0 * deg * estimate.sigma_attitude_rad[i]
-        at = _put(o, at + 15, row.feedback.rail_m, 1.0)
-        at = _put(o, at, row.feedback.gimbal_rad, deg)
-        if estimate.valid == 0:
-            _clear_estimate(o)
-        for i in range(4):
-            o[at + i] = q_bench[i]
-        o[at + 4] = estimate.nis_position
-        o[at + 5] = estimate.nis_attitude
+        seen = pose.fresh > 0
+        o.t_s = row.t_s
+        _put(o.reference_m, reference.r_CT_H, 1.0)
+        _put(o.estimate_m, estimate.r_CT_H, 1.0)
+        _put(o.bench_m, r_bench, 1.0)
+        _put(o.vision_m, r_seen if seen else none, 1.0)
+        _put(o.velocity_estimate_mps, estimate.v_CT_H, 1.0)
+        _put(o.velocity_truth_mps, truth.v_CT_H, 1.0)
+        _put(o.angle_reference_deg, euler.from_quaternion(reference.q_CH, order), deg)
+        _put(o.angle_estimate_deg, euler.from_quaternion(estimate.q_CH, order), deg)
+        _put(o.angle_bench_deg, euler.from_quaternion(q_bench, order), deg)
+        _put(o.angle_vision_deg, euler.from_quaternion(pose.q_CH, order) if seen else none, deg)
+        _put(o.rate_estimate_degps, estimate.w_CH_C, deg)
+        _put(o.rate_truth_degps, truth.w_CI_C - quat.transform(truth.q_CH, truth.w_HI_H), deg)
+        _put(o.position_error_mm, estimate.r_CT_H - truth.r_CT_H, 1e3)
+        _put(o.position_band_mm, estimate.sigma_r_m, 3e3)
+        _put(o.angle_error_deg, _attitude_error(truth.q_CH, estimate.q_CH), deg)
+        _put(o.angle_band_deg, estimate.sigma_attitude_rad, 3.0 * deg)
+        _put(o.rail_m, row.feedback.rail_m, 1.0)
+        _put(o.gimbal_deg, row.feedback.gimbal_rad, deg)
+        _put(o.q_bench, q_bench, 1.0)
+        o.nis_position, o.nis_attitude = estimate.nis_position, estimate.nis_attitude
         open_now = 0
         for i in range(MAX_THRUSTERS):
             if row.command.on[i] != 0:
                 open_now += 1 << i
-        o[at + 6] = open_now
-        o[at + 7] = 1e6 * row.lateness_s
-        o[at + 8] = row.supervision.corridor_margin_m
-        o[at + 9] = row.supervision.closing_margin_mps
-        o[at + 10] = row.supervision.aborted
-        o[at + 11] = reference.phase
-        for i in range(3):
-            o[at + 12 + i] = row.supervision.level[i] / row.supervision.alert_limit[i]
-        o[at + 15] = row.supervision.level_term
+        o.thrusters = open_now
+        o.lateness_us = 1e6 * row.lateness_s
+        o.corridor_margin_m, o.closing_margin_mps = supervision.corridor_margin_m, supervision.closing_margin_mps
+        o.aborted, o.phase = supervision.aborted, reference.phase
+        o.level_along = supervision.level[0] / supervision.alert_limit[0]
+        o.level_across = supervision.level[1] / supervision.alert_limit[1]
+        o.level_attitude = supervision.level[2] / supervision.alert_limit[2]
+        o.level_term = supervision.level_term
 
 
-_OF_ESTIMATE: Final = tuple(
-    INDEX[f"{name}.{axis}"]
-    for name in _TRIPLES
-    if "estimate" in name or "error" in name or "band" in name
-    for axis in "xyz"
-)
-
-
-@kernel
-def _clear_estimate(out):
-    """Write nan into the columns of the estimate, invalid before the first pose."""
-    for i in _OF_ESTIMATE:
-        out[i] = np.nan
+_OF_ESTIMATE: Final = [INDEX[name] for name in NAMES if any(part in name for part in ("estimate", "error", "band"))]
 
 
 def console_rows(params: np.record, rows: np.ndarray) -> np.ndarray[Any, Any]:
-    """Return the columns of ``rows`` (n,) of CYCLE, shape (n, COLUMNS), 32-bit; params: BENCH_PARAMS."""
-    out = np.empty((len(rows), COLUMNS))
-    if len(rows):
-        columns_of(params, euler.YAW_PITCH_ROLL, np.array(rows).view(np.recarray), out)
-    return out.astype("<f4")
+    """Return the columns of ``rows`` (n,) of CYCLE, shape (n, COLUMNS), 32-bit; params: BENCH_PARAMS.
+
+    Columns of the estimate are nan before the first pose, while it is invalid.
+    """
+    out = np.empty(len(rows), ROW)
+    if len(rows):  # copied as bytes: numpy copies records field by field
+        columns_of(params, euler.YAW_PITCH_ROLL, np.frombuffer(bytearray(rows.tobytes()), _CYCLE), out)
+    columns = out.view("<f8").reshape(len(rows), COLUMNS).astype("<f4")
+    if not (valid := rows["navigation"]["valid"] != 0).all():
+        columns[np.ix_(~valid, _OF_ESTIMATE)] = np.nan
+    return columns
 
 
 def decimated(rows: np.ndarray[Any, Any], at_most: int) -> np.ndarray[Any, Any]:

@@ -27,11 +27,11 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from hil.config.tables.host import OnLoss
+from hil.core import alarm_table as table
 from hil.core.files import parse_json
 from hil.core.messages import Event
 from hil.core.modes import AT_REST, Mode
-from hil.core.operator_commands import ALLOWED_IN, Operator, OperatorCommand
-from hil.errors import SafetyTrip
+from hil.core.operator_commands import Operator, OperatorCommand
 from hil.frmn.mailbox import Mailbox
 from hil.frmn.search_region import SearchRegion, box_text
 from hil.gnc_backends.builtin import BuiltinGnc
@@ -48,18 +48,6 @@ _PACKET: Final = 1 << 18  # the parameters of a changed setting take 66 kB
 NO_MONITOR: Final = "bench: no docking monitor measures on images in this session"
 _HOLDABLE: Final = frozenset({Mode.PLACING, Mode.RUNNING})
 """Modes with motion that a hold can interrupt; other motion ends by a safe stop."""
-
-CONFIRMATIONS: Final = {
-    OperatorCommand.HOME: "Home: axes that are not homed search for their switches. Is the bench clear of people?",
-    OperatorCommand.ARM: "Arm: all axes move to the start pose. Is the bench clear of people?",
-    OperatorCommand.START: "Start: the loop is closed and the bench moves automatically. Is the bench clear of people?",
-    OperatorCommand.RESUME: "Resume: the bench continues from its present position. Is the bench clear of people?",
-    OperatorCommand.ABORT: "Abort: the chaser brakes and retreats with the bench. The approach cannot be continued.",
-    OperatorCommand.GO: "Go: the chaser leaves its waiting point and approaches the target.",
-    OperatorCommand.PARK: "Park: all axes move to the park position; the session ends. Is the bench clear of people?",
-    OperatorCommand.RESET: "Reset: the devices open and the drives are powered. Is the cause gone, is the bench clear?",
-}
-"""Commands that require a confirmation, and the question asked."""
 
 
 class OutgoingMessages:
@@ -227,12 +215,12 @@ class RemoteOperator(Operator):
         command, mode = OperatorCommand(message["order"]), self._runner.safety.modes.mode
         word, confirmed_in = command.value, message.get("mode") or mode.value
         refusal = ""
-        if mode not in ALLOWED_IN[command]:
+        if mode not in command.modes:
             refusal = f"bench: cannot {word} in {mode.value}"
             refusal += ": STOP ends it" if command is OperatorCommand.HOLD and mode not in AT_REST else ""
-        elif command in CONFIRMATIONS:
+        elif command.question:
             if message.get("confirmed") is not True:
-                return {"text": "", "ask": CONFIRMATIONS[command], "mode": mode.value}
+                return {"text": "", "ask": command.question, "mode": mode.value}
             if self._wall_s() > message.get("until_s", math.inf):
                 refusal = f"bench: {word} came too late to be executed: command it again"
             elif confirmed_in != mode.value:
@@ -291,16 +279,18 @@ class RemoteOperator(Operator):
         """Hold or stop a moving bench, once; end the session of a dead console when the bench is at rest."""
         safety = self._runner.safety
         mode = safety.modes.mode
-        source = "console process" if self._disconnected else "operator's page"
-        value = "disconnected" if self._disconnected else f"silent for {max(silent_s, self._lease_s):.1f} s"
+        kind = table.CONSOLE_PROCESS if self._disconnected else table.OPERATORS_PAGE
+        trip = kind.trip(
+            "console", "disconnected" if self._disconnected else max(silent_s, self._lease_s), self._lease_s
+        )
         if not self._reacted and mode not in AT_REST:
             as_set = mode is Mode.RUNNING or self._on_loss != "continue"
             reaction = self._on_loss if as_set else "hold"  # only a run continues without its operator
             if reaction == "stop" or (reaction == "hold" and mode not in _HOLDABLE):
                 self._reacted = True
-                raise SafetyTrip("console", source, value, f"{self._lease_s:g} s of silence while the bench moves")
+                raise trip
             if reaction == "hold":
                 self._reacted = True
-                safety.request_hold(f"console: {source} {value}, allowed {self._lease_s:g} s")
+                safety.request_hold(f"console: {kind.quantity} {trip.alarm.value}, allowed {self._lease_s:g} s")
         if self._disconnected and mode in AT_REST and OperatorCommand.STOP not in self.pending:
             self.submit(OperatorCommand.STOP)

@@ -35,8 +35,9 @@ from hil.parts.console.status import CELLS
 from hil.parts.wires.wired import WiredBench
 from hil.recording.audit import Actor
 from hil.recording.session import RunRecorder, recording
+from hil.report.results import RunResults
 from hil.report.summary import summarise
-from hil.report.verdict import Verdict, parts_of
+from hil.report.tally import Tallied
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 
@@ -234,7 +235,7 @@ def _result(
     outcome: Outcome,
     results: Sequence[PartResult],
     taken: RunRecorder | None,
-    numbers: tuple[dict[str, Any], Verdict] | None,
+    numbers: Tallied | None,
 ) -> dict[str, Any]:
     """Return the result for the console, and close the recording. results: of parts. numbers: of a long run."""
     rate_hz = 1.0 / job.scenario.value.step_s
@@ -248,7 +249,7 @@ def _result(
             "accepted": summary["accepted"],
             "passed": summary["passed"],
             "ready_time_s": summary["ready_time_s"],
-            "parts": {name: part["passed"] for name, part in parts_of(summary).items()},
+            "parts": {name: part.passed for name, part in RunResults.of(summary).parts().items()},
             "required_parts": summary["required_parts"],
             "cycles": summary["timing"]["cycles"],
             "timing": summary["timing"],

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.core.operator_commands import ALLOWED_IN
+from hil.core.operator_commands import OperatorCommand
 from hil.parts.console.columns import COLUMNS, NAMES
 from hil.parts.console.live_view import Client
 from hil.parts.console.message import ImageMessage
@@ -75,7 +75,8 @@ class ClientUpdates(SessionManager):
             "scenarios": self.scenarios,
             "rigs": self.rigs,
             "commissioning": self.session is not None and self.choice.signed_by is not None,
-            "obeyed_in": {order.value: [mode.value for mode in modes] for order, modes in ALLOWED_IN.items()},
+            "obeyed_in": {order.value: [mode.value for mode in order.modes] for order in OperatorCommand},
+            "orders": [[order.value, order.button, order.key] for order in OperatorCommand if order.button],
             "stop_reason": self.stop_reason,
             "log": list(self.log_lines)[-40:],
             "settings": self.tuner.available() if self.tuner is not None and self.session is not None else [],

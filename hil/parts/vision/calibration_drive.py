@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from hil.config.load import load_geometry
+from hil.core import alarm_table as table
 from hil.core.clock import WallClock
 from hil.core.messages import Array, Event
 from hil.core.surroundings import temporary_folder
@@ -23,7 +24,7 @@ from hil.drivers.cameras.base import SIDES
 from hil.drivers.cameras.pairing import Pairing
 from hil.drivers.cameras.processes import CameraProcesses, vision_cameras, vision_pairing
 from hil.drivers.vmu import NAME
-from hil.errors import BadInput, DeviceError, SafetyTrip
+from hil.errors import BadInput, DeviceError
 from hil.loop.motion_sequences import MotionSequencer
 from hil.loop.runner import Runner
 from hil.loop.session_parts import SessionParts
@@ -102,7 +103,7 @@ class CalibrationDrive:
         for k, axes in enumerate(plan):
             self._on_progress(f"view {k + 1} of {len(plan)}", k / len(plan))
             if not self._is_clear(self.position(), axes):
-                raise SafetyTrip("bench", f"move to view {k + 1}", "enters the guard volume", "a clear way")
+                raise table.MOVE_TO_VIEW.trip("bench", "enters the guard volume", "a clear way", k + 1)
             exposure = _Exposure(self, self._settle_s)
             self._sequencer.visit(axes_record(axes), exposure.poll)
             views.append(exposure.view())
@@ -239,7 +240,7 @@ class CameraDriftCheck:
         since = f"calibration {checked.stored.label.id} of {checked.stored.label.date}"
         exceeded, limit = checked.refusal(limits)
         if exceeded:
-            raise SafetyTrip(NAME, f"{WHAT} against {since}:", exceeded, limit)
+            raise table.DRIFT_CHECK.trip(NAME, exceeded, limit, since)
         text = f"{WHAT}: {checked.drift.views} views agree with {since}, residuals {checked.drift.rms_px:.3f} px RMS"
         self._events.append(Event(0.0, NAME, text))
 

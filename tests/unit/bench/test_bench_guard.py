@@ -17,7 +17,7 @@ from hil.config.rig import BENCH_AXES
 from hil.core.messages import AXES, NAVIGATION, POSE, TRUTH, new
 from hil.maths import quat
 from hil.params import bench as bench_params
-from hil.safety.guard_alarms import guard_alarm
+from hil.safety.guard_alarms import breach_alarm
 
 STEP_S = 0.02
 
@@ -161,7 +161,7 @@ def test_chaser_does_not_pass_the_target(beside_m: float, closing: float) -> Non
     assert (motion.breach.value, motion.breach.low, motion.breach.high) == pytest.approx(
         (least, closing, least), abs=1e-5
     )
-    alarm = guard_alarm(0.0, BENCH_AXES, keep_out.PLANE, motion.breach)
+    alarm = breach_alarm(0.0, BENCH_AXES, keep_out.PLANE, motion.breach)
     assert alarm.quantity == "distance from the target along the docking axis"
     motion.truth.v_CT_H = [0.3, 0.0, 0.0]
     motion.truth.r_CT_H = [0.24, beside_m, 0.0]  # within it, whatever the speed
@@ -189,7 +189,7 @@ def test_bodies_leave_way_to_brake_and_to_react(closing: float) -> None:
     assert motion.check() == NOTHING
     motion.truth.r_CT_H = [least - 1e-6, 0.0, 0.0]
     assert motion.check() == bench_guard.BODIES_MEET
-    alarm = guard_alarm(0.0, BENCH_AXES, bench_guard.BODIES_MEET, motion.breach)
+    alarm = breach_alarm(0.0, BENCH_AXES, bench_guard.BODIES_MEET, motion.breach)
     assert alarm.quantity == "distance of chaser and target"
     assert alarm.value.endswith("m (keep_out.bodies 1 and 2)")
     assert alarm.limit.endswith(f"m and more at a closing rate of {closing:.4f} m/s")

@@ -29,7 +29,7 @@ from hil.config.load import load_rig, load_scenario
 from hil.config.rig import BENCH_AXES
 from hil.core.messages import AXES, new
 from hil.params import bench as bench_params
-from hil.safety.monitor import breach_alarm
+from hil.safety.guard_alarms import breach_alarm
 
 DT = 0.02
 

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from hil.config.load import load_rig, load_scenario
+from hil.core import alarm_table as table
 from hil.core.clock import SimulatedClock
-from hil.errors import BadInput, SafetyTrip
+from hil.errors import BadInput
 from hil.loop.rate_keeper import SimulatedRate
 from hil.loop.session_parts import SessionParts
 from hil.parts.vision.drift_views import check_drift_views
@@ -64,7 +65,7 @@ def test_a_run_that_is_refused_opens_no_device() -> None:
     job = make_job(1.0)
 
     def refuse() -> None:
-        raise SafetyTrip("vmu", "drift check:", "left moved, 0.2 px RMS", "0.03 px")
+        raise table.DRIFT_CHECK.trip("vmu", "left moved, 0.2 px RMS", "0.03 px", "a calibration")
 
     def open_bench(now_s: float) -> None:
         raise AssertionError("a device was opened")
@@ -73,6 +74,6 @@ def test_a_run_that_is_refused_opens_no_device() -> None:
     runner = in_memory(job, SimulatedRate(SimulatedClock(), job.tick_s), parts)
     runner.loop.bench.open = open_bench  # type: ignore[method-assign]
     outcome = runner.run()
-    assert outcome.stop == "vmu: drift check: left moved, 0.2 px RMS, allowed 0.03 px"
+    assert outcome.stop == "vmu: drift check against a calibration: left moved, 0.2 px RMS, allowed 0.03 px"
     assert len(outcome.history) == 0
     assert [alarm.text for alarm in outcome.alarms] == [outcome.stop]

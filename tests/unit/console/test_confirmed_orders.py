@@ -11,9 +11,9 @@ from typing import Any, cast
 import pytest
 
 from hil.core.modes import Mode
-from hil.core.operator_commands import ALLOWED_IN, OperatorCommand
+from hil.core.operator_commands import OperatorCommand
 from hil.parts.console.live_view import Client
-from hil.parts.console.remote_operator import CONFIRMATIONS, RemoteOperator
+from hil.parts.console.remote_operator import RemoteOperator
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.session import Choice
 from hil.parts.console.status import MODES, empty_status
@@ -21,6 +21,7 @@ from hil.recording.audit import Actor
 
 ANN, BOB = Client("a" * 16, "ann", "a" * 16), Client("b" * 16, "bob", "b" * 16, "confirm")
 ORDERS = [order for order in OperatorCommand if order is not OperatorCommand.JOG]
+CONFIRMED = [order for order in OperatorCommand if order.question]
 SECOND = ("arm", "start", "resume", "home", "park", "reset")
 INTERLEAVINGS = 10_000
 
@@ -100,10 +101,10 @@ def test_no_hazardous_order_passes_unconfirmed_or_without_its_second_person() ->
             assert done in ([], [order])
             assert bool(done) == answer["ok"]
             asked += "ask" in answer
-            if done and order in CONFIRMATIONS:
+            if done and order.question:
                 passed += 1
                 assert confirmed is True
-                assert executing in ALLOWED_IN[order]
+                assert executing in order.modes
                 assert command.get("mode", executing.value) == executing.value
                 assert seconded == (loop is loops[1] and order.value in SECOND)
 
@@ -112,15 +113,15 @@ def test_no_hazardous_order_passes_unconfirmed_or_without_its_second_person() ->
     assert asked > 100
 
 
-@pytest.mark.parametrize(("order", "mode"), list(itertools.product(CONFIRMATIONS, Mode)))
+@pytest.mark.parametrize(("order", "mode"), list(itertools.product(CONFIRMED, Mode)))
 def test_order_is_confirmed_in_each_mode(order: OperatorCommand, mode: Mode) -> None:
     service = make_service()
     loop = Loop(service)
     loop.modes.mode = mode
     answer = asyncio.run(service.execute(ANN, {"do": "order", "order": order.value}))
     assert not loop.executed()
-    if mode in ALLOWED_IN[order]:
-        assert (answer["ask"], answer["mode"]) == (CONFIRMATIONS[order], mode.value)
+    if mode in order.modes:
+        assert (answer["ask"], answer["mode"]) == (order.question, mode.value)
         again = {"do": "order", "order": order.value, "confirmed": True}
         assert asyncio.run(service.execute(ANN, again)) == {"ok": True, "text": ""}
         assert loop.executed() == [order]

@@ -13,7 +13,6 @@ from hil.core.modes import Mode
 from hil.core.operator_commands import OperatorCommand
 from hil.parts.console.live_view import Client
 from hil.parts.console.message import ImageMessage, pack, unpack
-from hil.parts.console.remote_operator import CONFIRMATIONS
 from hil.parts.console.service import ConsoleService
 from hil.parts.console.session import Choice, SignedBy
 from hil.parts.console.session_state import SessionState
@@ -122,7 +121,7 @@ def test_region_of_search_is_checked_sent_and_shown_to_all_pages(service: Consol
 
 
 def test_every_command_that_moves_the_bench_requires_confirmation_and_none_that_stops_it() -> None:
-    assert set(OperatorCommand) - set(CONFIRMATIONS) == {
+    assert {order for order in OperatorCommand if not order.question} == {
         OperatorCommand.HOLD,
         OperatorCommand.STOP,
         OperatorCommand.DISARM,

@@ -32,16 +32,16 @@ def rows(seconds: float = 30.0) -> np.ndarray:
     return made
 
 
-def judged(history: np.ndarray, *settings: str) -> tuple[np.record, dict[str, Any]]:
+def judged(history: np.ndarray, *settings: str) -> tuple[np.record, Any]:
     state = counted(history, load_scenario("scheme-1", settings).value).integrity
     return state.decision, decision_part(state)
 
 
 def test_go_at_the_ready_point_is_right() -> None:
     _, part = judged(rows())
-    assert part["passed"]
-    assert part["go_s"] == pytest.approx(GO_AT * STEP_S)
-    assert (part["error"], part["beyond_level_cycles"], part["nees_ok"]) == (False, 0, None)
+    assert part.passed
+    assert part.go_s == pytest.approx(GO_AT * STEP_S)
+    assert (part.error, part.beyond_level_cycles, part.nees_ok) == (False, 0, None)
 
 
 @pytest.mark.parametrize(
@@ -56,12 +56,12 @@ def test_go_at_the_ready_point_is_right() -> None:
 )
 def test_go_with_the_truth_outside_the_requirement_is_an_error(field: str, value: tuple[float, ...]) -> None:
     history = rows()
-    history["truth"][field][:GO_AT] = value  # before the go it is not relied on
-    assert not judged(history)[1]["error"]
+    history["truth"][field][:GO_AT] = value  # before the go nobody relies on it
+    assert not judged(history)[1].error
     history["truth"][field][GO_AT] = value
     part = judged(history)[1]
-    assert part["error"]
-    assert not part["passed"]
+    assert part.error
+    assert not part.passed
 
 
 @pytest.mark.parametrize(
@@ -80,9 +80,9 @@ def test_go_is_relied_on_until_an_alarm_or_its_time_is_over(table: str, field: s
     history[table][field][GO_AT + 1 :] = value
     history["truth"]["r_CT_H"][last + 2 :] = (0.5, 0.0, 0.0)
     history["navigation"]["r_CT_H"][last + 2 :] = (0.5, 0.0, 0.0)
-    assert not judged(history)[1]["error"]
+    assert not judged(history)[1].error
     history["truth"]["r_CT_H"][last - 1] = (0.5, 0.0, 0.0)
-    assert judged(history)[1]["error"] == error
+    assert judged(history)[1].error == error
 
 
 @pytest.mark.parametrize("what", ["position", "attitude"])
@@ -94,18 +94,18 @@ def test_error_beyond_the_level_counts_unless_an_alarm_follows_within_two_second
     else:
         history["navigation"]["q_CH"][400:450, 2:] = np.sin(half_rad), np.cos(half_rad)
     part = judged(history)[1]
-    assert part["beyond_level_cycles"] == 50
-    assert not part["passed"]
+    assert part.beyond_level_cycles == 50
+    assert not part.passed
     for alarm, expected in ((499, 0), (502, 50)):  # 1.98 s and 2.04 s after it began
         followed = history.copy()
         followed["navigation"]["health"][alarm:] = GncHealth.VISION_SUSPECT
-        assert judged(followed)[1]["beyond_level_cycles"] == expected
+        assert judged(followed)[1].beyond_level_cycles == expected
 
 
 def test_error_beyond_the_level_at_the_end_of_a_run_counts() -> None:
     history = rows()
     history["navigation"]["r_CT_H"][-7:, 2] = 0.0101
-    assert judged(history)[1]["beyond_level_cycles"] == 7
+    assert judged(history)[1].beyond_level_cycles == 7
 
 
 def test_error_that_exceeds_no_level_does_not_count() -> None:
@@ -113,7 +113,7 @@ def test_error_that_exceeds_no_level_does_not_count() -> None:
     history["navigation"]["r_CT_H"][:, 2] = 0.0099
     history["navigation"]["protection_level_rad"] = np.nan  # it reports none
     history["navigation"]["q_CH"][:, 2:] = np.sin(0.002), np.cos(0.002)
-    assert judged(history)[1]["passed"]
+    assert judged(history)[1].passed
 
 
 def test_accusations_before_the_first_fault_are_false() -> None:
@@ -135,4 +135,4 @@ def test_mean_nees_beyond_a_consistent_filters_is_not_passed(position: float, at
     history["nees_position"][::8], history["nees_attitude"][::8] = position, attitude
     history["nees_position"][:4999:8] = 1000.0  # while the filters converge
     part = judged(history)[1]
-    assert (part["nees_ok"], part["passed"]) == (ok, ok)
+    assert (part.nees_ok, part.passed) == (ok, ok)

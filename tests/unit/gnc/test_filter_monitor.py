@@ -9,10 +9,11 @@ import pytest
 from scipy.stats import chi2
 
 from hil.config.load import load_rig, load_scenario
+from hil.core.alarms import LOW
 from hil.core.messages import Event
 from hil.gnc.estimation.filter_monitor import FilterMonitor, NisMonitor, nis_band
 from hil.params import gnc as gnc_params
-from hil.safety.alarms import LOW, AlarmLog
+from hil.safety.alarms import AlarmLog
 from hil.safety.condition_alarms import HealthAlarms
 from hil.session import build
 from tests.support.plain_filters import PLAIN

@@ -31,7 +31,7 @@ def rows(seconds: float, range_m: float = 1.0, level_m: float = 0.01) -> np.ndar
     return made
 
 
-def judged(history: np.ndarray, *settings: str) -> tuple[np.record, dict[str, Any]]:
+def judged(history: np.ndarray, *settings: str) -> tuple[np.record, Any]:
     scenario = load_scenario("scheme-1", settings).value
     state: np.record = counted(history, scenario).integrity
     return state, integrity_part(state, scenario)
@@ -47,22 +47,22 @@ def test_error_beyond_its_alert_limit_misleads_after_the_time_to_alert(
     history = rows(10.0, range_m)
     history["navigation"]["r_CT_H"][100:300, axis] += error_m
     _, part = judged(history)
-    assert part["hmi_cycles"] == part["hmi_by_line1_only"] == 200 - 51  # of 4 s, less 1.0 s
-    assert part["time_to_alert_s"] == pytest.approx(199 * STEP_S)
-    assert part["worst_error_m"] == pytest.approx(error_m)
-    assert part["alert_limit_m"] == pytest.approx(limit_m, abs=1e-9)
-    assert part["protection_level_m"] == pytest.approx([0.01] * 3)
-    assert not part["passed"]
+    assert part.hmi_cycles == part.hmi_by_line1_only == 200 - 51  # of 4 s, less 1.0 s
+    assert part.time_to_alert_s == pytest.approx(199 * STEP_S)
+    assert part.worst_error_m == pytest.approx(error_m)
+    assert part.alert_limit_m == pytest.approx(limit_m, abs=1e-9)
+    assert part.protection_level_m == pytest.approx([0.01] * 3)
+    assert not part.passed
     below = rows(10.0, range_m)
     below["navigation"]["r_CT_H"][100:300, axis] += limit_m - 1e-6
-    assert judged(below)[1]["hmi_cycles"] == 0
+    assert judged(below)[1].hmi_cycles == 0
 
 
 def test_rotation_beyond_a_degree_misleads() -> None:
     history = rows(10.0)
     angle = math.radians(1.1)
     history["navigation"]["q_CH"][:, [2, 3]] = math.sin(angle / 2.0), math.cos(angle / 2.0)
-    assert judged(history)[1]["hmi_cycles"] == 500 - 51
+    assert judged(history)[1].hmi_cycles == 500 - 51
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_reported_error_does_not_mislead(table: str, field: str, value: float) -
     history = rows(10.0)
     history["navigation"]["r_CT_H"][:, 0] += 0.2
     history[table][field] = value
-    assert judged(history)[1]["hmi_cycles"] == 0
+    assert judged(history)[1].hmi_cycles == 0
 
 
 def test_alarm_of_the_second_sensor_alone_is_none_of_the_first_line() -> None:
@@ -86,14 +86,14 @@ def test_alarm_of_the_second_sensor_alone_is_none_of_the_first_line() -> None:
     history["navigation"]["r_CT_H"][:, 0] += 0.2
     history["navigation"]["health"] = 16
     part = judged(history)[1]
-    assert (part["hmi_cycles"], part["hmi_by_line1_only"]) == (0, 500 - 51)
+    assert (part.hmi_cycles, part.hmi_by_line1_only) == (0, 500 - 51)
 
 
 def test_error_of_less_than_the_time_to_alert_does_not_count() -> None:
     history = rows(10.0)
     for first in range(0, 500, 100):
         history["navigation"]["r_CT_H"][first : first + 50, 0] += 0.2
-    assert judged(history)[1]["hmi_cycles"] == 0
+    assert judged(history)[1].hmi_cycles == 0
 
 
 def test_gnc_without_protection_levels_is_judged_by_the_keep_out() -> None:
@@ -101,14 +101,14 @@ def test_gnc_without_protection_levels_is_judged_by_the_keep_out() -> None:
     history["navigation"]["protection_level_rad"] = math.nan
     history["navigation"]["r_CT_H"][:, 0] += 1.0
     part = judged(history)[1]
-    assert part["passed"]
-    assert part["hmi_cycles"] is part["hmi_by_line1_only"] is part["availability"] is None
-    assert part["protection_level_m"] == [None] * 3
+    assert part.passed
+    assert part.hmi_cycles is part.hmi_by_line1_only is part.availability is None
+    assert part.protection_level_m == [None] * 3
     history["truth"]["r_CT_H"][250] = (0.24, 0.0, 0.0)
     part = judged(history)[1]
-    assert not part["passed"]
-    assert part["nearest_m"] == pytest.approx(0.24)
-    assert judged(history, "keep_out.radius_m=0")[1]["passed"]
+    assert not part.passed
+    assert part.nearest_m == pytest.approx(0.24)
+    assert judged(history, "keep_out.radius_m=0")[1].passed
 
 
 def test_availability_is_the_fraction_of_faultless_cycles_with_levels_below_their_limits() -> None:
@@ -116,9 +116,9 @@ def test_availability_is_the_fraction_of_faultless_cycles_with_levels_below_thei
     history["navigation"]["protection_level_m"][:50, 1] = 0.06
     history["navigation"]["protection_level_m"][400:] = 1.0
     history["supervision"]["aborted"][450:] = 1
-    assert judged(history)[1]["availability"] == pytest.approx(1.0 - 100 / 450)
+    assert judged(history)[1].availability == pytest.approx(1.0 - 100 / 450)
     fault = 'faults=[{device = "vmu", kind = "no_pose", at_s = 7.99}]'
-    assert judged(history, fault)[1]["availability"] == pytest.approx(1.0 - 50 / 400)
+    assert judged(history, fault)[1].availability == pytest.approx(1.0 - 50 / 400)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_availability_is_the_fraction_of_faultless_cycles_with_levels_below_thei
 def test_reaction_without_a_cause_is_a_false_alert(field: str, value: int, expected: int) -> None:
     history = rows(10.0)
     history["supervision"][field][200:] = value
-    assert judged(history)[1]["false_alerts"] == expected
+    assert judged(history)[1].false_alerts == expected
     for table, name, wrong in (
         ("truth", "v_CT_H", (-0.3, 0.0, 0.0)),
         ("truth", "r_CT_H", (1.0, 0.3, 0.0)),
@@ -137,8 +137,8 @@ def test_reaction_without_a_cause_is_a_false_alert(field: str, value: int, expec
     ):
         caused = history.copy()
         caused[table][name] = wrong
-        assert judged(caused)[1]["false_alerts"] == 0
-    assert judged(history, 'faults=[{device = "vmu", kind = "no_pose", at_s = 3.0}]')[1]["false_alerts"] == 0
+        assert judged(caused)[1].false_alerts == 0
+    assert judged(history, 'faults=[{device = "vmu", kind = "no_pose", at_s = 3.0}]')[1].false_alerts == 0
 
 
 def test_faults_are_detected_by_what_follows_their_onset() -> None:
@@ -179,4 +179,4 @@ def test_along_the_axis_what_is_left_to_the_keep_out_is_the_limit() -> None:
     history["truth"]["v_CT_H"] = (-0.06, 0.0, 0.0)
     history["navigation"]["r_CT_H"][:, 0] += 0.06
     part = judged(history)[1]
-    assert part["alert_limit_m"] == pytest.approx(0.4 - 0.25 - 0.06**2 / (2.0 * 0.018))
+    assert part.alert_limit_m == pytest.approx(0.4 - 0.25 - 0.06**2 / (2.0 * 0.018))

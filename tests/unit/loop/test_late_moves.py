@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hil.core import alarm_table as table
 from hil.core.clock import SimulatedClock
 from hil.core.messages import AXES, new
-from hil.errors import BenchError, LinkLost, SafetyTrip
+from hil.errors import BenchError, LinkLost
 from hil.loop.bench_stage import Move
 from hil.loop.rate_keeper import SimulatedRate, Tick
 from hil.loop.session_parts import SessionParts
@@ -55,8 +56,8 @@ def test_a_late_cycle_delays_a_move_and_does_not_hasten_it() -> None:
     "fault",
     [
         LinkLost("rails", "stopped: the loop has been silent for 0.052 s"),
-        SafetyTrip("io", "safety chain", "open", "closed"),
-        SafetyTrip("bench", "age of the setpoint", "0.520 s", "0.5 s"),
+        table.SAFETY_CHAIN.trip("io", "open", "closed"),
+        table.AGE_OF_SETPOINT.trip("bench", 0.52, 0.5),
     ],
 )
 def test_fault_that_a_pause_of_the_host_can_cause_names_the_pause(fault: BenchError) -> None:
@@ -79,7 +80,7 @@ def test_fault_that_a_pause_of_the_host_can_cause_names_the_pause(fault: BenchEr
 def test_longest_pause_of_the_processes_is_named_and_a_short_one_is_not(
     process_s: float, loop_s: float, named: str
 ) -> None:
-    job, fault = make_job(2.0), SafetyTrip("io", "safety chain", "open", "closed")
+    job, fault = make_job(2.0), table.SAFETY_CHAIN.trip("io", "open", "closed")
     rate = LateRate(SimulatedClock(), job.scenario.value.step_s)
     rate.pause_s = loop_s
     runner = in_memory(job, rate, SessionParts(process_pauses=lambda: {"the watchdog process": process_s}))

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
-from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout, SafetyTrip
+from hil.core import alarm_table as table
+from hil.errors import BenchError, DeviceError, DriveFault, FaultKind, LinkLost, LinkTimeout
 from hil.loop.controlled_stop import RootCause
 
-OPEN_INTERLOCK = SafetyTrip("io", "interlock", "open", "closed")
+OPEN_INTERLOCK = table.INTERLOCK.trip("io", "open", "closed", "door")
 
 
 class SteppedRate:
@@ -70,7 +71,7 @@ def test_a_drive_without_torque_has_the_time_of_a_dead_coupler_whatever_its_faul
     [
         DriveFault("rails.x", "not safe torque off"),
         LinkTimeout("rails.x", "safe torque off"),
-        SafetyTrip("rails.x", "safe torque off", "1", "0"),
+        table.SPEED.trip("rails.x", 1.0, 0.0),
     ],
 )
 def test_any_other_fault_has_the_time_of_the_emergency_stop_alone(fault: BenchError) -> None:
@@ -84,8 +85,8 @@ def test_a_wire_that_is_gone_is_a_cause_itself() -> None:
 
 
 def test_a_chain_that_the_stop_itself_has_opened_is_no_cause() -> None:
-    fault = SafetyTrip("rails.x", "following error", "0.06 m", "0.05 m")
-    opened = SafetyTrip("io", "safety chain", "open", "closed")
+    fault = table.FOLLOWING_ERROR.trip("rails.x", 0.06, 0.05)
+    opened = table.SAFETY_CHAIN.trip("io", "open", "closed")
     assert cause_found(fault, 0.0, opened) is opened
     assert cause_found(fault, 0.0, opened, chain_opened=True) is fault
     assert cause_found(fault, 0.03, OPEN_INTERLOCK, chain_opened=True) is OPEN_INTERLOCK

@@ -84,7 +84,7 @@ def test_factor_that_halves_an_event_is_that_of_the_normal_tail() -> None:
 
 
 def test_figure_of_the_largest_indices(tmp_path: Path) -> None:
-    from hil.parts.campaigns.figure import (draw_indices)
+    from hil.parts.campaigns.figure import draw_indices
 
     rows = index_rows(sobol_indices(*outcomes(ishigami, 50, 3, 1)), ["a", "b", "c", "noise"])
     draw_indices({"sobol": {"control_margin": rows, "propellant_kg": []}}, tmp_path / "sobol.png")

@@ -13,8 +13,9 @@ from hil.config.scenario import Scenario
 from hil.config.tables.required_parts import PART_COLUMNS, required_parts
 from hil.errors import BadInput
 from hil.parts.campaigns.outcome import FLAGS
+from hil.report.results import RunResults
 from hil.report.table import PART_TEXTS
-from hil.report.verdict import acceptance, is_accepted, not_required_text
+from hil.report.verdict import acceptance, is_accepted
 
 ROOT = Path(__file__).resolve().parents[3]
 ALL = ", ".join(PART_COLUMNS)
@@ -27,11 +28,11 @@ def with_parts(scheme_1: Scenario, *names: str) -> Any:
     return scheme_1.requirements.model_copy(update={"required_parts": names or None})
 
 
-def summary_of(failed: str = "", stop: str = "completed", abort: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the part of a run's JSON that the verdict needs."""
+def summary_of(failed: str = "", stop: str = "completed", abort: dict[str, Any] | None = None) -> RunResults:
+    """Return the results of a run that the verdict needs."""
     parts: dict[str, dict[str, Any]] = {name: {"passed": name != failed} for name in PART_COLUMNS}
     parts["security"]["abort"] = abort
-    return {"stop": stop, "integrity": parts.pop("integrity"), "verdict": parts}
+    return RunResults.of({"stop": stop, "integrity": parts.pop("integrity"), "verdict": parts} | parts)
 
 
 @pytest.mark.parametrize("failed", PART_COLUMNS)
@@ -48,7 +49,7 @@ def test_run_that_was_stopped_or_aborted_is_not_accepted_whatever_is_required(sc
     assert not is_accepted(False, False, ALL_PASSED, with_parts(scheme_1, "security"))
     assert not is_accepted(True, True, ALL_PASSED, with_parts(scheme_1, "security"))
     for summary in (summary_of(stop="vmu: silent"), summary_of(abort={"at_s": 5.0})):
-        assert not acceptance(summary, with_parts(scheme_1, "security"))["accepted"]
+        assert not acceptance(summary, with_parts(scheme_1, "security"))[0]
 
 
 def test_required_part_that_was_not_judged_is_missed(scheme_1: Scenario) -> None:
@@ -59,15 +60,15 @@ def test_required_part_that_was_not_judged_is_missed(scheme_1: Scenario) -> None
 
 
 def test_omitted_parts_are_named_with_their_outcomes(scheme_1: Scenario) -> None:
-    summary = summary_of("energy")
-    summary |= acceptance(summary, with_parts(scheme_1, *WITHOUT_ENERGY))
-    assert (summary["accepted"], summary["required_parts"]) == (True, list(WITHOUT_ENERGY))
-    assert not_required_text(summary) == "(not required: energy fail)"
-    summary |= acceptance(summary, with_parts(scheme_1, "security", "control_precision"))
-    assert summary["required_parts"] == ["control_precision", "security"]  # in the order of the table
-    assert not_required_text(summary) == "(not required: energy fail, field of view ok, integrity ok, decision ok)"
-    summary |= acceptance(summary, with_parts(scheme_1))
-    assert (summary["accepted"], not_required_text(summary)) == (False, "")
+    run = summary_of("energy")
+    run.accepted, run.required_parts = acceptance(run, with_parts(scheme_1, *WITHOUT_ENERGY))
+    assert (run.accepted, run.required_parts) == (True, list(WITHOUT_ENERGY))
+    assert run.not_required_text() == "(not required: energy fail)"
+    run.accepted, run.required_parts = acceptance(run, with_parts(scheme_1, "security", "control_precision"))
+    assert run.required_parts == ["control_precision", "security"]  # in the order of the table
+    assert run.not_required_text() == "(not required: energy fail, field of view ok, integrity ok, decision ok)"
+    run.accepted, run.required_parts = acceptance(run, with_parts(scheme_1))
+    assert (run.accepted, run.not_required_text(), run.missed_parts()) == (False, "", ["energy"])
 
 
 def test_shipped_scenarios_require_all_parts() -> None:

@@ -43,9 +43,9 @@ def test_times_beyond_their_limits_are_counted(rows: np.ndarray) -> None:
     times = execution_times_s(rows)
     beyond = count_beyond(times, rig, STEP_S)
     assert beyond == {"cycle": 0, "rails": 0, "turntable": 6, "vmu": 0, "io": 0}
-    found = judge_times(times, beyond, rig, STEP_S)["turntable"]
-    assert found["p50_ms"] == pytest.approx(7.0)
-    assert (found["limit_ms"], found["beyond"]) == (6.0, 6)
+    found = judge_times(times, beyond, rig, STEP_S).turntable
+    assert found.p50_ms == pytest.approx(7.0)
+    assert (found.limit_ms, found.beyond) == (6.0, 6)
 
 
 def test_limits_follow_cycle_and_unit() -> None:
@@ -55,9 +55,5 @@ def test_limits_follow_cycle_and_unit() -> None:
 
 def test_a_run_that_hardly_began_has_no_times() -> None:
     times = execution_times_s(np.zeros(0, CYCLE))
-    assert (
-        judge_times(times, count_beyond(times, load_rig("mock").value, STEP_S), load_rig("mock").value, STEP_S)["io"][
-            "p50_ms"
-        ]
-        is None
-    )
+    rig = load_rig("mock").value
+    assert judge_times(times, count_beyond(times, rig, STEP_S), rig, STEP_S).io.p50_ms is None

@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from hil.report.limits import sentence, shown, stop_of_alarm, unit_of
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
+from hil.report.limits import sentence, stop_of_alarm, unit_of
 from hil.report.summary import summarise
-from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.assembly import Job
 from tests.support.run_settings import make_job
@@ -50,24 +51,23 @@ def test_least_value_is_required_and_a_largest_one_allowed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("device", "quantity", "value", "unit"),
+    ("alarm", "name", "unit"),
     [
-        ("rails.x", "following error", "0.0600 m", "m"),
-        ("turntable.roll", "following error", "2.100 deg", "rad"),
-        ("turntable.yaw", "speed", "3.0 deg/s", "rad/s"),
-        ("rails", "age of the feedback", "0.210 s", "s"),
-        ("vmu", "pose against encoders, x", "0.0510 m", "m"),
-        ("vmu", "pose against encoders, about x", "2.000 deg", "rad"),
-        ("bench", "limited setpoints", "6 in a row", ""),
-        ("vmu", "lost packets", "11.0", ""),
+        (table.FOLLOWING_ERROR.alarm(1.0, "rails.x", 0.06, 0.05), "following_error_of_x", "m"),
+        (table.FOLLOWING_ERROR.alarm(1.0, "turntable.roll", 2.1, 2.0, rotates=True), "following_error_of_roll", "rad"),
+        (table.SPEED.alarm(1.0, "turntable.yaw", 3.0, 2.0, rotates=True), "speed_of_yaw", "rad/s"),
+        (table.AGE_OF_FEEDBACK.alarm(1.0, "rails", 0.21, 0.2), "age_of_the_feedback_of_rails", "s"),
+        (table.POSE_AGAINST_ENCODERS.alarm(1.0, "vmu", 0.051, 0.05, "x"), "pose_against_encoders_of_vmu", "m"),
+        (table.ATTITUDE_AGAINST_ENCODERS.alarm(1.0, "vmu", 0.2, 0.1, "x"), "attitude_against_encoders_of_vmu", "rad"),
+        (table.LIMITED_SETPOINTS.alarm(1.0, "bench", 6.0, 5.0), "limited_setpoints_of_bench", ""),
+        (table.LOST_PACKETS.alarm(1.0, "vmu", 11.0, 10.0), "lost_packets_of_vmu", ""),
     ],
+    ids=lambda each: each if isinstance(each, str) else None,
 )
-def test_value_of_a_stop_has_its_unit(device: str, quantity: str, value: str, unit: str) -> None:
-    stop = stop_of_alarm(Alarm(1.0, device, quantity, value, value), "", 1.0)
-    assert unit_of(stop.name) == unit
-    number, _, given = value.partition(" ")
-    assert stop.value is not None
-    assert shown(stop.value, unit).split()[0] == shown(float(number), given if unit == "m" else "").split()[0]
+def test_value_of_a_stop_has_its_unit(alarm: Alarm, name: str, unit: str) -> None:
+    stop = stop_of_alarm(alarm, "", 1.0)
+    assert (stop.name, stop.value, stop.limit) == (name, alarm.measured, alarm.allowed)
+    assert unit_of(stop.name) == alarm.unit == unit
 
 
 def test_alarm_that_holds_the_approach_to_the_end_is_the_cause() -> None:

@@ -29,7 +29,7 @@ def bound(cycles: int, *settings: str, settled_s: float = 100.0, parts: int = 1)
     found = NavigationBound(load_scenario("scheme-1", settings).value, load_rig("mock").value, settled_s)
     for part in np.array_split(rows(cycles), parts):
         found.add(part)
-    return found.as_json()
+    return found.rows()
 
 
 def dense(cycles: int, start: Array, f: Array, noise: Array, sigma: float, settled_s: float) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,9 +31,7 @@ class Flown:
         tally = Tally(self.scenario, self.rig)
         for rows in np.split(self.rows, sorted(cuts)):
             tally.add(rows)
-        found: dict[str, Any] = tally.numbers()[0]
-        del found["stats"]
-        return json.dumps(found), tally.stats.tobytes()
+        return json.dumps(tally.numbers()[0].as_json()), tally.stats.tobytes()
 
 
 @pytest.fixture(scope="module")

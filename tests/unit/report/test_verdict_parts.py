@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from hil.core.messages import CYCLE
 from hil.loop.compiled.run_stats import counted
 from hil.params import gnc as gnc_params
 from hil.params.dynamics import mean_motion
+from hil.report.results import Security
 from hil.report.verdict_parts import (
     AbortCourse,
     drift,
@@ -46,7 +46,7 @@ def line_mps(v_CT_H: np.ndarray, scenario: Scenario) -> float:
     return float(counted(history, scenario).reference_delta_v)
 
 
-def security(history: np.ndarray, scenario: Scenario) -> dict[str, Any]:
+def security(history: np.ndarray, scenario: Scenario) -> Security:
     return security_part(counted(history, scenario))
 
 
@@ -75,25 +75,25 @@ def test_energy_is_judged_against_three_times_the_least(scheme_1: Scenario) -> N
     least = 1000.0 * (1.0 - math.exp(-(0.06 + slew_impulse(scheme_1) / 1000.0) / exhaust))
     for spent, passed in ((2.99 * least, True), (3.01 * least, False)):
         found = energy_part(counted(history, scheme_1), scheme_1, spent)
-        assert found["passed"] is passed
-        assert found["least_propellant_kg"] == pytest.approx(least)
-        assert found["delta_v_mps"] == pytest.approx(-exhaust * math.log(1.0 - spent / 1000.0))
-        assert found["firings"] == 7
+        assert found.passed is passed
+        assert found.least_propellant_kg == pytest.approx(least)
+        assert found.delta_v_mps == pytest.approx(-exhaust * math.log(1.0 - spent / 1000.0))
+        assert found.firings == 7
 
 
 def test_security_is_judged_on_the_truth_and_names_the_tightest_moment(scheme_1: Scenario) -> None:
     history = flight()
-    assert security(history, scheme_1)["passed"]
+    assert security(history, scheme_1).passed
     history["truth"]["r_CT_H"][40] = [3.0, 0.3, 0.0]
     found = security(history, scheme_1)
-    assert not found["passed"]
-    assert found["corridor_margin_m"] == pytest.approx(math.hypot(3.0, 0.3) * math.tan(math.radians(5.0)) - 0.3)
-    assert found["corridor_margin_at_s"] == pytest.approx(0.8)
+    assert not found.passed
+    assert found.corridor_margin_m == pytest.approx(math.hypot(3.0, 0.3) * math.tan(math.radians(5.0)) - 0.3)
+    assert found.corridor_margin_at_s == pytest.approx(0.8)
     history = flight()
     history["truth"]["v_CT_H"][10, 0] = -0.041
     found = security(history, scheme_1)
-    assert not found["passed"]
-    assert found["closing_margin_mps"] == pytest.approx(-0.001)
+    assert not found.passed
+    assert found.closing_margin_mps == pytest.approx(-0.001)
 
 
 def test_security_is_judged_up_to_the_abort_alone(scheme_1: Scenario) -> None:
@@ -102,15 +102,15 @@ def test_security_is_judged_up_to_the_abort_alone(scheme_1: Scenario) -> None:
     history["reference"]["phase"][50:80] = 3
     history["reference"]["phase"][80:] = 4
     history["truth"]["r_CT_H"][60:] = [4.0, 2.0, 0.0]
-    assert security(history, scheme_1)["passed"]
+    assert security(history, scheme_1).passed
     followed = AbortCourse(scheme_1)
     for rows in np.split(history, [3, 45, 70, 85]):
         followed.add(rows)
-    abort = followed.as_json()
+    abort = followed.course()
     assert abort is not None
-    assert (abort["at_s"], abort["range_m"], abort["cause"]) == (pytest.approx(1.0), pytest.approx(3.0), "ordered")
-    assert abort["hold_since_s"] == pytest.approx(1.6)
-    assert abort["drift_from_end"]["from_s"] == pytest.approx(history["t_s"][-1])
+    assert (abort.at_s, abort.range_m, abort.cause) == (pytest.approx(1.0), pytest.approx(3.0), "ordered")
+    assert abort.hold_since_s == pytest.approx(1.6)
+    assert abort.drift_from_end["from_s"] == pytest.approx(history["t_s"][-1])
 
 
 @pytest.mark.parametrize("e", [0.0, 0.05])
@@ -144,8 +144,8 @@ def test_drift_from_rest_on_the_v_bar_stays_there(scheme_1: Scenario) -> None:
 
 
 def test_parts_of_a_run_without_a_cycle_are_not_passed(scheme_1: Scenario) -> None:
-    assert not security(flight(0), scheme_1)["passed"]
-    assert not energy_part(counted(flight(0), scheme_1), scheme_1, 0.0)["passed"]
+    assert not security(flight(0), scheme_1).passed
+    assert not energy_part(counted(flight(0), scheme_1), scheme_1, 0.0).passed
 
 
 def test_abort_acceleration_is_within_what_the_thrusters_give(scheme_1: Scenario) -> None:
@@ -173,12 +173,12 @@ def test_bound_of_a_short_move_is_twice_its_mean_speed_and_of_an_orbit_what_drif
     assert orbit == pytest.approx(2.0 * n * 4.0 / (6.0 * math.pi), rel=0.01)
     found = energy_part(moved(scheme_1, 20.0), scheme_1, 1.0)
     slews = slew_impulse(scheme_1) / 1000.0
-    assert found["impulsive_bound_kg"] == pytest.approx(1000.0 * (0.4 + slews) / (220.0 * 9.80665), rel=0.01)
+    assert found.impulsive_bound_kg == pytest.approx(1000.0 * (0.4 + slews) / (220.0 * 9.80665), rel=0.01)
 
 
 def test_axes_that_tumble_have_no_impulsive_bound() -> None:
     tumbling = load_scenario("tumbling-1").value
-    assert energy_part(moved(tumbling, 20.0), tumbling, 1.0)["impulsive_bound_kg"] is None
+    assert energy_part(moved(tumbling, 20.0), tumbling, 1.0).impulsive_bound_kg is None
 
 
 def test_transfer_costs_its_burns_and_not_what_the_orbit_changes() -> None:

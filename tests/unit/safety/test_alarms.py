@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
 import pytest
 
 from hil.config.load import load_scenario
-from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError, SafetyTrip
-from hil.safety.alarms import LOW, MEDIUM, Alarm, AlarmLog, alarm_from_error
-from hil.safety.condition_alarms import Disagreement, HealthAlarms
+from hil.core import alarm_table as table
+from hil.core.alarm_table import alarm_from_error
+from hil.core.alarms import LOW, MEDIUM, Alarm
+from hil.errors import BenchError, DriveFault, LinkLost, LinkTimeout, ProtocolError
+from hil.safety.alarms import AlarmLog
+from hil.safety.condition_alarms import HealthAlarms
 from hil.safety.packet_loss import LeakyBucket, LinkWatch
 
-FOLLOWING = Alarm(1.5, "rails.x", "following error", "0.0612 m", "0.05 m")
+FOLLOWING = table.FOLLOWING_ERROR.alarm(1.5, "rails.x", 0.0612, 0.05)
 
 
 def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
@@ -21,9 +26,38 @@ def test_text_names_device_value_and_limit_and_is_that_of_the_trip() -> None:
 
 
 @pytest.mark.parametrize(
+    ("alarm", "text", "numbers"),
+    [
+        (FOLLOWING, "following error 0.0612 m, allowed 0.05 m", ("following_error", 0.0612, 0.05, "m")),
+        (
+            table.SPEED.alarm(0.0, "yaw", math.radians(3.0), math.radians(1.0), rotates=True),
+            "speed 3.00 deg/s reported, allowed 1.00 deg/s by its position",
+            ("speed", math.radians(3.0), math.radians(1.0), "rad/s"),
+        ),
+        (
+            table.POSITION.alarm(0.0, "x", -1.25, (-1.2, 1.2)),
+            "position -1.2500 m, allowed -1.2 m to 1.2 m",
+            ("position", -1.25, -1.2, "m"),
+        ),
+        (
+            table.INTERLOCK.alarm(0.0, "io", "open", "closed", "door"),
+            "interlock door open, allowed closed",
+            ("interlock", None, None, ""),
+        ),
+        (table.RATE.alarm(0.0, "x", "nan", "a finite number"), "rate nan, allowed a finite number",
+         ("rate", None, None, "")),
+    ],
+    ids=lambda each: each.code if isinstance(each, Alarm) else None,
+)  # fmt: skip
+def test_alarm_has_its_numbers_in_si_and_their_text(alarm: Alarm, text: str, numbers: tuple[object, ...]) -> None:
+    assert alarm.text == f"{alarm.device}: {text}"
+    assert (alarm.code, alarm.measured, alarm.allowed, alarm.unit) == numbers
+
+
+@pytest.mark.parametrize(
     ("error", "quantity"),
     [
-        (SafetyTrip("rails.x", "following error", "0.0612 m", "0.05 m"), "following error"),
+        (FOLLOWING.trip(), "following error"),
         (LinkLost("rails.x", "connection closed"), "link"),
         (LinkTimeout("rails.x", "no answer for 0.5 s, allowed 0.4 s"), "timeout"),
         (ProtocolError("rails.x", "CRC 0x1a2b, expected 0x1a2c"), "protocol"),
@@ -43,8 +77,8 @@ def test_every_device_error_becomes_an_alarm_with_its_own_text(error: BenchError
 def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
     book = AlarmLog()
     first = book.latch(FOLLOWING)
-    assert book.latch(Alarm(9.0, "rails.x", "following error", "1 m", "0.05 m")) == first  # does not bury the first
-    book.latch(Alarm(2.0, "rails.y", "following error", "1 m", "0.05 m"))
+    assert book.latch(replace(FOLLOWING, t_s=9.0, value="1 m")) == first  # does not bury the first
+    book.latch(replace(FOLLOWING, device="rails.y"))
     assert [alarm.device for alarm in book.latched()] == ["rails.x", "rails.y"]
     assert book.acknowledge() == 2
     assert book.acknowledge() == 0
@@ -57,7 +91,7 @@ def test_book_latches_acknowledges_and_lets_go_by_reset_alone() -> None:
     assert len(book.latched()) == 1
 
 
-DISAGREES = Alarm(3.0, "monitor", "pose", "off by 0.12 m", "0.03 m", priority=MEDIUM)
+DISAGREES = table.NAVIGATION_POSE.alarm(3.0, "monitor", 0.12, 0.03)
 
 
 def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> None:
@@ -66,7 +100,7 @@ def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> No
     book.raise_condition(DISAGREES)
     (alarm,) = book.latched()
     assert (alarm.number, alarm.active, alarm.acknowledged) == (1, True, False)
-    book.return_to_normal("monitor", "pose")
+    book.return_to_normal("monitor", DISAGREES.quantity)
     (alarm,) = book.latched()
     assert not alarm.active  # normal again, and not read yet
     book.raise_condition(DISAGREES)
@@ -74,7 +108,7 @@ def test_condition_stands_until_it_is_acknowledged_and_returns_to_normal() -> No
     assert book.latched()[0].active
     book.acknowledge(by="ann")
     assert book.latched()[0].acknowledged_by == "ann"  # it lasts
-    book.return_to_normal("monitor", "pose")
+    book.return_to_normal("monitor", DISAGREES.quantity)
     assert not book.latched()
     book.raise_condition(DISAGREES)
     assert [alarm.number for alarm in book.all()] == [1, 2]
@@ -111,9 +145,8 @@ def test_bits_of_the_health_are_conditions_that_name_the_device() -> None:
     book = AlarmLog()
     kinds = ("approach", "hold", "wait", "final", "retreat")
     scenario = load_scenario("scheme-1", tuple(f"gnc.reactions.thruster_fault.{kind}=continue" for kind in kinds))
-    health = HealthAlarms(
-        book, scenario.value, lambda: Disagreement("monitor", "along the line of sight", "m", 0.1234, 0.03)
-    )
+    off = table.NAVIGATION_POSE.alarm(0.0, "monitor", 0.1234, 0.03, notes=(" along the line of sight", ""))
+    health = HealthAlarms(book, scenario.value, lambda: off)
     for bench_s, bits in ((1.0, 0), (2.0, 16), (3.0, 16), (4.0, 24), (5.0, 8), (6.0, 0)):
         health.update(bench_s, bits)
     first, second = book.all()

@@ -11,10 +11,11 @@ import pytest
 
 from hil.config.load import load_scenario
 from hil.config.rig import Rig
+from hil.core import alarm_table as table
+from hil.core.alarms import Alarm
 from hil.core.messages import AXES, AxisFeedback, Homing, new
 from hil.core.modes import Mode
 from hil.params import bench as bench_params
-from hil.safety.alarms import Alarm
 from hil.safety.monitor import CHECKS, SafetyMonitor, safety_limits
 
 NAMES = ("rails.x", "rails.y", "rails.z", "turntable.roll", "turntable.pitch", "turntable.yaw")
@@ -210,7 +211,7 @@ def test_homing_has_a_limited_time(scene: Scene) -> None:
 
 def test_reset_is_refused_while_the_button_is_in(scene: Scene) -> None:
     press(scene)
-    scene.safety.alarms.latch(Alarm(1.0, "bench", "emergency stop", "pressed", "released and reset"))
+    scene.safety.alarms.latch(table.EMERGENCY_STOP.alarm(1.0, "bench", "pressed", "released and reset"))
     refusal = scene.safety.reset(11.0)
     assert refusal is not None
     assert refusal.text == "bench: emergency stop pressed, allowed released"

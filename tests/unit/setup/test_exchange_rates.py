@@ -9,7 +9,6 @@ from hil.config.load import load_rig
 from hil.core.messages import CYCLE
 from hil.drivers.mock_axes import MockAxes
 from hil.parts.wires.meters import ExchangeRates
-from hil.report.latency import with_exchanges
 
 
 class CountedAxes(MockAxes):
@@ -32,7 +31,3 @@ def test_exchanges_are_counted_from_the_first_cycle_of_the_run() -> None:
         rails.count, rails.newest_s = rails.count + 5, rails.newest_s + 0.02
     found = rates.numbers()
     assert found == {"rails": pytest.approx(250.0)}
-    table = with_exchanges({"cycle": {}, "rails": {"p50_ms": 1.0}, "turntable": {}}, found)
-    assert table["rails"] == {"p50_ms": 1.0, "exchange_hz": pytest.approx(250.0)}
-    assert table["turntable"] == {"exchange_hz": None}
-    assert table["cycle"] == {}

@@ -20,6 +20,7 @@ from hil.api.results import Run
 from hil.api.runs import RunRequest, gnc_summary, judged_run, log, run_job
 from hil.config.rig import Rig
 from hil.config.scenario import Scenario
+from hil.core.alarms import Alarm
 from hil.core.fields import record_dtype
 from hil.core.manipulator_records import GIMBALS_FIELDS
 from hil.core.messages import new
@@ -32,7 +33,6 @@ from hil.loop.rate_keeper import WallClockRate
 from hil.loop.runner import Runner
 from hil.parts.campaigns.api.requirements import RunRequirement, write_run_evidence
 from hil.parts.campaigns.requirements_page import EvidenceRow
-from hil.safety.alarms import Alarm
 from hil.session import build
 from hil.session.warm_up import compile_kernels
 

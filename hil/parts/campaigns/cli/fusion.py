@@ -75,7 +75,7 @@ def _passed(summary: dict[str, Any]) -> bool:
 
 
 def _render(summary: dict[str, Any], passed: bool, console: Console) -> None:
-    from hil.parts.campaigns.fusion import (TABLE_II_SD)
+    from hil.parts.campaigns.fusion import TABLE_II_SD
 
     rows = Table(title=f"Fusion errors over {summary['runs']} runs, t >= 100 s, vision noise as {summary['vmu_noise']}")
     for name in ("", "axis", "rmse", "bound", "ratio", "largest", "Table II SD"):

@@ -31,6 +31,7 @@ from hil.parts.campaigns.pytest_plugin.procedure_bench import ProcedureBench, co
 from hil.parts.campaigns.pytest_plugin.results import FAILED, PASSED, SKIPPED, CampaignRun, CampaignTest
 from hil.parts.campaigns.requirements_page import NOT_VERIFIED, VERIFIED, EvidenceRow
 from hil.report.comparison import key_numbers
+from hil.report.results import RunResults
 
 _RUNS: Final = pytest.StashKey[list[Run]]()
 _EVIDENCE: Final = pytest.StashKey[list[EvidenceRow]]()
@@ -233,7 +234,7 @@ class CampaignSession:
             int(run.summary["seed"]),
             run.accepted,
             run.stop,
-            dict(key_numbers(run.summary)),
+            dict(key_numbers(RunResults.of(run.summary))),
             [{key: asdict(alarm)[key] for key in ("t_s", "priority", "text")} for alarm in run.alarms],
             str(Path(file).relative_to(self.day.folder)) if file else "",
             scenario_digest(run.scenario),

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.api.results import Run
+from hil.core.alarms import HIGH, Alarm
 from hil.core.modes import Mode
 from hil.errors import BenchError
 from hil.parts.campaigns.api.bench import Bench, Until
-from hil.safety.alarms import HIGH, Alarm
 
 
 def latest_trip(alarms: Sequence[Alarm]) -> Alarm | None:

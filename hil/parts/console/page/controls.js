@@ -11,11 +11,6 @@ const ANSWER_MS = 6000;
 const YES_AFTER_MS = 400; // a pointer that has just clicked does not confirm by a second click
 const HALT = { KeyX: "stop", x: "stop", F8: "stop", KeyH: "hold", h: "hold", F2: "hold" };
 
-const ORDERS = [
-  ["home", "Home", "o"], ["arm", "Arm", "m"], ["start", "Start", "s"], ["resume", "Resume", "r"],
-  ["go", "Go", "g"], ["abort", "Abort", "a"], ["disarm", "Disarm", "d"], ["park", "Park", "k"], ["reset", "Reset", "e"],
-];
-
 export class Controls {
   constructor(link) {
     this.link = link;
@@ -23,7 +18,6 @@ export class Controls {
     this.page = {};
     this.jogging = null;
     this.axis = 0;
-    for (const [order, text, key] of ORDERS) this.button($("orders"), order, text, key);
     $("orders").append(Object.assign(document.createElement("button"), { id: "settings_open", textContent: "Settings" }));
     $("settings_open").dataset.key = "p";
     for (const button of document.querySelectorAll("button[data-key]")) button.innerHTML += `<kbd>${button.dataset.key}</kbd>`;
@@ -61,13 +55,16 @@ export class Controls {
     document.addEventListener("visibilitychange", () => this.jog(null));
   }
 
-  button(where, order, text, key) {
-    const button = document.createElement("button");
-    button.id = `order_${order}`;
-    button.textContent = text;
-    button.dataset.key = key;
-    button.onclick = () => this.ask({ do: "order", order });
-    where.append(button);
+  // Add the buttons of the commands, once the console has sent them.
+  addOrders(orders) {
+    for (const [order, text, key] of orders) {
+      const button = document.createElement("button");
+      button.id = `order_${order}`;
+      button.innerHTML = `${text}<kbd>${key}</kbd>`;
+      button.dataset.key = key;
+      button.onclick = () => this.ask({ do: "order", order });
+      $("settings_open").before(button);
+    }
   }
 
   // Send a request; if it requires confirmation, ask the operator first.
@@ -171,10 +168,11 @@ export class Controls {
   // Update the controls from the state of the console.
   show(now, page) {
     const changed = page !== this.page;
+    if (!this.page.orders) this.addOrders(page.orders);
     this.now = now;
     this.page = page;
     const mine = now.lease.mine, open = now.open;
-    for (const [order] of ORDERS) {
+    for (const [order] of page.orders) {
       const allowed = open ? page.obeyed_in[order].includes(now.mode) : order === "reset" && page.alarms.some((a) => a.latched);
       $(`order_${order}`).disabled = !(mine && allowed && !page.commissioning);
     }
