@@ -16,7 +16,7 @@ from rich.console import Console
 from hil.cli.options import File, Flag, Group, OptionalCase, RunOptions, refuse, refuse_wires_in_use
 from hil.cli.output import say, write_json
 from hil.cli.progress import ProgressBar
-from hil.core.part import imported, part_lines, provided
+from hil.core.part import declared, imported, provided
 from hil.errors import BadInput, Problem
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def run_and_print(request: RunRequest, console: Console, json: str | None) -> in
         say(f"recording: {problem}", console, "yellow")
     if json != "-":
         render(summary, found.verdict, found.scenario.requirements, Console())
-        for table, lines in part_lines().items():
+        for table, lines in declared("lines").items():
             if table in summary:
                 print("\n".join(imported(lines)(summary[table])))  # noqa: T201
     if summary["faults"]:

@@ -7,7 +7,7 @@ import hmac
 import json
 import signal
 import traceback
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Coroutine, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -17,12 +17,12 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.requests import HTTPConnection
 
-from hil.console.foxglove_clients import FoxgloveClients
 from hil.console.lease import RequestRejected
 from hil.console.live_view import Client
 from hil.console.message import pack
 from hil.console.service import ConsoleService
 from hil.console.strangers import Access, FairSlots, GuessLimiter
+from hil.console.viewers import Viewer
 from hil.core.files import parse_json
 from hil.core.operator_keys import OperatorKey, new_challenge, new_key
 
@@ -47,17 +47,17 @@ def make_app(
     service: ConsoleService,
     access: Access,
     hosts: frozenset[str] | None,
-    foxglove: FoxgloveClients | None = None,
+    viewers: Sequence[Viewer] = (),
 ) -> FastAPI:
     """Return the application. access: what is required of each client. hosts: host names accepted in requests,
-    None for any; on loopback they prevent access by other sites' pages through a rebound name. foxglove: clients that
-    ``service`` serves as well."""
+    None for any; on loopback they prevent access by other sites' pages through a rebound name. viewers: served by
+    ``service`` as well."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        if foxglove is not None:
-            foxglove.attach(service)
-        ticking = asyncio.create_task(_keep_ticking(service, updated, foxglove))
+        for viewer in viewers:
+            viewer.attach(service)
+        ticking = asyncio.create_task(_keep_ticking(service, updated, viewers))
         ticking.add_done_callback(_exit_on_error)
         yield
         ticking.cancel()
@@ -91,11 +91,11 @@ def make_app(
     return app
 
 
-async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition, foxglove: FoxgloveClients | None) -> None:
+async def _keep_ticking(service: ConsoleService, updated: asyncio.Condition, viewers: Sequence[Viewer]) -> None:
     while True:
         service.tick()
-        if foxglove is not None:
-            foxglove.tick()
+        for viewer in viewers:
+            viewer.tick()
         async with updated:
             updated.notify_all()
         await asyncio.sleep(TICK_S)

@@ -70,6 +70,8 @@ class Part:
     """Returns texts for a recording by their names, for a scenario and a rig."""
     sinks: Mapping[str, PartSink] = field(default_factory=dict)
     """What it adds to recordings, by name."""
+    viewers: Mapping[str, str] = field(default_factory=dict)
+    """Make live viewers of a console, by the names of these: ``Viewer`` in ``hil.console.viewers``."""
     lines: Mapping[str, str] = field(default_factory=dict)
     """Return the text of a table of the summary, by the name of the table."""
     kernels: Mapping[str, str] = field(default_factory=dict)
@@ -86,6 +88,7 @@ class Part:
         yield from (f"table [{key}]" for key in self.tables)
         yield from (f"setting {key}" for key in self.provides)
         yield from (f"sink {name}" for name in self.sinks)
+        yield from (f"viewer {name}" for name in self.viewers)
         yield from (f"kernels {group}" for group in self.kernels)
         yield from (f"table {name} of the summary" for name in self.lines)
         yield from (f"topic {sink.topic}" for sink in self.sinks.values() if sink.topic)
@@ -147,8 +150,7 @@ def joined(own: Iterable[InstalledPart], points: Iterable[EntryPoint]) -> Parts:
 
 def commands_of(group: str = "") -> dict[str, PartCommand]:
     """Return the commands of all parts, or those that parts add to the commands of ``group``: "recordings place"."""
-    every = {name: command for each in parts().usable.values() for name, command in each.part.commands.items()}
-    within = {name: command for name, command in every.items() if name.rpartition(" ")[0] == group}
+    within = {name: command for name, command in declared("commands").items() if name.rpartition(" ")[0] == group}
     return {name.rpartition(" ")[2]: command for name, command in within.items()}
 
 
@@ -166,20 +168,15 @@ def used_parts(scenario: Any, rig: Any) -> list[InstalledPart]:
     return [each for each in parts().usable.values() if each.part.uses(scenario, rig)]
 
 
+def declared(name: str) -> dict[str, Any]:
+    """Return what all parts declare under ``name``, by its keys: "kernels", "viewers"."""
+    return {key: value for each in parts().usable.values() for key, value in getattr(each.part, name).items()}
+
+
 @cache
 def part_sinks() -> dict[str, PartSink]:
     """Return the sinks of all parts by name."""
-    return {name: sink for each in parts().usable.values() for name, sink in each.part.sinks.items()}
-
-
-def part_lines() -> dict[str, str]:
-    """Return the import paths of what writes tables of the summary as text, by their names, of all parts."""
-    return {table: path for each in parts().usable.values() for table, path in each.part.lines.items()}
-
-
-def part_kernels() -> dict[str, str]:
-    """Return the import paths of what compiles each group of kernels of all parts."""
-    return {group: path for each in parts().usable.values() for group, path in each.part.kernels.items()}
+    return declared("sinks")
 
 
 def without_opencv() -> list[str]:

@@ -189,11 +189,8 @@ CONSOLE: Final = Part(
         ),
         "operators": PartCommand("hil.cli.operators:app", "Keys of the operators of a console."),
     },
-    modules=(
-        "hil.console", "hil.cli.console", "hil.cli.operators", "hil.processes.console_session",
-        "hil.processes.foxglove_server", "hil.recording.foxglove_server",
-    ),
-)  # fmt: skip
+    modules=("hil.console", "hil.cli.console", "hil.cli.operators", "hil.processes.console_session"),
+)
 
 EMULATION: Final = Part(
     name="emulation",
@@ -275,7 +272,6 @@ FMI: Final = Part(
             "Write truth, sensors, thrusters and mock axes of one run as an FMU for co-simulation.",
         ),
     },
-    tables=("models",),
     provides={
         "gnc.fmu": "hil.gnc_backends.isolated:open_fmu",
         "backend in an FMU": "hil.gnc_backends.fmu:FmuBackend",

@@ -18,6 +18,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 
 ALL = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs", "benchmarks", "configs", "examples", "hil", "sims")
+ALL += ("plugins/foxglove/README.md", "plugins/foxglove/hil_foxglove")
 
 # name of the word -> pattern; the field's term or plain English replaces it ("if" for "where", "per" for "a")
 WORDS = {
